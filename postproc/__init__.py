@@ -1,0 +1,1 @@
+"""Theory, figures, film and report of the battery program."""
