@@ -1,0 +1,148 @@
+"""All stationary states of a circuit: the zeros of eta, eq. (eq007), each with its kind.
+
+Zeros are looked for in d = N2 - N/2 > 0 through g(d) = log f(N1) - log f(N2), which has the sign of
+eta and does not underflow. f bends only where the load of a gate is near its threshold, over a
+width of its square root, so places there, at equal steps, and on a logarithmic scale towards both
+ends bracket every zero; minima of |g| in between are followed for pairs that lie closer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import optimize
+
+from postproc.theory import Circuit, homogeneous_kind, log_outflow, net_current2
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Balance = Callable[[ArrayLike], NDArray[np.float64]]
+
+NEAREST = 1e-6  # states closer to N/2 than this, relative to it, are the homogeneous one
+
+
+@dataclass(frozen=True)
+class State:
+    """A stationary state with N2 > N/2 (its mirror image is one too).
+
+    Attributes
+    ----------
+    urn2_number : N2.
+    kind : "stable" or "unstable".
+    mass_spread : chi = |N1 - N2|/N, eq. (mass).
+    net_current : of channel 1 from urn 1 to urn 2, and back through channel 2 (per unit time).
+    """
+
+    urn2_number: float
+    kind: str
+    mass_spread: float
+    net_current: float
+
+
+def stationary_states(circuit: Circuit) -> list[State]:
+    """Return all states with N2 > N/2 of a circuit with scalar fields, by increasing N2."""
+    half = 0.5 * float(np.asarray(circuit.number))
+    closed = float(circuit.channel2_width) == 0.0
+    if closed and float(circuit.threshold) == 0.0:
+        return []
+
+    def balance(first: ArrayLike) -> NDArray[np.float64]:
+        few = np.asarray(first, float)
+        return log_outflow(circuit, few) - log_outflow(circuit, 2.0 * half - few)
+
+    places = _places(circuit, half)  # N1, decreasing from N/2 to 0
+    values = balance(places)
+    values[0] = 1.0 if homogeneous_kind(circuit) == "unstable" else -1.0
+    roots = _crossings(balance, places, values)
+    if closed and values[-1] > 0.0:
+        roots.append((0.0, "stable"))  # N1 too small for any number: all in one urn
+    return [_state(circuit, 2.0 * half, first, kind) for first, kind in roots]
+
+
+def stable_spread(circuit: Circuit, branch: str = "polarised") -> float:
+    """Return chi of the stable state on a branch: "polarised" (largest chi) or "homogeneous".
+
+    The homogeneous branch follows the nearest stable state; the polarised branch is 0 where only
+    the homogeneous state is stable.
+    """
+    if branch == "homogeneous" and homogeneous_kind(circuit) == "stable":
+        return 0.0
+    stable = [state.mass_spread for state in stationary_states(circuit) if state.kind == "stable"]
+    if not stable:
+        return 0.0
+    return min(stable) if branch == "homogeneous" else max(stable)
+
+
+def _places(circuit: Circuit, half: float) -> NDArray[np.float64]:
+    """Return N1 where g is looked at, from just below N/2 down to 0."""
+    threshold = float(circuit.threshold)
+    per_particle = float(circuit.load_per_particle)
+    bend = threshold + 1.0 + np.sqrt(threshold + 1.0) * np.linspace(-9.0, 9.0, 181)
+    bend = bend / per_particle
+    near_half = half * (1.0 - np.geomspace(NEAREST, 0.5, 60))
+    near_empty = np.geomspace(1e-300, 1.0, 200) * half
+    even = np.linspace(0.0, half, 401)[1:-1]
+    inside = np.concatenate([bend, 2.0 * half - bend, near_half, near_empty, even])
+    first = half * (1.0 - NEAREST)
+    inside = inside[(inside > 0.0) & (inside < first)]
+    return np.concatenate([[first], np.unique(inside)[::-1]])
+
+
+def _crossings(
+    balance: Balance, places: NDArray[np.float64], values: NDArray[np.float64]
+) -> list[tuple[float, str]]:
+    """Return (N1, kind) of the zeros, N1 decreasing."""
+    places, values = _with_close_pairs(balance, places, values)
+    roots: list[tuple[float, str]] = []
+    for at in np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0):
+        high, low = places[at], places[at + 1]
+        if at == 0 and np.sign(balance(high)) != np.sign(values[0]):
+            continue  # the zero lies closer to N/2 than can be told apart
+        first = optimize.brentq(balance, low, high, xtol=1e-300, rtol=1e-14, maxiter=500)
+        roots.append((float(first), "stable" if values[at] > 0.0 else "unstable"))
+    for at in np.flatnonzero(values[1:-1] == 0.0) + 1:
+        if values[at - 1] * values[at + 1] < 0.0:
+            kind = "stable" if values[at - 1] > 0.0 else "unstable"
+            roots.append((float(places[at]), kind))
+    return sorted(roots, reverse=True)
+
+
+def _with_close_pairs(
+    balance: Balance, places: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Add the minima of |g| between places of one sign, where g may dip through zero and back."""
+    size = np.abs(values)
+    same = (np.sign(values[:-2]) == np.sign(values[1:-1])) & (
+        np.sign(values[2:]) == np.sign(values[1:-1])
+    )
+    dips = np.flatnonzero(same & (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:])) + 1
+    extra = []
+    for at in dips:
+        sign = np.sign(values[at])
+        if sign == 0.0 or not np.isfinite(size[at]):
+            continue
+        found = optimize.minimize_scalar(
+            lambda first, sign=sign: sign * float(balance(first)),
+            bounds=(places[at + 1], places[at - 1]),
+            method="bounded",
+            options={"xatol": 1e-10 * places[at - 1]},
+        )
+        if found.fun < 0.0:
+            extra.append(float(found.x))
+    if not extra:
+        return places, values
+    places = np.concatenate([places, extra])
+    values = np.concatenate([values, balance(np.array(extra))])
+    order = np.argsort(places)[::-1]
+    return places[order], values[order]
+
+
+def _state(circuit: Circuit, number: float, first: float, kind: str) -> State:
+    second = number - first
+    current = -float(net_current2(circuit, second))
+    return State(second, kind, (second - first) / number, current)

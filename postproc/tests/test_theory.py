@@ -1,0 +1,199 @@
+"""Theory: limits, symmetries and the values of the model's exact description."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from postproc import cli, theory
+from postproc.gates import WINDOW
+from postproc.states import stable_spread, stationary_states
+from postproc.theory import Circuit
+
+PAPER = Circuit(number=1000, threshold=7)
+THRESHOLDS = (1, 2, 4, 7, 12, 15, 18, 25)
+
+
+@pytest.mark.parametrize(
+    ("threshold", "homogeneous", "roots"),
+    [
+        (2, "stable", [(874.175, "unstable", 0.7484, 0.7588), (958.721, "stable", 0.9174, 0.9302)]),
+        (7, "unstable", [(968.727, "stable", 0.9375, 0.9505)]),
+        (18, "stable", []),
+    ],
+)
+def test_states_of_the_papers_three_panels(
+    threshold: int, homogeneous: str, roots: list[tuple[float, str, float, float]]
+) -> None:
+    circuit = replace(PAPER, threshold=threshold)
+    states = stationary_states(circuit)
+    assert theory.homogeneous_kind(circuit) == homogeneous
+    assert [state.kind for state in states] == [root[1] for root in roots]
+    for state, (number, _, spread, current) in zip(states, roots, strict=True):
+        assert state.urn2_number == pytest.approx(number, abs=5e-4)
+        assert state.mass_spread == pytest.approx(spread, abs=5e-5)
+        assert state.net_current == pytest.approx(current, abs=5e-5)
+
+
+def test_urn_area_is_the_disc_between_its_chords() -> None:
+    radius, width1, width2 = 1.3, 0.9, 0.4
+    chord1, chord2 = (math.sqrt(radius**2 - width**2 / 4) for width in (width1, width2))
+    area, _ = integrate.quad(lambda x: 2 * math.sqrt(radius**2 - x**2), -chord2, chord1)
+    assert theory.urn_area(radius, width1, width2) == pytest.approx(area, rel=1e-10)
+
+
+def test_window_counts_poisson_entries() -> None:
+    load, threshold = 3.7, 5
+    terms = [load**count * math.exp(-load) / math.factorial(count) for count in range(threshold)]
+    assert WINDOW.share(threshold, load) == pytest.approx(sum(terms), rel=1e-13)
+
+
+def test_slope_of_the_window_is_its_derivative() -> None:
+    loads, step = np.linspace(0.5, 30.0, 60), 1e-5
+    for threshold in THRESHOLDS:
+        higher, lower = (
+            (loads + sign * step) * WINDOW.share(threshold, loads + sign * step) for sign in (1, -1)
+        )
+        slope = WINDOW.slope(threshold, loads)
+        assert slope == pytest.approx((higher - lower) / (2 * step), abs=1e-8)
+
+
+def test_logarithm_of_the_share_goes_on_below_the_smallest_number() -> None:
+    assert WINDOW.log_share(7, 20.0) == pytest.approx(np.log(WINDOW.share(7, 20.0)))
+    loads = np.linspace(600.0, 760.0, 400)  # the share leaves the range of a double in between
+    steps = np.diff(WINDOW.log_share(7, loads))
+    assert np.all(np.isfinite(steps))
+    assert np.diff(steps) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_eta_is_antisymmetric_under_the_mirror() -> None:
+    second = np.linspace(0.0, 1000.0, 201)
+    eta = theory.eta(PAPER, second)
+    assert eta == pytest.approx(-eta[::-1], abs=1e-12)
+
+
+def test_arrays_broadcast() -> None:
+    circuits = Circuit(1000, np.array(THRESHOLDS)[:, None], channel2_width=np.array([0.01, 0.02]))
+    assert theory.eta(circuits, 700.0).shape == (len(THRESHOLDS), 2)
+    one = theory.eta(Circuit(1000, 4, channel2_width=0.02), 700.0)
+    assert theory.eta(circuits, 700.0)[2, 1] == pytest.approx(float(one))
+
+
+@pytest.mark.parametrize("threshold", THRESHOLDS)
+@pytest.mark.parametrize("width", [0.0, 0.001, 0.01, 0.05])
+def test_roots_are_zeros_and_the_slope_tells_their_kind(threshold: int, width: float) -> None:
+    circuit = replace(PAPER, threshold=threshold, channel2_width=width)
+    flow = float(theory.flow1(circuit, 500.0) + theory.flow2(circuit, 500.0))
+    kinds = [theory.homogeneous_kind(circuit)]
+    for state in stationary_states(circuit):
+        assert theory.eta(circuit, state.urn2_number) == pytest.approx(0.0, abs=1e-9 * (1 + flow))
+        slope = float(theory.eta_slope(circuit, state.urn2_number))
+        assert state.kind == ("stable" if slope < 0 else "unstable")
+        kinds.append(state.kind)
+    assert all(one != other for one, other in itertools.pairwise(kinds))
+    assert kinds[-1] == "stable"
+
+
+@pytest.mark.parametrize("threshold", THRESHOLDS)
+@pytest.mark.parametrize("width", [0.003, 0.01, 0.05])
+def test_no_root_is_missed(threshold: int, width: float) -> None:
+    circuit = replace(PAPER, threshold=threshold, channel2_width=width)
+    second = np.linspace(500.05, 999.999, 200_000)
+    changes = np.count_nonzero(np.diff(np.sign(theory.eta(circuit, second))))
+    assert changes == len(stationary_states(circuit))
+
+
+@pytest.mark.parametrize("threshold", [2, 4, 7, 10, 13])
+def test_homogeneous_state_changes_stability_at_the_transition_line(threshold: int) -> None:
+    circuit = replace(PAPER, threshold=threshold)
+    width = theory.transition_width(circuit)
+    kinds = [
+        theory.homogeneous_kind(replace(circuit, channel2_width=width * factor))
+        for factor in (1 - 1e-6, 1 + 1e-6)
+    ]
+    assert kinds == ["unstable", "stable"]
+
+
+def test_transition_line_obeys_its_formula() -> None:
+    circuit = replace(PAPER, channel2_width=theory.transition_width(PAPER))
+    x = 1000 * 0.3 / (8 * float(circuit.urn_area))
+    formula = x**7 * math.exp(-x) / math.factorial(6) - float(WINDOW.share(7, x))
+    assert circuit.channel2_width / 0.3 == pytest.approx(formula, rel=1e-9)
+
+
+def test_threshold_zero_lets_nothing_through() -> None:
+    circuit = replace(PAPER, threshold=0)
+    assert theory.flow1(circuit, np.array([0.0, 10.0, 1000.0])) == pytest.approx(0.0)
+    assert theory.homogeneous_kind(circuit) == "stable"
+    assert stationary_states(circuit) == []
+
+
+def test_no_gate_is_felt_at_a_threshold_of_all_particles() -> None:
+    circuit = replace(PAPER, threshold=1000)
+    free = 600 * 0.3 / (math.pi * float(circuit.urn_area))
+    assert theory.flow1(circuit, 600.0) == pytest.approx(free, rel=1e-14)
+    assert stationary_states(circuit) == []
+
+
+def test_one_channel_model_carries_no_current() -> None:
+    circuit = replace(PAPER, channel2_width=0.0)
+    (state,) = stationary_states(circuit)
+    assert state.kind == "stable"
+    assert state.net_current == 0.0
+    assert state.mass_spread > 0.999
+
+
+@pytest.mark.parametrize("width", [0.0, 0.01])
+@pytest.mark.parametrize("threshold", [0, 1, 100, 60_000, 100_000, 119_437, 200_000])
+def test_ten_million_particles(threshold: int, width: float) -> None:
+    circuit = Circuit(10_000_000, threshold, channel2_width=width)
+    for state in stationary_states(circuit):
+        assert np.isfinite(state.net_current)
+        assert 0.5 < state.urn2_number / circuit.number <= 1.0
+    assert stable_spread(circuit) >= 0.0
+
+
+def test_single_urn_is_the_gates_flow() -> None:
+    current = theory.single_urn_current([500, 1000], [[2], [9]], 0.2)
+    urn = Circuit(1000, 9, 0.2, 0.0)
+    assert current.shape == (2, 2)
+    assert current[1, 1] == pytest.approx(float(theory.flow1(urn, 1000)))
+
+
+def test_command_line_prints_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(theory.main, ["--number", "1000", "--threshold", "7"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed) == {"homogeneous", "roots", "transition_width", "urn_area"}
+    assert set(printed["roots"][0]) == {"urn2_number", "kind", "mass_spread", "net_current"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("--number", "0"),
+        ("--threshold", "-1"),
+        ("--channel1-width", "2"),
+        ("--channel1-width", "nan"),
+        ("--channel2-width", "-0.1"),
+        ("--channel1-length", "0"),
+        ("--number", "many"),
+    ],
+)
+def test_bad_values_give_one_line_and_exit_2(
+    change: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--number", "1000", "--threshold", "7", *change]
+    try:
+        code = cli.run(theory.main, arguments)
+    except SystemExit as stop:
+        code = stop.code
+    error = capsys.readouterr().err
+    assert code == 2
+    assert error.count("\n") == 1
+    assert change[0] in error
