@@ -1,0 +1,268 @@
+"""Results of a run: opens the program's HDF5 file and says in one line what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import f90nml
+import h5py
+import numpy as np
+
+from postproc.cli import InputError
+from postproc.theory import Circuit
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from postproc.gates import Gate
+
+NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "chi")
+FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
+
+
+@dataclass(frozen=True)
+class Series:
+    """What was recorded against time in one task.
+
+    Attributes
+    ----------
+    time : ends of the intervals, shape (time,).
+    urn1_number : N1 at that time, shape (time,).
+    flows : crossings per unit time since the entry before, by name, each of shape (time,).
+    """
+
+    time: NDArray[np.float64]
+    urn1_number: NDArray[np.float64]
+    flows: dict[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All particles of one task at one time; positions and velocities of shape (particle,)."""
+
+    time: float
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    ux: NDArray[np.float64]
+    uy: NDArray[np.float64]
+
+
+class Results:
+    """An open file of results; use it in a `with` statement."""
+
+    def __init__(self, path: Path) -> None:
+        """Open `path`; raise `InputError` unless it holds results of this program."""
+        self.path = path
+        if not path.exists():
+            raise InputError(f"{path}: no such file")
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder, not a file of results")
+        try:
+            self._file = h5py.File(path, "r")
+        except OSError as problem:
+            good = h5py.is_hdf5(path) if _readable(path) else None
+            reason = {
+                None: "cannot be read",
+                False: "not an HDF5 file",
+                True: f"damaged ({problem})",
+            }
+            raise InputError(f"{path}: {reason[good]}".splitlines()[0]) from problem
+        missing = [name for name in NEEDED if name not in self._file]
+        if missing or "namelist" not in self._file.attrs:
+            self._file.close()
+            lacks = missing[0] if missing else "namelist"
+            raise InputError(f"{path}: HDF5, but not written by battery (it has no {lacks})")
+
+    def __enter__(self) -> Results:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the file."""
+        self._file.close()
+
+    @cached_property
+    def attributes(self) -> dict[str, str]:
+        """Root attributes as text: program, version, namelist, status ..."""
+        return {name: _text(value) for name, value in self._file.attrs.items()}
+
+    @cached_property
+    def namelist(self) -> dict[str, dict[str, object]]:
+        """The input, by group and key, with what the user left out left out."""
+        try:
+            groups = f90nml.Parser().reads(self.attributes["namelist"])
+        except Exception as problem:  # the parser raises what it likes
+            raise InputError(f"{self.path}: its namelist cannot be read") from problem
+        return {name.lower(): dict(keys) for name, keys in groups.items()}
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is a dataset or group of that name."""
+        return name in self._file
+
+    def value(self, name: str) -> NDArray[np.float64]:
+        """Return a dataset whole, as floats, e.g. chi of shape (point, replica)."""
+        if name not in self._file:
+            raise InputError(f"{self.path}: has no {name}")
+        return np.asarray(self._file[name][()], float)
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a dataset."""
+        return _text(self._file[name].attrs.get("units", ""))
+
+    @property
+    def points(self) -> int:
+        """How many parameter points there are."""
+        return self._file["number"].shape[0]
+
+    @property
+    def replicas(self) -> int:
+        """How many replicas each point has."""
+        return self._file["chi"].shape[1]
+
+    @cached_property
+    def done(self) -> NDArray[np.bool_]:
+        """Which tasks have results, shape (point, replica)."""
+        return np.isfinite(self.value("chi"))
+
+    @property
+    def remark(self) -> str:
+        """What a picture should say about a partial run; empty for a complete one."""
+        if self.done.all():
+            return ""
+        return f"partial run: {np.count_nonzero(self.done)} of {self.done.size} tasks"
+
+    def say_if_partial(self) -> None:
+        """Tell on standard error that the run is partial, if it is."""
+        if self.remark:
+            print(f"{self.path}: {self.remark}, drawn with what there is", file=sys.stderr)
+
+    def need_tasks(self) -> None:
+        """Raise `InputError` if no task is complete."""
+        if not self.done.any():
+            raise InputError(f"{self.path}: no task is complete yet")
+
+    def table_value(self, key: str, default: float = 1.0) -> float:
+        """Return a length of the namelist's group `table`."""
+        return float(self.namelist.get("table", {}).get(key, default))
+
+    @property
+    def shape(self) -> str:
+        """Shape of the table: "circuit" or "urn"."""
+        return str(self.namelist.get("table", {}).get("shape", "circuit")).strip().lower()
+
+    def circuit(self, point: int, gate: Gate | None = None) -> Circuit:
+        """Return the circuit of a point, with the paper's gate unless another is given."""
+        self._check_task(point, 0)
+        lengths = ("urn_radius", "channel1_length", "channel2_length")
+        chosen = {} if gate is None else {"gate": gate}
+        return Circuit(
+            number=int(self._file["number"][point]),
+            threshold=int(self._file["threshold"][point]),
+            channel1_width=float(self._file["channel1_width"][point]),
+            channel2_width=float(self._file["channel2_width"][point]),
+            **{key: self.table_value(key) for key in lengths},
+            **chosen,
+        )
+
+    def replica_mean(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return mean and standard error over the replicas of each point, shape (point,).
+
+        The error is the larger of what the spread of the replicas says and what the blocks within
+        them say (`NAME_error`): few replicas may agree by chance. One replica: its block error.
+        Currents enter by their size, since the polarised state has either sign.
+        """
+        values = self.value(name)
+        if name.startswith("current"):
+            values = np.abs(values)
+        blocks = self.value(f"{name}_error") if self.has(f"{name}_error") else 0.0 * values
+        return mean_and_error(values, blocks)
+
+    def series(self, point: int, replica: int) -> Series:
+        """Return the series of a task; raise `InputError` if none was asked for."""
+        if "series/time" not in self._file:
+            raise InputError(f"{self.path}: has no series (set series_interval in &output)")
+        self._check_task(point, replica)
+        group = self._file["series"]
+        time, number = np.asarray(group["time"][()], float), group["urn1_number"][point, replica]
+        flows = {name: np.asarray(group[name][point, replica], float) for name in FLOWS}
+        number = np.asarray(number, float)
+        there = np.isfinite(number) & np.isfinite(flows["flow1_12"]) & (number >= 0)
+        if not there.any():
+            raise InputError(f"{self.path}: the series of point {point + 1} is empty")
+        kept = {name: flow[there] for name, flow in flows.items()}
+        return Series(time[there], number[there], kept)
+
+    def snapshot_times(self) -> NDArray[np.float64]:
+        """Return the times of the snapshots; raise `InputError` if there are none."""
+        if "snapshots/time" not in self._file or self._file["snapshots/time"].size == 0:
+            raise InputError(f"{self.path}: has no snapshots (set snapshot_times in &output)")
+        return np.asarray(self._file["snapshots/time"][()], float)
+
+    def snapshot(self, point: int, replica: int, index: int) -> Snapshot:
+        """Return one snapshot of a task; `index` counts from 0, or from the end if negative."""
+        times = self.snapshot_times()
+        if not -times.size <= index < times.size:
+            raise InputError(f"{self.path}: has {times.size} snapshots, there is no such one")
+        self._check_task(point, replica)
+        index %= times.size
+        group, count = self._file["snapshots"], int(self._file["number"][point])
+        state = [group[name][point, replica, index][:count] for name in ("x", "y", "ux", "uy")]
+        if not np.isfinite(state[0]).all():
+            raise InputError(f"{self.path}: the snapshot at time {times[index]:g} was not reached")
+        return Snapshot(float(times[index]), *(np.asarray(part, float) for part in state))
+
+    def events(self) -> dict[str, NDArray[np.float64]]:
+        """Return the event log (time, kind, where, particle), empty if there is none."""
+        if "events/time" not in self._file:
+            return {}
+        return {
+            name: self.value(f"events/{name}") for name in ("time", "kind", "where", "particle")
+        }
+
+    def _check_task(self, point: int, replica: int) -> None:
+        for what, index, count in (
+            ("point", point, self.points),
+            ("replica", replica, self.replicas),
+        ):
+            if not 0 <= index < count:
+                raise InputError(f"{self.path}: has {count} {what}(s), there is no {index + 1}")
+
+
+def mean_and_error(
+    values: NDArray[np.float64], block_errors: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return mean and standard error over the last axis of the finite values (`replica_mean`)."""
+    good = np.isfinite(values)
+    count = good.sum(axis=-1)
+    safe = np.maximum(count, 1)
+    mean = np.where(good, values, 0.0).sum(axis=-1) / safe
+    squares = np.where(good, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1)
+    between = np.sqrt(squares / np.maximum(count - 1, 1) / safe)
+    known = np.where(good & np.isfinite(block_errors), block_errors, 0.0)
+    within = np.sqrt((known**2).sum(axis=-1)) / safe
+    error = np.maximum(np.where(count > 1, between, 0.0), within)
+    empty = count == 0
+    return np.where(empty, math.nan, mean), np.where(empty, math.nan, error)
+
+
+def _readable(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            file.read(1)
+    except OSError:
+        return False
+    return True
+
+
+def _text(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        value = value.ravel()[0] if value.size else ""
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
+    return str(value).rstrip()

@@ -1,0 +1,89 @@
+"""One look for all pictures: sizes, colours that colour-blind readers tell apart, PNG and PDF."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from postproc.cli import InputError, output_folder
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+# Okabe and Ito's palette
+BLACK = "#000000"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+YELLOW = "#F0E442"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+GREY = "#8C8C8C"
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+
+COLUMN = 3.4  # width of one column of the journal, inches
+PAGE = 7.0  # width of both columns, inches
+RESOLUTION = 200  # dots per inch of the PNG
+
+SETTINGS = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.top": True,
+    "ytick.right": True,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 4,
+    "errorbar.capsize": 1.5,
+    "axes.linewidth": 0.7,
+    "image.cmap": "viridis",
+    "pdf.fonttype": 42,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "battery",
+    "mathtext.fontset": "dejavusans",
+}
+
+# it warns of the dates inside the fonts that matplotlib ships
+logging.getLogger("fontTools").setLevel(logging.ERROR)
+
+
+def figure(width: float = PAGE, height: float = 3.2) -> Figure:
+    """Return an empty figure of that size in inches, with the package's look."""
+    mpl.rcParams.update(SETTINGS)
+    made = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(made)
+    return made
+
+
+def note(axes: Axes, text: str) -> None:
+    """Write a small remark under the axes' lower right corner, e.g. that a run is partial."""
+    if text:
+        axes.figure.text(0.995, 0.005, text, ha="right", va="bottom", fontsize=6.5, color=GREY)
+
+
+def save(made: Figure, folder: Path, name: str) -> list[Path]:
+    """Write `name`.png and `name`.pdf into `folder`, say so, return their paths."""
+    output_folder(folder)
+    paths = [folder / f"{name}.png", folder / f"{name}.pdf"]
+    try:
+        made.savefig(paths[0], dpi=RESOLUTION, metadata={"Software": None})
+        made.savefig(paths[1], metadata={"CreationDate": None})
+    except OSError as problem:
+        raise InputError(f"cannot write to {folder}: {problem.strerror}") from problem
+    for path in paths:
+        print(path)
+    return paths

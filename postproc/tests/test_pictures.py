@@ -1,0 +1,156 @@
+"""Pictures and reading of results: what is drawn, and what is said of files that cannot be."""
+
+from __future__ import annotations
+
+import os
+import stat
+from typing import TYPE_CHECKING
+
+import h5py
+import numpy as np
+import pytest
+
+from postproc import cli, currents, scene
+from postproc.results import Results, Snapshot, mean_and_error
+from postproc.tests.fabricate import fabricate
+from postproc.theory import Circuit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+SCRIPTS = [currents.main, scene.main]
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "run.h5"
+    return fabricate(path, [{"threshold": 7}, {"threshold": 18}], duration=2000.0)
+
+
+@pytest.mark.parametrize("main", SCRIPTS)
+def test_pictures_are_written(main: Callable[..., int], run_file: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    assert cli.run(main, [str(run_file), "--output", str(folder)]) == 0
+    suffixes = sorted(path.suffix for path in folder.iterdir())
+    assert suffixes == [".pdf", ".png"]
+    assert all(path.stat().st_size > 5000 for path in folder.iterdir())
+
+
+def _one_line(main: Callable[..., int], path: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    assert cli.run(main, [str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert str(path) in error
+    return error
+
+
+@pytest.mark.parametrize("main", SCRIPTS)
+def test_no_such_file(
+    main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "no such file" in _one_line(main, tmp_path / "none.h5", capsys)
+
+
+@pytest.mark.parametrize("main", SCRIPTS)
+def test_not_hdf5(
+    main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "text.h5"
+    path.write_text("no HDF5 at all\n")
+    assert "not an HDF5 file" in _one_line(main, path, capsys)
+
+
+def test_damaged_file(run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "half.h5"
+    path.write_bytes(run_file.read_bytes()[:5000])
+    assert "damaged" in _one_line(currents.main, path, capsys)
+
+
+@pytest.mark.parametrize("main", SCRIPTS)
+def test_another_programs_hdf5(
+    main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "other.h5"
+    with h5py.File(path, "w") as file:
+        file["temperature"] = [1.0, 2.0]
+    assert "not written by battery" in _one_line(main, path, capsys)
+
+
+def test_a_folder_is_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "is a folder" in _one_line(currents.main, tmp_path, capsys)
+
+
+def test_missing_series_and_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = fabricate(tmp_path / "bare.h5", [{}], interval=0.0, snapshots=0)
+    assert "has no series" in _one_line(currents.main, path, capsys)
+    assert "has no snapshots" in _one_line(scene.main, path, capsys)
+
+
+def test_no_such_task(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(currents.main, [str(run_file), "--point", "9"]) == 2
+    assert "2 point(s)" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_folder_that_cannot_be_written(
+    run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    assert cli.run(currents.main, [str(run_file), "--output", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_partial_run_is_drawn_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = fabricate(tmp_path / "part.h5", [{}, {"threshold": 18}], incomplete=1)
+    assert cli.run(currents.main, [str(path), "--output", str(tmp_path)]) == 0
+    assert "partial run: 3 of 4 tasks" in capsys.readouterr().err
+    with Results(path) as results:
+        mean, error = results.replica_mean("chi")
+        assert np.all(np.isfinite(mean))
+        assert np.all(error > 0)
+
+
+def test_error_of_replicas_covers_their_spread() -> None:
+    random = np.random.default_rng(3)
+    values = random.normal(1.0, 0.1, (500, 8))
+    mean, error = mean_and_error(values, np.full(values.shape, 0.01))
+    assert np.mean(np.abs(mean - 1.0) < 2 * error) > 0.9
+    assert mean_and_error(values[:, :1], np.full((500, 1), 0.07))[1] == pytest.approx(0.07)
+
+
+def test_counted_are_those_in_a_gate_heading_for_the_other() -> None:
+    table = scene.Table()
+    x = np.array([-0.4, -0.4, 0.3, 0.3, -0.1, -0.9, 2.9])
+    ux = np.array([1.0, -1.0, -1.0, 1.0, 0.5, 1.0, -1.0])
+    snapshot = Snapshot(0.0, x, np.zeros(7), ux, np.sqrt(1 - ux**2))
+    assert scene.counted_by(table, snapshot).tolist() == [1, 0, 2, 0, 1, 0, 0]
+    assert scene.next_gate(table, snapshot) == 1
+
+
+@pytest.mark.parametrize("shape", ["circuit", "urn"])
+def test_walls_lie_on_the_table(shape: str) -> None:
+    table = scene.Table(1.2, 0.5, 0.8, 0.2, 0.6, shape)
+    for wall in table.walls():
+        x, y = np.abs(wall.T)
+        on_circle = np.isclose(np.hypot(x - table.urn_centre, y), 1.2)
+        on_channel = np.isclose(y, 0.25) | np.isclose(y, 0.1) | np.isclose(x, 0.0)
+        assert np.all(on_circle | on_channel)
+
+
+def test_binning_keeps_the_mean() -> None:
+    time = np.arange(1.0, 101.0)
+    values = np.random.default_rng(1).normal(size=100)
+    middle, mean, error = currents.binned(time, values, 10)
+    assert mean.mean() == pytest.approx(values.mean())
+    assert np.all(np.diff(middle) > 0)
+    assert np.all(error > 0)
+
+
+def test_nearest_stable_state_follows_the_side() -> None:
+    circuit = Circuit(1000, 7)
+    assert currents.nearest_stable(circuit, 940.0) == pytest.approx(968.73, abs=0.01)
+    assert currents.nearest_stable(circuit, 60.0) == pytest.approx(31.27, abs=0.01)
+    assert currents.nearest_stable(Circuit(1000, 18), 900.0) == 500.0
