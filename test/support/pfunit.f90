@@ -1,0 +1,245 @@
+!> A stand-in for the part of pFUnit's module `pfunit` that the project's tests use: tests on
+!> several MPI processes. See module `funit`.
+module pfunit
+  use mpi_f08, only: MPI_Comm, MPI_Comm_rank, MPI_Comm_size, MPI_Comm_split, MPI_Comm_free, &
+    MPI_Gather, MPI_Gatherv, MPI_Bcast, MPI_Init, MPI_Finalize, MPI_COMM_WORLD, MPI_COMM_NULL, &
+    MPI_CHARACTER, MPI_INTEGER, MPI_LOGICAL, MPI_UNDEFINED, operator(==)
+  use funit_exceptions, only: exception_type, same_exception, take_exceptions
+  use funit, only: SourceLocation, throw, anyExceptions, catch, assertTrue, assertFalse, &
+    assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, assertGreaterThan, &
+    assertGreaterThanOrEqual, assertIsNaN, assertIsFinite, assertFail, assertExceptionRaised, &
+    Test, TestMethod, TestSuite, SerialContext, run_in, stub
+  implicit none (type, external)
+  private
+  public :: SourceLocation, throw, anyExceptions, catch
+  public :: assertTrue, assertFalse, assertEqual, assertNotEqual, assertLessThan, &
+    assertLessThanOrEqual, assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, &
+    assertIsFinite, assertFail, assertExceptionRaised
+  public :: Test, TestMethod, TestSuite, MpiTestMethod
+  public :: initialize, run, finalize, stub
+
+  !> Fields of a failure in a message between processes.
+  integer, parameter :: location_width = 255, line_width = 12, length_width = 12
+  integer, parameter :: head_width = location_width + line_width + length_width
+
+  !> All processes of the run.
+  type, extends(SerialContext) :: MpiContext
+    type(MPI_Comm) :: communicator = MPI_COMM_WORLD
+  contains
+    procedure :: gather
+  end type MpiContext
+
+  !> A test that runs on the first `processes` processes.
+  type, extends(Test) :: MpiTestMethod
+    private
+    integer :: processes = 1
+    type(MPI_Comm) :: communicator = MPI_COMM_NULL
+    procedure(mpi_procedure), pointer, nopass :: method => null()
+    procedure(mpi_procedure), pointer, nopass :: set_up => null()
+    procedure(mpi_procedure), pointer, nopass :: tear_down => null()
+  contains
+    procedure :: run => run_method
+    procedure :: getMpiCommunicator
+    procedure :: getProcessRank
+    procedure :: getNumProcesses
+  end type MpiTestMethod
+
+  interface MpiTestMethod
+    procedure new_mpi_test_method
+  end interface MpiTestMethod
+
+  abstract interface
+    subroutine mpi_procedure(this)
+      import :: MpiTestMethod
+      implicit none (type, external)
+      class(MpiTestMethod), intent(inout) :: this
+    end subroutine mpi_procedure
+
+    subroutine plain_procedure()
+      implicit none (type, external)
+    end subroutine plain_procedure
+
+    function suite_loader() result(suite)
+      import :: TestSuite
+      implicit none (type, external)
+      type(TestSuite) :: suite
+    end function suite_loader
+  end interface
+
+contains
+
+  !> A test of `method` on `npes` processes, after `setUp` and before `tearDown`.
+  function new_mpi_test_method(name, method, npes, setUp, tearDown, disabled) result(this)
+    character(len=*), intent(in) :: name
+    procedure(mpi_procedure) :: method
+    integer, intent(in) :: npes
+    procedure(mpi_procedure), optional :: setUp, tearDown
+    logical, intent(in), optional :: disabled
+    type(MpiTestMethod) :: this
+    character(len=16) :: label
+
+    write (label, "(a,i0,a)") "[npes=", npes, "]"
+    this%name = name//trim(label)
+    this%processes = npes
+    this%method => method
+    if (present(setUp)) this%set_up => setUp
+    if (present(tearDown)) this%tear_down => tearDown
+    if (present(disabled)) this%disabled = disabled
+  end function new_mpi_test_method
+
+  !> Runs the test on a communicator of its own; the other processes wait for its failures.
+  subroutine run_method(this)
+    class(MpiTestMethod), intent(inout) :: this
+    integer :: rank, available
+
+    call MPI_Comm_rank(MPI_COMM_WORLD, rank)
+    call MPI_Comm_size(MPI_COMM_WORLD, available)
+    if (available < this%processes) then
+      if (rank == 0) call throw("Insufficient processes to run this test.")
+      return
+    end if
+    call MPI_Comm_split(MPI_COMM_WORLD, merge(0, MPI_UNDEFINED, rank < this%processes), rank, &
+      this%communicator)
+    if (this%communicator == MPI_COMM_NULL) return
+    if (associated(this%set_up)) call this%set_up(this)
+    if (.not. anyExceptions()) then
+      call this%method(this)
+      if (associated(this%tear_down)) call this%tear_down(this)
+    end if
+    call MPI_Comm_free(this%communicator)
+  end subroutine run_method
+
+  !> Communicator of the processes of this test.
+  function getMpiCommunicator(this) result(communicator)
+    class(MpiTestMethod), intent(in) :: this
+    type(MPI_Comm) :: communicator
+
+    communicator = this%communicator
+  end function getMpiCommunicator
+
+  !> Rank of this process in the test's communicator, from 0.
+  integer function getProcessRank(this) result(rank)
+    class(MpiTestMethod), intent(in) :: this
+
+    call MPI_Comm_rank(this%communicator, rank)
+  end function getProcessRank
+
+  !> How many processes the test's communicator has.
+  integer function getNumProcesses(this) result(processes)
+    class(MpiTestMethod), intent(in) :: this
+
+    call MPI_Comm_size(this%communicator, processes)
+  end function getNumProcesses
+
+  !> Gathers the failures of all processes at the root, each once, with the processes that had it.
+  subroutine gather(this, failures)
+    class(MpiContext), intent(in) :: this
+    type(exception_type), allocatable, intent(out) :: failures(:)
+    type(exception_type), allocatable :: own(:)
+    character(len=:), allocatable :: packed, all_packed
+    integer, allocatable :: lengths(:), offsets(:)
+    integer :: processes, i
+
+    call take_exceptions(own)
+    packed = pack_failures(own)
+    call MPI_Comm_size(this%communicator, processes)
+    allocate (lengths(processes), offsets(processes))
+    lengths = 0
+    call MPI_Gather(len(packed), 1, MPI_INTEGER, lengths, 1, MPI_INTEGER, 0, this%communicator)
+    offsets = [(sum(lengths(:i - 1)), i=1, processes)]
+    allocate (character(len=sum(lengths)) :: all_packed)
+    call MPI_Gatherv(packed, len(packed), MPI_CHARACTER, all_packed, lengths, offsets, &
+      MPI_CHARACTER, 0, this%communicator)
+    call unpack_failures(all_packed, lengths, failures)
+  end subroutine gather
+
+  !> The failures as one text: file name, line, length of the message, message.
+  pure function pack_failures(failures) result(packed)
+    type(exception_type), intent(in) :: failures(:)
+    character(len=:), allocatable :: packed
+    character(len=head_width) :: head
+    integer :: i
+
+    packed = ""
+    do i = 1, size(failures)
+      write (head, "(a,i12,i12)") failures(i)%location%fileName, failures(i)%location%lineNumber, &
+        len(failures(i)%message)
+      packed = packed//head//failures(i)%message
+    end do
+  end function pack_failures
+
+  !> The failures of all processes; `lengths` are those of their texts.
+  pure subroutine unpack_failures(packed, lengths, failures)
+    character(len=*), intent(in) :: packed
+    integer, intent(in) :: lengths(:)
+    type(exception_type), allocatable, intent(out) :: failures(:)
+    type(exception_type) :: failure
+    type(exception_type), allocatable :: found(:)
+    character(len=:), allocatable :: ranks(:)
+    integer :: position, rank, finish, message_length, i, n
+
+    n = 0
+    position = 0
+    finish = 0
+    allocate (found(len(packed)/head_width))
+    allocate (character(len=8*size(lengths)) :: ranks(size(found)))
+    do rank = 1, size(lengths)
+      finish = finish + lengths(rank)
+      do while (position < finish)
+        failure%location%fileName = packed(position + 1:position + location_width)
+        read (packed(position + location_width + 1:position + head_width), "(i12,i12)") &
+          failure%location%lineNumber, message_length
+        position = position + head_width
+        failure%message = packed(position + 1:position + message_length)
+        position = position + message_length
+        do i = 1, n
+          if (same_exception(found(i), failure)) exit
+        end do
+        if (i > n) then
+          n = i
+          found(n) = failure
+          ranks(n) = ""
+        end if
+        write (ranks(i), '(a,",",i0)') trim(ranks(i)), rank - 1
+      end do
+    end do
+    allocate (failures(n))
+    do i = 1, n
+      failures(i)%location = found(i)%location
+      failures(i)%message = found(i)%message//" (PE="//trim(ranks(i)(2:))//")"
+    end do
+  end subroutine unpack_failures
+
+  !> Starts MPI, then the user's own preparation.
+  subroutine initialize(extra)
+    procedure(plain_procedure) :: extra
+
+    call MPI_Init()
+    call extra()
+  end subroutine initialize
+
+  !> Runs what `load_tests` gives on all processes; every one learns whether all passed.
+  logical function run(load_tests) result(passed)
+    procedure(suite_loader) :: load_tests
+    type(MpiContext) :: context
+    integer :: rank
+
+    call MPI_Comm_rank(context%communicator, rank)
+    context%root = rank == 0
+    passed = run_in(load_tests, context)
+    call MPI_Bcast(passed, 1, MPI_LOGICAL, 0, MPI_COMM_WORLD)
+  end function run
+
+  !> Ends MPI and the program, with exit code 2 from the root if a test failed.
+  subroutine finalize(extra, successful)
+    procedure(plain_procedure) :: extra
+    logical, intent(in) :: successful
+    integer :: rank
+
+    call extra()
+    call MPI_Comm_rank(MPI_COMM_WORLD, rank)
+    call MPI_Finalize()
+    if (rank == 0 .and. .not. successful) stop 2
+  end subroutine finalize
+
+end module pfunit
