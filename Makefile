@@ -1,0 +1,134 @@
+# The only front door: `make help` lists what it opens. Everything made lands in build/.
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.ONESHELL:
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+# What compiling needs. The command after the colon tells whether it is there.
+define PACKAGES
+gfortran:            command -v gfortran
+openmpi-bin:         command -v mpirun
+libopenmpi-dev:      command -v mpifort
+pkg-config:          command -v pkg-config
+libhdf5-openmpi-dev: pkg-config --exists hdf5-openmpi
+libgsl-dev:          pkg-config --exists gsl
+python3-venv:        python3 -c 'import ensurepip, venv'
+endef
+export PACKAGES
+
+# Compiler flags. fpm adds -fimplicit-none and -Werror=implicit-interface.
+COMMON_FLAGS  := -std=f2018 -Wall -Wextra -Wno-maybe-uninitialized -Wno-uninitialized -fwrapv
+RELEASE_FLAGS := $(COMMON_FLAGS) -O3 -march=native -flto -fno-math-errno -fno-trapping-math
+DEBUG_FLAGS   := $(COMMON_FLAGS) -Werror -Og -g -fcheck=all -fbacktrace -finit-real=snan \
+                 -ffpe-trap=invalid,zero,overflow
+
+# Deferred, since pkg-config may be installed by this very make.
+HDF5_INCLUDE = $(shell pkg-config --cflags-only-I hdf5-openmpi)
+HDF5_LIBRARY = $(shell pkg-config --libs-only-L hdf5-openmpi)
+LINK_FLAGS   = $(HDF5_LIBRARY)
+
+export FPM_FC := mpifort
+export FPM_AR := gcc-ar
+# Open MPI as root, and with more ranks than cores.
+export OMPI_ALLOW_RUN_AS_ROOT := 1
+export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
+export OMPI_MCA_rmaps_base_oversubscribe := 1
+
+VENV    := build/venv
+PYTHON  := $(VENV)/bin/python
+PROGRAM := build/bin/battery
+RANKS   := 2
+FULL    ?= 0
+
+.PHONY: help demo test build bench accuracy figures lint clean install information
+
+help: ## lists the targets
+	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 16
+
+demo: build ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
+	@mkdir -p build/demo
+	cd build/demo
+	mpirun -n $(RANKS) ../bin/battery --overwrite ../../namelists/quickstart.nml
+	cd ../..
+	$(PYTHON) -m postproc.demo build/demo/quickstart.h5 --folder build/demo
+
+test: build ## builds and runs every test; the last line is "N passed, M failed"
+	@$(PYTHON) test/all.py --ldflags=" $(LINK_FLAGS)" \
+	  --release=" $(RELEASE_FLAGS) $(HDF5_INCLUDE)" --debug=" $(DEBUG_FLAGS) $(HDF5_INCLUDE)"
+
+build: install information ## only builds: the program is build/bin/battery
+	@export FPM_FFLAGS="$(RELEASE_FLAGS) $(HDF5_INCLUDE)" FPM_LDFLAGS="-flto $(LINK_FLAGS)"
+	flock build/.lock $(VENV)/bin/fpm install --prefix build
+
+bench: build ## the speed tables, as ratios measured in one run
+	@build/bin/bench
+
+accuracy: build ## the speed-accuracy charts and the stability tables
+	@$(PYTHON) -m postproc.accuracy
+
+figures: build ## every figure of the paper, quick; FULL=1: at the paper's own length
+	@$(PYTHON) -m postproc.figures $(if $(filter-out 0,$(FULL)),--full)
+
+lint: install ## style of the Fortran and the Python sources
+	@$(VENV)/bin/fortitude check --output-format concise src app test
+	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test
+
+clean: ## removes everything made, the virtual environment too
+	rm -rf build
+
+# What is missing is installed once; the stamps remember that it is there.
+install: build/stamps/packages build/stamps/python
+
+build/stamps/packages: Makefile
+	@mkdir -p build/stamps
+	missing=()
+	while IFS=: read -r package question; do
+	  bash -c "$$question" > /dev/null 2>&1 || missing+=("$$package")
+	done <<< "$$PACKAGES"
+	if (( $${#missing[@]} )); then
+	  if [[ $$(id -u) == 0 ]]; then
+	    as_root=
+	  elif sudo -n true 2> /dev/null; then
+	    as_root='sudo -n'
+	  else
+	    echo "These packages are missing, and only root may install them: $${missing[*]}" >&2
+	    exit 1
+	  fi
+	  echo "Installing the packages $${missing[*]}"
+	  { $$as_root apt-get update -qq &&
+	    $$as_root env DEBIAN_FRONTEND=noninteractive \
+	      apt-get install -y -qq --no-install-recommends "$${missing[@]}"; } \
+	    > build/stamps/apt.log 2>&1 || {
+	    tail -n 20 build/stamps/apt.log >&2
+	    echo "These packages are missing and could not be installed: $${missing[*]}" >&2
+	    exit 1
+	  }
+	fi
+	touch $@
+
+build/stamps/python: postproc/requirements.txt build/stamps/packages
+	@echo "Installing the Python packages of postproc/requirements.txt in $(VENV)"
+	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r postproc/requirements.txt
+	touch $@
+
+# Version and git commit for src/base/build_information.f90. fpm does not watch included files, so
+# the object that has them is removed when they change; objects for another processor go as well.
+information: build/stamps/packages
+	@mkdir -p build/generated
+	version=$$(sed -nE 's/^version = "(.*)"/\1/p' fpm.toml)
+	commit=$$(git describe --always --dirty --abbrev=40 --exclude='*' 2> /dev/null || echo unknown)
+	new=$$(printf "character(len=*), parameter :: %s = '%s'\n" \
+	  program_version "$$version" git_commit "$$commit")
+	if [[ "$$new" != "$$(cat build/generated/build_information.inc 2> /dev/null)" ]]; then
+	  echo "$$new" > build/generated/build_information.inc
+	  rm -f build/mpifort_*/battery/*build_information.f90.o*
+	fi
+	processor=$$(gfortran -march=native -Q --help=target | sha256sum)
+	if [[ "$$processor" != "$$(cat build/stamps/processor 2> /dev/null)" ]]; then
+	  rm -rf build/mpifort_*
+	  echo "$$processor" > build/stamps/processor
+	fi

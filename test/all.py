@@ -1,0 +1,99 @@
+"""Run every test of the project: lint, the Fortran tests in both builds, the Python tests.
+
+Each part prints what it prints; the last line of all is `N passed, M failed`. A linter that
+complains counts as one failed test, and so does a part that breaks before it can count.
+`make test` is the way to call this: it knows the compiler's switches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+TOOLS = ROOT / "build/venv/bin"
+
+
+@dataclass
+class Part:
+    """One part of the tests: its name, its command, and whether it is a linter."""
+
+    name: str
+    command: list[str]
+    lint: bool = False
+
+
+def parts(arguments: argparse.Namespace) -> list[Part]:
+    """List the parts in the order in which they run."""
+    fortran = [sys.executable, "test/run", f"--ldflags={arguments.ldflags}"]
+    style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml", "postproc", "test"]
+    folders = [name for name in ("src", "app", "test") if any((ROOT / name).rglob("*.[fF]90"))]
+    return [
+        Part(
+            "style of the Fortran sources",
+            [str(TOOLS / "fortitude"), "check", "--output-format", "concise", *folders],
+            lint=True,
+        ),
+        Part("style of the Python sources", style, lint=True),
+        Part(
+            "Fortran, release build",
+            [*fortran, "--flavour", "release", f"--flags={arguments.release}"],
+        ),
+        Part(
+            "Fortran, debug build with traps",
+            [*fortran, "--flavour", "debug", f"--flags={arguments.debug}"],
+        ),
+        Part("Python", [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider",
+                        "postproc", "test"]),
+    ]
+
+
+def run(part: Part) -> tuple[int, int]:
+    """Run one part, show what it prints, and give how many tests passed and failed."""
+    print(f"\n== {part.name}", flush=True)
+    process = subprocess.Popen(
+        part.command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        errors="replace",
+    )
+    last = ""
+    for line in process.stdout or ():
+        print(line, end="", flush=True)
+        last = line if line.strip() else last
+    code = process.wait()
+    if part.lint:
+        return (0, 1) if code else (1, 0)
+    passed, failed = (count(word, last) for word in ("passed", "failed"))
+    failed += count("errors?", last)
+    if code and not failed:
+        print(f"{part.name}: exit code {code}")
+        failed = 1
+    if not code and not passed:
+        print(f"{part.name}: no test ran")
+        failed = 1
+    return passed, failed
+
+
+def count(word: str, line: str) -> int:
+    """Read the number before a word; 0 if the word is not there."""
+    match = re.search(rf"(\d+) {word}\b", line)
+    return int(match.group(1)) if match else 0
+
+
+def main() -> int:
+    """Run all parts; give 1 if anything failed."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--release", required=True, help="switches of the release build")
+    parser.add_argument("--debug", required=True, help="switches of the debug build")
+    parser.add_argument("--ldflags", default="", help="switches of the linker")
+    counts = [run(part) for part in parts(parser.parse_args())]
+    passed, failed = (sum(column) for column in zip(*counts, strict=True))
+    print(f"\n{passed} passed, {failed} failed")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
