@@ -60,11 +60,12 @@ module battery_engine
     !> Whether the engine sees each wall collision (then it fills `collision_spread_sum`).
     logical :: sees_collisions = .false.
   contains
-    !> Takes over particles at time `clock`; positions and velocities have been checked.
+    !> Takes over particles at time `clock`; positions and velocities have been checked. The arrays
+    !> of `particles` may be freed on return, so that large systems fit.
     procedure(start_interface), deferred :: start
     !> Goes on by at most one window and not beyond `duration`; fills `history`.
     procedure(advance_interface), deferred :: advance
-    !> Where every particle is now.
+    !> Where the particles `first` ... `last` are now.
     procedure(particles_interface), deferred :: particles
     !> Wall collisions from the start until now, exactly; may cost a pass over the particles, while
     !> the running sum of `history%collisions` may be ahead of it.
@@ -83,7 +84,7 @@ module battery_engine
       class(engine_type), intent(inout) :: self
       type(table_type), intent(in) :: table
       integer, intent(in) :: threshold
-      type(particles_type), intent(in) :: particles
+      type(particles_type), intent(inout) :: particles
       real(wp), intent(in) :: clock
     end subroutine start_interface
 
@@ -94,9 +95,10 @@ module battery_engine
       type(history_type), intent(inout) :: history
     end subroutine advance_interface
 
-    subroutine particles_interface(self, particles)
+    subroutine particles_interface(self, first, last, particles)
       import :: engine_type, particles_type
       class(engine_type), intent(in) :: self
+      integer, intent(in) :: first, last
       type(particles_type), intent(out) :: particles
     end subroutine particles_interface
 

@@ -1,0 +1,568 @@
+!> The engine `excursion`: one event a gate entry or crossing, whole visits to the urns in batches.
+!>
+!> Particles feel each other through the counts of the two gates only. So the events that need a
+!> common order are few: a particle enters a gate, crosses the middle of channel 1, or crosses the
+!> periodic line. After any of them its next entry or periodic crossing is at least
+!> `shortest_excursion` away. A window that long is walked through in the order of time; all
+!> particles that go back to an urn are gathered, and their visits are computed in one batch.
+!>
+!> What is known of a particle (`flight_type`) is how it will enter its next channel; where it is
+!> until then follows by going back from there.
+module battery_excursion
+  use battery_kinds, only: wp, int8, int64, pi
+  use battery_table, only: table_type, shape_circuit, area_of_urn, shortest_excursion, region_at, &
+    urn_one, urn_two, gate_one, return_one, return_two
+  use battery_urn, only: urn_type, visits_type, new_urn, reserve_visits, leave_channels, cross_urns, &
+    position_before
+  use battery_channel, only: fold
+  use battery_gate, only: gate_type, empty_gate, enter_gate, cross_middle, shift_gate
+  use battery_calendar, only: calendar_type, new_calendar, schedule, open_until, next_due, turn_page
+  use battery_engine, only: engine_type, engine_state_type, history_type, particles_type, &
+    reserve_history, record_crossing, record_event, channel1_12, channel1_21, channel2_12, &
+    channel2_21, event_entry, event_reversal
+  implicit none (type, external)
+  private
+  public :: excursion_type
+
+  !> Where a particle goes: into a gate, into channel 2; inside a gate and counted; nowhere.
+  integer, parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
+    parked_in_channel = 5
+
+  !> How many particles are taken over at a time at the start.
+  integer, parameter :: start_chunk = 4096
+
+  type :: flight_type
+    !> When it enters the channel (entered it, for `in_gate` and those on their way to the periodic
+    !> line), at which height, with |u_x| and u_y.
+    !> `parked_in_urn`: time and angle of an impact, cosine and sine of the incidence.
+    !> `parked_in_channel`: time, y, x, u_y.
+    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
+    !> When it enters the urn before that.
+    real(wp) :: entered = 0.0_wp
+    integer :: heading = 0
+    !> Urn it leaves, 1 or 2.
+    integer :: urn = 0
+  end type flight_type
+
+  type, extends(engine_type) :: excursion_type
+    private
+    !> Most events of one window; the visits of a window should fit into the cache.
+    integer, public :: batch = 2048
+    type(urn_type) :: urn
+    type(flight_type), allocatable :: flight(:)
+    type(gate_type) :: gate(2)
+    type(calendar_type) :: calendar
+    type(visits_type) :: visits
+    !> Time since the page of the calendar was turned, and how often it was.
+    real(wp) :: now = 0.0_wp
+    integer(int64) :: pages = 0
+    real(wp) :: clock_start = 0.0_wp
+    !> Lookahead, longest window, half lengths of the channels.
+    real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, half1 = 0.0_wp, half2 = 0.0_wp
+    !> Wall hits of all visits and passages computed so far, those still to come included.
+    integer(int64) :: known_hits = 0
+  contains
+    procedure :: start
+    procedure :: advance
+    procedure :: particles => all_particles
+    procedure :: collisions
+    procedure :: trapped
+    procedure :: clock
+    procedure :: save_state
+    procedure :: restore_state
+  end type excursion_type
+
+contains
+
+  subroutine start(self, table, threshold, particles, clock)
+    class(excursion_type), intent(inout) :: self
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold
+    type(particles_type), intent(inout) :: particles
+    real(wp), intent(in) :: clock
+    integer :: first, i
+    logical :: from_channels
+
+    call prepare(self, table, threshold, size(particles%x))
+    self%clock_start = clock
+    from_channels = .false.
+    do
+      do first = 1, self%number, start_chunk
+        call reserve_visits(self%visits, start_chunk)
+        do i = first, min(first + start_chunk - 1, self%number)
+          call take_over(self, i, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i), &
+            from_channels)
+        end do
+        if (from_channels) call leave_channels(self%urn, self%visits)
+        call finish_visits(self)
+      end do
+      if (from_channels) exit
+      from_channels = .true.
+    end do
+    deallocate (particles%x, particles%y, particles%ux, particles%uy)
+  end subroutine start
+
+  !> Sizes and lengths that follow from the table and the number of particles.
+  subroutine prepare(self, table, threshold, number)
+    type(excursion_type), intent(inout) :: self
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold, number
+    real(wp) :: interval
+    integer :: g
+
+    self%table = table
+    self%threshold = threshold
+    self%number = number
+    self%urn = new_urn(table)
+    self%half1 = 0.5_wp*table%channel1_length
+    self%half2 = 0.5_wp*table%channel2_length
+    interval = pi*area_of_urn(table)/(table%channel1_width + table%channel2_width) &
+      + 0.25_wp*pi*table%channel1_length
+    self%lookahead = shortest_excursion(table)
+    self%window = min(self%lookahead, real(self%batch, wp)*interval/real(number, wp))
+    call new_calendar(self%calendar, number, interval)
+    if (allocated(self%flight)) deallocate (self%flight)
+    allocate (self%flight(number))
+    do g = 1, 2
+      call empty_gate(self%gate(g))
+    end do
+    self%now = 0.0_wp
+    self%pages = 0
+    self%known_hits = 0
+  end subroutine prepare
+
+  !> Turns a position and velocity into a flight, or into a visit that will be one. A particle in a
+  !> channel that heads for its far end is dated back to where it would have entered. Those in the
+  !> channels are left out, or only they are taken.
+  subroutine take_over(self, i, x, y, ux, uy, from_channels)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp), intent(in) :: x, y, ux, uy
+    logical, intent(in) :: from_channels
+    integer :: region, urn, count
+    real(wp) :: outward, depth, width, opening, turned, hits, height
+    logical :: in_channel2
+
+    region = region_at(self%table, x, y, huge(1.0_wp))
+    urn = merge(1, 2, x < 0.0_wp)
+    if (from_channels .eqv. (region == urn_one .or. region == urn_two)) return
+    if (.not. from_channels) then
+      call reserve_place()
+      self%visits%hits(count) = 0
+      self%visits%x(count) = self%table%urn_centre - abs(x)
+      self%visits%along(count) = merge(ux, -ux, urn == 1)
+      return
+    end if
+    in_channel2 = region == return_one .or. region == return_two
+    opening = merge(-1.0_wp, 1.0_wp, in_channel2)
+    width = merge(self%table%channel2_width, self%table%channel1_width, in_channel2)
+    depth = merge(abs(x) - self%table%urn_centre - self%table%chord2_distance, self%half1 - abs(x), &
+      in_channel2)
+    outward = opening*merge(ux, -ux, urn == 1)
+    self%flight(i)%urn = urn
+    if (.not. abs(ux) > 0.0_wp) then
+      self%flight(i)%heading = parked_in_channel
+      self%flight(i)%y = y
+      self%flight(i)%along = x
+      self%flight(i)%across = uy
+    else if (outward > 0.0_wp) then
+      call fold(y - uy*depth/outward, width, height, turned, hits)
+      self%flight(i)%time = -depth/outward
+      self%flight(i)%y = height
+      self%flight(i)%along = outward
+      self%flight(i)%across = turned*uy
+      self%known_hits = self%known_hits - int(hits, int64)
+      if (in_channel2) then
+        self%flight(i)%heading = to_return
+        call schedule(self%calendar, i, self%flight(i)%time + self%half2/outward)
+      else
+        self%flight(i)%heading = in_gate
+        call enter_gate(self%gate(urn), self%flight(i)%time + self%half1/outward, i)
+      end if
+    else
+      call reserve_place()
+      self%visits%opening(count) = opening
+      self%visits%passage(count) = -depth/outward
+      self%visits%along(count) = abs(ux)
+    end if
+
+  contains
+
+    subroutine reserve_place()
+      count = self%visits%count + 1
+      self%visits%count = count
+      self%visits%particle(count) = i
+      self%visits%urn(count) = urn
+      self%visits%time(count) = 0.0_wp
+      self%visits%passage(count) = 0.0_wp
+      self%visits%y(count) = y
+      self%visits%across(count) = uy
+    end subroutine reserve_place
+
+  end subroutine take_over
+
+  !> Visits of the batch: from the urn's entrance to its exit, into flights and the calendar.
+  subroutine finish_visits(self)
+    type(excursion_type), intent(inout) :: self
+    integer :: j, i
+
+    call cross_urns(self%urn, self%visits)
+    associate (visits => self%visits)
+      do j = 1, visits%count
+        i = visits%particle(j)
+        self%known_hits = self%known_hits + visits%hits(j)
+        associate (flight => self%flight(i))
+          flight%entered = visits%time(j)
+          flight%time = visits%time(j) + visits%length(j)
+          flight%y = visits%y(j)
+          flight%along = visits%along(j)
+          flight%across = visits%across(j)
+          flight%urn = visits%urn(j)
+          if (visits%opening(j) > 0.0_wp) then
+            flight%heading = to_gate
+            call schedule(self%calendar, i, flight%time)
+          else if (visits%opening(j) < 0.0_wp) then
+            flight%heading = to_return
+            call schedule(self%calendar, i, flight%time + self%half2/flight%along)
+          else
+            flight%heading = parked_in_urn
+          end if
+        end associate
+      end do
+      visits%count = 0
+    end associate
+  end subroutine finish_visits
+
+  subroutine advance(self, duration, history)
+    class(excursion_type), intent(inout) :: self
+    real(wp), intent(in) :: duration
+    type(history_type), intent(inout) :: history
+    real(wp) :: began, limit, ends, due
+    integer(int64) :: known
+
+    if (self%now >= self%calendar%page) call turn(self)
+    began = self%now
+    known = self%known_hits
+    limit = min(self%now + duration, self%calendar%page)
+    call next_due(self%calendar, min(limit, self%gate(1)%next_crossing, self%gate(2)%next_crossing), due)
+    ends = min(limit, due + self%lookahead, max(due, began) + self%window)
+    call open_until(self%calendar, ends)
+    call reserve_visits(self%visits, self%calendar%last - self%calendar%first + 1 &
+      + self%gate(1)%count + self%gate(2)%count)
+    call reserve_history(history, self%calendar%last - self%calendar%first + 1, 0)
+    call walk(self, began, ends, history)
+    call leave_channels(self%urn, self%visits)
+    call finish_visits(self)
+    self%now = ends
+    history%duration = ends - began
+    history%collisions = history%collisions + self%known_hits - known
+  end subroutine advance
+
+  !> Turns the page: all clocks are set back by its length.
+  subroutine turn(self)
+    type(excursion_type), intent(inout) :: self
+    integer :: g
+
+    call turn_page(self%calendar)
+    do g = 1, 2
+      call shift_gate(self%gate(g), self%calendar%page)
+    end do
+    self%flight%time = self%flight%time - self%calendar%page
+    self%flight%entered = self%flight%entered - self%calendar%page
+    self%now = self%now - self%calendar%page
+    self%pages = self%pages + 1
+  end subroutine turn
+
+  !> All events before `ends`, in the order of time; gathers the visits that begin with them.
+  subroutine walk(self, began, ends, history)
+    type(excursion_type), intent(inout) :: self
+    real(wp), intent(in) :: began, ends
+    type(history_type), intent(inout) :: history
+    real(wp) :: time
+    integer :: at, i, urn, last
+
+    at = self%calendar%first
+    last = self%calendar%last
+    do while (at <= last)
+      time = self%calendar%due_time(at)
+      if (time >= ends) exit
+      i = self%calendar%particle(at)
+      do while (min(self%gate(1)%next_crossing, self%gate(2)%next_crossing) <= time)
+        call cross_channel1(self, began, history)
+      end do
+      urn = self%flight(i)%urn
+      if (self%flight(i)%heading == to_gate) then
+        self%flight(i)%heading = in_gate
+        call enter_gate(self%gate(urn), time + self%half1/self%flight(i)%along, i)
+        if (history%logging) call record_event(history, time - began, event_entry, urn, i)
+        if (self%gate(urn)%count > self%threshold) then
+          if (.not. more_enter_now(self, urn, at, last)) call reverse(self, urn, time, began, history)
+        end if
+      else
+        call cross_periodic_line(self, i, time, began, history)
+      end if
+      at = at + 1
+    end do
+    self%calendar%first = at
+    do while (min(self%gate(1)%next_crossing, self%gate(2)%next_crossing) < ends)
+      call cross_channel1(self, began, history)
+    end do
+  end subroutine walk
+
+  !> Whether another particle enters the same gate at the very same time.
+  pure function more_enter_now(self, urn, at, last) result(more)
+    type(excursion_type), intent(in) :: self
+    integer, intent(in) :: urn, at, last
+    logical :: more
+    integer :: other, i
+
+    more = .false.
+    do other = at + 1, last
+      if (self%calendar%due_time(other) > self%calendar%due_time(at)) exit
+      i = self%calendar%particle(other)
+      more = self%flight(i)%heading == to_gate .and. self%flight(i)%urn == urn
+      if (more) exit
+    end do
+  end function more_enter_now
+
+  !> A gate reverses: all counted go back to their urn, as long as they have been in the channel.
+  subroutine reverse(self, urn, time, began, history)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: urn
+    real(wp), intent(in) :: time, began
+    type(history_type), intent(inout) :: history
+    integer :: member, i
+
+    if (history%logging) &
+      call record_event(history, time - began, event_reversal, urn, self%gate(urn)%count)
+    do member = 1, self%gate(urn)%count
+      i = self%gate(urn)%particle(member)
+      call send(self, i, urn, 1.0_wp, 2.0_wp*(time - self%flight(i)%time))
+    end do
+    history%reversals = history%reversals + 1
+    history%bounce_backs = history%bounce_backs + self%gate(urn)%count
+    call empty_gate(self%gate(urn))
+  end subroutine reverse
+
+  !> The next particle of channel 1 crosses its middle line (in `shape_urn` it hits the end wall).
+  subroutine cross_channel1(self, began, history)
+    type(excursion_type), intent(inout) :: self
+    real(wp), intent(in) :: began
+    type(history_type), intent(inout) :: history
+    real(wp) :: time
+    integer :: urn, i, beyond
+
+    urn = merge(1, 2, self%gate(1)%next_crossing <= self%gate(2)%next_crossing)
+    time = self%gate(urn)%next_crossing
+    call cross_middle(self%gate(urn), i)
+    call record_crossing(history, time - began, merge(channel1_12, channel1_21, urn == 1), i)
+    beyond = 3 - urn
+    if (self%table%shape /= shape_circuit) then
+      beyond = urn
+      self%known_hits = self%known_hits + 1
+    end if
+    call send(self, i, beyond, 1.0_wp, 2.0_wp*self%half1/self%flight(i)%along)
+  end subroutine cross_channel1
+
+  subroutine cross_periodic_line(self, i, time, began, history)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp), intent(in) :: time, began
+    type(history_type), intent(inout) :: history
+    integer :: urn
+
+    urn = self%flight(i)%urn
+    call record_crossing(history, time - began, merge(channel2_12, channel2_21, urn == 1), i)
+    call send(self, i, 3 - urn, -1.0_wp, 2.0_wp*self%half2/self%flight(i)%along)
+  end subroutine cross_periodic_line
+
+  !> Puts a particle into the batch: it leaves channel 1 (opening 1) or 2 (-1) for an urn after a
+  !> passage counted from its entry.
+  subroutine send(self, i, urn, opening, passage)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: i, urn
+    real(wp), intent(in) :: opening, passage
+    integer :: count
+
+    count = self%visits%count + 1
+    self%visits%count = count
+    self%visits%particle(count) = i
+    self%visits%urn(count) = urn
+    self%visits%opening(count) = opening
+    self%visits%passage(count) = passage
+    self%visits%time(count) = self%flight(i)%time
+    self%visits%y(count) = self%flight(i)%y
+    self%visits%along(count) = self%flight(i)%along
+    self%visits%across(count) = self%flight(i)%across
+  end subroutine send
+
+  subroutine all_particles(self, first, last, particles)
+    class(excursion_type), intent(in) :: self
+    integer, intent(in) :: first, last
+    type(particles_type), intent(out) :: particles
+    integer :: i
+    integer(int64) :: hits
+    real(wp) :: position(2), velocity(2), side
+
+    allocate (particles%x(last - first + 1), particles%y(last - first + 1))
+    allocate (particles%ux(last - first + 1), particles%uy(last - first + 1))
+    do i = first, last
+      call locate(self, self%flight(i), position, velocity, hits)
+      side = merge(1.0_wp, -1.0_wp, self%flight(i)%urn == 1)
+      if (self%flight(i)%heading == parked_in_channel) then
+        particles%x(i - first + 1) = position(1)
+        particles%ux(i - first + 1) = velocity(1)
+      else
+        particles%x(i - first + 1) = side*(position(1) - self%table%urn_centre)
+        particles%ux(i - first + 1) = side*velocity(1)
+      end if
+      particles%y(i - first + 1) = position(2)
+      particles%uy(i - first + 1) = velocity(2)
+    end do
+  end subroutine all_particles
+
+  !> Where a particle is now, in the local frame of its urn (`parked_in_channel`: of the table), and
+  !> by how many wall hits `known_hits` is short for it (negative: so many are still to come).
+  subroutine locate(self, flight, position, velocity, hits)
+    type(excursion_type), intent(in) :: self
+    type(flight_type), intent(in) :: flight
+    real(wp), intent(out) :: position(2), velocity(2)
+    integer(int64), intent(out) :: hits
+    real(wp) :: elapsed, opening, turned, passed, chord, width, step
+    complex(wp) :: impact
+
+    elapsed = self%now - flight%time
+    select case (flight%heading)
+    case (parked_in_channel)
+      call fold(flight%y + flight%across*elapsed, self%table%channel1_width, position(2), turned, passed)
+      if (abs(flight%along) > self%half1) &
+        call fold(flight%y + flight%across*elapsed, self%table%channel2_width, position(2), turned, passed)
+      position(1) = flight%along
+      velocity = [0.0_wp, turned*flight%across]
+      hits = int(passed, int64)
+    case (parked_in_urn)
+      step = 2.0_wp*self%urn%radius*flight%along
+      hits = 0
+      if (step > 0.0_wp) hits = floor(elapsed/step, int64)
+      elapsed = elapsed - real(hits, wp)*step
+      turned = flight%y + modulo(real(hits, wp)*2.0_wp*acos(flight%across), 2.0_wp*pi)
+      impact = cmplx(cos(turned), sin(turned), wp)
+      velocity = [real(impact*cmplx(-flight%along, flight%across, wp), wp), &
+        aimag(impact*cmplx(-flight%along, flight%across, wp))]
+      position = self%urn%radius*[real(impact, wp), aimag(impact)] + elapsed*velocity
+      hits = hits + 1
+    case default
+      opening = merge(-1.0_wp, 1.0_wp, flight%heading == to_return)
+      chord = merge(self%urn%chord2, self%urn%chord1, opening < 0.0_wp)
+      width = merge(self%urn%width2, self%urn%width1, opening < 0.0_wp)
+      if (elapsed >= 0.0_wp) then
+        call fold(flight%y + flight%across*elapsed, width, position(2), turned, passed)
+        position(1) = opening*(chord + flight%along*elapsed)
+        velocity = [opening*flight%along, turned*flight%across]
+        hits = int(passed, int64)
+      else
+        call locate_before(self, flight, opening, position, velocity, hits)
+      end if
+    end select
+  end subroutine locate
+
+  !> The same for a particle that has not yet left its urn, or is still in the channel before it.
+  subroutine locate_before(self, flight, opening, position, velocity, hits)
+    type(excursion_type), intent(in) :: self
+    type(flight_type), intent(in) :: flight
+    real(wp), intent(in) :: opening
+    real(wp), intent(out) :: position(2), velocity(2)
+    integer(int64), intent(out) :: hits
+    real(wp) :: before, side, turned, passed, width, height
+
+    call position_before(self%urn, opening, flight%y, flight%along, flight%across, &
+      flight%time - max(self%now, flight%entered), position, velocity, hits)
+    hits = -hits
+    before = flight%entered - self%now
+    if (before <= 0.0_wp) return
+    side = merge(1.0_wp, -1.0_wp, position(1) > 0.0_wp)
+    width = merge(self%urn%width1, self%urn%width2, side > 0.0_wp)
+    call fold(position(2) - velocity(2)*before, width, height, turned, passed)
+    position(1) = side*(merge(self%urn%chord1, self%urn%chord2, side > 0.0_wp) + abs(velocity(1))*before)
+    position(2) = height
+    velocity(2) = turned*velocity(2)
+    hits = hits - int(passed, int64)
+  end subroutine locate_before
+
+  function collisions(self) result(total)
+    class(excursion_type), intent(in) :: self
+    integer(int64) :: total
+    real(wp) :: position(2), velocity(2)
+    integer(int64) :: hits
+    integer :: i
+
+    total = self%known_hits
+    do i = 1, self%number
+      call locate(self, self%flight(i), position, velocity, hits)
+      total = total + hits
+    end do
+  end function collisions
+
+  function trapped(self) result(total)
+    class(excursion_type), intent(in) :: self
+    integer(int64) :: total
+
+    total = count(self%flight%heading == parked_in_urn .or. self%flight%heading == parked_in_channel)
+  end function trapped
+
+  function clock(self) result(time)
+    class(excursion_type), intent(in) :: self
+    real(wp) :: time
+
+    time = self%clock_start + (real(self%pages, wp)*self%calendar%page + self%now)
+  end function clock
+
+  subroutine save_state(self, state)
+    class(excursion_type), intent(in) :: self
+    type(engine_state_type), intent(out) :: state
+    integer :: counted(2)
+
+    counted = self%gate%count
+    state%integers = [self%pages, self%known_hits, int(counted, int64), &
+      int(self%gate(1)%particle(:counted(1)), int64), int(self%gate(2)%particle(:counted(2)), int64)]
+    state%reals = [self%now, self%clock_start, self%flight%time, self%flight%y, self%flight%along, &
+      self%flight%across, self%flight%entered, self%calendar%entry%due, &
+      self%gate(1)%time(:counted(1)), self%gate(2)%time(:counted(2))]
+    state%bytes = int(2*self%flight%heading + self%flight%urn, int8)
+  end subroutine save_state
+
+  subroutine restore_state(self, table, threshold, number, state)
+    class(excursion_type), intent(inout) :: self
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold, number
+    type(engine_state_type), intent(in) :: state
+    real(wp), allocatable :: due(:)
+    integer :: at, g, i
+
+    call prepare(self, table, threshold, number)
+    self%pages = state%integers(1)
+    self%known_hits = state%integers(2)
+    self%now = state%reals(1)
+    self%clock_start = state%reals(2)
+    self%flight%time = state%reals(3:number + 2)
+    self%flight%y = state%reals(number + 3:2*number + 2)
+    self%flight%along = state%reals(2*number + 3:3*number + 2)
+    self%flight%across = state%reals(3*number + 3:4*number + 2)
+    self%flight%entered = state%reals(4*number + 3:5*number + 2)
+    due = state%reals(5*number + 3:6*number + 2)
+    self%flight%heading = (state%bytes - 1)/2
+    self%flight%urn = state%bytes - 2*self%flight%heading
+    at = 0
+    do g = 1, 2
+      do i = 1, int(state%integers(2 + g))
+        call enter_gate(self%gate(g), state%reals(6*number + 2 + at + i), int(state%integers(4 + at + i)))
+      end do
+      at = at + int(state%integers(2 + g))
+    end do
+    do i = 1, number
+      if (self%flight(i)%heading == to_gate .or. self%flight(i)%heading == to_return) &
+        call schedule(self%calendar, i, due(i))
+    end do
+  end subroutine restore_state
+
+end module battery_excursion

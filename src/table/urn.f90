@@ -1,0 +1,451 @@
+!> Visits to an urn: many particles at once, each alone, from the way out of a channel to the way
+!> into the next.
+!>
+!> Local frame of either urn: the centre is the origin, channel 1 lies at +x, channel 2 at -x (urn 2
+!> is mirrored). With the incidence of a particle, s = sin and c = cos of its angle to the normal,
+!> the points of impact are p_1 = u (c - i s), p_(n+1) = z p_n with z = (s - c)(s + c) + 2 i s c, as
+!> complex numbers of modulus 1 in units of the radius, and the velocity before the impact at p is
+!> (c + i s) p. The first point of impact within an opening ends the visit; the way back from there
+!> to the chord is one division.
+!>
+!> The kernel `march` steps `lanes` particles at once, `march_steps` impacts without a test that
+!> branches: who has found an opening stands still. Between two marches the particles that still
+!> bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are tiny,
+!> are sent to `first_entry`, which needs O(log) operations for any number of impacts.
+module battery_urn
+  use battery_kinds, only: wp, int64, angle_kind, pi
+  use battery_table, only: table_type
+  use battery_rotation, only: to_turn, from_turn, full_turn, first_entry
+  use battery_channel, only: fold
+  implicit none (type, external)
+  private
+  public :: urn_type, visits_type, new_urn, reserve_visits, leave_channels, cross_urns, position_before
+
+  !> Particles that the kernel steps together, and impacts it steps them without closing ranks.
+  integer, parameter :: lanes = 8, march_steps = 8
+  !> After so many marches a particle is searched for instead.
+  integer, parameter :: march_rounds = 12
+  !> With fewer expected particles leaving per impact than this, stepping does not pay.
+  real(wp), parameter :: march_worthwhile = 0.01_wp
+
+  !> What a visit needs to know of the table.
+  type :: urn_type
+    real(wp) :: radius, chord1, chord2, width1, width2
+    !> Half widths of the openings in units of the radius, and half their angles.
+    real(wp) :: half1, half2
+    integer(angle_kind) :: angle1, angle2
+    logical :: step_first
+  end type urn_type
+
+  !> A batch of visits, one entry a particle; arrays have room for whole groups of `lanes`.
+  type :: visits_type
+    integer :: count = 0
+    !> Who, and in which urn (1 or 2) the visit is.
+    integer, allocatable :: particle(:), urn(:)
+    !> In: when the particle entered the channel it comes from, and how long it has been in it.
+    !> Out of `leave_channels`: when it enters the urn; the passage is then unchanged.
+    real(wp), allocatable :: time(:), passage(:)
+    !> 1 for channel 1, -1 for channel 2, 0 for a particle that never leaves.
+    !> In: where it comes from; out of `cross_urns`: where it goes.
+    real(wp), allocatable :: opening(:)
+    !> Position in the local frame. In: y at the channel's entrance; out of `leave_channels` at the
+    !> chord where the urn begins; out of `cross_urns` on the chord where the urn ends.
+    real(wp), allocatable :: x(:), y(:)
+    !> Velocity. In: |u_x| and u_y in the channel; out of `leave_channels` in the local frame; out
+    !> of `cross_urns` again |u_x| and u_y in the channel that is entered. For a particle that never
+    !> leaves: cosine and sine of the incidence, and y is the angle of an impact.
+    real(wp), allocatable :: along(:), across(:)
+    !> Out of `cross_urns`: length of the way through the urn; for one that never leaves, until the
+    !> impact at angle y, before which it had `impacts` of them.
+    real(wp), allocatable :: length(:)
+    !> Wall hits in the channel and in the urn.
+    integer(int64), allocatable :: hits(:)
+    !> Work space of the kernel: impact, rotation, steps, and whose they are.
+    real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)
+    integer, allocatable :: slot(:)
+    !> Cosine and sine of the incidence, impact in the opening, impacts before it; a particle that
+    !> never leaves has -1 less the impacts after which that was found out.
+    real(wp), allocatable :: c(:), s(:), hit_x(:), hit_y(:), impacts(:)
+    !> Length until the first impact.
+    real(wp), allocatable :: first(:)
+  end type visits_type
+
+contains
+
+  pure function new_urn(table) result(urn)
+    type(table_type), intent(in) :: table
+    type(urn_type) :: urn
+
+    urn%radius = table%urn_radius
+    urn%chord1 = table%chord1_distance
+    urn%chord2 = table%chord2_distance
+    urn%width1 = table%channel1_width
+    urn%width2 = table%channel2_width
+    urn%half1 = 0.5_wp*urn%width1/urn%radius
+    urn%half2 = 0.5_wp*urn%width2/urn%radius
+    urn%angle1 = to_turn(asin(urn%half1))
+    urn%angle2 = to_turn(asin(urn%half2))
+    urn%step_first = urn%half1 + urn%half2 > march_worthwhile*pi
+  end function new_urn
+
+  !> Makes room for `room` visits and empties the batch.
+  subroutine reserve_visits(visits, room)
+    type(visits_type), intent(inout) :: visits
+    integer, intent(in) :: room
+    integer :: n
+
+    visits%count = 0
+    if (allocated(visits%particle)) then
+      if (size(visits%particle) >= room) return
+    end if
+    n = lanes*((max(room, 64) + max(room, 64)/2)/lanes + 1)
+    call renew(visits%time)
+    call renew(visits%passage)
+    call renew(visits%opening)
+    call renew(visits%x)
+    call renew(visits%y)
+    call renew(visits%along)
+    call renew(visits%across)
+    call renew(visits%length)
+    call renew(visits%px)
+    call renew(visits%py)
+    call renew(visits%zx)
+    call renew(visits%zy)
+    call renew(visits%steps)
+    call renew(visits%c)
+    call renew(visits%s)
+    call renew(visits%hit_x)
+    call renew(visits%hit_y)
+    call renew(visits%impacts)
+    call renew(visits%first)
+    if (allocated(visits%particle)) deallocate (visits%particle, visits%urn, visits%hits, visits%slot)
+    allocate (visits%particle(n), visits%urn(n), visits%slot(n), source=0)
+    allocate (visits%hits(n), source=0_int64)
+
+  contains
+
+    subroutine renew(array)
+      real(wp), allocatable, intent(inout) :: array(:)
+
+      if (allocated(array)) deallocate (array)
+      allocate (array(n), source=0.5_wp)
+    end subroutine renew
+
+  end subroutine reserve_visits
+
+  !> From the entrance of a channel to its exit into an urn.
+  subroutine leave_channels(urn, visits)
+    type(urn_type), intent(in) :: urn
+    type(visits_type), intent(inout) :: visits
+
+    call leave(lanes*((visits%count + lanes - 1)/lanes), visits%time, visits%passage, visits%opening, &
+      visits%x, visits%y, visits%along, visits%across, visits%hits)
+
+  contains
+
+    pure subroutine leave(n, time, passage, opening, x, y, along, across, hits)
+      integer, intent(in) :: n
+      real(wp), intent(in) :: passage(n), opening(n)
+      real(wp), intent(inout) :: time(n), x(n), y(n), along(n), across(n)
+      integer(int64), intent(inout) :: hits(n)
+      real(wp) :: width, unfolded, turned, passed
+      real(wp) :: width1, width2, chord1, chord2
+      integer :: j
+
+      width1 = urn%width1
+      width2 = urn%width2
+      chord1 = urn%chord1
+      chord2 = urn%chord2
+      do j = 1, n
+        width = merge(width1, width2, opening(j) > 0.0_wp)
+        unfolded = y(j) + across(j)*passage(j)
+        call fold(unfolded, width, y(j), turned, passed)
+        across(j) = turned*across(j)
+        time(j) = time(j) + passage(j)
+        x(j) = merge(chord1, -chord2, opening(j) > 0.0_wp)
+        along(j) = -opening(j)*along(j)
+        hits(j) = int(passed, int64)
+      end do
+    end subroutine leave
+
+  end subroutine leave_channels
+
+  !> From the point (x, y) with velocity (along, across) in the local frame through the urn. `hits`
+  !> grows by the wall hits.
+  subroutine cross_urns(urn, visits)
+    type(urn_type), intent(in) :: urn
+    type(visits_type), intent(inout) :: visits
+    integer :: n, j, active, round
+
+    n = lanes*((visits%count + lanes - 1)/lanes)
+    if (n == 0) return
+    call enter(n, 1.0_wp/urn%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
+      visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first)
+    do j = 1, visits%count
+      visits%slot(j) = j
+    end do
+    active = visits%count
+    if (urn%step_first) then
+      do round = 1, march_rounds
+        do j = active + 1, lanes*((active + lanes - 1)/lanes)
+          visits%px(j) = 1.0_wp
+          visits%py(j) = 0.0_wp
+        end do
+        call march(urn%half1, urn%half2, lanes*((active + lanes - 1)/lanes), visits%px, visits%py, &
+          visits%zx, visits%zy, visits%steps)
+        call close_ranks(urn%half1, urn%half2, active, visits%slot, visits%px, visits%py, visits%zx, &
+          visits%zy, visits%steps, visits%hit_x, visits%hit_y, visits%impacts)
+        if (active == 0) exit
+      end do
+    end if
+    do j = 1, active
+      call search(urn, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), visits%zy(j), &
+        visits%steps(j))
+    end do
+    call find_exits(n, urn, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
+      visits%first, visits%opening, visits%x, visits%y, visits%along, visits%across, visits%length)
+    do j = 1, visits%count
+      if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(urn, visits, j)
+    end do
+    do j = 1, visits%count
+      visits%hits(j) = visits%hits(j) + int(visits%impacts(j), int64)
+    end do
+  end subroutine cross_urns
+
+  !> Incidence, first impact, rotation from impact to impact, and the length until the first.
+  pure subroutine enter(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, first)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: curvature, x(n), y(n), ux(n), uy(n)
+    real(wp), intent(out) :: c(n), s(n), px(n), py(n), zx(n), zy(n), steps(n), first(n)
+    real(wp) :: sine, cosine
+    integer :: j
+
+    do j = 1, n
+      sine = (x(j)*uy(j) - y(j)*ux(j))*curvature
+      cosine = sqrt(max((1.0_wp - sine)*(1.0_wp + sine), 0.0_wp))
+      px(j) = ux(j)*cosine + uy(j)*sine
+      py(j) = uy(j)*cosine - ux(j)*sine
+      zx(j) = (sine - cosine)*(sine + cosine)
+      zy(j) = 2.0_wp*sine*cosine
+      first(j) = cosine/curvature - (x(j)*ux(j) + y(j)*uy(j))
+      c(j) = cosine
+      s(j) = sine
+      steps(j) = 0.0_wp
+    end do
+  end subroutine enter
+
+  !> `march_steps` impacts of each particle; one whose impact lies in an opening stays there. No
+  !> branches: the loop over the particles is the one that becomes vector instructions, and a
+  !> particle's state stays in registers for all its steps.
+  pure subroutine march(half1, half2, n, px, py, zx, zy, steps)
+    real(wp), intent(in) :: half1, half2
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: px(n), py(n), steps(n)
+    real(wp), intent(in) :: zx(n), zy(n)
+    real(wp) :: h1, h2, x, y, next_x, next_y, cosine, sine, taken
+    logical :: open
+    integer :: j, step
+
+    ! Copies in registers: a load behind a pointer would have to stay conditional, with a branch.
+    h1 = half1
+    h2 = half2
+    do j = 1, n
+      x = px(j)
+      y = py(j)
+      cosine = zx(j)
+      sine = zy(j)
+      taken = steps(j)
+      do step = 1, march_steps
+        open = abs(y) < merge(h1, h2, x > 0.0_wp)
+        next_x = x*cosine - y*sine
+        next_y = x*sine + y*cosine
+        taken = merge(taken, taken + 1.0_wp, open)
+        x = merge(x, next_x, open)
+        y = merge(y, next_y, open)
+      end do
+      px(j) = x
+      py(j) = y
+      steps(j) = taken
+    end do
+  end subroutine march
+
+  !> Writes down where every particle stands and keeps those that still bounce, without branches.
+  pure subroutine close_ranks(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, impacts)
+    real(wp), intent(in) :: half1, half2
+    integer, intent(inout) :: active
+    integer, intent(inout) :: slot(*)
+    real(wp), intent(inout) :: px(*), py(*), zx(*), zy(*), steps(*)
+    real(wp), intent(inout) :: hit_x(*), hit_y(*), impacts(*)
+    integer :: j, kept, mine
+    real(wp) :: x, y, taken
+
+    kept = 0
+    do j = 1, active
+      x = px(j)
+      y = py(j)
+      taken = steps(j)
+      mine = slot(j)
+      hit_x(mine) = x
+      hit_y(mine) = y
+      impacts(mine) = taken
+      px(kept + 1) = x
+      py(kept + 1) = y
+      zx(kept + 1) = zx(j)
+      zy(kept + 1) = zy(j)
+      steps(kept + 1) = taken
+      slot(kept + 1) = mine
+      kept = kept + merge(1, 0, abs(y) >= merge(half1, half2, x > 0.0_wp))
+    end do
+    active = kept
+  end subroutine close_ranks
+
+  !> First impact in an opening, from the impact (px, py) on, by search in the integer circle.
+  pure subroutine search(urn, visits, mine, px, py, zx, zy, steps)
+    type(urn_type), intent(in) :: urn
+    type(visits_type), intent(inout) :: visits
+    integer, intent(in) :: mine
+    real(wp), intent(in) :: px, py, zx, zy, steps
+    integer(angle_kind) :: start, step, steps1, steps2, landing1, landing2, angle
+    logical :: found1, found2
+
+    start = to_turn(atan2(py, px))
+    step = to_turn(atan2(zy, zx))
+    call enter_arc(urn%angle1, 0_angle_kind, steps1, landing1, found1)
+    found2 = .false.
+    steps2 = 0
+    landing2 = 0
+    if (urn%angle2 > 0) call enter_arc(urn%angle2, full_turn/2, steps2, landing2, found2)
+    if (.not. (found1 .or. found2)) then
+      visits%hit_x(mine) = px
+      visits%hit_y(mine) = py
+      visits%impacts(mine) = -1.0_wp - steps
+      return
+    end if
+    if (found1 .and. (.not. found2 .or. steps1 <= steps2)) then
+      angle = landing1
+      visits%hit_x(mine) = cos(from_turn(angle))
+      visits%hit_y(mine) = sin(from_turn(angle))
+      visits%impacts(mine) = steps + real(steps1, wp)
+    else
+      angle = landing2
+      visits%hit_x(mine) = -cos(from_turn(angle))
+      visits%hit_y(mine) = -sin(from_turn(angle))
+      visits%impacts(mine) = steps + real(steps2, wp)
+    end if
+
+  contains
+
+    !> The open arc `middle` +- `half`; `landing` is counted from its middle.
+    pure subroutine enter_arc(half, middle, steps, landing, found)
+      integer(angle_kind), intent(in) :: half, middle
+      integer(angle_kind), intent(out) :: steps, landing
+      logical, intent(out) :: found
+
+      call first_entry(modulo(start - middle + half - 1, full_turn), step, 2*half - 2, steps, landing, found)
+      landing = landing - half + 1
+    end subroutine enter_arc
+
+  end subroutine search
+
+  !> From the impact in an opening back to the chord.
+  pure subroutine find_exits(n, urn, c, s, hit_x, hit_y, impacts, first, opening, x, y, along, across, &
+      length)
+    integer, intent(in) :: n
+    type(urn_type), intent(in) :: urn
+    real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
+    real(wp), intent(out) :: opening(n), x(n), y(n), along(n), across(n), length(n)
+    real(wp) :: norm, qx, qy, ux, uy, back, half, chord, side, height
+    real(wp) :: radius, half1, half2, chord1, chord2
+    integer :: j
+
+    radius = urn%radius
+    half1 = urn%half1
+    half2 = urn%half2
+    chord1 = urn%chord1
+    chord2 = urn%chord2
+    do j = 1, n
+      norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
+      qx = hit_x(j)*norm
+      qy = hit_y(j)*norm
+      side = merge(1.0_wp, -1.0_wp, qx > 0.0_wp)
+      half = merge(half1, half2, qx > 0.0_wp)
+      chord = merge(chord1, chord2, qx > 0.0_wp)
+      ux = (c(j)*qx - s(j)*qy)*side
+      uy = c(j)*qy + s(j)*qx
+      ! This is |qx| r - chord over u_x, without the cancellation that tiny openings would suffer.
+      back = (half - abs(qy))*(half + abs(qy))*radius**2 &
+        /((abs(qx)*radius + chord)*merge(ux, 1.0_wp, ux > 0.0_wp))
+      opening(j) = side
+      x(j) = side*chord
+      height = radius*qy - back*uy
+      y(j) = sign(min(abs(height), half*radius), height)
+      along(j) = ux
+      across(j) = uy
+      length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back
+    end do
+  end subroutine find_exits
+
+  !> Two rare cases. An impact beside the corner, taken for one in the opening by rounding, but with
+  !> a velocity that leads into the urn: the corner belongs to the urn, so the particle bounces on.
+  !> And a particle for which no impact in an opening was found: it stays for ever.
+  pure subroutine mend(urn, visits, j)
+    type(urn_type), intent(in) :: urn
+    type(visits_type), intent(inout) :: visits
+    integer, intent(in) :: j
+    real(wp) :: zx, zy, x, y
+    integer :: tries
+
+    zx = (visits%s(j) - visits%c(j))*(visits%s(j) + visits%c(j))
+    zy = 2.0_wp*visits%s(j)*visits%c(j)
+    do tries = 1, 4
+      if (visits%impacts(j) < 0.0_wp .or. visits%along(j) > 0.0_wp) exit
+      x = visits%hit_x(j)*zx - visits%hit_y(j)*zy
+      y = visits%hit_x(j)*zy + visits%hit_y(j)*zx
+      call search(urn, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
+      call find_exits(1, urn, visits%c(j:j), visits%s(j:j), visits%hit_x(j:j), visits%hit_y(j:j), &
+        visits%impacts(j:j), visits%first(j:j), visits%opening(j:j), visits%x(j:j), visits%y(j:j), &
+        visits%along(j:j), visits%across(j:j), visits%length(j:j))
+    end do
+    if (visits%impacts(j) >= 0.0_wp .and. visits%along(j) > 0.0_wp) return
+    if (visits%impacts(j) < 0.0_wp) visits%impacts(j) = -1.0_wp - visits%impacts(j)
+    visits%opening(j) = 0.0_wp
+    visits%y(j) = atan2(visits%hit_y(j), visits%hit_x(j))
+    visits%along(j) = visits%c(j)
+    visits%across(j) = visits%s(j)
+    visits%length(j) = visits%first(j) + 2.0_wp*urn%radius*visits%c(j)*visits%impacts(j)
+  end subroutine mend
+
+  !> Where a particle is, in the local frame, a length `before` ahead of leaving an urn, if it was in
+  !> the urn all that time, and how many walls it hits in between. It leaves through `opening` (1 or
+  !> -1) at height y with |u_x| = along and u_y = across.
+  pure subroutine position_before(urn, opening, y, along, across, before, position, velocity, hits)
+    type(urn_type), intent(in) :: urn
+    real(wp), intent(in) :: opening, y, along, across, before
+    real(wp), intent(out) :: position(2), velocity(2)
+    integer(int64), intent(out) :: hits
+    real(wp) :: x, ux, s, c, ahead, turn, rest
+    complex(wp) :: impact, incidence
+
+    x = merge(urn%chord1, -urn%chord2, opening > 0.0_wp)
+    ux = opening*along
+    s = (x*across - y*ux)/urn%radius
+    c = sqrt(max((1.0_wp - s)*(1.0_wp + s), 0.0_wp))
+    ! The impact in the opening, which does not happen, is `ahead` of the chord.
+    ahead = urn%radius*c - (x*ux + y*across)
+    incidence = cmplx(c, s, wp)
+    impact = cmplx(ux, across, wp)*conjg(incidence)
+    if (c > 0.0_wp) then
+      hits = int((before + ahead)/(2.0_wp*urn%radius*c), int64)
+    else
+      hits = 0
+    end if
+    rest = before + ahead - 2.0_wp*urn%radius*c*real(hits, wp)
+    turn = atan2(2.0_wp*s*c, (s - c)*(s + c))
+    turn = -modulo(real(hits, wp)*turn, 2.0_wp*pi)
+    impact = impact*cmplx(cos(turn), sin(turn), wp)
+    impact = impact/abs(impact)
+    velocity = [real(incidence*impact, wp), aimag(incidence*impact)]
+    position = urn%radius*[real(impact, wp), aimag(impact)] - rest*velocity
+  end subroutine position_before
+
+end module battery_urn
