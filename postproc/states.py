@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import optimize
 
-from postproc.theory import Circuit, homogeneous_kind, log_outflow, net_current2
+from postproc.theory import Circuit, half2_number, homogeneous_kind, log_outflow, net_current2
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -144,5 +144,6 @@ def _with_close_pairs(
 
 def _state(circuit: Circuit, number: float, first: float, kind: str) -> State:
     second = number - first
+    in_half = float(half2_number(circuit, second))
     current = -float(net_current2(circuit, second))
-    return State(second, kind, (second - first) / number, current)
+    return State(in_half, kind, (2.0 * in_half - number) / number, current)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
     from postproc.gates import Gate
 
+    Floats = NDArray[np.float64]
+
+ROUNDS = 200  # of the iteration that tells urns from channels
 WIDTHS_TRIED = 400  # places between 0 and 2r where a transition is looked for
 
 
@@ -45,6 +48,10 @@ class Circuit:
         the one-channel model of J. Phys. A 53, 305001 (2020).
     urn_radius : r.
     gate : how much of what enters a gate gets through.
+    occupation : whether those in the channels are told from those in the urns. If not, as in the
+        paper, a half with N1 particles has all of them in its urn. If so, an urn's *share* of the
+        particles, wherever a number of particles is asked for, is what is in it and what it has in
+        the channels (`held_in_channels`); the shares of both urns add up to N.
     """
 
     number: ArrayLike
@@ -55,22 +62,21 @@ class Circuit:
     channel1_length: ArrayLike = 1.0
     channel2_length: ArrayLike = 1.0
     gate: Gate = WINDOW
+    occupation: bool = False
 
     @property
-    def urn_area(self) -> NDArray[np.float64]:
+    def urn_area(self) -> Floats:
         """A of eq. (eq000), the disc less the segments cut off by the chords (length squared)."""
         return urn_area(self.urn_radius, self.channel1_width, self.channel2_width)
 
     @property
-    def load_per_particle(self) -> NDArray[np.float64]:
+    def load_per_particle(self) -> Floats:
         """Load of a gate per particle in its urn: lambda/n = w l/(4A), eq. (eqapp3)."""
         width, length = np.asarray(self.channel1_width), np.asarray(self.channel1_length)
         return width * length / (4.0 * self.urn_area)
 
 
-def urn_area(
-    urn_radius: ArrayLike, channel1_width: ArrayLike, channel2_width: ArrayLike
-) -> NDArray[np.float64]:
+def urn_area(urn_radius: ArrayLike, channel1_width: ArrayLike, channel2_width: ArrayLike) -> Floats:
     """Return A of eq. (eq000), the area of an urn between its two chords (length squared)."""
     radius = np.asarray(urn_radius, float)
     area = np.pi * radius**2
@@ -80,25 +86,53 @@ def urn_area(
     return area
 
 
-def gate_load(circuit: Circuit, urn_number: ArrayLike) -> NDArray[np.float64]:
+def gate_load(circuit: Circuit, urn_number: ArrayLike) -> Floats:
     """Return lambda = n w l/(4A) of eq. (eqapp3) for `urn_number` particles in the urn."""
     return np.asarray(urn_number, float) * circuit.load_per_particle
 
 
-def flow1(circuit: Circuit, urn_number: ArrayLike) -> NDArray[np.float64]:
+def held_in_channels(circuit: Circuit, in_urn: ArrayLike) -> tuple[Floats, Floats]:
+    """Return how many of an urn are in the channels, in its half and in the other.
+
+    Those that get through spend tau in either gate and pi l'/4 in either half of channel 2. Those
+    turned back, T + 1 at a time, had come in one after the other: on average T/(2 nu) ago.
+    """
+    load = gate_load(circuit, in_urn)
+    share = circuit.gate.share(circuit.threshold, load)
+    returning = np.asarray(circuit.channel2_width) * np.asarray(circuit.channel2_length)
+    beyond = share * load + np.asarray(in_urn) * returning / (4.0 * circuit.urn_area)
+    return beyond + (1.0 - share) * np.minimum(np.asarray(circuit.threshold), load), beyond
+
+
+def in_urn(circuit: Circuit, number: ArrayLike) -> Floats:
+    """Return how many are inside an urn whose share of the particles is `number`."""
+    share = np.asarray(number, float)
+    if not circuit.occupation:
+        return share
+    inside = share
+    for _ in range(ROUNDS):
+        step = inside
+        here, beyond = held_in_channels(circuit, inside)
+        inside = np.maximum(0.5 * (inside + share - here - beyond), 0.25 * inside)
+        if np.all(np.abs(inside - step) <= 1e-14 * share):
+            break
+    return inside
+
+
+def flow1(circuit: Circuit, number: ArrayLike) -> Floats:
     """Return what an urn with n particles sends through channel 1, eq. (eqapp5), per unit time."""
-    number = np.asarray(urn_number, float)
-    share = circuit.gate.share(circuit.threshold, gate_load(circuit, number))
-    return number * np.asarray(circuit.channel1_width) * share / (np.pi * circuit.urn_area)
+    inside = in_urn(circuit, number)
+    share = circuit.gate.share(circuit.threshold, gate_load(circuit, inside))
+    return inside * np.asarray(circuit.channel1_width) * share / (np.pi * circuit.urn_area)
 
 
-def flow2(circuit: Circuit, urn_number: ArrayLike) -> NDArray[np.float64]:
+def flow2(circuit: Circuit, number: ArrayLike) -> Floats:
     """Return what an urn with n particles sends through channel 2, n w'/(pi A), per unit time."""
-    number = np.asarray(urn_number, float)
-    return number * np.asarray(circuit.channel2_width) / (np.pi * circuit.urn_area)
+    inside = in_urn(circuit, number)
+    return inside * np.asarray(circuit.channel2_width) / (np.pi * circuit.urn_area)
 
 
-def eta(circuit: Circuit, urn2_number: ArrayLike) -> NDArray[np.float64]:
+def eta(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     """Return eta of eq. (eq007): what urn 1 sends to urn 2 less what comes back, per unit time.
 
     Parameters
@@ -116,29 +150,34 @@ def eta(circuit: Circuit, urn2_number: ArrayLike) -> NDArray[np.float64]:
     )
 
 
-def eta_slope(circuit: Circuit, urn2_number: ArrayLike) -> NDArray[np.float64]:
+def eta_slope(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     """Return d eta/d N2: a stationary state is stable where it is negative (per unit time)."""
     second = np.asarray(urn2_number, float)
     first = np.asarray(circuit.number, float) - second
     return -_outflow_slope(circuit, first) - _outflow_slope(circuit, second)
 
 
-def _outflow_slope(circuit: Circuit, urn_number: NDArray[np.float64]) -> NDArray[np.float64]:
-    slope = circuit.gate.slope(circuit.threshold, gate_load(circuit, urn_number))
+def _outflow_slope(circuit: Circuit, number: Floats) -> Floats:
+    inside = in_urn(circuit, number)
+    slope = circuit.gate.slope(circuit.threshold, gate_load(circuit, inside))
     widths = np.asarray(circuit.channel1_width) * slope + np.asarray(circuit.channel2_width)
+    if circuit.occupation:
+        step = 1e-5 * np.maximum(inside, 1e-6)
+        more, fewer = (sum(held_in_channels(circuit, inside + sign * step)) for sign in (1.0, -1.0))
+        widths = widths / (1.0 + (more - fewer) / (2.0 * step))
     return widths / (np.pi * circuit.urn_area)
 
 
-def log_outflow(circuit: Circuit, urn_number: ArrayLike) -> NDArray[np.float64]:
+def log_outflow(circuit: Circuit, number: ArrayLike) -> Floats:
     """Return log f(n), f(n) = n [w share(T, lambda) + w'], good where f underflows."""
-    number = np.asarray(urn_number, float)
-    log_share = circuit.gate.log_share(circuit.threshold, gate_load(circuit, number))
+    inside = in_urn(circuit, number)
+    log_share = circuit.gate.log_share(circuit.threshold, gate_load(circuit, inside))
     with np.errstate(divide="ignore"):
         through2 = np.log(np.asarray(circuit.channel2_width, float))
-        return np.log(number) + np.logaddexp(np.log(circuit.channel1_width) + log_share, through2)
+        return np.log(inside) + np.logaddexp(np.log(circuit.channel1_width) + log_share, through2)
 
 
-def net_current1(circuit: Circuit, urn2_number: ArrayLike) -> NDArray[np.float64]:
+def net_current1(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     """Return the net current of channel 1 from urn 1 to urn 2 (per unit time), from eq. (eqapp5).
 
     In a stationary state `net_current2`, from urn 1 to urn 2 too, is the opposite.
@@ -147,10 +186,22 @@ def net_current1(circuit: Circuit, urn2_number: ArrayLike) -> NDArray[np.float64
     return flow1(circuit, np.asarray(circuit.number, float) - second) - flow1(circuit, second)
 
 
-def net_current2(circuit: Circuit, urn2_number: ArrayLike) -> NDArray[np.float64]:
+def net_current2(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     """Return the net current of channel 2 from urn 1 to urn 2, (N1 - N2) w'/(pi A)."""
     second = np.asarray(urn2_number, float)
-    return flow2(circuit, np.asarray(circuit.number, float) - 2.0 * second)
+    return flow2(circuit, np.asarray(circuit.number, float) - second) - flow2(circuit, second)
+
+
+def half2_number(circuit: Circuit, share2: ArrayLike) -> Floats:
+    """Return N2, urn 2 and its half of the channels, where urn 2's share of the particles is given.
+
+    The same number unless `occupation` is on.
+    """
+    share = np.asarray(share2, float)
+    if not circuit.occupation:
+        return share
+    first, second = in_urn(circuit, np.asarray(circuit.number) - share), in_urn(circuit, share)
+    return second + held_in_channels(circuit, second)[0] + held_in_channels(circuit, first)[1]
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
@@ -175,7 +226,8 @@ def transition_width(circuit: Circuit) -> float:
 
     def slope(width: float) -> float:
         at_width = replace(circuit, channel2_width=width)
-        x = gate_load(at_width, 0.5 * float(np.asarray(circuit.number)))
+        half = 0.5 * float(np.asarray(circuit.number))
+        x = gate_load(at_width, in_urn(at_width, half))
         bent = float(circuit.gate.slope(circuit.threshold, x))
         return width + float(circuit.channel1_width) * bent
 
@@ -197,7 +249,7 @@ def single_urn_current(
     urn_radius: ArrayLike = 1.0,
     channel1_length: ArrayLike = 1.0,
     gate: Gate = WINDOW,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the current of the appendix's single urn, eq. (eqapp5): hits on the end wall.
 
     Per unit time, with all `number` particles counted as in the urn; the gate is l/2 long.
@@ -227,8 +279,9 @@ def describe(circuit: Circuit) -> dict[str, object]:
     }
 
 
-def _options() -> argparse.ArgumentParser:
-    options = cli.parser("theory", __doc__)
+def circuit_options(name: str, description: str | None) -> argparse.ArgumentParser:
+    """Return a command line that describes a circuit by the namelist's keys."""
+    options = cli.parser(name, description)
     options.add_argument("--number", type=int, required=True, help="N, how many particles")
     options.add_argument("--threshold", type=int, required=True, help="T of the gates")
     for key, default, meaning in (
@@ -241,8 +294,29 @@ def _options() -> argparse.ArgumentParser:
         options.add_argument(
             f"--{key}", type=float, default=default, help=f"{meaning} (default: {default})"
         )
-    options.add_argument("--gate", choices=("window", "renewal"), default="window")
+    options.add_argument(
+        "--gate",
+        choices=("window", "renewal"),
+        default="window",
+        help="the paper's window of time tau, or the gate's own rule (default: window)",
+    )
+    options.add_argument(
+        "--occupation", action="store_true", help="tell those in the channels from those in urns"
+    )
     return options
+
+
+def given_circuit(given: argparse.Namespace) -> Circuit:
+    """Return the circuit of the options, checked."""
+    _check(given)
+    gate = WINDOW
+    if given.gate == "renewal":
+        from postproc.renewal import RENEWAL  # noqa: PLC0415 (only read when asked for)
+
+        gate = RENEWAL
+    names = {field.name for field in fields(Circuit)} - {"gate"}
+    values = {name: value for name, value in vars(given).items() if name in names}
+    return Circuit(**values, gate=gate)
 
 
 def _check(given: argparse.Namespace) -> None:
@@ -276,15 +350,8 @@ def _check(given: argparse.Namespace) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the theory of one circuit as JSON."""
-    given = _options().parse_args(arguments)
-    _check(given)
-    gate = WINDOW
-    if given.gate == "renewal":
-        from postproc.renewal import RENEWAL  # noqa: PLC0415 (only read when asked for)
-
-        gate = RENEWAL
-    values = {key: value for key, value in vars(given).items() if key != "gate"}
-    print(json.dumps(describe(Circuit(**values, gate=gate)), indent=2))
+    given = circuit_options("theory", __doc__).parse_args(arguments)
+    print(json.dumps(describe(given_circuit(given)), indent=2))
     return 0
 
 

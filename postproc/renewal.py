@@ -1,0 +1,135 @@
+"""The renewal gate: the real gate's rule under Poisson entries, in place of the paper's window.
+
+A gate that is fed by Poisson entries at rate nu is a queue with unlimited servers: each entrant is
+inside for (l/2)/cos(theta), theta from the cosine law, on average tau = pi l/4, and an entry that
+finds T inside empties it. With C the mean time between emptyings the share of the entries that gets
+through is exactly 1 - (T+1)/(nu C).
+
+Were the times inside exponential, nu C would be the sum of 1/B(n, x) over n = 0 ... T, B Erlang's
+loss formula at load x = nu tau (a birth-death chain). What the true times change is a smooth
+function of load and threshold; it was simulated and fitted by `renewal_fit.py`, and is kept in
+`renewal_fit.json` as a polynomial for the difference of the logits of the shares. `FIT` tells how
+well the fit agrees with the simulations and with runs that it has not seen.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy import special
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Floats = NDArray[np.float64]
+
+FIT_FILE = Path(__file__).with_name("renewal_fit.json")
+LARGEST_THRESHOLD = 100  # of the fit; above it the correction at this threshold is used
+LOWEST, HIGHEST = 1e-3, 1e-3  # probabilities that bound the loads of the fit, see `load_range`
+STEP = 1e-4  # relative step of the derivative
+
+
+def load_range(threshold: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the loads between which the share falls from nearly 1 to nearly 0.
+
+    At the lower one a Poisson number with that mean reaches T with probability `LOWEST`; at the
+    upper one, of those that come in a time l/2 (nobody leaves sooner), at most T come with
+    probability `HIGHEST`.
+    """
+    count = np.asarray(threshold, float)
+    lower = special.gammaincinv(count, LOWEST)
+    return lower, 0.5 * np.pi * special.gammainccinv(count + 1.0, HIGHEST)
+
+
+def coordinates(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the variables of the fit, both within -1 ... 1 over its range.
+
+    The first is linear in log(load) between the ends of `load_range`, the second in 1/sqrt(T).
+    """
+    count = np.clip(np.asarray(threshold, float), 1.0, None)
+    lower, upper = (np.log(limit) for limit in load_range(count))
+    along = 2.0 * (np.log(load) - lower) / (upper - lower) - 1.0
+    least = 1.0 / np.sqrt(LARGEST_THRESHOLD)
+    across = 2.0 * (1.0 / np.sqrt(count) - least) / (1.0 - least) - 1.0
+    return along, np.clip(across, -1.0, 1.0)
+
+
+def exponential_share(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
+    """Return (share through, share thrown out) if times inside were exponential, in closed form.
+
+    With u_n = 1/B(n, x) from u_n = 1 + (n/x) u_(n-1), nu C is their sum; what gets through is
+    summed too, sum(u_n - 1), so that a small share keeps its digits.
+    """
+    count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
+    inverse, entries, through = np.ones(x.shape), np.ones(x.shape), np.zeros(x.shape)
+    safe = np.where(x > 0.0, x, 1.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for level in range(1, int(count.max(initial=0.0)) + 1):
+            more = level / safe * inverse
+            inverse = np.minimum(1.0 + more, 1e300)
+            on = level <= count
+            entries = np.where(on, entries + inverse, entries)
+            through = np.where(on, through + np.minimum(more, 1e300), through)
+    return through / entries, (count + 1.0) / entries
+
+
+class RenewalGate:
+    """The gate as a queue that is emptied; see the module's head for how its share is found."""
+
+    name = "renewal"
+
+    @cached_property
+    def fit(self) -> dict[str, object]:
+        """The fit as `renewal_fit.py` left it."""
+        return json.loads(FIT_FILE.read_text())
+
+    @cached_property
+    def _coefficients(self) -> Floats:
+        return np.array(self.fit["coefficients"])
+
+    def logit(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
+        """Return log(share/(1 - share)); thresholds at least 1, loads above 0."""
+        through, out = exponential_share(threshold, load)
+        along, across = coordinates(threshold, load)
+        inside = np.clip(along, -1.0, 1.0)
+        correction = chebyshev.chebval2d(inside, across, self._coefficients)
+        edge = chebyshev.chebval2d(np.ones_like(across), across, self._coefficients)
+        slope = chebyshev.chebval2d(
+            np.ones_like(across), across, chebyshev.chebder(self._coefficients, axis=0)
+        )
+        beyond = along > 1.0
+        correction = np.where(beyond, edge + slope * (along - 1.0), correction)
+        with np.errstate(divide="ignore"):
+            return np.log(through) - np.log(out) + correction
+
+    def share(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
+        """Return the share of the entries that gets through: 1 at load 0, 0 for T = 0."""
+        count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
+        moves = (count > 0) & (x > 0.0)
+        share = special.expit(self.logit(np.where(moves, count, 1.0), np.where(moves, x, 1.0)))
+        return np.where(count > 0, np.where(x > 0.0, share, 1.0), 0.0)
+
+    def log_share(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
+        """Return log(share), finite where the share underflows."""
+        count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
+        moves = (count > 0) & (x > 0.0)
+        log_share = special.log_expit(
+            self.logit(np.where(moves, count, 1.0), np.where(moves, x, 1.0))
+        )
+        return np.where(count > 0, np.where(x > 0.0, log_share, 0.0), -np.inf)
+
+    def slope(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
+        """Return d(x share)/dx, by a central difference."""
+        x = np.asarray(load, float)
+        higher, lower = x * (1.0 + STEP), x * (1.0 - STEP)
+        width = np.where(x > 0.0, higher - lower, 1.0)
+        rise = higher * self.share(threshold, higher) - lower * self.share(threshold, lower)
+        return np.where(x > 0.0, rise / width, self.share(threshold, x))
+
+
+RENEWAL = RenewalGate()
