@@ -59,8 +59,9 @@ module battery_excursion
     real(wp) :: clock_start = 0.0_wp
     !> Lookahead, longest window, half lengths of the channels.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, half1 = 0.0_wp, half2 = 0.0_wp
-    !> Wall hits of all visits and passages computed so far, those still to come included.
-    integer(int64) :: known_hits = 0
+    !> Wall hits of all visits and passages computed so far, those still to come included, and what
+    !> histories have told of them.
+    integer(int64) :: known_hits = 0, told_hits = 0
   contains
     procedure :: start
     procedure :: advance
@@ -129,6 +130,7 @@ contains
     self%now = 0.0_wp
     self%pages = 0
     self%known_hits = 0
+    self%told_hits = 0
   end subroutine prepare
 
   !> Turns a position and velocity into a flight, or into a visit that will be one. A particle in a
@@ -238,11 +240,9 @@ contains
     real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
     real(wp) :: began, limit, ends, due
-    integer(int64) :: known
 
     if (self%now >= self%calendar%page) call turn(self)
     began = self%now
-    known = self%known_hits
     limit = min(self%now + duration, self%calendar%page)
     call next_due(self%calendar, min(limit, self%gate(1)%next_crossing, self%gate(2)%next_crossing), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
@@ -255,7 +255,8 @@ contains
     call finish_visits(self)
     self%now = ends
     history%duration = ends - began
-    history%collisions = history%collisions + self%known_hits - known
+    history%collisions = self%known_hits - self%told_hits
+    self%told_hits = self%known_hits
   end subroutine advance
 
   !> Turns the page: all clocks are set back by its length.
@@ -542,6 +543,7 @@ contains
     call prepare(self, table, threshold, number)
     self%pages = state%integers(1)
     self%known_hits = state%integers(2)
+    self%told_hits = self%known_hits
     self%now = state%reals(1)
     self%clock_start = state%reals(2)
     self%flight%time = state%reals(3:number + 2)

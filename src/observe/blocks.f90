@@ -1,0 +1,55 @@
+!> Standard errors from blocks of a time series whose length is not known beforehand.
+!>
+!> The averages of equal blocks of time are kept; when there are `most_blocks`, neighbours are merged
+!> and the blocks become twice as long. So between half of that many and all of them are there at
+!> the end, and their scatter gives the error as long as they are longer than the memory of the
+!> process; where they are not, replicas tell.
+module battery_blocks
+  use battery_kinds, only: wp
+  implicit none (type, external)
+  private
+  public :: blocks_type, most_blocks, add_block, standard_error
+
+  integer, parameter :: most_blocks = 64
+
+  type :: blocks_type
+    !> Length of a block in time units, and how many are complete.
+    real(wp) :: length = 1.0_wp
+    integer :: count = 0
+    real(wp) :: average(most_blocks) = 0.0_wp
+  end type blocks_type
+
+contains
+
+  !> Adds the average over the block just completed; merges when all places are taken.
+  pure subroutine add_block(blocks, average)
+    type(blocks_type), intent(inout) :: blocks
+    real(wp), intent(in) :: average
+    integer :: half
+
+    blocks%count = blocks%count + 1
+    blocks%average(blocks%count) = average
+    if (blocks%count < most_blocks) return
+    half = most_blocks/2
+    blocks%average(:half) = 0.5_wp*(blocks%average(1:most_blocks:2) + blocks%average(2:most_blocks:2))
+    blocks%count = half
+    blocks%length = 2.0_wp*blocks%length
+  end subroutine add_block
+
+  !> Standard error of the mean; `available` is false with fewer than two complete blocks.
+  pure subroutine standard_error(blocks, error, available)
+    type(blocks_type), intent(in) :: blocks
+    real(wp), intent(out) :: error
+    logical, intent(out) :: available
+    real(wp) :: mean
+
+    error = 0.0_wp
+    available = blocks%count >= 2
+    if (.not. available) return
+    associate (average => blocks%average(:blocks%count))
+      mean = sum(average)/real(blocks%count, wp)
+      error = sqrt(sum((average - mean)**2)/(real(blocks%count, wp)*real(blocks%count - 1, wp)))
+    end associate
+  end subroutine standard_error
+
+end module battery_blocks

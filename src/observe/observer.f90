@@ -1,0 +1,252 @@
+!> What is measured while an engine runs: mass spread, flows, and their course in time.
+!>
+!> An observer reads the history of each window. It follows N1 from crossing to crossing, so time
+!> averages are exact integrals over the windows. Averages count from `begin_measuring` on, the series
+!> from the start.
+!> Source: mass spread eq. (mass), net current eq. (netJ), with its sign: (n12 - n21)/t.
+module battery_observer
+  use battery_kinds, only: wp, int64
+  use battery_blocks, only: blocks_type, add_block, standard_error, most_blocks
+  use battery_engine, only: history_type, engine_state_type, channel1_12, channel2_12
+  implicit none (type, external)
+  private
+  public :: observer_type, averages_type, new_observer, observe, begin_measuring, averages_of
+  public :: save_observer, restore_observer
+
+  !> Averages over the measured time; those that are not known are marked by `known`-flags.
+  type :: averages_type
+    !> Measured time.
+    real(wp) :: time = 0.0_wp
+    real(wp) :: chi = 0.0_wp, current1 = 0.0_wp, current2 = 0.0_wp
+    !> Standard errors from blocks; only if `errors_known`.
+    real(wp) :: chi_error = 0.0_wp, current1_error = 0.0_wp, current2_error = 0.0_wp
+    logical :: errors_known = .false.
+    !> Average over the states after each wall collision; only if `chi_collision_known`.
+    real(wp) :: chi_collision = 0.0_wp
+    logical :: chi_collision_known = .false.
+    !> Crossings per unit time: channel 1 from urn 1 to 2 and back, channel 2 likewise.
+    real(wp) :: flow(4) = 0.0_wp
+  end type averages_type
+
+  type :: observer_type
+    integer :: number = 0
+    !> Number in half 1 now.
+    integer :: urn1_number = 0
+    !> False in `shape_urn`: there is only one half, and a crossing moves nobody.
+    logical :: two_halves = .true.
+    !> Over all the run: gates reversed, particles turned back, collisions known.
+    integer(int64) :: reversals = 0, bounce_backs = 0, collisions = 0
+
+    logical :: measuring = .false.
+    !> Sums since measuring began, the block that is under way excluded for `time` and `spread`.
+    real(wp) :: time = 0.0_wp, spread = 0.0_wp
+    integer(int64) :: crossings(4) = 0
+    integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
+    !> The block under way: what is left of it, its time, integral of |N1 - N2|, net crossings.
+    real(wp) :: block_left = huge(1.0_wp), block_time = 0.0_wp, block_spread = 0.0_wp
+    integer(int64) :: block_net(2) = 0
+    type(blocks_type) :: chi_blocks, current1_blocks, current2_blocks
+
+    !> The series: interval (0: none), what is left of it, entries so far.
+    real(wp) :: series_interval = 0.0_wp, series_left = huge(1.0_wp)
+    integer :: entries = 0
+    integer(int64) :: series_crossings(4) = 0
+    !> N1 at each entry; flows since the entry before, (4, entry).
+    integer, allocatable :: series_urn1_number(:)
+    real(wp), allocatable :: series_flow(:, :)
+  end type observer_type
+
+contains
+
+  !> An observer of `number` particles, `urn1_number` of them in half 1; a series if
+  !> `series_interval` > 0, whose first entry is the start.
+  pure function new_observer(number, urn1_number, two_halves, series_interval) result(observer)
+    integer, intent(in) :: number, urn1_number
+    logical, intent(in) :: two_halves
+    real(wp), intent(in) :: series_interval
+    type(observer_type) :: observer
+
+    observer%number = number
+    observer%urn1_number = urn1_number
+    observer%two_halves = two_halves
+    observer%series_interval = series_interval
+    allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
+    if (series_interval > 0.0_wp) then
+      observer%series_left = series_interval
+      call write_entry(observer)
+    end if
+  end function new_observer
+
+  !> Averages begin now.
+  pure subroutine begin_measuring(observer)
+    type(observer_type), intent(inout) :: observer
+
+    observer%measuring = .true.
+    observer%block_left = observer%chi_blocks%length
+  end subroutine begin_measuring
+
+  !> Takes in one window.
+  pure subroutine observe(observer, history)
+    type(observer_type), intent(inout) :: observer
+    type(history_type), intent(in) :: history
+    real(wp) :: last
+    integer :: k, crossing
+
+    last = 0.0_wp
+    do k = 1, history%crossings
+      call pass_time(observer, history%crossing_time(k) - last)
+      last = history%crossing_time(k)
+      crossing = history%crossing(k)
+      observer%series_crossings(crossing) = observer%series_crossings(crossing) + 1
+      if (observer%two_halves) then
+        observer%urn1_number = observer%urn1_number &
+          + merge(-1, 1, crossing == channel1_12 .or. crossing == channel2_12)
+      end if
+      if (observer%measuring) then
+        observer%crossings(crossing) = observer%crossings(crossing) + 1
+        associate (net => observer%block_net(merge(1, 2, crossing < channel2_12)))
+          net = net + merge(1, -1, crossing == channel1_12 .or. crossing == channel2_12)
+        end associate
+      end if
+    end do
+    call pass_time(observer, history%duration - last)
+    observer%reversals = observer%reversals + history%reversals
+    observer%bounce_backs = observer%bounce_backs + history%bounce_backs
+    observer%collisions = observer%collisions + history%collisions
+    if (observer%measuring) then
+      observer%collision_spread_sum = observer%collision_spread_sum + history%collision_spread_sum
+      observer%collisions_seen = observer%collisions_seen + history%collisions_seen
+    end if
+  end subroutine observe
+
+  !> `duration` goes by without a crossing; ends blocks and writes entries on the way.
+  pure subroutine pass_time(observer, duration)
+    type(observer_type), intent(inout) :: observer
+    real(wp), intent(in) :: duration
+    real(wp) :: rest, step, spread
+
+    rest = duration
+    spread = real(abs(2*observer%urn1_number - observer%number), wp)
+    do
+      step = min(rest, observer%block_left, observer%series_left)
+      if (observer%measuring) then
+        observer%block_spread = observer%block_spread + spread*step
+        observer%block_time = observer%block_time + step
+        observer%block_left = observer%block_left - step
+        if (observer%block_left <= 0.0_wp) call end_block(observer)
+      end if
+      if (observer%series_interval > 0.0_wp) then
+        observer%series_left = observer%series_left - step
+        if (observer%series_left <= 0.0_wp) call write_entry(observer)
+      end if
+      rest = rest - step
+      if (rest <= 0.0_wp) exit
+    end do
+  end subroutine pass_time
+
+  pure subroutine end_block(observer)
+    type(observer_type), intent(inout) :: observer
+
+    call add_block(observer%chi_blocks, &
+      observer%block_spread/(observer%block_time*real(observer%number, wp)))
+    call add_block(observer%current1_blocks, real(observer%block_net(1), wp)/observer%block_time)
+    call add_block(observer%current2_blocks, real(observer%block_net(2), wp)/observer%block_time)
+    observer%time = observer%time + observer%block_time
+    observer%spread = observer%spread + observer%block_spread
+    observer%block_time = 0.0_wp
+    observer%block_spread = 0.0_wp
+    observer%block_net = 0
+    observer%block_left = observer%chi_blocks%length
+  end subroutine end_block
+
+  pure subroutine write_entry(observer)
+    type(observer_type), intent(inout) :: observer
+    integer :: room
+
+    observer%entries = observer%entries + 1
+    if (observer%entries > size(observer%series_urn1_number)) then
+      room = max(256, size(observer%series_urn1_number))
+      observer%series_urn1_number = [observer%series_urn1_number, spread(0, 1, room)]
+      observer%series_flow = reshape([observer%series_flow, spread(0.0_wp, 1, 4*room)], &
+        [4, size(observer%series_urn1_number)])
+    end if
+    observer%series_urn1_number(observer%entries) = observer%urn1_number
+    observer%series_flow(:, observer%entries) = &
+      real(observer%series_crossings, wp)/observer%series_interval
+    observer%series_crossings = 0
+    observer%series_left = observer%series_interval
+  end subroutine write_entry
+
+  !> Averages over all that was measured.
+  pure function averages_of(observer) result(averages)
+    type(observer_type), intent(in) :: observer
+    type(averages_type) :: averages
+
+    averages%time = observer%time + observer%block_time
+    if (averages%time <= 0.0_wp) return
+    averages%chi = (observer%spread + observer%block_spread)/(averages%time*real(observer%number, wp))
+    averages%flow = real(observer%crossings, wp)/averages%time
+    averages%current1 = real(observer%crossings(1) - observer%crossings(2), wp)/averages%time
+    averages%current2 = real(observer%crossings(3) - observer%crossings(4), wp)/averages%time
+    call standard_error(observer%chi_blocks, averages%chi_error, averages%errors_known)
+    call standard_error(observer%current1_blocks, averages%current1_error, averages%errors_known)
+    call standard_error(observer%current2_blocks, averages%current2_error, averages%errors_known)
+    averages%chi_collision_known = observer%collisions_seen > 0
+    if (averages%chi_collision_known) averages%chi_collision = real(observer%collision_spread_sum, wp) &
+      /(real(observer%collisions_seen, wp)*real(observer%number, wp))
+  end function averages_of
+
+  !> All that is needed to go on observing to the same last bit.
+  pure subroutine save_observer(observer, state)
+    type(observer_type), intent(in) :: observer
+    type(engine_state_type), intent(out) :: state
+
+    associate (o => observer)
+      state%integers = [int([o%number, o%urn1_number, merge(1, 0, o%two_halves), &
+        merge(1, 0, o%measuring), o%entries, o%chi_blocks%count], int64), o%reversals, o%bounce_backs, &
+        o%collisions, o%collision_spread_sum, o%collisions_seen, o%crossings, o%block_net, &
+        o%series_crossings, int(o%series_urn1_number(:o%entries), int64)]
+      state%reals = [o%time, o%spread, o%block_left, o%block_time, o%block_spread, o%series_interval, &
+        o%series_left, o%chi_blocks%length, o%chi_blocks%average, o%current1_blocks%average, &
+        o%current2_blocks%average, reshape(o%series_flow(:, :o%entries), [4*o%entries])]
+    end associate
+    allocate (state%bytes(0))
+  end subroutine save_observer
+
+  !> The inverse of `save_observer`.
+  pure subroutine restore_observer(observer, state)
+    type(observer_type), intent(out) :: observer
+    type(engine_state_type), intent(in) :: state
+    integer :: blocks
+
+    associate (o => observer, i => state%integers, r => state%reals)
+      o%number = int(i(1))
+      o%urn1_number = int(i(2))
+      o%two_halves = i(3) == 1
+      o%measuring = i(4) == 1
+      o%entries = int(i(5))
+      blocks = int(i(6))
+      o%reversals = i(7)
+      o%bounce_backs = i(8)
+      o%collisions = i(9)
+      o%collision_spread_sum = i(10)
+      o%collisions_seen = i(11)
+      o%crossings = i(12:15)
+      o%block_net = i(16:17)
+      o%series_crossings = i(18:21)
+      o%series_urn1_number = int(i(22:21 + o%entries))
+      o%time = r(1)
+      o%spread = r(2)
+      o%block_left = r(3)
+      o%block_time = r(4)
+      o%block_spread = r(5)
+      o%series_interval = r(6)
+      o%series_left = r(7)
+      o%chi_blocks = blocks_type(r(8), blocks, r(9:8 + most_blocks))
+      o%current1_blocks = blocks_type(r(8), blocks, r(9 + most_blocks:8 + 2*most_blocks))
+      o%current2_blocks = blocks_type(r(8), blocks, r(9 + 2*most_blocks:8 + 3*most_blocks))
+      o%series_flow = reshape(r(9 + 3*most_blocks:8 + 3*most_blocks + 4*o%entries), [4, o%entries])
+    end associate
+  end subroutine restore_observer
+
+end module battery_observer

@@ -1,0 +1,349 @@
+!> One simulation from start to end: an engine, an observer, and when to stop.
+!>
+!> A run is as long as a number of wall collisions or as a time; so is the transient at its start,
+!> which the averages leave out. `step` goes on by one window, so that the caller can save the state,
+!> show the progress or stop between any two.
+module battery_simulation
+  use battery_kinds, only: wp, int32, int64
+  use battery_error, only: error_type, fatal_error
+  use battery_table, only: table_type, shape_circuit, region_at, outside
+  use battery_engine, only: engine_type, engine_state_type, history_type, particles_type
+  use battery_observer, only: observer_type, averages_type, new_observer, observe, begin_measuring, &
+    averages_of, save_observer, restore_observer
+  use battery_engines, only: new_engine
+  implicit none (type, external)
+  private
+  public :: setup_type, simulation_type, event_log_type, begin_simulation, step, progress, verify
+  public :: save_simulation, restore_simulation
+
+  !> What is simulated; the particles come apart from it.
+  type :: setup_type
+    character(len=:), allocatable :: engine
+    type(table_type) :: table
+    integer :: threshold = 0
+    !> Length of the run and of its transient in wall collisions, or, if `duration` > 0, in time.
+    integer(int64) :: collisions = 0, transient_collisions = 0
+    real(wp) :: duration = 0.0_wp, transient_duration = 0.0_wp
+    real(wp) :: start_time = 0.0_wp
+    !> Step of the engine `timestep`.
+    real(wp) :: time_step = 0.0_wp
+    !> Seed of engines that draw random numbers.
+    integer(int64) :: seed = 0
+    real(wp) :: series_interval = 0.0_wp
+    !> Times since the start, ascending, at which positions and velocities are kept.
+    real(wp), allocatable :: snapshot_times(:)
+    logical :: event_log = .false.
+  end type setup_type
+
+  !> The event log of a run: times since its start; kinds, places and particles as in the engine.
+  type :: event_log_type
+    integer :: count = 0
+    real(wp), allocatable :: time(:)
+    integer(int32), allocatable :: kind(:), where(:), particle(:)
+  end type event_log_type
+
+  type :: simulation_type
+    type(setup_type) :: setup
+    class(engine_type), allocatable :: engine
+    type(observer_type) :: observer
+    type(history_type) :: history
+    !> Time since the start.
+    real(wp) :: elapsed = 0.0_wp
+    !> Time and collisions of the transient, once it is over.
+    real(wp) :: transient_time = 0.0_wp
+    integer(int64) :: transient_collisions = 0
+    !> Collisions in all, exact once the run is done.
+    integer(int64) :: collisions = 0
+    logical :: done = .false.
+    !> The exact count is taken again when so many collisions are known, or after so many windows.
+    integer(int64) :: next_count = 0
+    integer :: windows_since_count = 0
+    integer :: snapshots_taken = 0
+    !> Snapshots as (particle, snapshot).
+    type(particles_type), allocatable :: snapshot(:)
+    type(event_log_type) :: events
+  end type simulation_type
+
+  !> The exact count of collisions is taken at least this often, even if nothing seems to happen.
+  integer, parameter :: windows_between_counts = 20000
+
+contains
+
+  !> Starts from `particles`, whose arrays may be freed.
+  subroutine begin_simulation(simulation, setup, particles, error)
+    type(simulation_type), intent(out) :: simulation
+    type(setup_type), intent(in) :: setup
+    type(particles_type), intent(inout) :: particles
+    type(error_type), allocatable, intent(out) :: error
+    integer :: urn1_number
+
+    simulation%setup = setup
+    call new_engine(setup%engine, setup%time_step, setup%seed, simulation%engine, error)
+    if (allocated(error)) return
+    urn1_number = count(particles%x < 0.0_wp)
+    simulation%observer = new_observer(size(particles%x), urn1_number, &
+      setup%table%shape == shape_circuit, setup%series_interval)
+    call simulation%engine%start(setup%table, setup%threshold, particles, setup%start_time)
+    simulation%history%logging = setup%event_log
+    allocate (simulation%snapshot(size(setup%snapshot_times)))
+    call set_target(simulation)
+    call reach_stops(simulation)
+  end subroutine begin_simulation
+
+  !> Goes on by one window.
+  subroutine step(simulation)
+    type(simulation_type), intent(inout) :: simulation
+
+    call simulation%engine%advance(time_to_stop(simulation), simulation%history)
+    call observe(simulation%observer, simulation%history)
+    if (simulation%history%events > 0) call append_events(simulation)
+    simulation%elapsed = simulation%elapsed + simulation%history%duration
+    if (simulation%setup%duration > 0.0_wp) then
+      call reach_stops(simulation)
+    else
+      if (snapshots_left(simulation)) call take_snapshots(simulation)
+      call count_collisions(simulation)
+    end if
+  end subroutine step
+
+  !> Time until the run must be exactly at a snapshot, the end of the transient, or its own end.
+  pure function time_to_stop(simulation) result(time)
+    type(simulation_type), intent(in) :: simulation
+    real(wp) :: time
+
+    time = huge(1.0_wp)
+    if (snapshots_left(simulation)) &
+      time = simulation%setup%snapshot_times(simulation%snapshots_taken + 1) - simulation%elapsed
+    if (simulation%setup%duration > 0.0_wp) then
+      time = min(time, simulation%setup%duration - simulation%elapsed)
+      if (.not. simulation%observer%measuring) &
+        time = min(time, simulation%setup%transient_duration - simulation%elapsed)
+    end if
+  end function time_to_stop
+
+  pure function snapshots_left(simulation)
+    type(simulation_type), intent(in) :: simulation
+    logical :: snapshots_left
+
+    snapshots_left = simulation%snapshots_taken < size(simulation%setup%snapshot_times)
+  end function snapshots_left
+
+  !> Whether a stop `time` after the start has been reached, but for the rounding of the sum.
+  pure function reached(simulation, time)
+    type(simulation_type), intent(in) :: simulation
+    real(wp), intent(in) :: time
+    logical :: reached
+
+    reached = simulation%elapsed >= time - 64.0_wp*epsilon(time)*max(1.0_wp, time)
+  end function reached
+
+  subroutine take_snapshots(simulation)
+    type(simulation_type), intent(inout) :: simulation
+
+    do while (snapshots_left(simulation))
+      if (.not. reached(simulation, simulation%setup%snapshot_times(simulation%snapshots_taken + 1))) exit
+      simulation%snapshots_taken = simulation%snapshots_taken + 1
+      call simulation%engine%particles(1, simulation%engine%number, &
+        simulation%snapshot(simulation%snapshots_taken))
+    end do
+  end subroutine take_snapshots
+
+  !> Snapshots, the end of the transient and of the run, where they are set by time.
+  subroutine reach_stops(simulation)
+    type(simulation_type), intent(inout) :: simulation
+
+    call take_snapshots(simulation)
+    if (.not. simulation%setup%duration > 0.0_wp) return
+    if (.not. simulation%observer%measuring) then
+      if (reached(simulation, simulation%setup%transient_duration)) then
+        simulation%transient_collisions = simulation%engine%collisions()
+        call end_transient(simulation)
+      end if
+    end if
+    if (reached(simulation, simulation%setup%duration)) then
+      simulation%collisions = simulation%engine%collisions()
+      simulation%done = .true.
+    end if
+  end subroutine reach_stops
+
+  subroutine end_transient(simulation)
+    type(simulation_type), intent(inout) :: simulation
+
+    simulation%transient_time = simulation%elapsed
+    call begin_measuring(simulation%observer)
+  end subroutine end_transient
+
+  !> Collisions at which the present part of the run, transient or the rest, ends.
+  pure function target_of(simulation) result(collisions)
+    type(simulation_type), intent(in) :: simulation
+    integer(int64) :: collisions
+
+    collisions = merge(simulation%setup%collisions, simulation%setup%transient_collisions, &
+      simulation%observer%measuring)
+  end function target_of
+
+  subroutine set_target(simulation)
+    type(simulation_type), intent(inout) :: simulation
+
+    if (simulation%setup%duration > 0.0_wp) return
+    if (simulation%setup%transient_collisions <= 0) call end_transient(simulation)
+    simulation%next_count = target_of(simulation)
+  end subroutine set_target
+
+  !> Ends the transient or the run once the exact count has reached its target. What is known may run
+  !> ahead of what has happened, so the exact count is only taken when it can matter.
+  subroutine count_collisions(simulation)
+    type(simulation_type), intent(inout) :: simulation
+    integer(int64) :: exact
+
+    simulation%windows_since_count = simulation%windows_since_count + 1
+    if (simulation%observer%collisions < simulation%next_count .and. &
+      simulation%windows_since_count < windows_between_counts) return
+    simulation%windows_since_count = 0
+    exact = simulation%engine%collisions()
+    if (exact >= target_of(simulation) .and. .not. simulation%observer%measuring) then
+      simulation%transient_collisions = exact
+      call end_transient(simulation)
+    end if
+    if (exact >= simulation%setup%collisions) then
+      simulation%collisions = exact
+      simulation%done = .true.
+    end if
+    simulation%next_count = simulation%observer%collisions + max(target_of(simulation) - exact, 0_int64)
+  end subroutine count_collisions
+
+  subroutine append_events(simulation)
+    type(simulation_type), intent(inout) :: simulation
+    integer :: total, room
+
+    associate (log => simulation%events, history => simulation%history)
+      if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
+      total = log%count + history%events
+      if (total > size(log%time)) then
+        room = max(total, 2*size(log%time), 1024) - size(log%time)
+        log%time = [log%time, spread(0.0_wp, 1, room)]
+        log%kind = [log%kind, spread(0_int32, 1, room)]
+        log%where = [log%where, spread(0_int32, 1, room)]
+        log%particle = [log%particle, spread(0_int32, 1, room)]
+      end if
+      log%time(log%count + 1:total) = simulation%elapsed + history%event_time(:history%events)
+      log%kind(log%count + 1:total) = history%event_kind(:history%events)
+      log%where(log%count + 1:total) = history%event_where(:history%events)
+      log%particle(log%count + 1:total) = history%event_particle(:history%events)
+      log%count = total
+    end associate
+  end subroutine append_events
+
+  !> Share of the run that is done, 0 to 1.
+  pure function progress(simulation) result(share)
+    type(simulation_type), intent(in) :: simulation
+    real(wp) :: share
+
+    if (simulation%done) then
+      share = 1.0_wp
+    else if (simulation%setup%duration > 0.0_wp) then
+      share = simulation%elapsed/simulation%setup%duration
+    else
+      share = real(simulation%observer%collisions, wp)/real(max(simulation%setup%collisions, 1_int64), wp)
+    end if
+    share = min(share, 1.0_wp)
+  end function progress
+
+  !> What every run must end with: all particles inside the table at speed 1, and as many in each half
+  !> as the crossings say.
+  subroutine verify(simulation, error)
+    type(simulation_type), intent(in) :: simulation
+    type(error_type), allocatable, intent(out) :: error
+    integer, parameter :: chunk = 65536
+    real(wp), parameter :: tolerance = 1.0e4_wp*epsilon(1.0_wp)
+    type(particles_type) :: particles
+    integer :: first, last, i, lost, off_speed, urn1_number
+    character(len=200) :: text
+
+    lost = 0
+    off_speed = 0
+    urn1_number = 0
+    do first = 1, simulation%engine%number, chunk
+      last = min(first + chunk - 1, simulation%engine%number)
+      call simulation%engine%particles(first, last, particles)
+      do i = 1, last - first + 1
+        if (region_at(simulation%setup%table, particles%x(i), particles%y(i), &
+          tolerance*simulation%setup%table%urn_radius) == outside) lost = lost + 1
+        if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= tolerance) &
+          off_speed = off_speed + 1
+        if (particles%x(i) < 0.0_wp) urn1_number = urn1_number + 1
+      end do
+    end do
+    if (.not. simulation%observer%two_halves) urn1_number = simulation%observer%urn1_number
+    if (lost == 0 .and. off_speed == 0 .and. urn1_number == simulation%observer%urn1_number) return
+    write (text, '(a, i0, a, i0, a, i0, a, i0, a)') 'check at the end of the run failed: ', lost, &
+      ' particles outside the table, ', off_speed, ' with a speed that is not 1, ', urn1_number, &
+      ' in half 1 where the crossings leave ', simulation%observer%urn1_number, &
+      '; please report this with the namelist'
+    call fatal_error(error, trim(text))
+  end subroutine verify
+
+  !> All that is needed to go on to the same last bit: the engine, the observer, and the rest.
+  subroutine save_simulation(simulation, engine, observer, rest)
+    type(simulation_type), intent(in) :: simulation
+    type(engine_state_type), intent(out) :: engine, observer, rest
+    integer :: k
+
+    call simulation%engine%save_state(engine)
+    call save_observer(simulation%observer, observer)
+    associate (s => simulation, log => simulation%events)
+      rest%integers = [s%transient_collisions, s%collisions, s%next_count, &
+        int(s%windows_since_count, int64), int(s%snapshots_taken, int64), int(log%count, int64), &
+        int(s%engine%number, int64)]
+      rest%reals = [s%elapsed, s%transient_time]
+      if (log%count > 0) then
+        rest%integers = [rest%integers, int(log%kind(:log%count), int64), &
+          int(log%where(:log%count), int64), int(log%particle(:log%count), int64)]
+        rest%reals = [rest%reals, log%time(:log%count)]
+      end if
+      do k = 1, s%snapshots_taken
+        rest%reals = [rest%reals, s%snapshot(k)%x, s%snapshot(k)%y, s%snapshot(k)%ux, s%snapshot(k)%uy]
+      end do
+    end associate
+    allocate (rest%bytes(0))
+  end subroutine save_simulation
+
+  !> The inverse of `save_simulation`, for the same setup.
+  subroutine restore_simulation(simulation, setup, engine, observer, rest, error)
+    type(simulation_type), intent(out) :: simulation
+    type(setup_type), intent(in) :: setup
+    type(engine_state_type), intent(in) :: engine, observer, rest
+    type(error_type), allocatable, intent(out) :: error
+    integer :: k, n, events, at
+
+    simulation%setup = setup
+    call new_engine(setup%engine, setup%time_step, setup%seed, simulation%engine, error)
+    if (allocated(error)) return
+    call restore_observer(simulation%observer, observer)
+    n = int(rest%integers(7))
+    call simulation%engine%restore_state(setup%table, setup%threshold, n, engine)
+    simulation%history%logging = setup%event_log
+    simulation%transient_collisions = rest%integers(1)
+    simulation%collisions = rest%integers(2)
+    simulation%next_count = rest%integers(3)
+    simulation%windows_since_count = int(rest%integers(4))
+    simulation%snapshots_taken = int(rest%integers(5))
+    simulation%elapsed = rest%reals(1)
+    simulation%transient_time = rest%reals(2)
+    events = int(rest%integers(6))
+    simulation%events%count = events
+    if (events > 0) then
+      simulation%events%kind = int(rest%integers(8:7 + events), int32)
+      simulation%events%where = int(rest%integers(8 + events:7 + 2*events), int32)
+      simulation%events%particle = int(rest%integers(8 + 2*events:7 + 3*events), int32)
+      simulation%events%time = rest%reals(3:2 + events)
+    end if
+    allocate (simulation%snapshot(size(setup%snapshot_times)))
+    do k = 1, simulation%snapshots_taken
+      at = 2 + events + 4*n*(k - 1)
+      simulation%snapshot(k) = particles_type(rest%reals(at + 1:at + n), rest%reals(at + n + 1:at + 2*n), &
+        rest%reals(at + 2*n + 1:at + 3*n), rest%reals(at + 3*n + 1:at + 4*n))
+    end do
+  end subroutine restore_simulation
+
+end module battery_simulation
