@@ -134,7 +134,7 @@ def _frame(axes: Axes, series: Series) -> None:
     highest = max(mean.max() for _, mean, _ in marks + lines)
     late = max(mean[middle > below].max(initial=0.0) for middle, mean, _ in marks + lines)
     lowest = min(axes.get_ylim()[0], 0.0)
-    axes.set_ylim(lowest, max(1.08 * highest, 2.1 * late, 1e-12))
+    axes.set_ylim(lowest, max(1.08 * highest, 2.6 * late, 1e-12))
     axes.set_xlim(0.0, series.time[-1])
     axes.set_xlabel("time $t$  (length / $v$)")
     axes.set_ylabel("particles per unit time")

@@ -64,6 +64,12 @@ def stationary_states(circuit: Circuit) -> list[State]:
     return [_state(circuit, 2.0 * half, first, kind) for first, kind in roots]
 
 
+def stable_state(circuit: Circuit) -> State | None:
+    """Return the stable polarised state with the largest chi, None if there is none."""
+    stable = [state for state in stationary_states(circuit) if state.kind == "stable"]
+    return stable[-1] if stable else None
+
+
 def stable_spread(circuit: Circuit, branch: str = "polarised") -> float:
     """Return chi of the stable state on a branch: "polarised" (largest chi) or "homogeneous".
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from postproc.cli import InputError, output_folder
 
@@ -67,6 +68,12 @@ def figure(width: float = PAGE, height: float = 3.2) -> Figure:
     made = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(made)
     return made
+
+
+def label_fraction(axes: Axes) -> None:
+    """Label the horizontal axis T/N, with few enough ticks that they do not touch."""
+    axes.set_xlabel("$T/N$")
+    axes.xaxis.set_major_locator(MaxNLocator(5))
 
 
 def note(axes: Axes, text: str) -> None:

@@ -224,15 +224,14 @@ def transition_width(circuit: Circuit) -> float:
     """
     limit = 2.0 * float(circuit.urn_radius)
 
-    def slope(width: float) -> float:
+    def slope(width: ArrayLike) -> Floats:
         at_width = replace(circuit, channel2_width=width)
         half = 0.5 * float(np.asarray(circuit.number))
         x = gate_load(at_width, in_urn(at_width, half))
-        bent = float(circuit.gate.slope(circuit.threshold, x))
-        return width + float(circuit.channel1_width) * bent
+        return width + float(circuit.channel1_width) * circuit.gate.slope(circuit.threshold, x)
 
     widths = limit * np.linspace(0.0, 1.0, WIDTHS_TRIED, endpoint=False)
-    values = np.array([slope(width) for width in widths])
+    values = slope(widths)
     if values[0] == 0.0:
         return 0.0  # too small for any number
     changes = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))

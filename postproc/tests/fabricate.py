@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from postproc.theory import Circuit, flow1, flow2
+from postproc.theory import Circuit, flow1, flow2, single_urn_current
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NAMELIST = """&table
+  shape = '{shape}'
   urn_radius = 1.0
   channel1_width = 0.3
 /
@@ -39,6 +40,7 @@ def fabricate(
     interval: float = 10.0,
     snapshots: int = 3,
     incomplete: int = 0,
+    shape: str = "circuit",
 ) -> Path:
     """Write results for `points` (fields of `Circuit`, and `urn1_number`) to `path`.
 
@@ -48,9 +50,11 @@ def fabricate(
     random = np.random.default_rng(5)
     steps = int(duration / interval) if interval else 400
     width = interval or duration / steps
-    runs = [[_run(point, steps, width, random) for _ in range(replicas)] for point in points]
+    points = [{**point, "threshold": int(point.get("threshold", 7))} for point in points]
+    run = _run if shape == "circuit" else _run_urn
+    runs = [[run(point, steps, width, random) for _ in range(replicas)] for point in points]
     with h5py.File(path, "w") as file:
-        _attributes(file, points[0], duration, interval, incomplete)
+        _attributes(file, _full(points[0]), (duration, interval), incomplete, shape)
         _dimensions(file, len(points), replicas)
         for name in ("number", "threshold", "channel1_width", "channel2_width", "urn1_number"):
             _dataset(file, name, np.array([_full(point)[name] for point in points]), ("point",))
@@ -85,12 +89,30 @@ def _run(
     return {"urn1_number": numbers, "flows": flows, "number": total}
 
 
-def _attributes(
-    file: h5py.File, point: dict[str, float], duration: float, interval: float, incomplete: int
-) -> None:
+def _run_urn(
+    point: dict[str, float], steps: int, width: float, random: np.random.Generator
+) -> dict[str, NDArray[np.float64]]:
     full = _full(point)
+    number = int(full["number"])
+    current = single_urn_current(number, full["threshold"], full["channel1_width"])
+    flows = np.zeros((4, steps))
+    flows[0] = random.poisson(current * width, steps) / width
+    return {"urn1_number": np.full(steps, number), "flows": flows, "number": number}
+
+
+def _attributes(
+    file: h5py.File,
+    point: dict[str, float],
+    times: tuple[float, float],
+    incomplete: int,
+    shape: str,
+) -> None:
     text = NAMELIST.format(
-        number=full["number"], start=full["urn1_number"], duration=duration, interval=interval
+        number=point["number"],
+        start=point["urn1_number"],
+        duration=times[0],
+        interval=times[1],
+        shape=shape,
     )
     values = {
         "program": "battery",
@@ -149,12 +171,12 @@ def _averages(
     values["time"] = np.full(shape, width * runs[0][0]["urn1_number"].size)
     values["cpu_seconds"] = np.full(shape, 0.5)
     values["task_status"] = np.ones(shape)
-    values["seed"] = np.arange(np.prod(shape), dtype=float).reshape(shape)
+    values["seed"] = np.arange(1.0, 1.0 + np.prod(shape)).reshape(shape)
     for name, value in values.items():
-        flat = value.reshape(-1)
+        flat = value.astype(float).reshape(-1)
         if incomplete:
             flat[-incomplete:] = 0 if name == "task_status" else np.nan
-        _dataset(file, name, value, ("point", "replica"))
+        _dataset(file, name, flat.reshape(shape), ("point", "replica"))
 
 
 def _series(

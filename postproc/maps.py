@@ -1,0 +1,161 @@
+"""Maps of chi and net current over T and w' with the theory's lines, Fig. numris."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc import cli, style, theory
+from postproc.gates import WINDOW
+from postproc.points import gather
+from postproc.renewal import RENEWAL
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from postproc.gates import Gate
+    from postproc.points import Points
+    from postproc.results import Results
+    from postproc.theory import Circuit
+
+    Floats = NDArray[np.float64]
+    Line = tuple[Floats, Floats, str, str]
+
+POLARISED = 0.5  # starts with chi above this are called polarised
+GATES = ((WINDOW, "--", "transition, paper"), (RENEWAL, "-", "transition, renewal gate"))
+
+
+def grid(points: Points, values: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return T, w' and `values` as a map, shape (w', T), NaN where there is no point."""
+    thresholds, columns = np.unique(points.threshold, return_inverse=True)
+    widths, rows = np.unique(points.width2, return_inverse=True)
+    filled = np.full((widths.size, thresholds.size), np.nan)
+    filled[rows, columns] = values
+    return thresholds, widths, filled
+
+
+def edges(centres: Floats) -> Floats:
+    """Return the borders of cells with these centres, shape one longer."""
+    if centres.size == 1:
+        return centres[0] + np.array([-0.5, 0.5]) * max(abs(centres[0]), 1e-3)
+    middle = 0.5 * (centres[1:] + centres[:-1])
+    first, last = 2.0 * centres[0] - middle[0], 2.0 * centres[-1] - middle[-1]
+    return np.concatenate([[first], middle, [last]])
+
+
+def transition_line(circuit: Circuit, thresholds: Floats, gate: Gate) -> Floats:
+    """Return w' of the transition line, eq. (transition), for each T; NaN where there is none."""
+    return np.array(
+        [
+            theory.transition_width(replace(circuit, threshold=int(one), gate=gate))
+            for one in thresholds
+        ]
+    )
+
+
+def by_start(points: Points) -> list[tuple[str, Points]]:
+    """Return the points that began homogeneous and those that began polarised, if any."""
+    polarised = points.start > POLARISED
+    parts = [(r"$\chi(0) = 0$", ~polarised), (r"$\chi(0) = 1$", polarised)]
+    return [(name, points.where(chosen)) for name, chosen in parts if chosen.any()]
+
+
+def _draw(axes: Axes, points: Points, values: Floats, look: dict[str, object]) -> object:
+    thresholds, widths, filled = grid(points, values)
+    axes.set_facecolor("#D0D0D0")
+    number = points.number[0]
+    mesh = axes.pcolormesh(
+        edges(thresholds) / number, edges(widths), np.ma.masked_invalid(filled), **look
+    )
+    mesh.set_rasterized(True)
+    return mesh
+
+
+def transition_lines(points: Points, circuit: Circuit) -> list[Line]:
+    """Return (T/N, w', dashes, label) of the transition lines of both gates."""
+    thresholds = np.arange(1.0, points.threshold.max() + 1.0)
+    fraction = thresholds / float(circuit.number)
+    return [
+        (fraction, transition_line(circuit, thresholds, gate), dashes, label)
+        for gate, dashes, label in GATES
+    ]
+
+
+def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], colour: str) -> None:
+    for fraction, widths, dashes, label in lines:
+        axes.plot(fraction, widths, color=colour, ls=dashes, lw=1.3, label=label)
+    low, high = edges(np.unique(points.width2))[[0, -1]]
+    axes.set_ylim(max(low, 0.0), high)
+    borders = edges(np.unique(points.threshold)) / points.number[0]
+    axes.set_xlim(borders[0], borders[-1])
+
+
+def figure_numris(files: Sequence[Results]) -> Figure:
+    """Return maps of chi and net current, a row a start, and where two starts end differently."""
+    points = gather(files)
+    if np.unique(points.number).size > 1 or np.unique(points.width1).size > 1:
+        raise cli.InputError("figure numris needs runs of one N and one w")
+    lines = transition_lines(points, files[0].circuit(0))
+    starts = by_start(points)
+    rows = len(starts) + (len(starts) > 1)
+    made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
+    panels = made.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
+    most = float(np.nanmax(points.current))
+    looks = [
+        ("chi", r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
+        ("current", "net current (per unit time)", {"vmin": 0.0, "vmax": most, "cmap": "magma"}),
+    ]
+    for row, (name, part) in enumerate(starts):
+        for axes, (field, label, look) in zip(panels[row], looks, strict=True):
+            mesh = _draw(axes, part, getattr(part, field), look)
+            _draw_lines(axes, part, lines, "white")
+            made.colorbar(mesh, ax=axes, label=label, pad=0.02)
+            axes.set_title(f"{name}")
+    if len(starts) > 1:
+        _draw_differences(made, panels[-1], starts, lines, looks)
+    for axes in panels[-1]:
+        style.label_fraction(axes)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("$w'$")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    legend = made.legend(handles, labels, loc="outside upper center", ncols=2)
+    for handle in legend.get_lines():
+        handle.set_color(style.BLACK)
+    return made
+
+
+def _draw_differences(
+    made: Figure,
+    panels: Sequence[Axes],
+    starts: list[tuple[str, Points]],
+    lines: Sequence[Line],
+    looks: list[tuple[str, str, dict[str, object]]],
+) -> None:
+    """Draw what the polarised start ends with less what the homogeneous start ends with."""
+    (_, one), (_, other) = starts
+    keys = {(t, w): at for at, (t, w) in enumerate(zip(one.threshold, one.width2, strict=True))}
+    pairs = [
+        (keys[key], at)
+        for at, key in enumerate(zip(other.threshold, other.width2, strict=True))
+        if key in keys
+    ]
+    if not pairs:
+        raise cli.InputError("figure numris: the two starts have no point in common")
+    first, second = np.array(pairs).T
+    chosen = np.zeros(other.number.size, bool)
+    chosen[second] = True
+    common = other.where(chosen)
+    for axes, (field, label, _) in zip(panels, looks, strict=True):
+        difference = getattr(other, field)[second] - getattr(one, field)[first]
+        most = max(float(np.nanmax(np.abs(difference))), 1e-9)
+        look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
+        mesh = _draw(axes, common, difference, look)
+        _draw_lines(axes, common, lines, style.BLACK)
+        made.colorbar(mesh, ax=axes, label=f"difference of\n{label}", pad=0.02)
+        axes.set_title(r"$\chi(0) = 1$ less $\chi(0) = 0$")

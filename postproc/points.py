@@ -1,0 +1,75 @@
+"""Parameter points of several runs side by side, with means over replicas and their errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from postproc.results import Results
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Averages at parameter points; every field has shape (point,).
+
+    Attributes
+    ----------
+    number, threshold, width1, width2 : N, T, w, w'.
+    start : chi at the beginning, |N1 - N2|/N.
+    chi, chi_error : mean over the replicas and its standard error; NaN where no task is done.
+    current, current_error : net current of channel 1 by its size, per unit time; likewise.
+    file, point : where the point comes from: which of the files, and which point there, from 0.
+    """
+
+    number: Floats
+    threshold: Floats
+    width1: Floats
+    width2: Floats
+    start: Floats
+    chi: Floats
+    chi_error: Floats
+    current: Floats
+    current_error: Floats
+    file: NDArray[np.int_]
+    point: NDArray[np.int_]
+
+    def where(self, chosen: NDArray[np.bool_]) -> Points:
+        """Return the chosen points, in the same order."""
+        return Points(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def sorted_by_threshold(self) -> Points:
+        """Return the points by increasing T."""
+        order = np.argsort(self.threshold, kind="stable")
+        return Points(*(getattr(self, field.name)[order] for field in fields(self)))
+
+
+def gather(files: Sequence[Results]) -> Points:
+    """Return the points of all files, in order."""
+    columns: list[list[Floats]] = []
+    for index, results in enumerate(files):
+        results.need_tasks()
+        number, first = results.value("number"), results.value("urn1_number")
+        chi, current = results.replica_mean("chi"), results.replica_mean("current1")
+        columns.append(
+            [
+                number,
+                results.value("threshold"),
+                results.value("channel1_width"),
+                results.value("channel2_width"),
+                np.abs(2.0 * first - number) / number,
+                *chi,
+                *current,
+                np.full(number.size, index),
+                np.arange(number.size),
+            ]
+        )
+    return Points(*(np.concatenate(column) for column in zip(*columns, strict=True)))
