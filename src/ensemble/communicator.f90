@@ -1,0 +1,211 @@
+!> The ranks of a run, and the board they share. This module alone knows MPI.
+!>
+!> The board is a few counters in the memory of rank 0 that every rank changes by one-sided atomic
+!> operations: the next task, tasks finished, collisions done, and whether to stop. So no rank waits
+!> for a master, no message grows with the number of ranks or tasks, and rank 0 computes too; it only
+!> has to enter MPI now and then (`read_board`) where the network needs a hand from the processor.
+module battery_communicator
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_f_pointer
+  use mpi_f08, only: MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
+    MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
+    MPI_ADDRESS_KIND, MPI_MAX_LIBRARY_VERSION_STRING, MPI_Init, MPI_Initialized, MPI_Finalize, &
+    MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, MPI_Allreduce, &
+    MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, MPI_Win_flush, &
+    MPI_Win_sync, MPI_Fetch_and_op, MPI_Get_library_version
+  use battery_kinds, only: dp, int64
+  use battery_error, only: error_type
+  implicit none (type, external)
+  private
+  public :: communicator_type, open_communicator, close_communicator, share_error, share_text
+  public :: share_integers, wait_for_all, summary_of, all_true, mpi_library
+  public :: board_type, open_board, close_board, add_to_board, read_board
+  public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
+
+  !> Entries of the board.
+  integer, parameter :: next_task = 1, tasks_finished = 2, tasks_failed = 3, collisions_done = 4, &
+    stop_wanted = 5, board_size = 5
+
+  type :: communicator_type
+    type(MPI_Comm) :: ranks
+    integer :: rank = 0, size = 1
+    !> Whether this program called MPI_Init, and so has to finalise.
+    logical :: mine = .false.
+  end type communicator_type
+
+  type :: board_type
+    type(MPI_Win) :: window
+  end type board_type
+
+contains
+
+  !> All ranks of the program, or those of `parent` where MPI is already running (as in tests). Works
+  !> without mpirun, too: then there is one rank.
+  subroutine open_communicator(communicator, parent)
+    type(communicator_type), intent(out) :: communicator
+    type(MPI_Comm), intent(in), optional :: parent
+    logical :: running
+
+    call MPI_Initialized(running)
+    if (.not. running) then
+      call MPI_Init()
+      communicator%mine = .true.
+    end if
+    if (present(parent)) then
+      call MPI_Comm_dup(parent, communicator%ranks)
+    else
+      call MPI_Comm_dup(MPI_COMM_WORLD, communicator%ranks)
+    end if
+    call MPI_Comm_rank(communicator%ranks, communicator%rank)
+    call MPI_Comm_size(communicator%ranks, communicator%size)
+  end subroutine open_communicator
+
+  subroutine close_communicator(communicator)
+    type(communicator_type), intent(inout) :: communicator
+
+    call MPI_Comm_free(communicator%ranks)
+    if (communicator%mine) call MPI_Finalize()
+  end subroutine close_communicator
+
+  !> Every rank gets the error of the lowest rank that has one.
+  subroutine share_error(communicator, error)
+    type(communicator_type), intent(in) :: communicator
+    type(error_type), allocatable, intent(inout) :: error
+    integer :: mine, first, code
+    character(len=:), allocatable :: text
+
+    mine = merge(communicator%rank, communicator%size, allocated(error))
+    call MPI_Allreduce(mine, first, 1, MPI_INTEGER, MPI_MIN, communicator%ranks)
+    if (first == communicator%size) return
+    code = 0
+    text = ''
+    if (allocated(error)) then
+      code = error%code
+      text = error%message
+    end if
+    call MPI_Bcast(code, 1, MPI_INTEGER, first, communicator%ranks)
+    call share_text(communicator, text, first)
+    if (.not. allocated(error)) allocate (error)
+    error%code = code
+    error%message = text
+  end subroutine share_error
+
+  !> Every rank gets the text of rank `root`.
+  subroutine share_text(communicator, text, root)
+    type(communicator_type), intent(in) :: communicator
+    character(len=:), allocatable, intent(inout) :: text
+    integer, intent(in) :: root
+    integer :: length
+
+    length = 0
+    if (communicator%rank == root) length = len(text)
+    call MPI_Bcast(length, 1, MPI_INTEGER, root, communicator%ranks)
+    if (communicator%rank /= root) text = repeat(' ', length)
+    call MPI_Bcast(text, length, MPI_CHARACTER, root, communicator%ranks)
+  end subroutine share_text
+
+  !> Every rank gets the integers of rank 0; on the others the array is allocated anew.
+  subroutine share_integers(communicator, integers)
+    type(communicator_type), intent(in) :: communicator
+    integer, allocatable, intent(inout) :: integers(:)
+    integer :: length
+
+    length = 0
+    if (communicator%rank == 0) length = size(integers)
+    call MPI_Bcast(length, 1, MPI_INTEGER, 0, communicator%ranks)
+    if (communicator%rank /= 0) then
+      if (allocated(integers)) deallocate (integers)
+      allocate (integers(length))
+    end if
+    call MPI_Bcast(integers, length, MPI_INTEGER, 0, communicator%ranks)
+  end subroutine share_integers
+
+  subroutine wait_for_all(communicator)
+    type(communicator_type), intent(in) :: communicator
+
+    call MPI_Barrier(communicator%ranks)
+  end subroutine wait_for_all
+
+  !> Least, mean and greatest of one value a rank.
+  function summary_of(communicator, value) result(summary)
+    type(communicator_type), intent(in) :: communicator
+    real(dp), intent(in) :: value
+    real(dp) :: summary(3)
+
+    call MPI_Allreduce(value, summary(1), 1, MPI_DOUBLE_PRECISION, MPI_MIN, communicator%ranks)
+    call MPI_Allreduce(value, summary(2), 1, MPI_DOUBLE_PRECISION, MPI_SUM, communicator%ranks)
+    call MPI_Allreduce(value, summary(3), 1, MPI_DOUBLE_PRECISION, MPI_MAX, communicator%ranks)
+    summary(2) = summary(2)/real(communicator%size, dp)
+  end function summary_of
+
+  !> Whether `value` is true on every rank.
+  function all_true(communicator, value)
+    type(communicator_type), intent(in) :: communicator
+    logical, intent(in) :: value
+    logical :: all_true
+    integer :: least
+
+    call MPI_Allreduce(merge(1, 0, value), least, 1, MPI_INTEGER, MPI_MIN, communicator%ranks)
+    all_true = least == 1
+  end function all_true
+
+  !> Name and version of the MPI library.
+  function mpi_library() result(name)
+    character(len=:), allocatable :: name
+    character(len=MPI_MAX_LIBRARY_VERSION_STRING) :: text
+    integer :: length, first_comma
+
+    call MPI_Get_library_version(text, length)
+    first_comma = index(text(:length), ',')
+    if (first_comma > 0) length = first_comma - 1
+    name = text(:length)
+  end function mpi_library
+
+  !> Sets up the board, all entries 0. Collective.
+  subroutine open_board(board, communicator)
+    type(board_type), intent(out) :: board
+    type(communicator_type), intent(in) :: communicator
+    integer(MPI_ADDRESS_KIND) :: bytes
+    type(c_ptr) :: base
+    integer(int64), pointer :: entries(:)
+
+    bytes = merge(board_size*storage_size(1_int64)/8, 0, communicator%rank == 0)
+    call MPI_Win_allocate(bytes, storage_size(1_int64)/8, MPI_INFO_NULL, communicator%ranks, base, &
+      board%window)
+    call MPI_Win_lock_all(0, board%window)
+    if (communicator%rank == 0) then
+      call c_f_pointer(base, entries, [board_size])
+      entries = 0
+      call MPI_Win_sync(board%window)
+    end if
+    call MPI_Barrier(communicator%ranks)
+  end subroutine open_board
+
+  !> Collective.
+  subroutine close_board(board)
+    type(board_type), intent(inout) :: board
+
+    call MPI_Win_unlock_all(board%window)
+    call MPI_Win_free(board%window)
+  end subroutine close_board
+
+  !> Adds to an entry and tells what it was before.
+  subroutine add_to_board(board, entry, amount, before)
+    type(board_type), intent(in) :: board
+    integer, intent(in) :: entry
+    integer(int64), intent(in) :: amount
+    integer(int64), intent(out) :: before
+
+    call MPI_Fetch_and_op(amount, before, MPI_INTEGER8, 0, int(entry - 1, MPI_ADDRESS_KIND), MPI_SUM, &
+      board%window)
+    call MPI_Win_flush(0, board%window)
+  end subroutine add_to_board
+
+  function read_board(board, entry) result(value)
+    type(board_type), intent(in) :: board
+    integer, intent(in) :: entry
+    integer(int64) :: value
+
+    call add_to_board(board, entry, 0_int64, value)
+  end function read_board
+
+end module battery_communicator

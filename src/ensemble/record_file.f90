@@ -1,0 +1,177 @@
+!> Files of records that survive a program's sudden end: results of finished tasks, saved states.
+!>
+!> A record is a tag, three arrays (integers, reals, bytes) and a checksum over all of them. Records
+!> are appended and brought to the disk one by one. On reading, the first record that is cut short or
+!> does not match its checksum ends the file: what stands before it is good.
+module battery_record_file
+  use battery_kinds, only: dp, int8, int64
+  use battery_error, only: error_type, fatal_error
+  implicit none (type, external)
+  private
+  public :: record_type, append_record, read_records, write_single, read_single
+
+  type :: record_type
+    !> What the record is about, for instance the number of a task.
+    integer(int64) :: tag = 0
+    integer(int64), allocatable :: integers(:)
+    real(dp), allocatable :: reals(:)
+    integer(int8), allocatable :: bytes(:)
+  end type record_type
+
+  !> First word of every record.
+  integer(int64), parameter :: mark = int(z'62617474657279', int64)
+
+contains
+
+  !> Appends a record to the file `name`, which is created if it is not there; `good_size` is the
+  !> length of its good part in bytes, beyond which anything is overwritten.
+  subroutine append_record(name, record, good_size, error)
+    character(len=*), intent(in) :: name
+    type(record_type), intent(in) :: record
+    integer(int64), intent(inout) :: good_size
+    type(error_type), allocatable, intent(out) :: error
+    integer :: unit, status
+    character(len=256) :: reason
+
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='readwrite', &
+      iostat=status, iomsg=reason)
+    if (status == 0) write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, record%tag, &
+      size(record%integers, kind=int64), size(record%reals, kind=int64), &
+      size(record%bytes, kind=int64), record%integers, record%reals, record%bytes, checksum(record)
+    if (status == 0) flush (unit, iostat=status, iomsg=reason)
+    if (status == 0) then
+      inquire (unit, pos=good_size)
+      good_size = good_size - 1
+    end if
+    if (status /= 0) then
+      call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
+      close (unit, iostat=status)
+    else
+      close (unit, iostat=status, iomsg=reason)
+      if (status /= 0) call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
+    end if
+  end subroutine append_record
+
+  !> All good records of a file, in their order, and the length of its good part in bytes; none if
+  !> there is no such file.
+  subroutine read_records(name, records, good_size)
+    character(len=*), intent(in) :: name
+    type(record_type), allocatable, intent(out) :: records(:)
+    integer(int64), intent(out) :: good_size
+    type(record_type), allocatable :: more(:)
+    type(record_type) :: record
+    integer :: unit, status, count, k
+    integer(int64) :: bytes
+    logical :: good
+
+    allocate (records(0))
+    good_size = 0
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', status='old', &
+      iostat=status)
+    if (status /= 0) return
+    inquire (unit, size=bytes)
+    count = 0
+    do
+      call read_record(unit, good_size, bytes, record, good)
+      if (.not. good) exit
+      if (count == size(records)) then
+        allocate (more(max(16, 2*count)))
+        do k = 1, count
+          more(k) = records(k)
+        end do
+        call move_alloc(more, records)
+      end if
+      count = count + 1
+      records(count) = record
+    end do
+    close (unit)
+    records = records(:count)
+  end subroutine read_records
+
+  !> The record that begins after `at` bytes; moves `at` behind it.
+  subroutine read_record(unit, at, bytes, record, good)
+    integer, intent(in) :: unit
+    integer(int64), intent(inout) :: at
+    integer(int64), intent(in) :: bytes
+    type(record_type), intent(out) :: record
+    logical, intent(out) :: good
+    integer(int64) :: head(5), sum, left
+    integer :: status
+
+    good = .false.
+    left = bytes - at - 48
+    if (left < 0) return
+    read (unit, pos=at + 1, iostat=status) head
+    if (status /= 0 .or. head(1) /= mark) return
+    if (any(head(3:5) < 0) .or. any(head(3:5) > left)) return
+    if (8*head(3) + 8*head(4) + head(5) > left) return
+    record%tag = head(2)
+    allocate (record%integers(head(3)), record%reals(head(4)), record%bytes(head(5)), stat=status)
+    if (status /= 0) return
+    read (unit, iostat=status) record%integers, record%reals, record%bytes, sum
+    if (status /= 0) return
+    good = sum == checksum(record)
+    if (good) at = at + 48 + 8*head(3) + 8*head(4) + head(5)
+  end subroutine read_record
+
+  !> FNV-1a over the words of a record; additions wrap (-fwrapv).
+  pure function checksum(record) result(sum)
+    type(record_type), intent(in) :: record
+    integer(int64) :: sum
+    integer(int64), parameter :: prime = 1099511628211_int64
+    integer(int64) :: k
+
+    sum = ieor(-3750763034362895579_int64, record%tag)*prime
+    do k = 1, size(record%integers, kind=int64)
+      call mix(record%integers(k))
+    end do
+    do k = 1, size(record%reals, kind=int64)
+      call mix(transfer(record%reals(k), 1_int64))
+    end do
+    do k = 1, size(record%bytes, kind=int64)
+      call mix(int(record%bytes(k), int64))
+    end do
+
+  contains
+
+    pure subroutine mix(word)
+      integer(int64), intent(in) :: word
+
+      sum = ieor(sum, word)*prime
+      sum = ieor(sum, ishft(sum, -29))
+    end subroutine mix
+
+  end function checksum
+
+  !> Writes a file that holds just this record.
+  subroutine write_single(name, record, error)
+    character(len=*), intent(in) :: name
+    type(record_type), intent(in) :: record
+    type(error_type), allocatable, intent(out) :: error
+    integer(int64) :: size_before
+    integer :: unit, status
+
+    open (newunit=unit, file=name, status='replace', access='stream', form='unformatted', iostat=status)
+    if (status == 0) close (unit, iostat=status)
+    if (status /= 0) then
+      call fatal_error(error, 'cannot write '''//name//'''')
+      return
+    end if
+    size_before = 0
+    call append_record(name, record, size_before, error)
+  end subroutine write_single
+
+  !> The record of a file that holds just one; `found` is false if there is no good one.
+  subroutine read_single(name, record, found)
+    character(len=*), intent(in) :: name
+    type(record_type), intent(out) :: record
+    logical, intent(out) :: found
+    type(record_type), allocatable :: records(:)
+    integer(int64) :: good_size
+
+    call read_records(name, records, good_size)
+    found = size(records) > 0
+    if (found) record = records(1)
+  end subroutine read_single
+
+end module battery_record_file
