@@ -129,7 +129,7 @@ def figure_app3(files: Sequence[Results]) -> Figure:
         axes.axhline(0.0, color=style.BLACK, lw=0.6)
     panels[0].set_ylabel("(theory $-$ measured) / theory")
     low, high = panels[0].get_ylim()
-    panels[0].set_ylim(max(low, -3.0), min(high, 1.0))
+    panels[0].set_ylim(max(low, -1.5), min(high, 1.06))
     made.legend(loc="outside upper center", ncols=3)
     return made
 

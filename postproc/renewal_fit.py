@@ -1,9 +1,9 @@
-"""Makes `renewal_fit.json`: simulates the renewal gate and fits its share (some 15 minutes).
+"""Makes `renewal_fit.json`: simulates the renewal gate and fits its share (some 20 minutes).
 
-Compiles `renewal_gate.f90`, runs it at the nodes of a grid of loads and thresholds, fits the
-difference of the logits of the simulated share and of the closed form for exponential times by a
-Chebyshev polynomial in the coordinates of `renewal.py`, weighted by the errors of the simulations,
-and checks it against other simulations, ten times as long, that the fit has not seen.
+Compiles `renewal_gate.f90`, runs it at the nodes of a grid of loads and thresholds (T = 1 is known
+exactly), fits the difference of the logits of the share and of the closed form for exponential
+times by a Chebyshev polynomial in the coordinates of `renewal.py`, weighted by the errors of the
+simulations, and checks it against other simulations, four times as long, that it has not seen.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CHECKED = ((1, 1.0), (2, 2.0), (2, 5.0), (4, 3.0), (4, 12.0), (7, 5.0), (7, 12.0
 CHECKED += ((13, 17.0), (15, 12.0), (18, 12.0), (18, 20.0), (25, 24.0), (30, 40.0), (70, 75.0))
 
 
-def simulate(points: Floats, entries: int, processes: int) -> tuple[Floats, Floats]:
+def simulate(points: Floats, entries: int, processes: int, seed: int) -> tuple[Floats, Floats]:
     """Return the share that gets through and its standard error, for rows (threshold, load)."""
     source = Path(__file__).with_name("renewal_gate.f90")
     with tempfile.TemporaryDirectory() as folder:
@@ -54,15 +54,19 @@ def simulate(points: Floats, entries: int, processes: int) -> tuple[Floats, Floa
         )
         pieces = [points[start::processes] for start in range(processes)]
         with ThreadPoolExecutor(processes) as pool:
-            results = list(pool.map(lambda piece: _run(program, piece, entries), pieces))
+            seeds = range(seed, seed + processes)
+            results = list(
+                pool.map(lambda piece, own: _run(program, piece, entries, own), pieces, seeds)
+            )
     shares, errors = np.empty(len(points)), np.empty(len(points))
     for start, (share, error) in enumerate(results):
         shares[start::processes], errors[start::processes] = share, error
     return shares, errors
 
 
-def _run(program: Path, points: Floats, entries: int) -> tuple[Floats, Floats]:
+def _run(program: Path, points: Floats, entries: int, seed: int) -> tuple[Floats, Floats]:
     lines = "".join(f"{load!r} {int(threshold)} {entries}\n" for threshold, load in points.tolist())
+    lines = f"{seed}\n{lines}"
     done = subprocess.run([program], input=lines, capture_output=True, text=True, check=True)
     _, threshold, cycles, total, squares = np.array(
         [[float(word) for word in line.split()] for line in done.stdout.splitlines()]
@@ -71,6 +75,18 @@ def _run(program: Path, points: Floats, entries: int) -> tuple[Floats, Floats]:
     error = np.sqrt((squares / cycles - mean**2) / cycles)
     out = (threshold + 1.0) / mean
     return 1.0 - out, out * error / mean
+
+
+def share_of_one(load: Floats) -> Floats:
+    """Return the exact share for T = 1: with p the chance that nobody enters during one's stay.
+
+    From an entry into an empty gate nu C - 1 = 1 + p (nu C - 1), so the share is p/(2 - p).
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    angle = 0.25 * np.pi * (nodes + 1.0)
+    stay = np.exp(-np.multiply.outer(load / (0.5 * np.pi), 1.0 / np.cos(angle)))
+    alone = stay @ (0.25 * np.pi * weights * np.cos(angle))
+    return alone / (2.0 - alone)
 
 
 def grid() -> Floats:
@@ -101,7 +117,7 @@ def fit(points: Floats, shares: Floats, errors: Floats) -> Floats:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Simulate, fit, check, write."""
     options = cli.parser("renewal_fit", __doc__)
-    options.add_argument("--entries", type=int, default=40_000_000, help="entries a place")
+    options.add_argument("--entries", type=int, default=100_000_000, help="entries a place")
     options.add_argument("--processes", type=int, default=2, help="simulations at a time")
     options.add_argument(
         "--data", type=Path, metavar="FILE.csv", help="keep the simulations here; reuse them"
@@ -112,16 +128,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         points, shares, errors = np.split(np.loadtxt(given.data, delimiter=","), [2, 3], axis=1)
         shares, errors = shares[:, 0], errors[:, 0]
     else:
-        shares, errors = simulate(points, given.entries, given.processes)
+        shares, errors = simulate(points, given.entries, given.processes, seed=1)
         if given.data:
             table = np.column_stack([points, shares, errors])
             np.savetxt(given.data, table, delimiter=",", fmt="%.12g")
+    single = points[:, 0] == 1
+    shares[single] = share_of_one(points[single, 1])
+    errors[single] = np.minimum(1e-5, 1e-2 * shares[single])
     coefficients = fit(points, shares, errors)
     gate = RenewalGate()
     gate.__dict__["fit"] = {"coefficients": coefficients.tolist()}
     apart = gate.share(*points.T) - shares
     checks = np.array(CHECKED)
-    checked, checked_errors = simulate(checks, 10 * given.entries, given.processes)
+    checked, checked_errors = simulate(checks, 4 * given.entries, given.processes, seed=1001)
     missed = gate.share(*checks.T) - checked
     written = {
         "entries_per_place": given.entries,

@@ -1,6 +1,6 @@
 !> Simulates the renewal gate alone: Poisson entries at rate nu, each inside for (l/2)/cos(theta),
-!> cosine law, all thrown out by an entry that finds T inside. Reads lines `load threshold entries`,
-!> writes lines `load threshold cycles sum sum_of_squares`, the sums over the entries of a cycle.
+!> cosine law, all thrown out by an entry that finds T inside. Reads a seed, then lines
+!> `load threshold entries`, writes lines `load threshold cycles sum sum_of_squares`, the sums over the entries of a cycle.
 !> Lengths are in units of l/2, so tau = pi/2. Made for `renewal_fit.py`, which fits the results.
 program renewal_gate
   use, intrinsic :: iso_fortran_env, only: int64, real64, input_unit, output_unit
@@ -8,11 +8,12 @@ program renewal_gate
   integer, parameter :: buffer_size = 4096
   real(real64), parameter :: half_pi = 1.57079632679489661923_real64
   real(real64) :: buffer(buffer_size), load, total, squares
-  integer :: used, threshold, status, seed_size
+  integer :: used, threshold, status, seed_size, seed
   integer(int64) :: entries, cycles
 
   call random_seed(size=seed_size)
-  call random_seed(put=spread(20210312, 1, seed_size))
+  read (input_unit, *) seed
+  call random_seed(put=spread(seed, 1, seed_size))
   used = buffer_size
   do
     read (input_unit, *, iostat=status) load, threshold, entries

@@ -1,0 +1,103 @@
+"""Figures of the paper: each is drawn from fabricated runs, complete and partial."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from postproc import appendix, cli, figures, maps, points
+from postproc.results import Results
+from postproc.tests.fabricate import fabricate
+from postproc.theory import Circuit, homogeneous_kind
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("runs")
+    panels = [{"threshold": threshold} for threshold in (2, 7, 18)]
+    fabricate(made / "time.h5", panels, duration=800.0)
+    slices = [
+        {"threshold": t, "channel2_width": w} for w in (0.0102, 0.0306) for t in (4, 8, 12, 18)
+    ]
+    fabricate(made / "slices.h5", slices, duration=800.0)
+    for name, first in (("homogeneous", 500), ("polarised", 1000)):
+        grid = [
+            {"threshold": t, "channel2_width": w, "urn1_number": first}
+            for w in (0.01, 0.05, 0.09)
+            for t in (2, 7, 12, 18)
+        ]
+        fabricate(made / f"{name}.h5", grid, 1, 600.0, snapshots=0, incomplete=2 * (first == 1000))
+    urns = [
+        {"number": n, "threshold": t, "channel1_width": w, "channel2_width": 0.0}
+        for n in (500, 1000)
+        for w in (0.1, 0.3)
+        for t in (3, 9, 15)
+    ]
+    fabricate(made / "urn.h5", urns, duration=300.0, snapshots=0, shape="urn")
+    return made
+
+
+@pytest.mark.parametrize(
+    ("name", "files"),
+    [
+        ("model", ()),
+        ("model", ("time.h5",)),
+        ("comp05", ("time.h5",)),
+        ("comp06", ("time.h5",)),
+        ("comp01", ("slices.h5",)),
+        ("numris", ("homogeneous.h5",)),
+        ("numris", ("homogeneous.h5", "polarised.h5")),
+        ("app2", ("urn.h5",)),
+        ("app3", ("urn.h5",)),
+        ("app4", ("urn.h5",)),
+    ],
+)
+def test_every_figure_is_drawn(
+    name: str, files: tuple[str, ...], folder: Path, tmp_path: Path
+) -> None:
+    arguments = [name, *(str(folder / file) for file in files), "--output", str(tmp_path)]
+    assert cli.run(figures.main, arguments) == 0
+    assert (tmp_path / f"{name}.png").stat().st_size > 5000
+    assert (tmp_path / f"{name}.pdf").stat().st_size > 5000
+
+
+def test_a_figure_without_its_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(figures.main, ["comp01"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_points_of_several_files_stand_side_by_side(folder: Path) -> None:
+    with Results(folder / "homogeneous.h5") as one, Results(folder / "polarised.h5") as other:
+        gathered = points.gather([one, other])
+    assert gathered.number.size == 24
+    assert [part.number.size for _, part in maps.by_start(gathered)] == [12, 12]
+    assert np.count_nonzero(np.isnan(gathered.chi)) == 2
+
+
+def test_map_has_each_value_in_its_cell(folder: Path) -> None:
+    with Results(folder / "homogeneous.h5") as results:
+        gathered = points.gather([results])
+    thresholds, widths, filled = maps.grid(gathered, gathered.threshold + gathered.width2)
+    assert filled == pytest.approx(thresholds[None, :] + widths[:, None])
+    assert maps.edges(np.array([1.0, 2.0, 4.0])) == pytest.approx([0.5, 1.5, 3.0, 5.0])
+
+
+def test_drawn_transition_line_is_where_stability_changes() -> None:
+    (width,) = maps.transition_line(Circuit(1000, 7), np.array([7.0]), Circuit(1, 1).gate)
+    below, above = (Circuit(1000, 7, channel2_width=width * factor) for factor in (0.999, 1.001))
+    assert homogeneous_kind(below) == "unstable"
+    assert homogeneous_kind(above) == "stable"
+
+
+def test_relative_difference_leaves_out_vanishing_theory() -> None:
+    difference, error = appendix.relative_difference(
+        np.array([1.1, 0.0]), np.array([0.1, 0.1]), np.array([1.0, 1e-9])
+    )
+    assert difference[0] == pytest.approx(-0.1)
+    assert error[0] == pytest.approx(0.1)
+    assert np.isnan(difference[1])
