@@ -1,0 +1,264 @@
+"""Makes a film of the circuit from the snapshots of a run.
+
+The table with its particles; a gate flashes when it reverses (if the run kept an event log); chi
+and the net current of channel 2 run along below (the current if the run kept a series). Snapshots
+that lie close are joined by straight flight, others follow each other. MP4, or GIF with `--gif`.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import imageio_ffmpeg
+import numpy as np
+from matplotlib.patches import Rectangle
+from PIL import Image
+
+from postproc import cli, style
+from postproc.currents import binned
+from postproc.results import Results, Snapshot
+from postproc.scene import Table, counted_by, draw_table, table_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from postproc.results import Series
+
+    Floats = NDArray[np.float64]
+
+SECONDS = 30.0  # longest film
+RATE = 25  # frames a second
+DOTS = 100  # dots per inch
+CLOSE = 0.6  # snapshots nearer than this in time are joined by straight flight
+FLASH = 6  # frames that a flash lasts
+
+
+@dataclass
+class Scenes:
+    """What the film shows.
+
+    Attributes
+    ----------
+    table, threshold : the table, and T.
+    snapshots : in order of time.
+    series : of the same task, or None.
+    reversals : times and gates of the reversals, shape (reversal,) each.
+    """
+
+    table: Table
+    threshold: int
+    snapshots: list[Snapshot]
+    series: Series | None = None
+    reversals: tuple[Floats, Floats] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
+
+    @property
+    def times(self) -> Floats:
+        """Times of the snapshots."""
+        return np.array([snapshot.time for snapshot in self.snapshots])
+
+
+def read_scenes(results: Results, point: int, replica: int) -> Scenes:
+    """Return what a file has for a film of one task."""
+    times = results.snapshot_times()
+    snapshots = [results.snapshot(point, replica, index) for index in range(times.size)]
+    if len(snapshots) < 2:
+        raise cli.InputError(f"{results.path}: a film needs at least two snapshots")
+    scenes = Scenes(table_of(results, point), int(results.circuit(point).threshold), snapshots)
+    if results.has("series/time"):
+        scenes.series = results.series(point, replica)
+    log = results.events()
+    if log:
+        turned = log["kind"] == 2
+        scenes.reversals = (log["time"][turned], log["where"][turned])
+    return scenes
+
+
+def flown(table: Table, snapshot: Snapshot, after: float) -> tuple[Floats, Floats]:
+    """Return where the particles are a short time after a snapshot, in straight flight.
+
+    In a channel y is folded between the walls; in an urn a flight stops at the wall.
+    """
+    x, y = snapshot.x + snapshot.ux * after, snapshot.y + snapshot.uy * after
+    narrow = np.abs(snapshot.x) <= 0.5 * table.channel1_length
+    half1, half2 = 0.5 * table.channel1_width, 0.5 * table.channel2_width
+    beyond = np.abs(snapshot.x) > table.urn_centre + table.chords[1]
+    beyond &= np.abs(snapshot.y) <= half2
+    for inside, half in ((narrow, half1), (beyond & (half2 > 0.0), half2)):
+        folded = np.abs(np.mod(y + half, 4.0 * half) - 2.0 * half) if half > 0.0 else y
+        y = np.where(inside, half - folded, y) if half > 0.0 else y
+    centre = np.sign(snapshot.x) * table.urn_centre
+    away = np.hypot(x - centre, y)
+    inner = np.abs(x) < table.urn_centre
+    mouth = np.where(inner, half1, half2)
+    out = ~narrow & ~beyond & (away > table.urn_radius) & (np.abs(y) > mouth)
+    shrink = np.where(out, table.urn_radius / np.where(away > 0.0, away, 1.0), 1.0)
+    return centre + (x - centre) * shrink, y * shrink
+
+
+def frame_times(scenes: Scenes, seconds: float) -> Floats:
+    """Return the time shown in each frame: evenly from the first snapshot to the last."""
+    times = scenes.times
+    steps = np.diff(times)
+    joined = bool(steps.size) and float(steps.max()) <= CLOSE
+    frames = int(seconds * RATE) if joined else min(int(seconds * RATE), 4 * times.size)
+    return np.linspace(times[0], times[-1], max(frames, 2))
+
+
+class Stage:
+    """A figure whose artists are moved from frame to frame."""
+
+    def __init__(self, scenes: Scenes) -> None:
+        """Draw what stays, and make what moves."""
+        self.scenes = scenes
+        self.figure: Figure = style.figure(8.0, 4.8)
+        table_axes, below = self.figure.subplots(2, 1, height_ratios=(2.2, 1.0))
+        draw_table(table_axes, scenes.table)
+        half1, reach = 0.5 * scenes.table.channel1_width, 0.5 * scenes.table.channel1_length
+        self.flashes = [
+            table_axes.add_patch(
+                Rectangle((left, -half1), reach, 2.0 * half1, fc=style.VERMILION, alpha=0.0, lw=0)
+            )
+            for left in (-reach, 0.0)
+        ]
+        self.dots = table_axes.scatter(
+            scenes.snapshots[0].x, scenes.snapshots[0].y, s=4, lw=0, zorder=3
+        )
+        self.title = table_axes.set_title(" ", loc="center")
+        self._draw_histories(below)
+        self.now = below.axvline(scenes.times[0], color=style.BLACK, lw=0.8)
+        self.moving = [*self.flashes, self.dots, self.title, self.now]
+        self.figure.set_dpi(DOTS)
+        self.figure.canvas.draw()  # places the axes
+        self.figure.set_layout_engine("none")
+        for artist in self.moving:
+            artist.set_animated(True)
+        self.figure.canvas.draw()
+        self.background = self.figure.canvas.copy_from_bbox(self.figure.bbox)
+
+    def _draw_histories(self, below: object) -> None:
+        scenes = self.scenes
+        total = scenes.snapshots[0].x.size
+        times = scenes.times
+        chi = [abs(total - 2 * np.count_nonzero(one.x < 0.0)) / total for one in scenes.snapshots]
+        shown = [times[0], times[-1]]
+        if scenes.series is not None:
+            inside = (scenes.series.time >= times[0]) & (scenes.series.time <= times[-1])
+            if np.count_nonzero(inside) > 2:
+                chi = np.abs(total - 2.0 * scenes.series.urn1_number[inside]) / total
+                times = scenes.series.time[inside]
+                flows = scenes.series.flows
+                net = (flows["flow2_12"] - flows["flow2_21"])[inside]
+                middle, mean, _ = binned(times, net, 40)
+                right = below.twinx()
+                right.plot(middle, np.abs(mean), color=style.ORANGE, lw=0.9)
+                right.set_ylabel("net current, channel 2\n(per unit time)", color=style.ORANGE)
+                right.set_ylim(0.0, 1.1 * max(float(np.abs(mean).max()), 1e-9))
+        below.plot(times, chi, color=style.BLUE, lw=1.1)
+        below.set_ylabel(r"mass spread $\chi$", color=style.BLUE)
+        below.set_ylim(0.0, 1.02)
+        below.set_xlim(*shown)
+        below.set_xlabel("time $t$  (length / $v$)")
+
+    def show(self, time: float, step: float) -> NDArray[np.uint8]:
+        """Return the frame at `time` as pixels, shape (height, width, 3)."""
+        scenes = self.scenes
+        index = int(np.searchsorted(scenes.times, time + 1e-12, side="right")) - 1
+        index = min(max(index, 0), len(scenes.snapshots) - 1)
+        snapshot = scenes.snapshots[index]
+        x, y, after = snapshot.x, snapshot.y, time - snapshot.time
+        if 0.0 < after <= CLOSE:
+            x, y = flown(scenes.table, snapshot, after)
+        counted = counted_by(scenes.table, snapshot) > 0
+        colour = np.where(x < 0.0, style.SKY, style.GREEN)
+        self.dots.set_offsets(np.column_stack([x, y]))
+        self.dots.set_facecolor(np.where(counted, style.VERMILION, colour))
+        self.dots.set_sizes(np.where(counted, 16.0, 4.0))
+        when, gate = scenes.reversals
+        for number, flash in enumerate(self.flashes, start=1):
+            ago = time - when[(gate == number) & (when <= time)]
+            fresh = ago.size > 0 and float(ago.min()) < FLASH * step
+            flash.set_alpha(0.6 * (1.0 - float(ago.min()) / (FLASH * step)) if fresh else 0.0)
+        first = int(np.count_nonzero(x < 0.0))
+        self.title.set_text(
+            f"$t = {time:.2f}$    $T = {scenes.threshold}$    "
+            f"$N_1 = {first}$    $N_2 = {x.size - first}$"
+        )
+        self.now.set_xdata([time, time])
+        canvas = self.figure.canvas
+        canvas.restore_region(self.background)
+        for artist in self.moving:
+            artist.axes.draw_artist(artist)
+        return np.array(canvas.buffer_rgba())[..., :3]
+
+
+def frames(scenes: Scenes, seconds: float) -> Iterator[NDArray[np.uint8]]:
+    """Yield the frames of a film of at most `seconds`."""
+    stage = Stage(scenes)
+    times = frame_times(scenes, seconds)
+    step = float(times[1] - times[0])
+    for time in times:
+        yield stage.show(float(time), step)
+
+
+def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path) -> None:
+    """Write frames to an MP4 file (H.264) through ffmpeg."""
+    first = next(pictures)
+    height, width = (size - size % 2 for size in first.shape[:2])
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", "-f", "rawvideo"]
+    command += ["-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
+    command += ["-c:v", "libx264", "-preset", "veryfast", "-crf", "23", "-pix_fmt", "yuv420p"]
+    command += ["-movflags", "+faststart", str(path)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        process.stdin.write(np.ascontiguousarray(first[:height, :width]).tobytes())
+        for picture in pictures:
+            process.stdin.write(np.ascontiguousarray(picture[:height, :width]).tobytes())
+    except BrokenPipeError:
+        pass
+    _, error = process.communicate()
+    if process.returncode:
+        reason = error.decode().strip().splitlines() or ["ffmpeg failed"]
+        raise cli.InputError(f"cannot write {path}: {reason[-1]}")
+
+
+def write_gif(pictures: Iterator[NDArray[np.uint8]], path: Path) -> None:
+    """Write every second frame to a GIF file."""
+    images = [
+        Image.fromarray(np.ascontiguousarray(picture)).quantize(64, dither=Image.Dither.NONE)
+        for at, picture in enumerate(pictures)
+        if at % 2 == 0
+    ]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=2000 // RATE, loop=0)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write film.mp4 or film.gif."""
+    options = cli.parser("film", __doc__)
+    options.add_argument("file", metavar="FILE.h5", type=Path)
+    options.add_argument("--point", type=int, default=1, help="parameter point, from 1")
+    options.add_argument("--replica", type=int, default=1, help="replica, from 1")
+    options.add_argument("--seconds", type=float, default=SECONDS, help="length (default: 30)")
+    options.add_argument("--gif", action="store_true", help="write a GIF, not an MP4")
+    cli.add_output(options)
+    given = options.parse_args(arguments)
+    if not 0.0 < given.seconds <= 3600.0:
+        raise cli.InputError(f"--seconds {given.seconds} must lie above 0 and up to 3600")
+    with Results(given.file) as results:
+        results.say_if_partial()
+        scenes = read_scenes(results, given.point - 1, given.replica - 1)
+    folder = cli.output_folder(given.output)
+    path = folder / ("film.gif" if given.gif else "film.mp4")
+    (write_gif if given.gif else write_mp4)(frames(scenes, given.seconds), path)
+    print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(cli.run(main))

@@ -1,0 +1,244 @@
+"""Writes one self-contained HTML page about a run: what, where, how fast, pictures, map, warnings.
+
+The page needs no network. Its map shows the values of a cell under the mouse.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import to_hex
+
+from postproc import cli, maps, style, theory
+from postproc.currents import figure_currents
+from postproc.points import gather
+from postproc.results import Results
+from postproc.scene import figure_scene, table_of
+from postproc.states import stable_state
+from postproc.warn import warnings
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from postproc.points import Points
+
+    Floats = NDArray[np.float64]
+
+PICTURES = 6  # most points of which pictures are put on the page
+CELL = 18  # size of the map's cells, CSS pixels
+HERE = Path(__file__).parent
+
+
+def embedded(made: Figure, text: str) -> str:
+    """Return a figure as an HTML image that carries its own data."""
+    buffer = io.BytesIO()
+    made.savefig(buffer, dpi=130, metadata={"Software": None})
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return f'<img alt="{html.escape(text)}" src="data:image/png;base64,{data}">'
+
+
+def _rows(cells: Sequence[Sequence[str]], head: Sequence[str]) -> str:
+    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in cells
+    )
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _run_section(results: Results) -> str:
+    known = results.attributes
+    kept = ("version", "git_commit", "created", "status", "mpi_ranks", "mpi_library", "compiler")
+    cells = [(name.replace("_", " "), known[name]) for name in kept if name in known]
+    done = results.done
+    cells.append(("tasks", f"{np.count_nonzero(done)} of {done.size} complete"))
+    collisions = np.nansum(np.where(done, results.value("collisions"), 0.0))
+    seconds = np.nansum(np.where(done, results.value("cpu_seconds"), 0.0))
+    cells.append(("wall collisions", f"{collisions:.4g}"))
+    cells.append(("processor time", f"{seconds:.4g} s"))
+    if seconds > 0.0:
+        cells.append(("speed", f"{collisions / seconds:.3g} collisions a second, one core"))
+    namelist = html.escape(known.get("namelist", ""))
+    return (
+        _rows(cells, ("", ""))
+        + f"<details><summary>Namelist</summary><pre>{namelist}</pre></details>"
+    )
+
+
+def _warning_section(found: Sequence[str]) -> str:
+    if not found:
+        return '<p class="good">None.</p>'
+    return "<ul>" + "".join(f"<li>{html.escape(text)}</li>" for text in found) + "</ul>"
+
+
+def _pair(mean: float, error: float) -> str:
+    return "-" if not np.isfinite(mean) else f"{mean:.4g} ± {error:.1g}"
+
+
+def _table_section(results: Results, points: Points) -> str:
+    head = ("T", "w'", "w", "N", "start chi", "chi", "net current", "theory chi", "theory current")
+    cells = []
+    for at in range(points.number.size):
+        expected = _expected(results, at, points.chi[at])
+        cells.append(
+            (
+                f"{points.threshold[at]:.0f}",
+                f"{points.width2[at]:.4g}",
+                f"{points.width1[at]:.4g}",
+                f"{points.number[at]:.0f}",
+                f"{points.start[at]:.3g}",
+                _pair(points.chi[at], points.chi_error[at]),
+                _pair(points.current[at], points.current_error[at]),
+                *expected,
+            )
+        )
+    return _rows(cells, head)
+
+
+def _expected(results: Results, point: int, chi: float) -> tuple[str, str]:
+    """Return chi and net current of the theory's stable state nearer to the measured chi."""
+    circuit = results.circuit(point)
+    if results.shape != "circuit":
+        current = theory.single_urn_current(
+            circuit.number,
+            circuit.threshold,
+            circuit.channel1_width,
+            circuit.urn_radius,
+            circuit.channel1_length,
+        )
+        return "-", f"{float(current):.4g}"
+    state = stable_state(circuit)
+    homogeneous = theory.homogeneous_kind(circuit) != "unstable"
+    if state is None or (homogeneous and not chi > 0.5 * state.mass_spread):
+        return "0", "0"
+    return f"{state.mass_spread:.4g}", f"{state.net_current:.4g}"
+
+
+def svg_map(points: Points, values: Floats, errors: Floats, name: str, colours: str) -> str:
+    """Return a map over T and w' as SVG; cells carry their text for the mouse in `data-text`."""
+    thresholds, widths, filled = maps.grid(points, values)
+    _, _, spread = maps.grid(points, errors)
+    top = np.nanmax(filled) if np.isfinite(filled).any() else 1.0
+    most = max(float(top), 1.0 if name == "chi" else 1e-12)
+    left, bottom = 64, 40
+    width, height = left + CELL * thresholds.size + 8, CELL * widths.size + bottom + 8
+    parts = [f'<svg width="{width}" height="{height}" role="img" aria-label="map of {name}">']
+    for row, column in np.ndindex(filled.shape):
+        value, x = filled[row, column], left + CELL * column
+        y = 4 + CELL * (widths.size - 1 - row)
+        colour = to_hex(mpl.colormaps[colours](value / most)) if np.isfinite(value) else "#d0d0d0"
+        text = (
+            f"T = {thresholds[column]:.0f}, w' = {widths[row]:.4g}: {name} "
+            f"{_pair(value, spread[row, column])}"
+        )
+        parts.append(
+            f'<rect x="{x}" y="{y}" width="{CELL}" height="{CELL}" fill="{colour}" '
+            f'data-text="{html.escape(text)}"/>'
+        )
+    base = 4 + CELL * widths.size
+    every = max(1, -(-thresholds.size // 12))
+    for column in range(0, thresholds.size, every):
+        x = left + CELL * (column + 0.5)
+        parts.append(f'<text x="{x}" y="{base + 15}" class="mid">{thresholds[column]:.0f}</text>')
+    every = max(1, -(-widths.size // 16))
+    for row in range(0, widths.size, every):
+        y = 8 + CELL * (widths.size - 0.5 - row)
+        parts.append(f'<text x="{left - 5}" y="{y}" class="end">{widths[row]:.3g}</text>')
+    middle = left + 0.5 * CELL * thresholds.size
+    parts.append(f'<text x="{middle}" y="{base + 33}" class="mid">T</text>')
+    parts.append(f'<text x="4" y="{4 + 0.5 * CELL * widths.size}">w\'</text></svg>')
+    return "".join(parts)
+
+
+def _map_section(points: Points) -> str:
+    sections = []
+    for name, part in maps.by_start(points):
+        for number in np.unique(part.number):
+            for width in np.unique(part.width1):
+                chosen = part.where((part.number == number) & (part.width1 == width))
+                if chosen.number.size == 0:
+                    continue
+                start = name.replace("$", "").replace(r"\chi", "chi")
+                title = f"N = {number:.0f}, w = {width:g}, {start}"
+                chi = svg_map(chosen, chosen.chi, chosen.chi_error, "chi", "viridis")
+                current = svg_map(
+                    chosen, chosen.current, chosen.current_error, "net current", "magma"
+                )
+                sections.append(
+                    f'<h3>{html.escape(title)}</h3><div class="maps"><figure>{chi}<figcaption>'
+                    f"mass spread chi</figcaption></figure><figure>{current}<figcaption>"
+                    "net current, per unit time</figcaption></figure></div>"
+                )
+    return "".join(sections)
+
+
+def _pictures(results: Results) -> str:
+    parts = []
+    for point in np.flatnonzero(results.done.any(axis=1))[:PICTURES]:
+        replica = int(np.flatnonzero(results.done[point])[0])
+        for draw in (_picture_currents, _picture_scene):
+            try:
+                made = draw(results, int(point), replica)
+            except cli.InputError:
+                continue  # that run kept no series, or no snapshots
+            parts.append(f"<figure>{embedded(made, 'picture of a point')}</figure>")
+    return "".join(parts) or "<p>The run kept neither series nor snapshots.</p>"
+
+
+def _picture_currents(results: Results, point: int, replica: int) -> Figure:
+    return figure_currents(results, point, replica)
+
+
+def _picture_scene(results: Results, point: int, replica: int) -> Figure:
+    table, snapshot = table_of(results, point), results.snapshot(point, replica, -1)
+    return figure_scene(table, snapshot, int(results.circuit(point).threshold))
+
+
+def page(results: Results) -> str:
+    """Return the whole page."""
+    results.need_tasks()
+    points = gather([results])
+    found = warnings(results, table_of(results, 0))
+    sections = {
+        "What was run": _run_section(results),
+        f"Warnings ({len(found)})": _warning_section(found),
+        "Map": '<p id="reading">Put the mouse on a cell.</p>' + _map_section(points),
+        "Pictures": _pictures(results),
+        "Averages": _table_section(results, points),
+    }
+    body = "".join(f"<section><h2>{title}</h2>{text}</section>" for title, text in sections.items())
+    template = (HERE / "report.html").read_text()
+    name = html.escape(results.path.name)
+    return template.replace("@TITLE@", name).replace("@BODY@", body)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write FILE.html."""
+    options = cli.parser("report", __doc__)
+    options.add_argument("file", metavar="FILE.h5", type=Path)
+    cli.add_output(options)
+    given = options.parse_args(arguments)
+    style.figure()  # sets the look
+    with Results(given.file) as results:
+        results.say_if_partial()
+        text = page(results)
+    path = cli.output_folder(given.output) / f"{given.file.stem}.html"
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as problem:
+        raise cli.InputError(f"cannot write {path}: {problem.strerror}") from problem
+    print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(cli.run(main))

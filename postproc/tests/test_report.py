@@ -1,0 +1,162 @@
+"""Report and film: self-contained page, hover in a real browser, warnings, frames."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from typing import TYPE_CHECKING
+
+import h5py
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from postproc import cli, film, report, warn
+from postproc.results import Results, Snapshot
+from postproc.scene import Table
+from postproc.tests.fabricate import fabricate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+BROWSER = shutil.which("chromium")
+BROWSER_OPTIONS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--enable-logging=stderr",
+)
+HOVER = """<script>
+const cell = document.querySelectorAll("rect[data-text]")[1];
+cell.dispatchEvent(new MouseEvent("mouseenter"));
+</script>"""
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    grid = [{"threshold": t, "channel2_width": w} for w in (0.01, 0.05) for t in (4, 8, 18)]
+    path = tmp_path_factory.mktemp("run") / "run.h5"
+    return fabricate(path, grid, duration=1500.0, incomplete=1)
+
+
+@pytest.fixture(scope="module")
+def page(run_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("page")
+    assert cli.run(report.main, [str(run_file), "--output", str(folder)]) == 0
+    return folder / "run.html"
+
+
+def test_page_carries_everything(page: Path) -> None:
+    text = page.read_text()
+    assert "@TITLE@" not in text
+    assert "@BODY@" not in text
+    assert re.findall(r'(?:src|href)="(?!data:)', text) == []
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", text)
+    assert text.count("<img ") >= 2
+    assert text.count("<rect ") == 12
+    assert "1 of 12 tasks have no results" in text
+
+
+def test_page_escapes_the_namelist(tmp_path: Path) -> None:
+    path = fabricate(tmp_path / "odd.h5", [{}], duration=300.0)
+    with h5py.File(path, "r+") as file:
+        text = file.attrs["namelist"].decode() + "! <script>alert(1)</script>\n"
+        file.attrs["namelist"] = np.bytes_(text)
+    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 0
+    assert "<script>alert" not in (tmp_path / "odd.html").read_text()
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium here")
+def test_hover_shows_the_value_and_the_console_is_silent(page: Path, tmp_path: Path) -> None:
+    hovered = tmp_path / "hovered.html"
+    hovered.write_text(page.read_text().replace("</body>", HOVER + "</body>"))
+    done = subprocess.run(
+        [
+            BROWSER,
+            *BROWSER_OPTIONS,
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--dump-dom",
+            hovered.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    reading = re.search(r'id="reading">([^<]*)<', done.stdout)
+    assert reading is not None
+    assert reading[1].startswith("T = ")
+    assert "chi" in reading[1]
+    assert "CONSOLE" not in done.stderr
+
+
+def test_report_of_the_single_urn(tmp_path: Path) -> None:
+    urns = [{"number": 500, "threshold": t, "channel2_width": 0.0} for t in (3, 9)]
+    path = fabricate(tmp_path / "urn.h5", urns, duration=300.0, snapshots=0, shape="urn")
+    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 0
+
+
+def test_replicas_that_disagree_are_noticed() -> None:
+    errors = np.full(4, 0.01)
+    assert warn.disagreement(np.array([0.5, 0.51, 0.49, 0.5]), errors) > 0.1
+    assert warn.disagreement(np.array([0.5, 0.6, 0.49, 0.5]), errors) < warn.UNLIKELY
+    assert warn.disagreement(np.array([0.5, np.nan]), errors[:2]) == 1.0
+
+
+def test_a_drift_is_noticed() -> None:
+    random = np.random.default_rng(2)
+    flat = 0.9 + 0.01 * random.normal(size=2000)
+    assert not warn.drifts(flat)
+    assert warn.drifts(flat - np.linspace(0.0, 0.5, 2000))
+
+
+def test_rays_along_the_axis_are_noticed() -> None:
+    table = Table(channel2_width=0.01)
+    uy = np.array([0.0, 1e-4, 0.1, 1.0])
+    rays = Snapshot(0.0, np.zeros(4), np.zeros(4), np.sqrt(1.0 - uy**2), uy)
+    assert warn.axial(table, rays) == 2
+
+
+def test_flight_stays_on_the_table() -> None:
+    table = Table()
+    random = np.random.default_rng(7)
+    angle = random.uniform(0.0, 2.0 * np.pi, 3000)
+    x = random.uniform(-0.5, 0.5, 3000)
+    y = random.uniform(-0.15, 0.15, 3000)
+    moved = film.flown(table, Snapshot(0.0, x, y, np.cos(angle), np.sin(angle)), 0.5)
+    still = np.abs(moved[0]) <= 0.5
+    assert np.abs(moved[1][still]).max() <= 0.15 + 1e-12
+    at_rest = film.flown(table, Snapshot(0.0, x, y, np.cos(angle), np.sin(angle)), 0.0)
+    assert at_rest[1] == pytest.approx(y)
+
+
+@pytest.mark.parametrize("kind", ["mp4", "gif"])
+def test_film_has_all_its_frames(kind: str, tmp_path: Path) -> None:
+    path = fabricate(tmp_path / "run.h5", [{}], duration=20.0, interval=0.2, snapshots=21)
+    options = [str(path), "--output", str(tmp_path), "--seconds", "1"]
+    assert cli.run(film.main, options + (["--gif"] if kind == "gif" else [])) == 0
+    made = tmp_path / f"film.{kind}"
+    assert made.stat().st_size > 5000
+    if kind == "mp4":
+        count, _ = imageio_ffmpeg.count_frames_and_secs(str(made))
+        assert count == film.RATE
+
+
+def test_film_needs_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = fabricate(tmp_path / "run.h5", [{}], duration=100.0, snapshots=1)
+    assert cli.run(film.main, [str(path), "--output", str(tmp_path)]) == 2
+    assert "at least two snapshots" in capsys.readouterr().err
+
+
+def test_report_of_nothing_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = fabricate(tmp_path / "none.h5", [{}], 1, duration=100.0, incomplete=1)
+    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 2
+    assert "no task is complete" in capsys.readouterr().err
+    with Results(path) as results:
+        assert results.remark == "partial run: 0 of 1 tasks"
