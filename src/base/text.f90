@@ -1,0 +1,235 @@
+!> Words and numbers as the user reads and writes them.
+module battery_text
+  use, intrinsic :: iso_fortran_env, only: int32, int64, real64, real128
+  implicit none (type, external)
+  private
+  public :: string_type, to_text, lower_case, join, closest_word, is_one_of
+  public :: duration_text, count_text, new_line_character
+
+  character(len=1), parameter :: new_line_character = achar(10)
+
+  !> A text of any length, for lists of them.
+  type :: string_type
+    character(len=:), allocatable :: text
+  end type string_type
+
+  !> A number (integer or real), or a logical, as short text; reals with as many digits as it takes
+  !> to read the same number back.
+  interface to_text
+    module procedure :: int32_text, int64_text, real64_text, real128_text, logical_text
+  end interface to_text
+
+contains
+
+  pure function int32_text(number) result(text)
+    integer(int32), intent(in) :: number
+    character(len=:), allocatable :: text
+
+    text = int64_text(int(number, int64))
+  end function int32_text
+
+  pure function int64_text(number) result(text)
+    integer(int64), intent(in) :: number
+    character(len=:), allocatable :: text
+    character(len=24) :: buffer
+
+    write (buffer, '(i0)') number
+    text = trim(buffer)
+  end function int64_text
+
+  pure function real64_text(number) result(text)
+    real(real64), intent(in) :: number
+    character(len=:), allocatable :: text
+    character(len=40) :: buffer, layout
+    real(real64) :: again
+    integer :: digits
+
+    do digits = 1, 17
+      write (layout, '(a, i0, a)') '(es40.', digits - 1, 'e3)'
+      write (buffer, layout) number
+      if (.not. abs(number) <= huge(number)) exit
+      read (buffer, *) again
+      if (.not. abs(again - number) > 0.0_real64) exit
+    end do
+    text = plain_notation(trim(adjustl(buffer)))
+  end function real64_text
+
+  pure function real128_text(number) result(text)
+    real(real128), intent(in) :: number
+    character(len=:), allocatable :: text
+    character(len=60) :: buffer
+
+    if (.not. abs(real(real(number, real64), real128) - number) > 0.0_real128) then
+      text = real64_text(real(number, real64))
+    else
+      write (buffer, '(es60.34e4)') number
+      text = plain_notation(trim(adjustl(buffer)))
+    end if
+  end function real128_text
+
+  pure function logical_text(value) result(text)
+    logical, intent(in) :: value
+    character(len=:), allocatable :: text
+
+    if (value) then
+      text = '.true.'
+    else
+      text = '.false.'
+    end if
+  end function logical_text
+
+  !> Text of `1.25E+001` as people write it: 12.5; far from 1, 1.25e+9.
+  pure function plain_notation(scientific) result(text)
+    character(len=*), intent(in) :: scientific
+    character(len=:), allocatable :: text
+    character(len=:), allocatable :: sign, digits
+    integer :: mark, exponent, count
+
+    mark = scan(scientific, 'Ee')
+    if (mark == 0 .or. scan(scientific, '0123456789') == 0) then
+      text = scientific
+      return
+    end if
+    read (scientific(mark + 1:), *) exponent
+    sign = ''
+    if (scientific(1:1) == '-') sign = '-'
+    digits = scientific(len(sign) + 1:len(sign) + 1)//scientific(len(sign) + 3:mark - 1)
+    count = verify(digits, '0', back=.true.)
+    digits = digits(:max(count, 1))
+    count = len(digits)
+    if (exponent < -4 .or. exponent > 8) then
+      text = sign//digits(1:1)
+      if (count > 1) text = text//'.'//digits(2:)
+      text = text//'e'//int32_text(int(exponent, int32))
+    else if (exponent < 0) then
+      text = sign//'0.'//repeat('0', -exponent - 1)//digits
+    else if (count <= exponent + 1) then
+      text = sign//digits//repeat('0', exponent + 1 - count)
+    else
+      text = sign//digits(:exponent + 1)//'.'//digits(exponent + 2:)
+    end if
+  end function plain_notation
+
+  !> The text with A to Z made small.
+  pure function lower_case(text) result(lower)
+    character(len=*), intent(in) :: text
+    character(len=len(text)) :: lower
+    integer :: at
+
+    lower = text
+    do at = 1, len(text)
+      if (text(at:at) < 'A' .or. text(at:at) > 'Z') cycle
+      lower(at:at) = achar(iachar(text(at:at)) + 32)
+    end do
+  end function lower_case
+
+  !> All texts of a list, with a separator between them.
+  pure function join(list, separator) result(text)
+    type(string_type), intent(in) :: list(:)
+    character(len=*), intent(in) :: separator
+    character(len=:), allocatable :: text
+    integer :: at
+
+    text = ''
+    do at = 1, size(list)
+      if (at > 1) text = text//separator
+      text = text//list(at)%text
+    end do
+  end function join
+
+  !> Whether a list holds a word.
+  pure function is_one_of(word, list) result(found)
+    character(len=*), intent(in) :: word
+    type(string_type), intent(in) :: list(:)
+    logical :: found
+    integer :: at
+
+    found = .false.
+    do at = 1, size(list)
+      if (list(at)%text == word .and. len(list(at)%text) == len(word)) found = .true.
+    end do
+  end function is_one_of
+
+  !> The word of a list that was probably meant; empty if none is near.
+  pure function closest_word(word, list) result(closest)
+    character(len=*), intent(in) :: word
+    type(string_type), intent(in) :: list(:)
+    character(len=:), allocatable :: closest
+    integer :: at, distance, least
+
+    closest = ''
+    least = max(1, len(word)/3) + 1
+    do at = 1, size(list)
+      distance = edit_distance(word, list(at)%text)
+      if (distance < least) then
+        least = distance
+        closest = list(at)%text
+      end if
+    end do
+  end function closest_word
+
+  !> How many letters must be put in, left out or changed to get from one word to the other.
+  pure function edit_distance(one, other) result(distance)
+    character(len=*), intent(in) :: one, other
+    integer :: distance
+    integer :: row(0:len(other)), diagonal, above, first, second
+
+    row = [(second, second=0, len(other))]
+    do first = 1, len(one)
+      diagonal = row(0)
+      row(0) = first
+      do second = 1, len(other)
+        above = row(second)
+        row(second) = min(above + 1, row(second - 1) + 1, &
+          diagonal + merge(0, 1, one(first:first) == other(second:second)))
+        diagonal = above
+      end do
+    end do
+    distance = row(len(other))
+  end function edit_distance
+
+  !> A time in seconds as people say it: 0.8 s, 42 s, 3 min 05 s, 2 h 07 min, 3 d 04 h.
+  pure function duration_text(seconds) result(text)
+    real(real64), intent(in) :: seconds
+    character(len=:), allocatable :: text
+    character(len=32) :: buffer
+    integer(int64) :: whole
+
+    if (.not. abs(seconds) < 1.0e15_real64) then
+      text = 'unknown'
+      return
+    end if
+    whole = nint(max(seconds, 0.0_real64), int64)
+    if (seconds < 9.95_real64) then
+      write (buffer, '(f3.1, a)') max(seconds, 0.0_real64), ' s'
+    else if (whole < 60) then
+      write (buffer, '(i0, a)') whole, ' s'
+    else if (whole < 3600) then
+      write (buffer, '(i0, a, i2.2, a)') whole/60, ' min ', mod(whole, 60_int64), ' s'
+    else if (whole < 86400) then
+      write (buffer, '(i0, a, i2.2, a)') whole/3600, ' h ', mod(whole, 3600_int64)/60, ' min'
+    else
+      write (buffer, '(i0, a, i2.2, a)') whole/86400, ' d ', mod(whole, 86400_int64)/3600, ' h'
+    end if
+    text = trim(buffer)
+  end function duration_text
+
+  !> A large number with three digits: 950, 12.3e3, 1.20e8 are written 950, 1.23e4, 1.20e8.
+  pure function count_text(number) result(text)
+    real(real64), intent(in) :: number
+    character(len=:), allocatable :: text
+    character(len=32) :: buffer
+    integer :: exponent
+
+    if (.not. abs(number) >= 999.5_real64) then
+      write (buffer, '(i0)') nint(merge(number, 0.0_real64, abs(number) < 999.5_real64))
+      text = trim(buffer)
+      return
+    end if
+    write (buffer, '(es12.2e3)') number
+    buffer = adjustl(buffer)
+    read (buffer(index(buffer, 'E') + 1:), *) exponent
+    text = buffer(:index(buffer, 'E') - 1)//'e'//int32_text(int(exponent, int32))
+  end function count_text
+
+end module battery_text

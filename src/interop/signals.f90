@@ -1,0 +1,134 @@
+!> Signals that ask the program to stop (SIGTERM, SIGINT, SIGUSR1), and its clocks.
+!>
+!> The first signal only sets a flag, which the program looks at between windows; a later one ends
+!> the program at once. Signals within half a second of the first count as that one: `timeout` and
+!> some batch systems send each signal to the process and to its group.
+module battery_signals
+  use, intrinsic :: iso_c_binding, only: c_int, c_funptr, c_funloc
+  use battery_kinds, only: dp, int64
+  implicit none (type, external)
+  private
+  public :: watch_signals, stop_signal, stop_requested, clear_stop_request
+  public :: wall_seconds, cpu_seconds, is_terminal, process_number
+
+  !> Numbers of the signals on Linux.
+  integer(c_int), parameter :: signal_interrupt = 2, signal_user1 = 10, signal_terminate = 15
+
+  !> Signals that come in so short a time are one, in seconds.
+  real(dp), parameter :: same_signal = 0.5_dp
+
+  !> The signal that came, 0 if none did, and when.
+  integer(c_int), volatile :: received = 0
+  real(dp), volatile :: received_at = 0.0_dp
+
+  interface
+    function c_signal(number, handler) result(old) bind(c, name='signal')
+      import :: c_int, c_funptr
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: number
+      type(c_funptr), value, intent(in) :: handler
+      type(c_funptr) :: old
+    end function c_signal
+
+    subroutine c_leave(status) bind(c, name='_exit')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: status
+    end subroutine c_leave
+
+    function c_isatty(descriptor) result(yes) bind(c, name='isatty')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: descriptor
+      integer(c_int) :: yes
+    end function c_isatty
+
+    function c_getpid() result(number) bind(c, name='getpid')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int) :: number
+    end function c_getpid
+  end interface
+
+contains
+
+  !> From now on, the three signals ask for a stop instead of ending the program.
+  subroutine watch_signals()
+    type(c_funptr) :: old
+
+    old = c_signal(signal_interrupt, c_funloc(receive))
+    old = c_signal(signal_user1, c_funloc(receive))
+    old = c_signal(signal_terminate, c_funloc(receive))
+  end subroutine watch_signals
+
+  !> Called by the system when a signal comes: notes it, or leaves at once with 128 + its number.
+  subroutine receive(number) bind(c)
+    integer(c_int), value, intent(in) :: number
+
+    if (received == 0) then
+      received_at = wall_seconds()
+      received = number
+    else if (wall_seconds() - received_at > same_signal) then
+      call c_leave(128_c_int + number)
+    end if
+  end subroutine receive
+
+  !> Whether a signal has asked for a stop.
+  function stop_requested() result(requested)
+    logical :: requested
+
+    requested = received /= 0
+  end function stop_requested
+
+  !> Name of the signal that has asked for a stop; empty if none has.
+  function stop_signal() result(name)
+    character(len=:), allocatable :: name
+
+    select case (received)
+    case (0)
+      name = ''
+    case (signal_interrupt)
+      name = 'SIGINT'
+    case (signal_user1)
+      name = 'SIGUSR1'
+    case default
+      name = 'SIGTERM'
+    end select
+  end function stop_signal
+
+  !> Forgets that a signal came; for tests.
+  subroutine clear_stop_request()
+    received = 0
+  end subroutine clear_stop_request
+
+  !> Seconds on a clock that never goes back; differences mean something, the value does not.
+  function wall_seconds() result(seconds)
+    real(dp) :: seconds
+    integer(int64) :: ticks, rate
+
+    call system_clock(ticks, rate)
+    seconds = real(ticks, dp)/real(rate, dp)
+  end function wall_seconds
+
+  !> Seconds of processor time that this process has used.
+  function cpu_seconds() result(seconds)
+    real(dp) :: seconds
+
+    call cpu_time(seconds)
+  end function cpu_seconds
+
+  !> Whether standard output is a terminal.
+  function is_terminal() result(terminal)
+    logical :: terminal
+
+    terminal = c_isatty(1_c_int) == 1_c_int
+  end function is_terminal
+
+  !> Number of this process.
+  function process_number() result(number)
+    integer :: number
+
+    number = int(c_getpid())
+  end function process_number
+
+end module battery_signals
