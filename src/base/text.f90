@@ -43,8 +43,10 @@ contains
     character(len=40) :: buffer, layout
     real(real64) :: again
     integer :: digits
+    !> Beyond this, fewer digits could round to more than there is.
+    real(real64), parameter :: nearly_huge = 1.0e307_real64
 
-    do digits = 1, 17
+    do digits = merge(1, 17, abs(number) < nearly_huge), 17
       write (layout, '(a, i0, a)') '(es40.', digits - 1, 'e3)'
       write (buffer, layout) number
       if (.not. abs(number) <= huge(number)) exit

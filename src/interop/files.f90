@@ -212,11 +212,14 @@ contains
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     integer(c_int), parameter :: rights = int(o'777', c_int)
+    character(len=:), allocatable :: reason
 
     if (is_folder(path)) return
-    if (c_mkdir(path//c_null_char, rights) /= 0 .and. .not. is_folder(path)) then
-      call fatal_error(error, path//': the folder cannot be made: '//system_message())
-    end if
+    if (c_mkdir(path//c_null_char, rights) == 0) return
+    reason = system_message()
+    ! Another rank may have been faster.
+    if (is_folder(path)) return
+    call fatal_error(error, path//': the folder cannot be made: '//reason)
   end subroutine make_folder
 
   !> The whole of a file as one text, its line ends as they are.
