@@ -8,6 +8,10 @@ comp01  net current against T/N and against chi, for several w'
 app2    current of the single urn against T/N
 app3    its relative difference from theory
 app4    it and theory divided by N
+
+and one that the paper has not:
+
+lifetimes  lifetimes of both states against N, from series that begin in them
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ import numpy as np
 from postproc import appendix, cli, maps, style
 from postproc.currents import binned, draw_currents
 from postproc.model import figure_model
+from postproc.passages import figure_lifetimes
 from postproc.points import gather
 from postproc.renewal import RENEWAL
 from postproc.results import Results
@@ -161,6 +166,7 @@ FIGURES: dict[str, Drawing] = {
     "app2": appendix.figure_app2,
     "app3": appendix.figure_app3,
     "app4": appendix.figure_app4,
+    "lifetimes": figure_lifetimes,
 }
 
 

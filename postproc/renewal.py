@@ -15,7 +15,7 @@ well the fit agrees with the simulations and with runs that it has not seen.
 from __future__ import annotations
 
 import json
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,7 +52,8 @@ def coordinates(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
     The first is linear in log(load) between the ends of `load_range`, the second in 1/sqrt(T).
     """
     count = np.clip(np.asarray(threshold, float), 1.0, None)
-    lower, upper = (np.log(limit) for limit in load_range(count))
+    limits = _range_of_one(float(count.flat[0])) if count.size == 1 else load_range(count)
+    lower, upper = (np.log(limit) for limit in limits)
     along = 2.0 * (np.log(load) - lower) / (upper - lower) - 1.0
     least = 1.0 / np.sqrt(LARGEST_THRESHOLD)
     across = 2.0 * (1.0 / np.sqrt(count) - least) / (1.0 - least) - 1.0
@@ -66,6 +67,9 @@ def exponential_share(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Fl
     summed too, sum(u_n - 1), so that a small share keeps its digits.
     """
     count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
+    if x.size == 1:
+        one, other = _exponential_share_of_one(int(count.flat[0]), float(x.flat[0]))
+        return np.full(x.shape, one), np.full(x.shape, other)
     inverse, entries, through = np.ones(x.shape), np.ones(x.shape), np.zeros(x.shape)
     safe = np.where(x > 0.0, x, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -76,6 +80,21 @@ def exponential_share(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Fl
             entries = np.where(on, entries + inverse, entries)
             through = np.where(on, through + np.minimum(more, 1e300), through)
     return through / entries, (count + 1.0) / entries
+
+
+def _exponential_share_of_one(threshold: int, load: float) -> tuple[float, float]:
+    """Do the same for one pair of numbers, without the cost of arrays."""
+    inverse, entries, through = 1.0, 1.0, 0.0
+    for level in range(1, threshold + 1):
+        more = min(level / load * inverse, 1e300) if load > 0.0 else 1e300
+        inverse = min(1.0 + more, 1e300)
+        entries, through = entries + inverse, through + more
+    return through / entries, (threshold + 1.0) / entries
+
+
+@lru_cache(maxsize=4096)
+def _range_of_one(threshold: float) -> tuple[Floats, Floats]:
+    return load_range(threshold)
 
 
 class RenewalGate:
@@ -92,18 +111,20 @@ class RenewalGate:
     def _coefficients(self) -> Floats:
         return np.array(self.fit["coefficients"])
 
+    @cached_property
+    def _slopes(self) -> Floats:
+        return chebyshev.chebder(self._coefficients, axis=0)
+
     def logit(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
         """Return log(share/(1 - share)); thresholds at least 1, loads above 0."""
         through, out = exponential_share(threshold, load)
         along, across = coordinates(threshold, load)
         inside = np.clip(along, -1.0, 1.0)
         correction = chebyshev.chebval2d(inside, across, self._coefficients)
-        edge = chebyshev.chebval2d(np.ones_like(across), across, self._coefficients)
-        slope = chebyshev.chebval2d(
-            np.ones_like(across), across, chebyshev.chebder(self._coefficients, axis=0)
-        )
         beyond = along > 1.0
-        correction = np.where(beyond, edge + slope * (along - 1.0), correction)
+        if np.any(beyond):
+            slope = chebyshev.chebval2d(inside, across, self._slopes)
+            correction = np.where(beyond, correction + slope * (along - 1.0), correction)
         with np.errstate(divide="ignore"):
             return np.log(through) - np.log(out) + correction
 

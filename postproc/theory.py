@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-ROUNDS = 200  # of the iteration that tells urns from channels
+ROUNDS = 60  # at most, of the iteration that tells urns from channels
+TINY = 1e-300
 WIDTHS_TRIED = 400  # places between 0 and 2r where a transition is looked for
 
 
@@ -109,14 +110,21 @@ def in_urn(circuit: Circuit, number: ArrayLike) -> Floats:
     share = np.asarray(number, float)
     if not circuit.occupation:
         return share
-    inside = share
+    inside = share / (1.0 + sum(held_in_channels(circuit, share)) / np.maximum(share, TINY))
     for _ in range(ROUNDS):
-        step = inside
-        here, beyond = held_in_channels(circuit, inside)
-        inside = np.maximum(0.5 * (inside + share - here - beyond), 0.25 * inside)
-        if np.all(np.abs(inside - step) <= 1e-14 * share):
+        excess = inside + sum(held_in_channels(circuit, inside)) - share
+        if np.all(np.abs(excess) <= 1e-13 * share):
             break
+        step = excess / _held_slope(circuit, inside)
+        inside = np.clip(inside - step, 0.5 * inside, share)
     return inside
+
+
+def _held_slope(circuit: Circuit, inside: Floats) -> Floats:
+    """Return the derivative of an urn's share of the particles by those inside it."""
+    step = 1e-5 * np.maximum(inside, 1e-6)
+    more, fewer = (sum(held_in_channels(circuit, inside + sign * step)) for sign in (1.0, -1.0))
+    return 1.0 + (more - fewer) / (2.0 * step)
 
 
 def flow1(circuit: Circuit, number: ArrayLike) -> Floats:
@@ -162,9 +170,7 @@ def _outflow_slope(circuit: Circuit, number: Floats) -> Floats:
     slope = circuit.gate.slope(circuit.threshold, gate_load(circuit, inside))
     widths = np.asarray(circuit.channel1_width) * slope + np.asarray(circuit.channel2_width)
     if circuit.occupation:
-        step = 1e-5 * np.maximum(inside, 1e-6)
-        more, fewer = (sum(held_in_channels(circuit, inside + sign * step)) for sign in (1.0, -1.0))
-        widths = widths / (1.0 + (more - fewer) / (2.0 * step))
+        widths = widths / _held_slope(circuit, inside)
     return widths / (np.pi * circuit.urn_area)
 
 

@@ -1,0 +1,157 @@
+"""Measures theories against runs: by how much chi and the currents are off, and where the phase is.
+
+Prints a table, or JSON with `--json`, for the paper's theory, for the renewal gate, and for the
+renewal gate with the occupation of the channels counted. A point counts as polarised if chi exceeds
+0.15; differences of chi and of the net current are taken where measurement and theory agree on that
+(of two stable states the theory may choose the nearer one). For the single urn only its current is
+compared, relative to theory, where that exceeds a hundredth of the free current.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc import cli, theory
+from postproc.gates import WINDOW
+from postproc.points import gather
+from postproc.renewal import RENEWAL
+from postproc.results import Results
+from postproc.states import stationary_states
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from postproc.theory import Circuit
+
+POLARISED = 0.15
+THEORIES = (
+    ("paper", {"gate": WINDOW}),
+    ("renewal gate", {"gate": RENEWAL}),
+    ("renewal gate, channels counted", {"gate": RENEWAL, "occupation": True}),
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How far a theory is from runs; root mean squares over points.
+
+    Attributes
+    ----------
+    theory : its name.
+    points : how many points were compared.
+    right_phase : share of them where homogeneous or polarised is told rightly.
+    chi : root mean square of measured less expected chi over polarised points.
+    current : root mean square of (theory - measured)/theory of the net current over them; for the
+        single urn, of its current.
+    measured_chi : root mean square of the standard errors of chi there, the least to be hoped for.
+    """
+
+    theory: str
+    points: int
+    right_phase: float
+    chi: float
+    current: float
+    measured_chi: float
+
+
+def _expected(circuit: Circuit, chi: float) -> tuple[float, float]:
+    """Return chi and net current of the stable state nearest to the measured chi."""
+    choices = [
+        (state.mass_spread, state.net_current)
+        for state in stationary_states(circuit)
+        if state.kind == "stable"
+    ]
+    if theory.homogeneous_kind(circuit) != "unstable":
+        choices.append((0.0, 0.0))
+    return min(choices, key=lambda choice: abs(choice[0] - chi))
+
+
+def _root_mean_square(values: Sequence[float]) -> float:
+    return math.sqrt(np.mean(np.square(values))) if len(values) else math.nan
+
+
+def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, object]) -> Comparison:
+    """Return how far one theory is from the circuits of all files."""
+    points = gather(files)
+    known = points.where(np.isfinite(points.chi))
+    right, spreads, currents, errors = [], [], [], []
+    for at in range(known.number.size):
+        circuit = replace(files[known.file[at]].circuit(int(known.point[at])), **changes)
+        chi, current = _expected(circuit, known.chi[at])
+        right.append((chi > POLARISED) == (known.chi[at] > POLARISED))
+        if min(chi, known.chi[at]) > POLARISED:
+            spreads.append(known.chi[at] - chi)
+            currents.append((current - known.current[at]) / current if current > 0.0 else 0.0)
+            errors.append(known.chi_error[at])
+    return Comparison(
+        name,
+        known.number.size,
+        float(np.mean(right)),
+        *(_root_mean_square(values) for values in (spreads, currents, errors)),
+    )
+
+
+def compare_urn(files: Sequence[Results], name: str, changes: dict[str, object]) -> Comparison:
+    """Return how far one theory is from the currents of the single urns of all files."""
+    points = gather(files)
+    known = points.where(np.isfinite(points.current))
+    relative = []
+    for at in range(known.number.size):
+        circuit = files[known.file[at]].circuit(int(known.point[at]))
+        urn = replace(circuit, channel2_width=0.0, **changes)
+        expected = float(theory.flow1(urn, urn.number))
+        free = float(theory.flow1(replace(urn, threshold=urn.number), urn.number))
+        if expected > 0.01 * free:
+            relative.append((expected - known.current[at]) / expected)
+    rest = (math.nan, math.nan, _root_mean_square(relative), math.nan)
+    return Comparison(name, len(relative), *rest)
+
+
+def compare(files: Sequence[Results]) -> list[Comparison]:
+    """Return the comparison of each theory with all files, which are of one shape."""
+    shapes = {results.shape for results in files}
+    if len(shapes) > 1:
+        raise cli.InputError("compare needs files of one shape, circuit or urn")
+    chosen = compare_circuit if shapes == {"circuit"} else compare_urn
+    return [chosen(files, name, changes) for name, changes in THEORIES]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print how far each theory is from the runs."""
+    options = cli.parser("compare", __doc__)
+    options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
+    options.add_argument("--json", action="store_true", help="print JSON")
+    given = options.parse_args(arguments)
+    with ExitStack() as stack:
+        files = [stack.enter_context(Results(path)) for path in given.files]
+        for results in files:
+            results.say_if_partial()
+        found = compare(files)
+    if given.json:
+        rows = [
+            {key: None if value != value else value for key, value in vars(one).items()}  # noqa: PLR0124 (NaN)
+            for one in found
+        ]
+        print(json.dumps(rows, indent=2))
+        return 0
+    print(
+        f"{'theory':32s} {'points':>6s} {'phase':>7s} {'chi':>9s} {'current':>9s} {'(error)':>9s}"
+    )
+    for one in found:
+        print(
+            f"{one.theory:32s} {one.points:6d} {one.right_phase:7.3f} {one.chi:9.2e} "
+            f"{one.current:9.2e} {one.measured_chi:9.1e}"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(cli.run(main))

@@ -1,0 +1,60 @@
+"""Comparison of theories with runs, and measured lifetimes."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+import pytest
+
+from postproc import cli, compare, figures, passages
+from postproc.results import Results
+from postproc.tests.fabricate import fabricate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_runs_made_by_the_papers_theory_agree_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grid = [{"threshold": threshold} for threshold in (7, 10, 14, 18)]
+    path = fabricate(tmp_path / "run.h5", grid, duration=4000.0, snapshots=0)
+    assert cli.run(compare.main, [str(path), "--json"]) == 0
+    paper, renewal, counted = json.loads(capsys.readouterr().out)
+    assert paper["right_phase"] == 1.0
+    assert paper["chi"] < 0.01
+    assert renewal["chi"] > 3 * paper["chi"]
+    assert counted["points"] == 4
+
+
+def test_single_urns_are_compared_by_their_current(tmp_path: Path) -> None:
+    urns = [{"number": 500, "threshold": t, "channel2_width": 0.0} for t in (3, 6, 9)]
+    path = fabricate(tmp_path / "urn.h5", urns, duration=2000.0, snapshots=0, shape="urn")
+    with Results(path) as results:
+        paper, renewal, _ = compare.compare([results])
+    assert paper.current < 0.05 < renewal.current
+    assert math.isnan(paper.chi)
+
+
+def test_circuits_and_urns_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one = fabricate(tmp_path / "one.h5", [{}], duration=300.0, snapshots=0)
+    urn = fabricate(tmp_path / "urn.h5", [{}], duration=300.0, snapshots=0, shape="urn")
+    assert cli.run(compare.main, [str(one), str(urn)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_lifetimes_are_measured_and_drawn(tmp_path: Path) -> None:
+    files = []
+    for name, part in (("polarised", 1.0), ("homogeneous", 0.5)):
+        grid = [{"number": n, "threshold": 18, "urn1_number": int(part * n)} for n in (500, 1000)]
+        files.append(fabricate(tmp_path / f"{name}.h5", grid, duration=1000.0, snapshots=0))
+    with Results(files[0]) as one, Results(files[1]) as other:
+        found = passages.measured([one, other])
+    assert [life.polarised for life in found] == [True, True, False, False]
+    assert all(0.0 < life.time < 500.0 for life in found[:2])
+    assert all(life.time == pytest.approx(2000.0) for life in found[2:])
+    assert all(math.isnan(life.error) for life in found[2:])
+    arguments = ["lifetimes", *map(str, files), "--output", str(tmp_path)]
+    assert cli.run(figures.main, arguments) == 0
