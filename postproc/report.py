@@ -159,6 +159,10 @@ def svg_map(points: Points, values: Floats, errors: Floats, name: str, colours: 
     return "".join(parts)
 
 
+def _captioned(picture: str, caption: str) -> str:
+    return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
+
+
 def _map_section(points: Points) -> str:
     sections = []
     for name, part in maps.by_start(points):
@@ -169,15 +173,14 @@ def _map_section(points: Points) -> str:
                     continue
                 start = name.replace("$", "").replace(r"\chi", "chi")
                 title = f"N = {number:.0f}, w = {width:g}, {start}"
-                chi = svg_map(chosen, chosen.chi, chosen.chi_error, "chi", "viridis")
+                sections.append(f'<h3>{html.escape(title)}</h3><div class="maps">')
+                if np.isfinite(chosen.chi).any():
+                    chi = svg_map(chosen, chosen.chi, chosen.chi_error, "chi", "viridis")
+                    sections.append(_captioned(chi, "mass spread chi"))
                 current = svg_map(
                     chosen, chosen.current, chosen.current_error, "net current", "magma"
                 )
-                sections.append(
-                    f'<h3>{html.escape(title)}</h3><div class="maps"><figure>{chi}<figcaption>'
-                    f"mass spread chi</figcaption></figure><figure>{current}<figcaption>"
-                    "net current, per unit time</figcaption></figure></div>"
-                )
+                sections.append(_captioned(current, "net current, per unit time") + "</div>")
     return "".join(sections)
 
 

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from postproc.gates import Gate
 
-NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "chi")
+NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
+COMPLETE = 0  # value of `task_status`
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 
 
@@ -123,12 +124,15 @@ class Results:
     @property
     def replicas(self) -> int:
         """How many replicas each point has."""
-        return self._file["chi"].shape[1]
+        return self._file["current1"].shape[1]
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
         """Which tasks have results, shape (point, replica)."""
-        return np.isfinite(self.value("chi"))
+        known = np.isfinite(self.value("current1"))
+        if self.has("task_status"):
+            known &= self.value("task_status") == COMPLETE
+        return known
 
     @property
     def remark(self) -> str:
@@ -177,14 +181,17 @@ class Results:
         them say (`NAME_error`): few replicas may agree by chance. One replica: its block error.
         Currents enter by their size, since the polarised state has either sign.
         """
-        values = self.value(name)
+        values = np.where(self.done, self.value(name), math.nan)
         if name.startswith("current"):
             values = np.abs(values)
         blocks = self.value(f"{name}_error") if self.has(f"{name}_error") else 0.0 * values
         return mean_and_error(values, blocks)
 
     def series(self, point: int, replica: int) -> Series:
-        """Return the series of a task; raise `InputError` if none was asked for."""
+        """Return the series of a task, from the first interval on.
+
+        Raises `InputError` if none was asked for.
+        """
         if "series/time" not in self._file:
             raise InputError(f"{self.path}: has no series (set series_interval in &output)")
         self._check_task(point, replica)
@@ -193,6 +200,7 @@ class Results:
         flows = {name: np.asarray(group[name][point, replica], float) for name in FLOWS}
         number = np.asarray(number, float)
         there = np.isfinite(number) & np.isfinite(flows["flow1_12"]) & (number >= 0)
+        there &= time > 0.0  # the entry at the start has no interval before it
         if not there.any():
             raise InputError(f"{self.path}: the series of point {point + 1} is empty")
         kept = {name: flow[there] for name, flow in flows.items()}

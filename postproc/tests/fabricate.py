@@ -97,7 +97,7 @@ def _run_urn(
     current = single_urn_current(number, full["threshold"], full["channel1_width"])
     flows = np.zeros((4, steps))
     flows[0] = random.poisson(current * width, steps) / width
-    return {"urn1_number": np.full(steps, number), "flows": flows, "number": number}
+    return {"urn1_number": np.full(steps, number), "flows": flows, "number": number, "urn": True}
 
 
 def _attributes(
@@ -156,26 +156,29 @@ def _averages(
         run = runs[index[0]][index[1]]
         late = slice(run["urn1_number"].size // 2, None)
         chi = np.abs(2 * run["urn1_number"][late] - run["number"]) / run["number"]
+        chi = np.full_like(chi, np.nan) if run.get("urn") is not None else chi
         flows = run["flows"][:, late]
         for name, series in zip(
             names, (chi, flows[0] - flows[1], flows[2] - flows[3], *flows), strict=True
         ):
             values[name][index] = series.mean()
             if name in errors:
-                blocks = np.array([block.mean() for block in np.array_split(series, 10)])
-                errors[name][index] = blocks.std(ddof=1) / np.sqrt(10)
+                blocks = np.array(
+                    [block.mean() for block in np.array_split(series, min(10, series.size))]
+                )
+                errors[name][index] = blocks.std() / np.sqrt(10)
     values |= {f"{name}_error": error for name, error in errors.items()}
     values["chi_collision"] = np.full(shape, np.nan)
     values["collisions"] = np.full(shape, 1e7)
     values["bounce_backs"] = np.full(shape, 1e4)
     values["time"] = np.full(shape, width * runs[0][0]["urn1_number"].size)
     values["cpu_seconds"] = np.full(shape, 0.5)
-    values["task_status"] = np.ones(shape)
+    values["task_status"] = np.zeros(shape)
     values["seed"] = np.arange(1.0, 1.0 + np.prod(shape)).reshape(shape)
     for name, value in values.items():
         flat = value.astype(float).reshape(-1)
         if incomplete:
-            flat[-incomplete:] = 0 if name == "task_status" else np.nan
+            flat[-incomplete:] = 2 if name == "task_status" else np.nan
         _dataset(file, name, flat.reshape(shape), ("point", "replica"))
 
 
@@ -184,12 +187,14 @@ def _series(
 ) -> None:
     group = file.create_group("series")
     steps = runs[0][0]["urn1_number"].size
-    group["time"] = width * np.arange(1, steps + 1)
+    group["time"] = width * np.arange(steps + 1)
     group["time"].make_scale("time")
     axes = ("point", "replica", "series/time")
-    _dataset(group, "urn1_number", np.array([[r["urn1_number"] for r in p] for p in runs]), axes)
+    first = np.array([[r["urn1_number"][[0, *range(steps)]] for r in p] for p in runs])
+    _dataset(group, "urn1_number", first, axes)
     for at, name in enumerate(("flow1_12", "flow1_21", "flow2_12", "flow2_21")):
-        _dataset(group, name, np.array([[r["flows"][at] for r in p] for p in runs]), axes)
+        flows = np.array([[np.append(0.0, r["flows"][at]) for r in p] for p in runs])
+        _dataset(group, name, flows, axes)
 
 
 def _snapshots(
