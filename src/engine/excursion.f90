@@ -15,8 +15,9 @@ module battery_excursion
   use battery_urn, only: urn_type, visits_type, new_urn, reserve_visits, leave_channels, cross_urns, &
     position_before
   use battery_channel, only: fold
-  use battery_gate, only: gate_type, empty_gate, enter_gate, cross_middle, shift_gate
-  use battery_calendar, only: calendar_type, new_calendar, schedule, open_until, next_due, turn_page
+  use battery_gate, only: gate_type, empty_gate, fill_gate, enter_gate, cross_middle, shift_gate
+  use battery_calendar, only: calendar_type, new_calendar, schedule, schedule_all, open_until, &
+    next_due, drop_done, turn_page
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type, &
     reserve_history, record_crossing, record_event, channel1_12, channel1_21, channel2_12, &
     channel2_21, event_entry, event_reversal
@@ -81,7 +82,8 @@ contains
     integer, intent(in) :: threshold
     type(particles_type), intent(inout) :: particles
     real(wp), intent(in) :: clock
-    integer :: first, i
+    integer :: first, i, urn
+    integer, allocatable :: inside(:)
     logical :: from_channels
 
     call prepare(self, table, threshold, size(particles%x))
@@ -101,6 +103,10 @@ contains
       from_channels = .true.
     end do
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
+    do urn = 1, 2
+      inside = pack([(i, i=1, self%number)], self%flight%heading == in_gate .and. self%flight%urn == urn)
+      call fill_gate(self%gate(urn), self%flight(inside)%time + self%half1/self%flight(inside)%along, inside)
+    end do
   end subroutine start
 
   !> Sizes and lengths that follow from the table and the number of particles.
@@ -150,7 +156,7 @@ contains
     if (from_channels .eqv. (region == urn_one .or. region == urn_two)) return
     if (.not. from_channels) then
       call reserve_place()
-      self%visits%hits(count) = 0
+      self%visits%hits(count) = 0.0_wp
       self%visits%x(count) = self%table%urn_centre - abs(x)
       self%visits%along(count) = merge(ux, -ux, urn == 1)
       return
@@ -179,7 +185,6 @@ contains
         call schedule(self%calendar, i, self%flight(i)%time + self%half2/outward)
       else
         self%flight(i)%heading = in_gate
-        call enter_gate(self%gate(urn), self%flight(i)%time + self%half1/outward, i)
       end if
     else
       call reserve_place()
@@ -206,34 +211,47 @@ contains
   !> Visits of the batch: from the urn's entrance to its exit, into flights and the calendar.
   subroutine finish_visits(self)
     type(excursion_type), intent(inout) :: self
-    integer :: j, i
+    integer :: n
 
     call cross_urns(self%urn, self%visits)
-    associate (visits => self%visits)
-      do j = 1, visits%count
-        i = visits%particle(j)
-        self%known_hits = self%known_hits + visits%hits(j)
-        associate (flight => self%flight(i))
-          flight%entered = visits%time(j)
-          flight%time = visits%time(j) + visits%length(j)
-          flight%y = visits%y(j)
-          flight%along = visits%along(j)
-          flight%across = visits%across(j)
-          flight%urn = visits%urn(j)
-          if (visits%opening(j) > 0.0_wp) then
-            flight%heading = to_gate
-            call schedule(self%calendar, i, flight%time)
-          else if (visits%opening(j) < 0.0_wp) then
-            flight%heading = to_return
-            call schedule(self%calendar, i, flight%time + self%half2/flight%along)
-          else
-            flight%heading = parked_in_urn
-          end if
-        end associate
-      end do
-      visits%count = 0
+    n = self%visits%count
+    associate (v => self%visits)
+      self%known_hits = self%known_hits + int(sum(v%hits(:n)), int64)
+      call land(self%number, self%flight, n, self%half2, v%particle, v%urn, v%opening, v%time, v%length, &
+        v%y, v%along, v%across)
+      call schedule_all(self%calendar, n, v%particle, v%time)
+      v%count = 0
     end associate
   end subroutine finish_visits
+
+  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
+  pure subroutine land(number, flight, n, half2, particle, urn, opening, time, length, y, along, across)
+    integer, intent(in) :: number, n
+    type(flight_type), intent(inout) :: flight(number)
+    real(wp), intent(in) :: half2
+    integer, intent(in) :: particle(n), urn(n)
+    real(wp), intent(in) :: opening(n), length(n), y(n), along(n), across(n)
+    real(wp), intent(inout) :: time(n)
+    integer :: j, i
+    real(wp) :: leaves
+
+    do j = 1, n
+      i = particle(j)
+      leaves = time(j) + length(j)
+      flight(i)%entered = time(j)
+      flight(i)%time = leaves
+      flight(i)%y = y(j)
+      flight(i)%along = along(j)
+      flight(i)%across = across(j)
+      flight(i)%urn = urn(j)
+      flight(i)%heading = to_gate
+      time(j) = leaves
+      if (.not. opening(j) > 0.0_wp) then
+        flight(i)%heading = merge(to_return, parked_in_urn, opening(j) < 0.0_wp)
+        time(j) = merge(leaves + half2/along(j), huge(1.0_wp), opening(j) < 0.0_wp)
+      end if
+    end do
+  end subroutine land
 
   subroutine advance(self, duration, history)
     class(excursion_type), intent(inout) :: self
@@ -247,10 +265,11 @@ contains
     call next_due(self%calendar, min(limit, self%gate(1)%next_crossing, self%gate(2)%next_crossing), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
     call open_until(self%calendar, ends)
-    call reserve_visits(self%visits, self%calendar%last - self%calendar%first + 1 &
-      + self%gate(1)%count + self%gate(2)%count)
-    call reserve_history(history, self%calendar%last - self%calendar%first + 1, 0)
+    call reserve_visits(self%visits, self%calendar%sorted + self%gate(1)%count + self%gate(2)%count)
+    call reserve_history(history, self%calendar%sorted, 0)
     call walk(self, began, ends, history)
+    call gather(self%number, self%flight, self%visits%count, self%visits%particle, self%visits%time, &
+      self%visits%y, self%visits%along, self%visits%across)
     call leave_channels(self%urn, self%visits)
     call finish_visits(self)
     self%now = ends
@@ -280,10 +299,16 @@ contains
     real(wp), intent(in) :: began, ends
     type(history_type), intent(inout) :: history
     real(wp) :: time
-    integer :: at, i, urn, last
+    integer :: at, i, urn, last, threshold
+    real(wp) :: half1
+    logical :: logging
 
-    at = self%calendar%first
-    last = self%calendar%last
+    ! Copies, which the compiler may keep in registers while it writes to `self`.
+    threshold = self%threshold
+    half1 = self%half1
+    logging = history%logging
+    at = 1
+    last = self%calendar%sorted
     do while (at <= last)
       time = self%calendar%due_time(at)
       if (time >= ends) exit
@@ -294,9 +319,9 @@ contains
       urn = self%flight(i)%urn
       if (self%flight(i)%heading == to_gate) then
         self%flight(i)%heading = in_gate
-        call enter_gate(self%gate(urn), time + self%half1/self%flight(i)%along, i)
-        if (history%logging) call record_event(history, time - began, event_entry, urn, i)
-        if (self%gate(urn)%count > self%threshold) then
+        call enter_gate(self%gate(urn), time + half1/self%flight(i)%along, i)
+        if (logging) call record_event(history, time - began, event_entry, urn, i)
+        if (self%gate(urn)%count > threshold) then
           if (.not. more_enter_now(self, urn, at, last)) call reverse(self, urn, time, began, history)
         end if
       else
@@ -304,7 +329,7 @@ contains
       end if
       at = at + 1
     end do
-    self%calendar%first = at
+    call drop_done(self%calendar, at - 1)
     do while (min(self%gate(1)%next_crossing, self%gate(2)%next_crossing) < ends)
       call cross_channel1(self, began, history)
     end do
@@ -391,11 +416,24 @@ contains
     self%visits%urn(count) = urn
     self%visits%opening(count) = opening
     self%visits%passage(count) = passage
-    self%visits%time(count) = self%flight(i)%time
-    self%visits%y(count) = self%flight(i)%y
-    self%visits%along(count) = self%flight(i)%along
-    self%visits%across(count) = self%flight(i)%across
   end subroutine send
+
+  !> Takes what a batch needs to know of its particles from their flights.
+  pure subroutine gather(number, flight, n, particle, time, y, along, across)
+    integer, intent(in) :: number, n
+    type(flight_type), intent(in) :: flight(number)
+    integer, intent(in) :: particle(n)
+    real(wp), intent(out) :: time(n), y(n), along(n), across(n)
+    integer :: j, i
+
+    do j = 1, n
+      i = particle(j)
+      time(j) = flight(i)%time
+      y(j) = flight(i)%y
+      along(j) = flight(i)%along
+      across(j) = flight(i)%across
+    end do
+  end subroutine gather
 
   subroutine all_particles(self, first, last, particles)
     class(excursion_type), intent(in) :: self
@@ -538,7 +576,7 @@ contains
     integer, intent(in) :: threshold, number
     type(engine_state_type), intent(in) :: state
     real(wp), allocatable :: due(:)
-    integer :: at, g, i
+    integer :: at, g, i, counted
 
     call prepare(self, table, threshold, number)
     self%pages = state%integers(1)
@@ -556,10 +594,10 @@ contains
     self%flight%urn = state%bytes - 2*self%flight%heading
     at = 0
     do g = 1, 2
-      do i = 1, int(state%integers(2 + g))
-        call enter_gate(self%gate(g), state%reals(6*number + 2 + at + i), int(state%integers(4 + at + i)))
-      end do
-      at = at + int(state%integers(2 + g))
+      counted = int(state%integers(2 + g))
+      call fill_gate(self%gate(g), state%reals(6*number + 3 + at:6*number + 2 + at + counted), &
+        int(state%integers(5 + at:4 + at + counted)))
+      at = at + counted
     end do
     do i = 1, number
       if (self%flight(i)%heading == to_gate .or. self%flight(i)%heading == to_return) &

@@ -9,12 +9,13 @@ module battery_calendar
   use battery_kinds, only: wp, int32
   implicit none (type, external)
   private
-  public :: calendar_type, new_calendar, schedule, open_until, next_due, turn_page
+  public :: calendar_type, new_calendar, entry_type, schedule, schedule_all, &
+    open_until, next_due, drop_done, turn_page
 
   type :: entry_type
     real(wp) :: due = 0.0_wp
-    !> Next particle in the same bucket, 0 at the end; -1 for a particle that is in no bucket.
-    integer(int32) :: next = -1
+    !> Next particle in the same bucket, 0 at the end.
+    integer(int32) :: next = 0
   end type entry_type
 
   type :: calendar_type
@@ -27,8 +28,8 @@ module battery_calendar
     !> How many buckets are open; all that is due before `opened_until` is sorted or done.
     integer :: opened = 0
     real(wp) :: opened_until = 0.0_wp
-    !> Sorted events: `due_time(first:last)` and whose they are.
-    integer :: first = 1, last = 0
+    !> Sorted events: `due_time(:sorted)` and whose they are; room for all particles.
+    integer :: sorted = 0
     real(wp), allocatable :: due_time(:)
     integer, allocatable :: particle(:)
   end type calendar_type
@@ -52,8 +53,7 @@ contains
     calendar%per_width = 1.0_wp/calendar%width
     allocate (calendar%head(calendar%buckets + 1), source=0_int32)
     allocate (calendar%entry(number))
-    allocate (calendar%due_time(256), source=0.0_wp)
-    allocate (calendar%particle(256), source=0)
+    allocate (calendar%due_time(number), calendar%particle(number))
   end subroutine new_calendar
 
   !> Writes down that the event of `particle` is due at `time`.
@@ -63,39 +63,109 @@ contains
     real(wp), intent(in) :: time
     integer :: bucket
 
-    calendar%entry(particle)%due = time
     if (time < calendar%opened_until) then
-      calendar%entry(particle)%next = -1
-      call sort_in(calendar, particle, time)
-      return
+      calendar%entry(particle)%due = time
+      call insert(size(calendar%entry), calendar%due_time, calendar%particle, calendar%sorted, time, &
+        particle)
+    else
+      bucket = calendar%buckets + 1
+      if (time < calendar%page) bucket = 1 + int(time*calendar%per_width)
+      call push(size(calendar%entry), calendar%buckets, calendar%head, calendar%entry, particle, time, bucket)
     end if
-    bucket = calendar%buckets + 1
-    if (time < calendar%page) bucket = 1 + int(time*calendar%per_width)
-    calendar%entry(particle)%next = calendar%head(bucket)
-    calendar%head(bucket) = int(particle, int32)
   end subroutine schedule
+
+  !> Puts a particle into a bucket.
+  pure subroutine push(number, buckets, head, entry, particle, time, bucket)
+    integer, intent(in) :: number, buckets, particle, bucket
+    integer(int32), intent(inout) :: head(buckets + 1)
+    type(entry_type), intent(inout) :: entry(number)
+    real(wp), intent(in) :: time
+
+    entry(particle)%due = time
+    entry(particle)%next = head(bucket)
+    head(bucket) = int(particle, int32)
+  end subroutine push
+
+  !> Writes down many events at once: of `particle(:count)` at `time(:count)`; those whose time is huge
+  !> never come.
+  pure subroutine schedule_all(calendar, count, particle, time)
+    type(calendar_type), intent(inout) :: calendar
+    integer, intent(in) :: count
+    integer, intent(in) :: particle(count)
+    real(wp), intent(in) :: time(count)
+    integer :: k
+
+    do k = 1, count
+      if (time(k) < calendar%opened_until .or. time(k) >= calendar%page) then
+        if (time(k) < huge(time)) call schedule(calendar, particle(k), time(k))
+      else
+        call push(size(calendar%entry), calendar%buckets, calendar%head, calendar%entry, particle(k), &
+          time(k), 1 + int(time(k)*calendar%per_width))
+      end if
+    end do
+  end subroutine schedule_all
 
   !> Opens buckets until all that is due before `time` is sorted.
   pure subroutine open_until(calendar, time)
     type(calendar_type), intent(inout) :: calendar
     real(wp), intent(in) :: time
-    integer :: bucket, particle
-    integer(int32) :: following
+    integer :: target
 
-    do while (calendar%opened_until < time .and. calendar%opened < calendar%buckets)
-      bucket = calendar%opened + 1
-      particle = calendar%head(bucket)
-      do while (particle > 0)
-        following = calendar%entry(particle)%next
-        calendar%entry(particle)%next = -1
-        call sort_in(calendar, particle, calendar%entry(particle)%due)
-        particle = following
-      end do
-      calendar%head(bucket) = 0
-      calendar%opened = bucket
-      calendar%opened_until = real(bucket, wp)*calendar%width
-    end do
+    if (calendar%opened_until >= time .or. calendar%opened == calendar%buckets) return
+    target = calendar%buckets
+    if (time < calendar%page) target = min(target, ceiling(time*calendar%per_width))
+    call open_buckets(size(calendar%entry), calendar%buckets, calendar%opened + 1, target, calendar%head, &
+      calendar%entry, calendar%sorted, calendar%due_time, calendar%particle)
+    calendar%opened = target
+    calendar%opened_until = real(target, wp)*calendar%width
   end subroutine open_until
+
+  !> Empties the buckets `first` ... `last` into the sorted events. A bucket holds about one particle
+  !> and all that was sorted before is due earlier, so insertion is the fastest sort there is.
+  pure subroutine open_buckets(number, buckets, first, last, head, entry, sorted, due_time, particle)
+    integer, intent(in) :: number, buckets, first, last
+    integer(int32), intent(inout) :: head(buckets + 1)
+    type(entry_type), intent(inout) :: entry(number)
+    integer, intent(inout) :: sorted
+    real(wp), intent(inout) :: due_time(number)
+    integer, intent(inout) :: particle(number)
+    integer :: bucket, i, at
+    real(wp) :: time
+
+    at = sorted
+    do bucket = first, last
+      i = head(bucket)
+      head(bucket) = 0
+      do while (i > 0)
+        time = entry(i)%due
+        call insert(number, due_time, particle, at, time, i)
+        i = entry(i)%next
+      end do
+    end do
+    sorted = at
+  end subroutine open_buckets
+
+  !> Puts an event in its place among `sorted` ones: by time, then by number.
+  pure subroutine insert(number, due_time, particle, sorted, time, i)
+    integer, intent(in) :: number, i
+    real(wp), intent(inout) :: due_time(number)
+    integer, intent(inout) :: particle(number)
+    integer, intent(inout) :: sorted
+    real(wp), intent(in) :: time
+    integer :: at
+
+    at = sorted
+    do while (at > 0)
+      if (due_time(at) < time) exit
+      if (.not. due_time(at) > time .and. particle(at) < i) exit
+      due_time(at + 1) = due_time(at)
+      particle(at + 1) = particle(at)
+      at = at - 1
+    end do
+    due_time(at + 1) = time
+    particle(at + 1) = i
+    sorted = sorted + 1
+  end subroutine insert
 
   !> When the next event is due; opens buckets as needed; not beyond `horizon`, nor beyond the page.
   pure subroutine next_due(calendar, horizon, time)
@@ -103,54 +173,26 @@ contains
     real(wp), intent(in) :: horizon
     real(wp), intent(out) :: time
 
-    do while (calendar%first > calendar%last .and. calendar%opened < calendar%buckets &
+    do while (calendar%sorted == 0 .and. calendar%opened < calendar%buckets &
         .and. calendar%opened_until < horizon)
       call open_until(calendar, calendar%opened_until + calendar%width)
     end do
     time = min(horizon, calendar%page)
-    if (calendar%first <= calendar%last) time = min(time, calendar%due_time(calendar%first))
+    if (calendar%sorted > 0) time = min(time, calendar%due_time(1))
   end subroutine next_due
 
-  !> Puts an event in its place among the sorted ones: by time, then by number.
-  pure subroutine sort_in(calendar, particle, time)
+  !> The first `done` of the sorted events are over.
+  pure subroutine drop_done(calendar, done)
     type(calendar_type), intent(inout) :: calendar
-    integer, intent(in) :: particle
-    real(wp), intent(in) :: time
-    integer :: at
+    integer, intent(in) :: done
+    integer :: k
 
-    if (calendar%first > calendar%last) then
-      calendar%first = 1
-      calendar%last = 0
-    end if
-    if (calendar%last == size(calendar%due_time)) call make_room(calendar)
-    at = calendar%last
-    do while (at >= calendar%first)
-      if (calendar%due_time(at) < time) exit
-      if (.not. calendar%due_time(at) > time .and. calendar%particle(at) < particle) exit
-      calendar%due_time(at + 1) = calendar%due_time(at)
-      calendar%particle(at + 1) = calendar%particle(at)
-      at = at - 1
+    do k = 1, calendar%sorted - done
+      calendar%due_time(k) = calendar%due_time(k + done)
+      calendar%particle(k) = calendar%particle(k + done)
     end do
-    calendar%due_time(at + 1) = time
-    calendar%particle(at + 1) = particle
-    calendar%last = calendar%last + 1
-  end subroutine sort_in
-
-  !> Moves the sorted events to the front, or doubles the room for them.
-  pure subroutine make_room(calendar)
-    type(calendar_type), intent(inout) :: calendar
-    integer :: sorted
-
-    sorted = calendar%last - calendar%first + 1
-    if (2*sorted > size(calendar%due_time)) then
-      calendar%due_time = [calendar%due_time, calendar%due_time]
-      calendar%particle = [calendar%particle, calendar%particle]
-    end if
-    calendar%due_time(:sorted) = calendar%due_time(calendar%first:calendar%last)
-    calendar%particle(:sorted) = calendar%particle(calendar%first:calendar%last)
-    calendar%first = 1
-    calendar%last = sorted
-  end subroutine make_room
+    calendar%sorted = calendar%sorted - done
+  end subroutine drop_done
 
   !> The page is done: sets all times back by its length and writes down what is due on the next.
   pure subroutine turn_page(calendar)
@@ -159,8 +201,7 @@ contains
     integer(int32) :: following
 
     calendar%entry%due = calendar%entry%due - calendar%page
-    calendar%due_time(calendar%first:calendar%last) = &
-      calendar%due_time(calendar%first:calendar%last) - calendar%page
+    calendar%due_time(:calendar%sorted) = calendar%due_time(:calendar%sorted) - calendar%page
     calendar%opened = 0
     calendar%opened_until = 0.0_wp
     particle = calendar%head(calendar%buckets + 1)

@@ -11,10 +11,10 @@ module battery_gate
   use battery_kinds, only: wp
   implicit none (type, external)
   private
-  public :: gate_type, empty_gate, enter_gate, cross_middle, shift_gate
+  public :: gate_type, empty_gate, fill_gate, enter_gate, cross_middle, shift_gate
 
   type :: gate_type
-    integer :: count = 0
+    integer :: count = 0, room = 0
     !> When the first of those counted reaches the middle line; huge if there is none.
     real(wp) :: next_crossing = huge(1.0_wp)
     !> Heap: time of crossing, and whose.
@@ -28,7 +28,10 @@ contains
   pure subroutine empty_gate(gate)
     type(gate_type), intent(inout) :: gate
 
-    if (.not. allocated(gate%time)) allocate (gate%time(32), gate%particle(32))
+    if (gate%room == 0) then
+      gate%room = 32
+      allocate (gate%time(gate%room), gate%particle(gate%room))
+    end if
     gate%count = 0
     gate%next_crossing = huge(1.0_wp)
   end subroutine empty_gate
@@ -39,37 +42,76 @@ contains
     real(wp), intent(in) :: time
     integer, intent(in) :: particle
     integer :: at, parent
+    real(wp) :: parent_time
 
-    if (gate%count == size(gate%time)) then
-      gate%time = [gate%time, gate%time]
-      gate%particle = [gate%particle, gate%particle]
-    end if
-    gate%count = gate%count + 1
-    at = gate%count
+    if (gate%count == gate%room) call grow(gate)
+    at = gate%count + 1
+    gate%count = at
     do while (at > 1)
       parent = at/2
-      if (.not. before(time, particle, gate%time(parent), gate%particle(parent))) exit
-      gate%time(at) = gate%time(parent)
+      parent_time = gate%time(parent)
+      if (time > parent_time) exit
+      if (.not. time < parent_time .and. particle > gate%particle(parent)) exit
+      gate%time(at) = parent_time
       gate%particle(at) = gate%particle(parent)
       at = parent
     end do
     gate%time(at) = time
     gate%particle(at) = particle
-    gate%next_crossing = gate%time(1)
+    if (at == 1) gate%next_crossing = time
   end subroutine enter_gate
+
+  !> Counts particles that are inside at the start. Not the way of an entrant: `enter_gate` is called
+  !> in one place only, where it is to be compiled in.
+  pure subroutine fill_gate(gate, time, particle)
+    type(gate_type), intent(inout) :: gate
+    real(wp), intent(in) :: time(:)
+    integer, intent(in) :: particle(:)
+    integer :: at
+
+    call empty_gate(gate)
+    do while (gate%room < size(time))
+      call grow(gate)
+    end do
+    gate%count = size(time)
+    gate%time(:gate%count) = time
+    gate%particle(:gate%count) = particle
+    do at = gate%count/2, 1, -1
+      call sift_down(gate, at, gate%time(at), gate%particle(at))
+    end do
+    if (gate%count > 0) gate%next_crossing = gate%time(1)
+  end subroutine fill_gate
+
+  pure subroutine grow(gate)
+    type(gate_type), intent(inout) :: gate
+
+    gate%time = [gate%time, gate%time]
+    gate%particle = [gate%particle, gate%particle]
+    gate%room = size(gate%time)
+  end subroutine grow
 
   !> The next of those counted crosses the middle line and leaves the count.
   pure subroutine cross_middle(gate, particle)
     type(gate_type), intent(inout) :: gate
     integer, intent(out) :: particle
-    real(wp) :: time
-    integer :: at, child, last
+    integer :: last
 
     particle = gate%particle(1)
-    time = gate%time(gate%count)
-    last = gate%particle(gate%count)
-    gate%count = gate%count - 1
-    at = 1
+    last = gate%count
+    gate%count = last - 1
+    call sift_down(gate, 1, gate%time(last), gate%particle(last))
+    gate%next_crossing = merge(gate%time(1), huge(1.0_wp), gate%count > 0)
+  end subroutine cross_middle
+
+  !> Puts a crossing into the heap at `place` or below.
+  pure subroutine sift_down(gate, place, time, particle)
+    type(gate_type), intent(inout) :: gate
+    integer, intent(in) :: place
+    integer, value, intent(in) :: particle
+    real(wp), value, intent(in) :: time
+    integer :: at, child
+
+    at = place
     do
       child = 2*at
       if (child > gate%count) exit
@@ -77,15 +119,14 @@ contains
         if (before(gate%time(child + 1), gate%particle(child + 1), gate%time(child), &
           gate%particle(child))) child = child + 1
       end if
-      if (.not. before(gate%time(child), gate%particle(child), time, last)) exit
+      if (.not. before(gate%time(child), gate%particle(child), time, particle)) exit
       gate%time(at) = gate%time(child)
       gate%particle(at) = gate%particle(child)
       at = child
     end do
     gate%time(at) = time
-    gate%particle(at) = last
-    gate%next_crossing = merge(gate%time(1), huge(1.0_wp), gate%count > 0)
-  end subroutine cross_middle
+    gate%particle(at) = particle
+  end subroutine sift_down
 
   !> Earlier, or at the same time and with the lower number (a fixed order for the log).
   pure function before(time, particle, other_time, other_particle)

@@ -35,19 +35,22 @@ contains
     angle = real(turn, wp)/real(full_turn, wp)*(2.0_wp*pi)
   end function from_turn
 
-  !> Smallest `steps` >= 0 for which (start + steps*step) mod full_turn lies in [0, width], and where
+  !> Smallest `steps` >= 0 for which (start + steps*step) mod circle lies in [0, width], and where
   !> it lies then (`landing`). `found` is false if the orbit is periodic and never gets there.
-  !> Expects 0 <= start, step < full_turn and 0 <= width < full_turn.
-  pure subroutine first_entry(start, step, width, steps, landing, found)
+  !> `circle` is `full_turn` if absent, and half of it where opposite points are the same. Expects
+  !> 0 <= start, step < circle and 0 <= width < circle.
+  pure subroutine first_entry(start, step, width, steps, landing, found, circle)
     integer(angle_kind), intent(in) :: start, step, width
     integer(angle_kind), intent(out) :: steps, landing
     logical, intent(out) :: found
+    integer(angle_kind), intent(in), optional :: circle
     integer(angle_kind) :: x, up, down, up_cost, down_cost, moves
 
     x = start
     steps = 0
     up = step
     down = full_turn - step
+    if (present(circle)) down = circle - step
     up_cost = 1
     down_cost = 1
     found = .true.

@@ -22,9 +22,11 @@ module battery_urn
   public :: urn_type, visits_type, new_urn, reserve_visits, leave_channels, cross_urns, position_before
 
   !> Particles that the kernel steps together, and impacts it steps them without closing ranks.
-  integer, parameter :: lanes = 8, march_steps = 8
+  integer, parameter :: lanes = 4, march_steps = 8
   !> After so many marches a particle is searched for instead.
   integer, parameter :: march_rounds = 12
+  !> In the first rounds so many still bounce that ranks are closed after every second march only.
+  integer, parameter :: early_rounds = 2
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
   real(wp), parameter :: march_worthwhile = 0.01_wp
 
@@ -58,8 +60,8 @@ module battery_urn
     !> Out of `cross_urns`: length of the way through the urn; for one that never leaves, until the
     !> impact at angle y, before which it had `impacts` of them.
     real(wp), allocatable :: length(:)
-    !> Wall hits in the channel and in the urn.
-    integer(int64), allocatable :: hits(:)
+    !> Wall hits in the channel and in the urn, whole numbers.
+    real(wp), allocatable :: hits(:)
     !> Work space of the kernel: impact, rotation, steps, and whose they are.
     real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)
     integer, allocatable :: slot(:)
@@ -118,9 +120,9 @@ contains
     call renew(visits%hit_y)
     call renew(visits%impacts)
     call renew(visits%first)
-    if (allocated(visits%particle)) deallocate (visits%particle, visits%urn, visits%hits, visits%slot)
+    call renew(visits%hits)
+    if (allocated(visits%particle)) deallocate (visits%particle, visits%urn, visits%slot)
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), source=0)
-    allocate (visits%hits(n), source=0_int64)
 
   contains
 
@@ -146,8 +148,7 @@ contains
     pure subroutine leave(n, time, passage, opening, x, y, along, across, hits)
       integer, intent(in) :: n
       real(wp), intent(in) :: passage(n), opening(n)
-      real(wp), intent(inout) :: time(n), x(n), y(n), along(n), across(n)
-      integer(int64), intent(inout) :: hits(n)
+      real(wp), intent(inout) :: time(n), x(n), y(n), along(n), across(n), hits(n)
       real(wp) :: width, unfolded, turned, passed
       real(wp) :: width1, width2, chord1, chord2
       integer :: j
@@ -164,7 +165,7 @@ contains
         time(j) = time(j) + passage(j)
         x(j) = merge(chord1, -chord2, opening(j) > 0.0_wp)
         along(j) = -opening(j)*along(j)
-        hits(j) = int(passed, int64)
+        hits(j) = passed
       end do
     end subroutine leave
 
@@ -193,6 +194,8 @@ contains
         end do
         call march(urn%half1, urn%half2, lanes*((active + lanes - 1)/lanes), visits%px, visits%py, &
           visits%zx, visits%zy, visits%steps)
+        if (round <= early_rounds) call march(urn%half1, urn%half2, lanes*((active + lanes - 1)/lanes), &
+          visits%px, visits%py, visits%zx, visits%zy, visits%steps)
         call close_ranks(urn%half1, urn%half2, active, visits%slot, visits%px, visits%py, visits%zx, &
           visits%zy, visits%steps, visits%hit_x, visits%hit_y, visits%impacts)
         if (active == 0) exit
@@ -204,13 +207,36 @@ contains
     end do
     call find_exits(n, urn, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%opening, visits%x, visits%y, visits%along, visits%across, visits%length)
-    do j = 1, visits%count
-      if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(urn, visits, j)
-    end do
-    do j = 1, visits%count
-      visits%hits(j) = visits%hits(j) + int(visits%impacts(j), int64)
-    end do
+    if (.not. all_left(visits%count, visits%along, visits%impacts)) then
+      do j = 1, visits%count
+        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(urn, visits, j)
+      end do
+    end if
+    call add(n, visits%hits, visits%impacts)
   end subroutine cross_urns
+
+  !> Whether all visits ended in an opening with a velocity that leads out.
+  pure function all_left(n, along, impacts)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: along(n), impacts(n)
+    logical :: all_left
+    real(wp) :: least
+    integer :: j
+
+    least = 1.0_wp
+    do j = 1, n
+      least = min(least, merge(along(j), -1.0_wp, impacts(j) >= 0.0_wp))
+    end do
+    all_left = least > 0.0_wp
+  end function all_left
+
+  pure subroutine add(n, hits, impacts)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: hits(n)
+    real(wp), intent(in) :: impacts(n)
+
+    hits = hits + impacts
+  end subroutine add
 
   !> Incidence, first impact, rotation from impact to impact, and the length until the first.
   pure subroutine enter(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, first)
@@ -299,53 +325,88 @@ contains
     active = kept
   end subroutine close_ranks
 
-  !> First impact in an opening, from the impact (px, py) on, by search in the integer circle.
+  !> First impact in an opening, from the impact (px, py) on, by search in the integer circle. The
+  !> openings lie opposite to each other, so half a turn is searched for the wider of them; an impact
+  !> that misses the narrower one is passed by.
   pure subroutine search(urn, visits, mine, px, py, zx, zy, steps)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: mine
     real(wp), intent(in) :: px, py, zx, zy, steps
-    integer(angle_kind) :: start, step, steps1, steps2, landing1, landing2, angle
-    logical :: found1, found2
+    integer(angle_kind), parameter :: half_turn = full_turn/2
+    !> An orbit that misses the narrower opening so often is searched for each opening alone.
+    integer, parameter :: most_misses = 100
+    integer(angle_kind) :: start, step, moves, total, landing, widest, place
+    integer :: misses
+    logical :: found, first_side
 
     start = to_turn(atan2(py, px))
     step = to_turn(atan2(zy, zx))
-    call enter_arc(urn%angle1, 0_angle_kind, steps1, landing1, found1)
-    found2 = .false.
-    steps2 = 0
-    landing2 = 0
-    if (urn%angle2 > 0) call enter_arc(urn%angle2, full_turn/2, steps2, landing2, found2)
-    if (.not. (found1 .or. found2)) then
+    widest = max(urn%angle1, urn%angle2)
+    place = start
+    total = 0
+    do misses = 1, most_misses
+      call first_entry(modulo(place + widest - 1, half_turn), modulo(step, half_turn), 2*widest - 2, &
+        moves, landing, found, half_turn)
+      if (.not. found) exit
+      ! The product may wrap around the integers, a multiple of the full turn.
+      place = modulo(place + moves*step, full_turn)
+      total = total + moves
+      landing = landing - widest + 1
+      first_side = modulo(place + half_turn/2, full_turn) < half_turn
+      found = abs(landing) < merge(urn%angle1, urn%angle2, first_side)
+      if (found) exit
+      place = modulo(place + step, full_turn)
+      total = total + 1
+    end do
+    if (.not. found .and. misses > most_misses) &
+      call search_each(urn, start, step, total, landing, first_side, found)
+    if (found) then
+      visits%hit_x(mine) = merge(1.0_wp, -1.0_wp, first_side)*cos(from_turn(landing))
+      visits%hit_y(mine) = merge(1.0_wp, -1.0_wp, first_side)*sin(from_turn(landing))
+      visits%impacts(mine) = steps + real(total, wp)
+    else
       visits%hit_x(mine) = px
       visits%hit_y(mine) = py
       visits%impacts(mine) = -1.0_wp - steps
-      return
     end if
-    if (found1 .and. (.not. found2 .or. steps1 <= steps2)) then
-      angle = landing1
-      visits%hit_x(mine) = cos(from_turn(angle))
-      visits%hit_y(mine) = sin(from_turn(angle))
-      visits%impacts(mine) = steps + real(steps1, wp)
-    else
-      angle = landing2
-      visits%hit_x(mine) = -cos(from_turn(angle))
-      visits%hit_y(mine) = -sin(from_turn(angle))
-      visits%impacts(mine) = steps + real(steps2, wp)
-    end if
+  end subroutine search
+
+  !> The same, one opening after the other; `landing` is counted from the middle of the opening.
+  pure subroutine search_each(urn, start, step, total, landing, first_side, found)
+    type(urn_type), intent(in) :: urn
+    integer(angle_kind), intent(in) :: start, step
+    integer(angle_kind), intent(out) :: total, landing
+    logical, intent(out) :: first_side, found
+    integer(angle_kind) :: other_total, other_landing
+    logical :: other_found
+
+    call enter_arc(urn%angle1, 0_angle_kind, total, landing, found)
+    call enter_arc(urn%angle2, full_turn/2, other_total, other_landing, other_found)
+    first_side = found .and. (.not. other_found .or. total <= other_total)
+    found = found .or. other_found
+    if (first_side) return
+    total = other_total
+    landing = other_landing
 
   contains
 
-    !> The open arc `middle` +- `half`; `landing` is counted from its middle.
+    !> The open arc `middle` +- `half`.
     pure subroutine enter_arc(half, middle, steps, landing, found)
       integer(angle_kind), intent(in) :: half, middle
       integer(angle_kind), intent(out) :: steps, landing
       logical, intent(out) :: found
 
-      call first_entry(modulo(start - middle + half - 1, full_turn), step, 2*half - 2, steps, landing, found)
+      found = .false.
+      steps = 0
+      landing = 0
+      if (half == 0) return
+      call first_entry(modulo(start - middle + half - 1, full_turn), step, 2*half - 2, steps, &
+        landing, found)
       landing = landing - half + 1
     end subroutine enter_arc
 
-  end subroutine search
+  end subroutine search_each
 
   !> From the impact in an opening back to the chord.
   pure subroutine find_exits(n, urn, c, s, hit_x, hit_y, impacts, first, opening, x, y, along, across, &
