@@ -72,6 +72,7 @@ def figure_model(files: Sequence[Results]) -> Figure:
         scale=6.0 / table.urn_radius,
         width=0.002,
         zorder=3,
+        clip_on=False,
     )
     _name_lengths(axes, table)
     return made

@@ -172,7 +172,9 @@ def _map_section(points: Points) -> str:
                 if chosen.number.size == 0:
                     continue
                 start = name.replace("$", "").replace(r"\chi", "chi")
-                title = f"N = {number:.0f}, w = {width:g}, {start}"
+                title = f"N = {number:.0f}, w = {width:g}"
+                if np.isfinite(chosen.chi).any():
+                    title += f", {start}"
                 sections.append(f'<h3>{html.escape(title)}</h3><div class="maps">')
                 if np.isfinite(chosen.chi).any():
                     chi = svg_map(chosen, chosen.chi, chosen.chi_error, "chi", "viridis")
