@@ -4,6 +4,7 @@ module battery_engines
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_engine, only: engine_type
   use battery_excursion, only: excursion_type
+  use battery_collision, only: collision_type
   implicit none (type, external)
   private
   public :: new_engine
@@ -21,6 +22,8 @@ contains
     select case (name)
     case ('excursion')
       allocate (excursion_type :: engine)
+    case ('collision')
+      allocate (collision_type :: engine)
     case default
       call fatal_error(error, 'engine '''//name//''' is not there yet', exit_bad_input)
     end select

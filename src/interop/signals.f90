@@ -9,7 +9,7 @@ module battery_signals
   implicit none (type, external)
   private
   public :: watch_signals, stop_signal, stop_requested, clear_stop_request
-  public :: wall_seconds, cpu_seconds, is_terminal, process_number
+  public :: wall_seconds, cpu_seconds, rest, is_terminal, process_number
 
   !> Numbers of the signals on Linux.
   integer(c_int), parameter :: signal_interrupt = 2, signal_user1 = 10, signal_terminate = 15
@@ -42,6 +42,13 @@ module battery_signals
       integer(c_int), value, intent(in) :: descriptor
       integer(c_int) :: yes
     end function c_isatty
+
+    function c_usleep(microseconds) result(status) bind(c, name='usleep')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: microseconds
+      integer(c_int) :: status
+    end function c_usleep
 
     function c_getpid() result(number) bind(c, name='getpid')
       import :: c_int
@@ -116,6 +123,14 @@ contains
 
     call cpu_time(seconds)
   end function cpu_seconds
+
+  !> Leaves the processor to others for a while, up to a second; a signal may end it early.
+  subroutine rest(seconds)
+    real(dp), intent(in) :: seconds
+    integer(c_int) :: status
+
+    status = c_usleep(int(1.0e6_dp*min(seconds, 0.99_dp), c_int))
+  end subroutine rest
 
   !> Whether standard output is a terminal.
   function is_terminal() result(terminal)
