@@ -341,7 +341,13 @@ contains
     logical :: found, first_side
 
     start = to_turn(atan2(py, px))
-    step = to_turn(atan2(zy, zx))
+    ! Near a diameter the step is near half a turn; the rest is what counts, to all its digits.
+    if (zx < 0.0_wp) then
+      step = modulo(half_turn + to_turn(atan2(-zy, -zx)), full_turn)
+    else
+      step = to_turn(atan2(zy, zx))
+    end if
+    first_side = .false.
     widest = max(urn%angle1, urn%angle2)
     place = start
     total = 0

@@ -4,12 +4,12 @@ module scenes
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type, new_table, shape_circuit, shape_urn, region_at, outside, &
     urn_one, urn_two, gate_one, gate_two
-  use battery_engine, only: engine_type, history_type, particles_type, event_entry, event_reversal, &
-    event_crossing1, event_crossing2
+  use battery_engine, only: engine_type, history_type, particles_type, event_entry, &
+    event_reversal, event_crossing1, event_crossing2
   implicit none (type, external)
   private
-  public :: qp, table_3_4_5, uneven_table, paper_table, draw, scatter, pick, mirrored_x, mirrored_y, &
-    reversed, of_particles, one_particle, count_in_first, same_bits
+  public :: qp, table_3_4_5, uneven_table, paper_table, draw, scatter, pick, mirrored_x, &
+    mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
   public :: log_type, run_for, same_log, tally
   public :: plain_type, plain_start, plain_run
   public :: bounce_through
@@ -214,7 +214,9 @@ contains
     type(history_type) :: history
     real(wp) :: rest, began
 
-    if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
+    if (.not. allocated(log%time)) then
+      allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
+    end if
     history%logging = .true.
     began = log%elapsed
     rest = duration
@@ -268,7 +270,9 @@ contains
     integer, intent(in) :: events
     integer :: more
 
-    if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
+    if (.not. allocated(log%time)) then
+      allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
+    end if
     more = max(events, 2*size(log%time), 64) - size(log%time)
     if (events <= size(log%time)) return
     log%time = [log%time, spread(0.0_wp, 1, more)]
@@ -496,7 +500,8 @@ contains
       plain%uy(i) = -plain%uy(i)
       return
     end if
-    nx = plain%x(i) - merge(-1.0_qp, 1.0_qp, plain%room(i) == in_urn1)*real(plain%table%urn_centre, qp)
+    nx = real(plain%table%urn_centre, qp)
+    nx = plain%x(i) - merge(-nx, nx, plain%room(i) == in_urn1)
     ny = plain%y(i)
     along = 2.0_qp*(nx*plain%ux(i) + ny*plain%uy(i))/(nx**2 + ny**2)
     plain%ux(i) = plain%ux(i) - along*nx
