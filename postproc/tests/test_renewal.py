@@ -14,7 +14,7 @@ from postproc.renewal_fit import share_of_one
 from postproc.states import stable_spread, stationary_states
 from postproc.theory import Circuit
 
-ACCURACY = 2.5e-4
+ACCURACY = 1.2e-4
 
 
 def simulated_share(load: float, threshold: int, gates: int, entries: int) -> tuple[float, float]:
