@@ -1,0 +1,326 @@
+!> Gives every key of the namelist its value: checks groups, keys, types and bounds, and takes the
+!> default for what is not there. All problems are collected, each with its line.
+module battery_namelist_settings
+  use battery_kinds, only: wp, int64
+  use battery_text, only: string_type, to_text, join, is_one_of, closest_word
+  use battery_namelist_text, only: value_type, entry_type, group_type, remark_type, split_namelist
+  use battery_namelist_values, only: read_integer, read_real, read_logical
+  use battery_namelist_keys, only: key_type, namelist_keys, group_names, keys_of_group, find_key, &
+    allowed_text, integer_key, real_key, text_key, logical_key, integer_list_key, real_list_key, &
+    range_key
+  implicit none (type, external)
+  private
+  public :: setting_type, settings_type, read_settings, find_setting
+
+  !> Longest text of a key: the longest path that the system takes.
+  integer, parameter :: longest_text = 4000
+
+  !> Most points of a range.
+  integer, parameter :: longest_range = 100000
+
+  !> The value of one key; which component counts depends on its type.
+  type :: setting_type
+    type(key_type) :: key
+    logical :: given = .false.
+    !> Whether there is a value at all, given or by default.
+    logical :: known = .false.
+    integer :: line = 0
+    integer(int64), allocatable :: integers(:)
+    real(wp), allocatable :: reals(:)
+    character(len=:), allocatable :: text
+    logical :: flag = .false.
+    !> Its values in one way of writing, to be compared.
+    character(len=:), allocatable :: canonical
+  end type setting_type
+
+  !> All keys with their values, and what is wrong.
+  type :: settings_type
+    type(setting_type), allocatable :: all(:)
+    type(remark_type), allocatable :: problems(:)
+  end type settings_type
+
+contains
+
+  !> Reads the text of a namelist file.
+  subroutine read_settings(text, settings)
+    character(len=*), intent(in) :: text
+    type(settings_type), intent(out) :: settings
+    type(group_type), allocatable :: groups(:)
+    type(entry_type), allocatable :: entries(:)
+    type(key_type), allocatable :: keys(:)
+    integer :: at, place
+
+    keys = namelist_keys()
+    call split_namelist(text, groups, entries, settings%problems)
+    call check_groups(keys, groups, settings%problems)
+    allocate (settings%all(size(keys)))
+    do at = 1, size(keys)
+      call take_default(keys(at), settings%all(at))
+    end do
+    do at = 1, size(entries)
+      place = find_key(keys, entries(at)%group, entries(at)%key)
+      if (place == 0) then
+        call refuse_key(keys, entries(at), settings%problems)
+      else if (settings%all(place)%given) then
+        call add(settings%problems, entries(at)%line, name_of(entries(at)) &
+          //' = '//written_text(entries(at)%values)//': is given again; allowed: once (line ' &
+          //to_text(settings%all(place)%line)//')')
+      else
+        call take_entry(entries(at), settings%all(place), settings%problems)
+      end if
+    end do
+  end subroutine read_settings
+
+  !> Unknown and repeated groups.
+  subroutine check_groups(keys, groups, problems)
+    type(key_type), intent(in) :: keys(:)
+    type(group_type), intent(in) :: groups(:)
+    type(remark_type), allocatable, intent(inout) :: problems(:)
+    type(string_type), allocatable :: names(:)
+    integer :: at, before
+
+    names = group_names(keys)
+    do at = 1, size(groups)
+      if (.not. is_one_of(groups(at)%name, names)) then
+        call add(problems, groups(at)%line, '&'//groups(at)%name//': there is no such group' &
+          //suggestion('&', groups(at)%name, names)//'; allowed: &'//join(names, ', &'))
+        cycle
+      end if
+      do before = 1, at - 1
+        if (groups(before)%name /= groups(at)%name) cycle
+        call add(problems, groups(at)%line, '&'//groups(at)%name &
+          //': is given again; allowed: once (line '//to_text(groups(before)%line)//')')
+        exit
+      end do
+    end do
+  end subroutine check_groups
+
+  !> A key that its group does not have; says nothing more where the group itself is unknown.
+  subroutine refuse_key(keys, entry, problems)
+    type(key_type), intent(in) :: keys(:)
+    type(entry_type), intent(in) :: entry
+    type(remark_type), allocatable, intent(inout) :: problems(:)
+    type(string_type), allocatable :: names(:)
+    character(len=:), allocatable :: elsewhere
+    integer :: at
+
+    if (.not. is_one_of(entry%group, group_names(keys))) return
+    names = keys_of_group(keys, entry%group)
+    elsewhere = suggestion('', entry%key, names)
+    if (elsewhere == '') then
+      do at = 1, size(keys)
+        if (keys(at)%name == entry%key) elsewhere = ' (it belongs to &'//keys(at)%group//')'
+      end do
+    end if
+    call add(problems, entry%line, name_of(entry)//' = ' &
+      //written_text(entry%values)//': there is no such key'//elsewhere &
+      //'; allowed: '//join(names, ', '))
+  end subroutine refuse_key
+
+  function suggestion(sign, word, names) result(text)
+    character(len=*), intent(in) :: sign, word
+    type(string_type), intent(in) :: names(:)
+    character(len=:), allocatable :: text
+
+    text = closest_word(word, names)
+    if (text /= '') text = ' (did you mean '//sign//text//'?)'
+  end function suggestion
+
+  pure function name_of(entry) result(name)
+    type(entry_type), intent(in) :: entry
+    character(len=:), allocatable :: name
+
+    name = '&'//entry%group//' '//entry%key
+  end function name_of
+
+  !> The default of a key; it goes through the same reading as an input.
+  subroutine take_default(key, setting)
+    type(key_type), intent(in) :: key
+    type(setting_type), intent(out) :: setting
+    type(entry_type) :: entry
+    type(remark_type), allocatable :: problems(:)
+
+    setting%key = key
+    allocate (setting%integers(0), setting%reals(0), problems(0))
+    setting%text = ''
+    setting%canonical = ''
+    if (key%default == 'none') return
+    entry%group = key%group
+    entry%key = key%name
+    allocate (entry%values(1))
+    entry%values(1)%quoted = key%kind == text_key
+    entry%values(1)%text = key%default
+    if (key%kind == text_key) entry%values(1)%text = key%default(2:len(key%default) - 1)
+    call take_entry(entry, setting, problems)
+    setting%given = .false.
+  end subroutine take_default
+
+  !> The values of a key as they were given.
+  subroutine take_entry(entry, setting, problems)
+    type(entry_type), intent(in) :: entry
+    type(setting_type), intent(inout) :: setting
+    type(remark_type), allocatable, intent(inout) :: problems(:)
+    character(len=:), allocatable :: wrong, written
+    integer :: at
+
+    setting%given = .true.
+    setting%line = entry%line
+    wrong = wrong_count(setting%key%kind, size(entry%values))
+    if (wrong == '') then
+      setting%canonical = ''
+      setting%integers = [integer(int64) ::]
+      setting%reals = [real(wp) ::]
+      do at = 1, size(entry%values)
+        call take_value(entry%values(at), setting, wrong)
+        if (wrong /= '') exit
+      end do
+    end if
+    if (wrong == '' .and. setting%key%kind == range_key) wrong = wrong_range(setting%reals)
+    setting%known = wrong == ''
+    if (wrong == '') return
+    written = written_text(entry%values)
+    call add(problems, entry%line, name_of(entry)//' = '//written//': '//wrong//'; allowed: ' &
+      //allowed_text(setting%key))
+  end subroutine take_entry
+
+  !> What is wrong with the number of values; empty: nothing.
+  pure function wrong_count(kind, count) result(wrong)
+    integer, intent(in) :: kind, count
+    character(len=:), allocatable :: wrong
+
+    wrong = ''
+    if (count == 0) then
+      wrong = 'has no value'
+    else if (kind == range_key .and. count /= 3) then
+      wrong = 'has '//to_text(count)//' values, not 3'
+    else if (kind /= range_key .and. kind /= integer_list_key .and. kind /= real_list_key &
+      .and. count > 1) then
+      wrong = 'has '//to_text(count)//' values, not 1'
+    end if
+  end function wrong_count
+
+  !> Adds one value to a setting; `wrong` says what is wrong with it.
+  subroutine take_value(value, setting, wrong)
+    type(value_type), intent(in) :: value
+    type(setting_type), intent(inout) :: setting
+    character(len=:), allocatable, intent(out) :: wrong
+    integer(int64) :: whole
+    real(wp) :: number
+
+    wrong = ''
+    select case (setting%key%kind)
+    case (integer_key, integer_list_key)
+      call read_integer(value, whole, wrong)
+      if (wrong /= '') return
+      setting%integers = [setting%integers, whole]
+      setting%canonical = setting%canonical//' '//to_text(whole)
+      wrong = out_of_bounds(setting%key, real(whole, wp))
+      if (wrong == '' .and. whole > huge(1) .and. .not. takes_long(setting%key)) &
+        wrong = 'is beyond '//to_text(huge(1))
+    case (real_key, real_list_key, range_key)
+      call read_real(value, number, wrong)
+      if (wrong /= '') return
+      setting%reals = [setting%reals, number]
+      setting%canonical = setting%canonical//' '//to_text(number)
+      wrong = out_of_bounds(setting%key, number)
+    case (logical_key)
+      call read_logical(value, setting%flag, wrong)
+      setting%canonical = to_text(setting%flag)
+    case default
+      setting%text = value%text
+      setting%canonical = ''''//value%text//''''
+      wrong = wrong_text(setting%key, value)
+    end select
+  end subroutine take_value
+
+  !> Keys whose whole numbers may have 18 digits.
+  pure function takes_long(key) result(yes)
+    type(key_type), intent(in) :: key
+    logical :: yes
+
+    yes = index(key%name, 'collisions') > 0 .or. key%name == 'seed'
+  end function takes_long
+
+  pure function out_of_bounds(key, number) result(wrong)
+    type(key_type), intent(in) :: key
+    real(wp), intent(in) :: number
+    character(len=:), allocatable :: wrong
+
+    wrong = ''
+    if (number < key%least) wrong = 'is too small'
+    if (key%above .and. number <= key%least) wrong = 'is too small'
+  end function out_of_bounds
+
+  pure function wrong_text(key, value) result(wrong)
+    type(key_type), intent(in) :: key
+    type(value_type), intent(in) :: value
+    character(len=:), allocatable :: wrong
+
+    wrong = ''
+    if (.not. value%quoted) then
+      wrong = 'is not a text in quotes'
+    else if (len(value%text) > longest_text) then
+      wrong = 'has '//to_text(len(value%text))//' letters, more than '//to_text(longest_text)
+    else if (key%choices /= '') then
+      if (value%text == '' .or. index(value%text, ' ') > 0 .or. &
+        index(' '//key%choices//' ', ' '//value%text//' ') == 0) wrong = 'is not known'
+    end if
+  end function wrong_text
+
+  !> A range has a whole number of values.
+  pure function wrong_range(range) result(wrong)
+    real(wp), intent(in) :: range(3)
+    character(len=:), allocatable :: wrong
+
+    wrong = ''
+    if (range(3) < 1.0_wp .or. range(3) > longest_range .or. &
+      abs(range(3) - anint(range(3))) > 0.0_wp) &
+      wrong = 'how many is not a whole number from 1 to '//to_text(longest_range)
+  end function wrong_range
+
+  !> Values as they were written, shortened if there are many.
+  pure function written_text(values) result(text)
+    type(value_type), intent(in) :: values(:)
+    character(len=:), allocatable :: text
+    integer, parameter :: shown = 80
+    integer :: at
+
+    text = ''
+    do at = 1, size(values)
+      if (at > 1) text = text//', '
+      if (values(at)%quoted) then
+        text = text//''''//values(at)%text//''''
+      else
+        text = text//values(at)%text
+      end if
+      if (len(text) > shown) then
+        text = text(:shown)//' ...'
+        return
+      end if
+    end do
+  end function written_text
+
+  !> Place of a key in the settings, which must have it.
+  pure function find_setting(settings, group, name) result(place)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    integer :: place
+
+    do place = 1, size(settings%all)
+      if (settings%all(place)%key%group == group .and. settings%all(place)%key%name == name) return
+    end do
+    error stop 'a key is asked for that is not declared'
+  end function find_setting
+
+  subroutine add(problems, line, text)
+    type(remark_type), allocatable, intent(inout) :: problems(:)
+    integer, intent(in) :: line
+    character(len=*), intent(in) :: text
+    type(remark_type) :: one
+
+    one%line = line
+    one%text = text
+    problems = [problems, one]
+  end subroutine add
+
+end module battery_namelist_settings
