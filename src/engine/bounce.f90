@@ -1,10 +1,10 @@
 !> One particle from event to event: what it meets next and when, and what that does to it.
 !>
 !> Direct geometry in the coordinates of the table: a line and a circle in an urn, a line and two
-!> straight walls in a channel. Chords, the middle line and the periodic line are met like walls, but
-!> do not reflect. What a particle can meet follows from the region it is in and from the direction
-!> in which it moves, never from its distance to a wall: so nothing has to be nudged. It is put
-!> exactly on what it meets; its speed is set back to 1 by a Newton step at each hit of an arc.
+!> straight walls in a channel. Chords, the middle line and the periodic line are met like walls,
+!> but do not reflect. What a particle can meet follows from the region it is in and from the
+!> direction in which it moves, never from its distance to a wall: so nothing has to be nudged. It
+!> is put exactly on what it meets; its speed is set back to 1 by a Newton step at each arc.
 !>
 !> In an urn, (qx, qy) is the position seen from the centre of the urn, with x turned over in urn 1,
 !> so that channel 1 lies at -x and channel 2 at +x for both.
@@ -14,15 +14,15 @@ module battery_bounce
     return_one, return_two
   implicit none (type, external)
   private
-  public :: walls_type, flight_type, new_walls, take_off, fly, hit_arc, hit_channel, enter_channel
-  public :: leave_channel, cross_middle_line, cross_periodic_line, reverse, heads_for_middle
-  public :: on_side_one, is_trapped
-  public :: meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, meets_period, &
-    meets_nothing
+  public :: walls_type, flight_type, new_walls, take_off, fly, hit_arc, hit_channel
+  public :: enter_channel, leave_channel, cross_middle_line, cross_periodic_line, reverse
+  public :: heads_for_middle, on_side_one, is_trapped
+  public :: meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle
+  public :: meets_period, meets_nothing
 
-  !> What a particle meets next: the arc of its urn, the wall of its channel, the chord where channel
-  !> 1 or channel 2 begins, the chord where an urn begins, the middle of channel 1 (the end wall of
-  !> `shape_urn`), the periodic line, nothing at all.
+  !> What a particle meets next: the arc of its urn, the wall of its channel, the chord where
+  !> channel 1 or channel 2 begins, the chord where an urn begins, the middle of channel 1 (the end
+  !> wall of `shape_urn`), the periodic line, nothing at all.
   integer(int8), parameter :: meets_arc = 1_int8, meets_wall = 2_int8, meets_gate = 3_int8, &
     meets_return = 4_int8, meets_urn = 5_int8, meets_middle = 6_int8, meets_period = 7_int8, &
     meets_nothing = 8_int8
@@ -257,7 +257,7 @@ contains
     type(walls_type), intent(in) :: walls
     type(flight_type), intent(inout) :: flight
     real(wp), intent(out) :: wait
-    real(wp) :: side, half, qx
+    real(wp) :: side, half, qx, room
 
     half = half_width(walls, flight)
     side = side_of(flight)
@@ -271,8 +271,9 @@ contains
       flight%region = flight%region - int(return_one - urn_one, int8)
     end if
     flight%y = within(flight%y, half)
-    call aim_in_urn(walls, flight, qx, side*flight%ux, (half - abs(flight%y))*(half + abs(flight%y)), &
-      wait)
+    ! On a chord, r**2 - q**2 is a product that stays exact however narrow the channel is.
+    room = (half - abs(flight%y))*(half + abs(flight%y))
+    call aim_in_urn(walls, flight, qx, side*flight%ux, room, wait)
   end subroutine leave_channel
 
   !> Over the middle of channel 1, or back from the end wall.

@@ -102,7 +102,7 @@ contains
     ends = min(began + min(duration, self%window), self%scene%walls%page)
     call reserve_history(history, 64, 64)
     do
-      call bounce_until(self%scene%walls, self%flight, self%tournament, ends, hits)
+      call bounce_until(self%scene%walls, self%number, self%flight, self%tournament, ends, hits)
       self%scene%hits = self%scene%hits + hits
       history%collisions_seen = history%collisions_seen + hits
       history%collision_spread_sum = history%collision_spread_sum + hits*abs(self%scene%difference)
@@ -117,9 +117,10 @@ contains
 
   !> The hot loop: wall collisions, until something else is due or the window ends. They touch only
   !> the particle that has one.
-  pure subroutine bounce_until(walls, flight, tournament, ends, hits)
+  pure subroutine bounce_until(walls, number, flight, tournament, ends, hits)
     type(walls_type), intent(in) :: walls
-    type(flight_type), intent(inout) :: flight(*)
+    integer, intent(in) :: number
+    type(flight_type), intent(inout) :: flight(number)
     type(tournament_type), intent(inout) :: tournament
     real(wp), intent(in) :: ends
     integer(int64), intent(out) :: hits

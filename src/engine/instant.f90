@@ -1,17 +1,18 @@
 !> What happens at one instant: hits, crossings, who is counted in the gates, and when they reverse.
 !>
 !> For engines in which a particle has an event at every wall. Such an engine knows when events
-!> happen; here is what they do to the counts and to the history. It hands over the particle that has
-!> an event (`meet`), goes on until no other event is due at that same instant, and only then asks
-!> each gate whether it turns its particles back (`turns_back`). Whatever the order in which
+!> happen; here is what they do to the counts and to the history. It hands over the particle that
+!> has an event (`meet`), goes on until no other event is due at that same instant, and only then
+!> asks each gate whether it turns its particles back (`turns_back`). Whatever the order in which
 !> the events of the instant came, that decides as if all crossings of the middle line came first,
 !> then all entries, then the gate: the rule of `battery_gate`.
 module battery_instant
   use battery_kinds, only: wp, int32, int64
   use battery_table, only: table_type
-  use battery_bounce, only: walls_type, flight_type, new_walls, hit_arc, hit_channel, enter_channel, &
-    leave_channel, cross_middle_line, cross_periodic_line, heads_for_middle, on_side_one, meets_arc, &
-    meets_wall, meets_gate, meets_return, meets_urn, meets_middle, meets_period
+  use battery_bounce, only: walls_type, flight_type, new_walls, hit_arc, hit_channel, &
+    enter_channel, leave_channel, cross_middle_line, cross_periodic_line, heads_for_middle, &
+    on_side_one, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, &
+    meets_period
   use battery_engine, only: history_type, record_crossing, record_event, channel1_12, channel1_21, &
     channel2_12, channel2_21, event_entry, event_reversal, event_crossing1
   implicit none (type, external)
@@ -71,8 +72,8 @@ contains
     if (heads_for_middle(flight)) call join(scene, merge(1, 2, on_side_one(flight)), particle)
   end subroutine board
 
-  !> The event of a particle, which has been moved to it; `since` is the time since the window began.
-  !> `wait` is how long it takes to its next.
+  !> The event of a particle, which has been moved to it; `since` is the time since the window
+  !> began. `wait` is how long it takes to its next.
   subroutine meet(scene, history, since, particle, flight, wait)
     type(scene_type), intent(inout) :: scene
     type(history_type), intent(inout) :: history

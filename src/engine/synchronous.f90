@@ -23,8 +23,8 @@ module battery_synchronous
   public :: synchronous_type
 
   !> Particles in a row: a multiple of any vector's length, and so many that the compiler does not
-  !> unroll the loop over them before it vectorises it. About as many as there are rows for N = 1000,
-  !> since both a row and a lane are searched at each event.
+  !> unroll the loop over them before it vectorises it. About as many as there are rows for
+  !> N = 1000, since both a row and a lane are searched at each event.
   integer, parameter :: lanes = 32
 
   !> What is known of a particle: position, velocity, time left until its next event.
@@ -36,8 +36,8 @@ module battery_synchronous
   type, extends(engine_type) :: synchronous_type
     private
     type(scene_type) :: scene
-    !> All of them now: lane, which number (`in_x` ...), row. Who is not there or meets nothing stands
-    !> still and has a huge time left.
+    !> All of them now: lane, which number (`in_x` ...), row. Who is not there or meets nothing
+    !> stands still and has a huge time left.
     real(wp), allocatable :: field(:, :, :)
     integer(int8), allocatable :: region(:), next(:)
     !> Whether the next pass goes backwards.
@@ -78,7 +78,8 @@ contains
     call prepare(self, table, threshold, size(particles%x))
     self%clock_start = clock
     do i = 1, self%number
-      flight = flight_type(x=particles%x(i), y=particles%y(i), ux=particles%ux(i), uy=particles%uy(i))
+      flight = flight_type(x=particles%x(i), y=particles%y(i), ux=particles%ux(i), &
+        uy=particles%uy(i))
       call take_off(table, self%scene%walls, flight, wait)
       call board(self%scene, i, flight)
       call write_down(self, i, flight, wait)

@@ -29,7 +29,7 @@ contains
   pure subroutine new_tournament(tournament, time)
     type(tournament_type), intent(inout) :: tournament
     real(wp), intent(in) :: time(:)
-    integer :: i, k, n
+    integer :: i, k, n, winner
 
     n = size(time)
     tournament%number = n
@@ -39,9 +39,9 @@ contains
       tournament%node(n - 1 + i) = node_type(time(i), int(i, int32))
     end do
     do k = n - 1, 1, -1
-      tournament%node(k) = tournament%node(2*k)
-      if (before(tournament%node(2*k + 1), tournament%node(2*k))) &
-        tournament%node(k) = tournament%node(2*k + 1)
+      winner = 2*k
+      if (before(tournament%node(2*k + 1), tournament%node(2*k))) winner = 2*k + 1
+      tournament%node(k) = tournament%node(winner)
     end do
   end subroutine new_tournament
 
@@ -51,13 +51,13 @@ contains
     integer, intent(in) :: particle
     real(wp), intent(in) :: time
 
-    call play(tournament%node, tournament%number - 1 + particle, int(particle, int32), time)
+    call play(tournament%number, tournament%node, int(particle, int32), time)
   end subroutine set_time
 
   !> The matches from a leaf to the root.
-  pure subroutine play(node, leaf, particle, time)
-    type(node_type), intent(inout) :: node(*)
-    integer, intent(in) :: leaf
+  pure subroutine play(number, node, particle, time)
+    integer, intent(in) :: number
+    type(node_type), intent(inout) :: node(2*number - 1)
     integer(int32), intent(in) :: particle
     real(wp), intent(in) :: time
     type(node_type) :: sibling
@@ -68,12 +68,13 @@ contains
 
     earliest = time
     winner = particle
-    k = leaf
+    k = number - 1 + particle
     node(k)%time = earliest
     node(k)%particle = winner
     do while (k > 1)
       sibling = node(ieor(k, 1))
-      lost = (sibling%time < earliest) .or. (sibling%time <= earliest .and. sibling%particle < winner)
+      lost = (sibling%time < earliest) &
+        .or. (sibling%time <= earliest .and. sibling%particle < winner)
       earliest = merge(sibling%time, earliest, lost)
       winner = merge(sibling%particle, winner, lost)
       k = shiftr(k, 1)
