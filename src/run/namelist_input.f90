@@ -251,11 +251,9 @@ contains
       return
     end if
     do at = 1, size(plan%points)
-      if (at > 1) then
-        if (same_widths(plan%points(at), plan%points(at - 1))) then
-          plan%points(at)%urn1_number = plan%points(at - 1)%urn1_number
-          cycle
-        end if
+      if (at > 1 .and. same_widths(plan%points(at), plan%points(max(at - 1, 1)))) then
+        plan%points(at)%urn1_number = urn1_number
+        cycle
       end if
       call try_initial_file(plan, plan%points(at), urn1_number, error)
       if (allocated(error)) return

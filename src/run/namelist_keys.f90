@@ -78,7 +78,7 @@ contains
 
     keys = [ &
       key('run', 'engine', text_key, '''excursion''', 'how the particles are moved', &
-      choices='excursion collision synchronous timestep reservoir'), &
+      choices='excursion collision synchronous'), &
       key('run', 'collisions', integer_key, '100000000', 'wall collisions in all', least=1.0_wp), &
       key('run', 'transient_collisions', integer_key, 'none', &
       'those before the averages begin; else half', least=0.0_wp), &
@@ -183,9 +183,7 @@ contains
 
     allocate (names(0))
     do at = 1, size(keys)
-      if (at > 1) then
-        if (keys(at)%group == keys(at - 1)%group) cycle
-      end if
+      if (keys(at)%group == keys(max(at - 1, 1))%group .and. at > 1) cycle
       name%text = keys(at)%group
       names = [names, name]
     end do
