@@ -1,0 +1,141 @@
+!> What the user asks for on the command line.
+module battery_command_line
+  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_text, only: string_type, closest_word, new_line_character
+  use battery_namelist_keys, only: keys_text
+  implicit none (type, external)
+  private
+  public :: command_type, read_command_line, parse_arguments, help_text, usage_line
+
+  !> First line of the help.
+  character(len=*), parameter :: usage_line = &
+    'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, battery --version'
+
+  !> What is to be done.
+  type :: command_type
+    !> The namelist file; empty if help or version is asked for.
+    character(len=:), allocatable :: file
+    !> Only check the input and show the plan.
+    logical :: check = .false.
+    !> Discard results that are there.
+    logical :: overwrite = .false.
+    !> Print nothing but problems.
+    logical :: quiet = .false.
+    !> Print the help, or the version, and do nothing.
+    logical :: help = .false., version = .false.
+  end type command_type
+
+contains
+
+  !> Reads the program's own arguments.
+  subroutine read_command_line(command, error)
+    type(command_type), intent(out) :: command
+    !> Code `exit_bad_input`; all problems.
+    type(error_type), allocatable, intent(out) :: error
+    type(string_type), allocatable :: words(:)
+    integer :: at, length
+
+    allocate (words(command_argument_count()))
+    do at = 1, size(words)
+      call get_command_argument(at, length=length)
+      allocate (character(len=length) :: words(at)%text)
+      if (length > 0) call get_command_argument(at, words(at)%text)
+    end do
+    call parse_arguments(words, command, error)
+  end subroutine read_command_line
+
+  !> Understands a list of arguments; after `--` a word is a file even if it begins with a dash.
+  subroutine parse_arguments(words, command, error)
+    type(string_type), intent(in) :: words(:)
+    type(command_type), intent(out) :: command
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: problems
+    logical :: only_files
+    integer :: at
+
+    command%file = ''
+    problems = ''
+    only_files = .false.
+    do at = 1, size(words)
+      if (words(at)%text == '--' .and. .not. only_files) then
+        only_files = .true.
+      else if (index(words(at)%text, '-') == 1 .and. .not. only_files) then
+        call take_option(words(at)%text, command, problems)
+      else if (words(at)%text == '') then
+        call add(problems, 'an empty name of a file; allowed: FILE.nml')
+      else if (command%file /= '') then
+        call add(problems, words(at)%text//': a second file; allowed: one')
+      else
+        command%file = words(at)%text
+      end if
+    end do
+    if (command%file == '' .and. problems == '' .and. .not. (command%help .or. command%version)) &
+      call add(problems, 'the namelist file is missing')
+    if (problems /= '') call fatal_error(error, problems//new_line_character//usage_line, &
+      exit_bad_input)
+  end subroutine parse_arguments
+
+  !> One option.
+  subroutine take_option(word, command, problems)
+    character(len=*), intent(in) :: word
+    type(command_type), intent(inout) :: command
+    character(len=:), allocatable, intent(inout) :: problems
+    character(len=:), allocatable :: meant
+
+    select case (word)
+    case ('--check')
+      command%check = .true.
+    case ('--overwrite')
+      command%overwrite = .true.
+    case ('--quiet')
+      command%quiet = .true.
+    case ('--help', '-h')
+      command%help = .true.
+    case ('--version')
+      command%version = .true.
+    case default
+      meant = closest_word(word, option_names())
+      if (meant /= '') meant = ' (did you mean '//meant//'?)'
+      call add(problems, word//': there is no such option'//meant &
+        //'; allowed: --check, --overwrite, --quiet, --help, --version')
+    end select
+  end subroutine take_option
+
+  pure function option_names() result(names)
+    type(string_type), allocatable :: names(:)
+
+    names = [string_type('--check'), string_type('--overwrite'), string_type('--quiet'), &
+      string_type('--help'), string_type('--version')]
+  end function option_names
+
+  pure subroutine add(problems, text)
+    character(len=:), allocatable, intent(inout) :: problems
+    character(len=*), intent(in) :: text
+
+    if (problems /= '') problems = problems//new_line_character
+    problems = problems//'battery: '//text
+  end subroutine add
+
+  !> The whole help: usage, options, exit codes, and all groups and keys of the namelist.
+  function help_text() result(text)
+    character(len=:), allocatable :: text
+    character(len=1), parameter :: nl = new_line_character
+
+    text = usage_line//nl//nl &
+      //'Runs, or resumes, what FILE.nml describes; mpirun -n P battery FILE.nml shares it'//nl &
+      //'among P ranks.'//nl//nl &
+      //'  --check      check the input and show the plan; write nothing'//nl &
+      //'  --overwrite  discard results that are there'//nl &
+      //'  --quiet      print nothing but problems'//nl &
+      //'  --help       print this'//nl &
+      //'  --version    print the version'//nl//nl &
+      //'Exit codes:'//nl &
+      //'  0  every task is complete'//nl &
+      //'  1  the run failed, or some tasks did; finished ones are kept'//nl &
+      //'  2  bad command line or input: all problems are listed, nothing was written'//nl &
+      //'  3  stopped early, state saved; the same command goes on'//nl//nl &
+      //'Groups and keys of the namelist, with their defaults:'//nl//nl &
+      //keys_text()
+  end function help_text
+
+end module battery_command_line
