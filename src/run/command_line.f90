@@ -1,18 +1,19 @@
 !> What the user asks for on the command line.
 module battery_command_line
+  use battery_build_information, only: program_version, git_commit
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: string_type, closest_word, new_line_character
   use battery_namelist_keys, only: keys_text
   implicit none (type, external)
   private
-  public :: command_type, read_command_line, parse_arguments, help_text, usage_line
+  public :: command_line_type, read_command_line, parse_arguments, usage_text, version_text
 
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
     'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, battery --version'
 
   !> What is to be done.
-  type :: command_type
+  type :: command_line_type
     !> The namelist file; empty if help or version is asked for.
     character(len=:), allocatable :: file
     !> Only check the input and show the plan.
@@ -23,13 +24,13 @@ module battery_command_line
     logical :: quiet = .false.
     !> Print the help, or the version, and do nothing.
     logical :: help = .false., version = .false.
-  end type command_type
+  end type command_line_type
 
 contains
 
   !> Reads the program's own arguments.
   subroutine read_command_line(command, error)
-    type(command_type), intent(out) :: command
+    type(command_line_type), intent(out) :: command
     !> Code `exit_bad_input`; all problems.
     type(error_type), allocatable, intent(out) :: error
     type(string_type), allocatable :: words(:)
@@ -47,7 +48,7 @@ contains
   !> Understands a list of arguments; after `--` a word is a file even if it begins with a dash.
   subroutine parse_arguments(words, command, error)
     type(string_type), intent(in) :: words(:)
-    type(command_type), intent(out) :: command
+    type(command_line_type), intent(out) :: command
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: problems
     logical :: only_files
@@ -78,7 +79,7 @@ contains
   !> One option.
   subroutine take_option(word, command, problems)
     character(len=*), intent(in) :: word
-    type(command_type), intent(inout) :: command
+    type(command_line_type), intent(inout) :: command
     character(len=:), allocatable, intent(inout) :: problems
     character(len=:), allocatable :: meant
 
@@ -117,7 +118,7 @@ contains
   end subroutine add
 
   !> The whole help: usage, options, exit codes, and all groups and keys of the namelist.
-  function help_text() result(text)
+  function usage_text() result(text)
     character(len=:), allocatable :: text
     character(len=1), parameter :: nl = new_line_character
 
@@ -136,6 +137,13 @@ contains
       //'  3  stopped early, state saved; the same command goes on'//nl//nl &
       //'Groups and keys of the namelist, with their defaults:'//nl//nl &
       //keys_text()
-  end function help_text
+  end function usage_text
+
+  !> Name, version, and the commit it was built from.
+  pure function version_text() result(text)
+    character(len=:), allocatable :: text
+
+    text = 'battery '//program_version//' ('//git_commit//')'
+  end function version_text
 
 end module battery_command_line
