@@ -165,7 +165,7 @@ contains
       call turns_back(self%scene, g, turns)
       if (turns) call reverse_gate(self, g, time, began, history)
     end do
-    if (history%events > first + 1) call order_events(history, first)
+    if (history%events > first) call order_events(history, first)
   end subroutine live_instant
 
   !> All those counted in a gate turn back at `time`.

@@ -211,7 +211,7 @@ contains
       call turns_back(self%scene, g, turns)
       if (turns) call reverse_gate(self, g, since, history)
     end do
-    if (history%events > first + 1) call order_events(history, first)
+    if (history%events > first) call order_events(history, first)
   end subroutine live_instant
 
   !> A particle with no time left; 0 if there is none.
