@@ -43,6 +43,11 @@ PROGRAM := build/bin/battery
 RANKS   := 2
 FULL    ?= 0
 
+# Runs behind the figures; quick ones have a tenth of the collisions.
+CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
+FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
+SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
+
 .PHONY: help demo test build bench accuracy figures lint clean install information
 
 help: ## lists the targets
@@ -53,7 +58,10 @@ demo: build ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictu
 	cd build/demo
 	mpirun -n $(RANKS) ../bin/battery --overwrite ../../namelists/quickstart.nml
 	cd ../..
-	$(PYTHON) -m postproc.demo build/demo/quickstart.h5 --folder build/demo
+	$(PYTHON) -m postproc.currents build/demo/quickstart.h5 --output build/demo
+	$(PYTHON) -m postproc.scene build/demo/quickstart.h5 --output build/demo
+	echo "The pictures are in build/demo:"
+	ls build/demo/*.png
 
 test: build ## builds and runs every test; the last line is "N passed, M failed"
 	@$(PYTHON) test/all.py --ldflags=" $(LINK_FLAGS)" \
@@ -70,7 +78,19 @@ accuracy: build ## the speed-accuracy charts and the stability tables
 	@$(PYTHON) -m postproc.accuracy
 
 figures: build ## every figure of the paper, quick; FULL=1: at the paper's own length
-	@$(PYTHON) -m postproc.figures $(if $(filter-out 0,$(FULL)),--full)
+	@mkdir -p $(FIGURES)
+	cd $(FIGURES)
+	for case in $(CASES); do
+	  sed -E '$(SHORTEN)' $(CURDIR)/namelists/$$case.nml > $$case.nml
+	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) $$case.nml
+	done
+	cd $(CURDIR)
+	figure() { $(PYTHON) -m postproc.figures "$$1" "$${@:2}" --output $(FIGURES); }
+	figure model
+	figure numris $(FIGURES)/phase_diagram.h5 $(FIGURES)/phase_diagram_polarised.h5
+	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
+	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
+	echo "The figures are in $(FIGURES)"
 
 lint: install ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test
