@@ -129,7 +129,7 @@ build/stamps/packages: Makefile
 	fi
 	touch $@
 
-build/stamps/python: postproc/requirements.txt build/stamps/packages
+build/stamps/python: postproc/requirements.txt | build/stamps/packages
 	@echo "Installing the Python packages of postproc/requirements.txt in $(VENV)"
 	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r postproc/requirements.txt
