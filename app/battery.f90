@@ -1,7 +1,57 @@
-!> The program `battery`.
+!> The program `battery`: arguments, plan, ensemble, exit code.
 program battery
-  use battery_build_information, only: program_version, git_commit
+  use, intrinsic :: iso_fortran_env, only: error_unit, output_unit
+  use battery_error, only: error_type, exit_success
+  use battery_command_line, only: command_line_type, read_command_line, usage_text, version_text
+  use battery_communicator, only: communicator_type, open_communicator, close_communicator, share_error
+  use battery_ensemble, only: run_ensemble
+  use battery_namelist_input, only: read_namelist
+  use battery_outlook, only: print_outlook
+  use battery_plan, only: plan_type
+  use battery_signals, only: leave
   implicit none (type, external)
 
-  print '(a)', 'battery '//program_version//' ('//git_commit//')'
+  type(command_line_type) :: command_line
+  type(communicator_type) :: communicator
+  type(error_type), allocatable :: error
+  integer :: exit_code
+
+  exit_code = exit_success
+  call open_communicator(communicator)
+  call read_command_line(command_line, error)
+  if (.not. allocated(error)) then
+    if (command_line%help .or. command_line%version) then
+      if (communicator%rank == 0) call answer()
+    else
+      call run()
+    end if
+  end if
+  if (allocated(error)) then
+    if (communicator%rank == 0) write (error_unit, '(a)') error%message
+    exit_code = error%code
+  end if
+  call close_communicator(communicator)
+  call leave(exit_code)
+
+contains
+
+  subroutine answer()
+    if (command_line%version) write (output_unit, '(a)') version_text()
+    if (command_line%help) write (output_unit, '(a)') usage_text()
+  end subroutine answer
+
+  subroutine run()
+    type(plan_type) :: plan
+
+    call read_namelist(command_line%file, plan, error)
+    call share_error(communicator, error)
+    if (allocated(error)) return
+    if (.not. command_line%check) then
+      call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, error)
+    else if (communicator%rank == 0) then
+      call print_outlook(plan, communicator%size, error)
+    end if
+    call share_error(communicator, error)
+  end subroutine run
+
 end program battery

@@ -148,8 +148,11 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     logical, intent(in) :: from_channels
     integer :: region, urn, count
-    real(wp) :: outward, depth, width, opening, turned, hits, height
+    real(wp) :: outward, depth, width, length, opening, turned, hits, height
     logical :: in_channel2
+    !> Slower passages, longer than any run, and those with more wall hits than an integer can
+    !> count, are taken for endless.
+    real(wp), parameter :: longest_passage = 1.0e15_wp, most_hits = 4.0e18_wp
 
     region = region_at(self%table, x, y, huge(1.0_wp))
     urn = merge(1, 2, x < 0.0_wp)
@@ -168,7 +171,8 @@ contains
       in_channel2)
     outward = opening*merge(ux, -ux, urn == 1)
     self%flight(i)%urn = urn
-    if (.not. abs(ux) > 0.0_wp) then
+    length = merge(self%table%channel2_length, self%table%channel1_length, in_channel2)
+    if (.not. abs(ux)*min(longest_passage, most_hits*width) > length) then
       self%flight(i)%heading = parked_in_channel
       self%flight(i)%y = y
       self%flight(i)%along = x

@@ -5,11 +5,12 @@
 !> some batch systems send each signal to the process and to its group.
 module battery_signals
   use, intrinsic :: iso_c_binding, only: c_int, c_funptr, c_funloc
+  use, intrinsic :: iso_fortran_env, only: output_unit, error_unit
   use battery_kinds, only: dp, int64
   implicit none (type, external)
   private
   public :: watch_signals, stop_signal, stop_requested, clear_stop_request
-  public :: wall_seconds, cpu_seconds, rest, is_terminal, process_number
+  public :: wall_seconds, cpu_seconds, rest, leave, is_terminal, process_number
 
   !> Numbers of the signals on Linux.
   integer(c_int), parameter :: signal_interrupt = 2, signal_user1 = 10, signal_terminate = 15
@@ -35,6 +36,12 @@ module battery_signals
       implicit none (type, external)
       integer(c_int), value, intent(in) :: status
     end subroutine c_leave
+
+    subroutine c_exit(status) bind(c, name='exit')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: status
+    end subroutine c_exit
 
     function c_isatty(descriptor) result(yes) bind(c, name='isatty')
       import :: c_int
@@ -123,6 +130,15 @@ contains
 
     call cpu_time(seconds)
   end function cpu_seconds
+
+  !> Ends the program with an exit code, without the word `STOP` that Fortran prints.
+  subroutine leave(exit_code)
+    integer, intent(in) :: exit_code
+
+    flush (output_unit)
+    flush (error_unit)
+    call c_exit(int(exit_code, c_int))
+  end subroutine leave
 
   !> Leaves the processor to others for a while, up to a second; a signal may end it early.
   subroutine rest(seconds)

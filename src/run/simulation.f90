@@ -78,7 +78,7 @@ contains
     integer :: urn1_number
 
     simulation%setup = setup
-    call new_engine(setup%engine, setup%time_step, setup%seed, simulation%engine, error)
+    call new_engine(setup%engine, simulation%engine, error)
     if (allocated(error)) return
     urn1_number = count(particles%x < 0.0_wp)
     simulation%observer = new_observer(size(particles%x), urn1_number, &
@@ -317,7 +317,7 @@ contains
     integer :: k, n, events, at
 
     simulation%setup = setup
-    call new_engine(setup%engine, setup%time_step, setup%seed, simulation%engine, error)
+    call new_engine(setup%engine, simulation%engine, error)
     if (allocated(error)) return
     call restore_observer(simulation%observer, observer)
     n = int(rest%integers(7))

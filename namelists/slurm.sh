@@ -1,0 +1,16 @@
+#!/bin/bash
+#SBATCH --job-name=battery
+#SBATCH --ntasks=64
+#SBATCH --time=04:00:00
+#SBATCH --requeue
+#SBATCH --open-mode=append
+# Two minutes before the limit every rank is told to save its state.
+#SBATCH --signal=USR1@120
+
+# Exit code 3: stopped early, state saved. The job goes back into the queue and goes on.
+srun build/bin/battery namelists/phase_diagram.nml
+code=$?
+if [ "$code" -eq 3 ]; then
+  scontrol requeue "$SLURM_JOB_ID"
+fi
+exit "$code"

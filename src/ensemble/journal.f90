@@ -1,0 +1,247 @@
+!> What an ensemble has on disk while it is under way, in the folder `FILE.h5.tasks`:
+!>
+!> - `plan`: the namelist, and how many rank files there may be;
+!> - `rank_N`: results of finished tasks, appended one by one; each rank of each start has its own;
+!> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole.
+!>
+!> All are record files with checksums: what is cut short or damaged is found out and done again.
+module battery_journal
+  use battery_kinds, only: wp, dp, int8, int64
+  use battery_error, only: error_type
+  use battery_files, only: make_folder, sync_file, remove_file, publish_file, is_folder
+  use battery_record_file, only: record_type, append_record, read_records, write_single, read_single
+  use battery_task_result, only: task_result_type, to_record, from_record
+  use battery_engine, only: engine_state_type
+  use battery_simulation, only: simulation_type, setup_type, save_simulation, restore_simulation
+  implicit none (type, external)
+  private
+  public :: journal_type, read_plan, begin_journal, join_journal, read_finished, read_rank_file
+  public :: write_finished, write_state, read_state, remove_states, remove_journal
+
+  type :: journal_type
+    character(len=:), allocatable :: folder
+    !> Rank files that there may be, of all starts of this ensemble.
+    integer :: rank_files = 0
+    !> This rank's own file, and the length of what is written in it.
+    integer :: mine = 0
+    integer(int64) :: written = 0
+    !> Generation of the state written last.
+    integer(int64) :: generation = 0
+  end type journal_type
+
+contains
+
+  !> Name of the file `kind`_`number`.
+  pure function file_of(journal, kind, number) result(name)
+    type(journal_type), intent(in) :: journal
+    character(len=*), intent(in) :: kind
+    integer, intent(in) :: number
+    character(len=:), allocatable :: name
+    character(len=12) :: digits
+
+    write (digits, '(i0)') number
+    name = journal%folder//'/'//kind//'_'//trim(digits)
+  end function file_of
+
+  !> Looks for the journal of an earlier start: its namelist, and how many rank files it may have.
+  !> `found` is false where there is none that can be read.
+  subroutine read_plan(folder, namelist, rank_files, found)
+    character(len=*), intent(in) :: folder
+    character(len=:), allocatable, intent(out) :: namelist
+    integer, intent(out) :: rank_files
+    logical, intent(out) :: found
+    type(record_type) :: plan
+    integer :: k
+
+    call read_single(folder//'/plan', plan, found)
+    rank_files = 0
+    namelist = ''
+    if (.not. found) return
+    rank_files = int(plan%tag)
+    namelist = repeat(' ', size(plan%bytes))
+    do k = 1, size(plan%bytes)
+      namelist(k:k) = achar(iand(int(plan%bytes(k)), 255))
+    end do
+  end subroutine read_plan
+
+  !> Rank 0 writes the plan before any rank writes anything else: `rank_files` of earlier starts and
+  !> one for each of `ranks`.
+  subroutine begin_journal(folder, namelist, rank_files, ranks, error)
+    character(len=*), intent(in) :: folder, namelist
+    integer, intent(in) :: rank_files, ranks
+    type(error_type), allocatable, intent(out) :: error
+    type(record_type) :: plan
+    integer :: k
+
+    call make_folder(folder, error)
+    if (allocated(error)) return
+    plan%tag = rank_files + ranks
+    allocate (plan%integers(0), plan%reals(0), plan%bytes(len(namelist)))
+    do k = 1, len(namelist)
+      plan%bytes(k) = int(merge(iachar(namelist(k:k)) - 256, iachar(namelist(k:k)), &
+        iachar(namelist(k:k)) > 127), int8)
+    end do
+    call write_single(folder//'/plan.new', plan, error)
+    if (.not. allocated(error)) call publish_file(folder//'/plan.new', folder//'/plan', error)
+  end subroutine begin_journal
+
+  !> Every rank, then: `rank_files` as before this start.
+  subroutine join_journal(journal, folder, rank_files, rank, ranks)
+    type(journal_type), intent(out) :: journal
+    character(len=*), intent(in) :: folder
+    integer, intent(in) :: rank_files, rank, ranks
+
+    journal%folder = folder
+    journal%rank_files = rank_files + ranks
+    journal%mine = rank_files + rank
+  end subroutine join_journal
+
+  !> Which of the tasks 1 ... size(finished) are in the rank files.
+  subroutine read_finished(journal, finished)
+    type(journal_type), intent(in) :: journal
+    logical, intent(inout) :: finished(:)
+    type(task_result_type), allocatable :: results(:)
+    integer :: file, k
+
+    do file = 0, journal%rank_files - 1
+      call read_rank_file(journal, file, results)
+      do k = 1, size(results)
+        if (results(k)%task >= 1 .and. results(k)%task <= size(finished)) &
+          finished(results(k)%task) = .true.
+      end do
+    end do
+  end subroutine read_finished
+
+  !> Results in rank file `file`, counted from 0; none if there is no such file.
+  subroutine read_rank_file(journal, file, results)
+    type(journal_type), intent(in) :: journal
+    integer, intent(in) :: file
+    type(task_result_type), allocatable, intent(out) :: results(:)
+    type(record_type), allocatable :: records(:)
+    integer(int64) :: good_size
+    integer :: k
+
+    call read_records(file_of(journal, 'rank', file), records, good_size)
+    allocate (results(size(records)))
+    do k = 1, size(records)
+      results(k) = from_record(records(k))
+    end do
+  end subroutine read_rank_file
+
+  !> A task is finished: its result goes to the disk at once, and its states are of no use any more.
+  subroutine write_finished(journal, found, error)
+    type(journal_type), intent(inout) :: journal
+    type(task_result_type), intent(in) :: found
+    type(error_type), allocatable, intent(out) :: error
+
+    call append_record(file_of(journal, 'rank', journal%mine), to_record(found), journal%written, error)
+    if (allocated(error)) return
+    call sync_file(file_of(journal, 'rank', journal%mine), error)
+    if (allocated(error)) return
+    call remove_states(journal, found%task, error)
+  end subroutine write_finished
+
+  subroutine remove_states(journal, task, error)
+    type(journal_type), intent(in) :: journal
+    integer, intent(in) :: task
+    type(error_type), allocatable, intent(out) :: error
+
+    call remove_file(file_of(journal, 'task', task)//'.a', error)
+    if (.not. allocated(error)) call remove_file(file_of(journal, 'task', task)//'.b', error)
+  end subroutine remove_states
+
+  !> Saves a simulation, over the older of its two generations.
+  subroutine write_state(journal, task, simulation, cpu_seconds, error)
+    type(journal_type), intent(inout) :: journal
+    integer, intent(in) :: task
+    type(simulation_type), intent(in) :: simulation
+    real(dp), intent(in) :: cpu_seconds
+    type(error_type), allocatable, intent(out) :: error
+    type(engine_state_type) :: state(3)
+    type(record_type) :: record
+    character(len=:), allocatable :: name
+
+    call save_simulation(simulation, state(1), state(2), state(3))
+    record%tag = task
+    journal%generation = journal%generation + 1
+    record%integers = [journal%generation, sizes_of(state(1)), sizes_of(state(2)), sizes_of(state(3)), &
+      state(1)%integers, state(2)%integers, state(3)%integers]
+    record%reals = real([real(cpu_seconds, wp), state(1)%reals, state(2)%reals, state(3)%reals], dp)
+    record%bytes = [state(1)%bytes, state(2)%bytes, state(3)%bytes]
+    name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
+    call write_single(name, record, error)
+    if (.not. allocated(error)) call sync_file(name, error)
+  end subroutine write_state
+
+  pure function sizes_of(state) result(sizes)
+    type(engine_state_type), intent(in) :: state
+    integer(int64) :: sizes(3)
+
+    sizes = [size(state%integers, kind=int64), size(state%reals, kind=int64), &
+      size(state%bytes, kind=int64)]
+  end function sizes_of
+
+  !> The newer of the whole states of a task, if there is one.
+  subroutine read_state(journal, task, setup, simulation, cpu_seconds, found, error)
+    type(journal_type), intent(inout) :: journal
+    integer, intent(in) :: task
+    type(setup_type), intent(in) :: setup
+    type(simulation_type), intent(out) :: simulation
+    real(dp), intent(out) :: cpu_seconds
+    logical, intent(out) :: found
+    type(error_type), allocatable, intent(out) :: error
+    type(record_type) :: record, other
+    type(engine_state_type) :: state(3)
+    logical :: other_found
+    integer(int64) :: at(3), sizes(3)
+    integer :: k
+
+    journal%generation = 0
+    cpu_seconds = 0.0_dp
+    call read_single(file_of(journal, 'task', task)//'.a', record, found)
+    call read_single(file_of(journal, 'task', task)//'.b', other, other_found)
+    if (other_found .and. found) then
+      if (other%integers(1) > record%integers(1)) record = other
+    else if (other_found) then
+      record = other
+    end if
+    found = found .or. other_found
+    if (found) found = record%tag == task
+    if (.not. found) return
+    journal%generation = record%integers(1)
+    cpu_seconds = record%reals(1)
+    at = [10, 1, 0]
+    do k = 1, 3
+      sizes = record%integers(3*k - 1:3*k + 1)
+      state(k)%integers = record%integers(at(1) + 1:at(1) + sizes(1))
+      state(k)%reals = real(record%reals(at(2) + 1:at(2) + sizes(2)), wp)
+      state(k)%bytes = record%bytes(at(3) + 1:at(3) + sizes(3))
+      at = at + sizes
+    end do
+    call restore_simulation(simulation, setup, state(1), state(2), state(3), error)
+  end subroutine read_state
+
+  !> Removes the journal with all its files, for `tasks` tasks.
+  subroutine remove_journal(folder, rank_files, tasks, error)
+    character(len=*), intent(in) :: folder
+    integer, intent(in) :: rank_files, tasks
+    type(error_type), allocatable, intent(out) :: error
+    type(journal_type) :: journal
+    integer :: k
+
+    journal%folder = folder
+    if (.not. is_folder(folder)) return
+    do k = 0, rank_files - 1
+      call remove_file(file_of(journal, 'rank', k), error)
+      if (allocated(error)) return
+    end do
+    do k = 1, tasks
+      call remove_states(journal, k, error)
+      if (allocated(error)) return
+    end do
+    call remove_file(folder//'/plan.new', error)
+    if (.not. allocated(error)) call remove_file(folder//'/plan', error)
+    if (.not. allocated(error)) call remove_file(folder, error)
+  end subroutine remove_journal
+
+end module battery_journal

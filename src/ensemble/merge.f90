@@ -1,0 +1,243 @@
+!> From the journal of an ensemble to its results file, and back to what an earlier run has left.
+module battery_merge
+  use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
+  use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
+  use battery_kinds, only: dp
+  use battery_build_information, only: program_version, git_commit
+  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_files, only: file_exists
+  use battery_plan, only: plan_type
+  use battery_tasks, only: task_count, task_of
+  use battery_task, only: task_type
+  use battery_task_result, only: task_result_type
+  use battery_journal, only: journal_type, read_rank_file
+  use battery_communicator, only: mpi_library
+  use battery_metadata, only: metadata_type, read_metadata
+  use battery_results, only: results_type, new_results
+  use battery_results_file, only: write_results
+  implicit none (type, external)
+  private
+  public :: merge_results, collect_results, existing_results
+
+contains
+
+  !> Writes the results file from all that the journal has.
+  subroutine merge_results(plan, journal, ranks, complete, error)
+    type(plan_type), intent(in) :: plan
+    type(journal_type), intent(in) :: journal
+    integer, intent(in) :: ranks
+    logical, intent(in) :: complete
+    type(error_type), allocatable, intent(out) :: error
+    type(results_type) :: results
+    type(metadata_type) :: metadata
+
+    call collect_results(plan, journal, results)
+    metadata%program = 'battery'
+    metadata%version = program_version
+    metadata%git_commit = git_commit
+    metadata%compiler = compiler_version()
+    metadata%compiler_options = compiler_options()
+    metadata%mpi_library = mpi_library()
+    metadata%mpi_ranks = ranks
+    metadata%namelist = plan%text
+    metadata%status = merge('complete', 'partial ', complete)
+    metadata%status = trim(metadata%status)
+    metadata%shape = plan%shape
+    metadata%engine = plan%engine
+    metadata%urn_radius = real(plan%urn_radius, dp)
+    metadata%channel1_length = real(plan%channel1_length, dp)
+    metadata%channel2_length = real(plan%channel2_length, dp)
+    metadata%start_time = real(plan%start_time, dp)
+    call write_results(plan%file, results, metadata, error)
+  end subroutine merge_results
+
+  !> All results of the journal, in the arrays of the results file.
+  subroutine collect_results(plan, journal, results)
+    type(plan_type), intent(in) :: plan
+    type(journal_type), intent(in) :: journal
+    type(results_type), intent(out) :: results
+    type(task_result_type), allocatable :: found(:)
+    type(task_type) :: task
+    integer :: file, k
+
+    call new_results(results, size(plan%points), plan%replicas)
+    do k = 1, task_count(plan)
+      task = task_of(plan, k)
+      results%number(task%point) = task%number
+      results%threshold(task%point) = task%setup%threshold
+      results%urn1_number(task%point) = task%urn1_number
+      results%channel1_width(task%point) = real(task%setup%table%channel1_width, dp)
+      results%channel2_width(task%point) = real(task%setup%table%channel2_width, dp)
+      results%seed(task%replica, task%point) = task%seed
+    end do
+    do file = 0, journal%rank_files - 1
+      call read_rank_file(journal, file, found)
+      do k = 1, size(found)
+        if (found(k)%task < 1 .or. found(k)%task > task_count(plan)) cycle
+        task = task_of(plan, found(k)%task)
+        call place(plan, found(k), task, results)
+      end do
+    end do
+  end subroutine collect_results
+
+  !> Puts one result into its place.
+  subroutine place(plan, found, task, results)
+    type(plan_type), intent(in) :: plan
+    type(task_result_type), intent(in) :: found
+    type(task_type), intent(in) :: task
+    type(results_type), intent(inout) :: results
+
+    associate (p => task%point, r => task%replica)
+      results%task_status(r, p) = found%status
+      results%collisions(r, p) = found%collisions
+      results%bounce_backs(r, p) = found%bounce_backs
+      results%reversals(r, p) = found%reversals
+      results%trapped(r, p) = found%trapped
+      results%chi(r, p) = found%chi
+      results%chi_error(r, p) = found%chi_error
+      results%chi_collision(r, p) = found%chi_collision
+      results%current1(r, p) = found%current1
+      results%current1_error(r, p) = found%current1_error
+      results%current2(r, p) = found%current2
+      results%current2_error(r, p) = found%current2_error
+      results%flow1_12(r, p) = found%flow(1)
+      results%flow1_21(r, p) = found%flow(2)
+      results%flow2_12(r, p) = found%flow(3)
+      results%flow2_21(r, p) = found%flow(4)
+      results%time(r, p) = found%time
+      results%transient_time(r, p) = found%transient_time
+      results%cpu_seconds(r, p) = found%cpu_seconds
+      call place_arrays(plan, found, task, results)
+    end associate
+  end subroutine place
+
+  !> Series, snapshots, events and final state; runs of unequal length leave NaN behind the shorter.
+  subroutine place_arrays(plan, found, task, results)
+    type(plan_type), intent(in) :: plan
+    type(task_result_type), intent(in) :: found
+    type(task_type), intent(in) :: task
+    type(results_type), intent(inout) :: results
+    integer :: n, entries, k, q
+
+    n = task%number
+    entries = size(found%series_urn1_number)
+    if (entries > 0) then
+      call room_for_series(entries, plan, results)
+      results%series_urn1_number(:entries, task%replica, task%point) = int(found%series_urn1_number)
+      do q = 1, 4
+        results%series_flow(:entries, task%replica, task%point, q) = found%series_flow(q::4)
+      end do
+    end if
+    if (size(found%snapshots) > 0) then
+      call room_for_snapshots(plan, results)
+      do k = 1, size(results%snapshot_time)
+        call unpack_state(found%snapshots(4*n*(k - 1) + 1:4*n*k), n, &
+          results%snapshot_x(:, k, task%replica, task%point), &
+          results%snapshot_y(:, k, task%replica, task%point), &
+          results%snapshot_ux(:, k, task%replica, task%point), &
+          results%snapshot_uy(:, k, task%replica, task%point))
+      end do
+    end if
+    if (size(found%final_state) > 0) then
+      call room_for_final(plan, results)
+      call unpack_state(found%final_state, n, results%final_x(:, task%replica, task%point), &
+        results%final_y(:, task%replica, task%point), results%final_ux(:, task%replica, task%point), &
+        results%final_uy(:, task%replica, task%point))
+    end if
+    if (plan%event_log) then
+      k = size(found%event_times)
+      results%event_time = found%event_times
+      results%event_kind = int(found%events(:k))
+      results%event_where = int(found%events(k + 1:2*k))
+      results%event_particle = int(found%events(2*k + 1:3*k))
+    end if
+  end subroutine place_arrays
+
+  pure subroutine unpack_state(flat, n, x, y, ux, uy)
+    real(dp), intent(in) :: flat(:)
+    integer, intent(in) :: n
+    real(dp), intent(inout) :: x(:), y(:), ux(:), uy(:)
+
+    x(:n) = flat(:n)
+    y(:n) = flat(n + 1:2*n)
+    ux(:n) = flat(2*n + 1:3*n)
+    uy(:n) = flat(3*n + 1:4*n)
+  end subroutine unpack_state
+
+  !> Series arrays with room for `entries` entries of every task; keeps what is there.
+  subroutine room_for_series(entries, plan, results)
+    integer, intent(in) :: entries
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(inout) :: results
+    integer, allocatable :: urn1_number(:, :, :)
+    real(dp), allocatable :: flow(:, :, :, :)
+    integer :: before, k
+
+    before = 0
+    if (allocated(results%series_time)) before = size(results%series_time)
+    if (entries <= before) return
+    allocate (urn1_number(entries, plan%replicas, size(plan%points)), source=-1)
+    allocate (flow(entries, plan%replicas, size(plan%points), 4), source=unknown())
+    if (before > 0) then
+      urn1_number(:before, :, :) = results%series_urn1_number
+      flow(:before, :, :, :) = results%series_flow
+    end if
+    call move_alloc(urn1_number, results%series_urn1_number)
+    call move_alloc(flow, results%series_flow)
+    results%series_time = [(real(k - 1, dp)*real(plan%series_interval, dp), k=1, entries)]
+  end subroutine room_for_series
+
+  subroutine room_for_snapshots(plan, results)
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(inout) :: results
+    integer :: dims(4)
+
+    if (allocated(results%snapshot_time)) return
+    results%snapshot_time = real(plan%snapshot_times, dp)
+    dims = [maxval(results%number), size(plan%snapshot_times), plan%replicas, size(plan%points)]
+    allocate (results%snapshot_x(dims(1), dims(2), dims(3), dims(4)), source=unknown())
+    results%snapshot_y = results%snapshot_x
+    results%snapshot_ux = results%snapshot_x
+    results%snapshot_uy = results%snapshot_x
+  end subroutine room_for_snapshots
+
+  subroutine room_for_final(plan, results)
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(inout) :: results
+
+    if (allocated(results%final_x)) return
+    allocate (results%final_x(maxval(results%number), plan%replicas, size(plan%points)), source=unknown())
+    results%final_y = results%final_x
+    results%final_ux = results%final_x
+    results%final_uy = results%final_x
+  end subroutine room_for_final
+
+  pure function unknown()
+    real(dp) :: unknown
+
+    unknown = ieee_value(unknown, ieee_quiet_nan)
+  end function unknown
+
+  !> What stands under the name of the output file: nothing, or results of which input, complete or
+  !> not. Anything else there is an error.
+  subroutine existing_results(file, namelist, found, complete, error)
+    character(len=*), intent(in) :: file
+    character(len=:), allocatable, intent(out) :: namelist
+    logical, intent(out) :: found, complete
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: status
+
+    complete = .false.
+    namelist = ''
+    found = file_exists(file)
+    if (.not. found) return
+    call read_metadata(file, namelist, status, error)
+    if (allocated(error)) then
+      call fatal_error(error, file//' is there already, and is not a results file of this program; ' &
+        //'name another output file, or discard it with --overwrite', exit_bad_input)
+    else
+      complete = status == 'complete'
+    end if
+  end subroutine existing_results
+
+end module battery_merge

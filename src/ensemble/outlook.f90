@@ -1,0 +1,144 @@
+!> What a plan will do and cost, before it is run: tasks, parameters, time from a short calibration,
+!> memory.
+module battery_outlook
+  use, intrinsic :: iso_fortran_env, only: output_unit
+  use battery_kinds, only: wp, dp, int64
+  use battery_error, only: error_type
+  use battery_engine, only: particles_type
+  use battery_initial_state, only: random_particles, read_particles
+  use battery_plan, only: plan_type
+  use battery_screen, only: duration_text, rate_text
+  use battery_signals, only: wall_seconds
+  use battery_simulation, only: simulation_type, begin_simulation, step
+  use battery_task, only: task_type
+  use battery_tasks, only: task_count, task_of
+  use battery_text, only: to_text
+  implicit none (type, external)
+  private
+  public :: print_outlook, bytes_per_particle
+
+  !> Tasks tried for the calibration, and seconds spent on each.
+  integer, parameter :: most_tries = 5
+  real(dp), parameter :: try_seconds = 0.4_dp
+
+contains
+
+  !> Prints the plan and what it will cost on `ranks` ranks.
+  subroutine print_outlook(plan, ranks, error)
+    type(plan_type), intent(in) :: plan
+    integer, intent(in) :: ranks
+    type(error_type), allocatable, intent(out) :: error
+    real(dp) :: seconds, rate
+
+    call print_parameters(plan)
+    call calibrate(plan, seconds, rate, error)
+    if (allocated(error)) return
+    write (output_unit, '(a)') 'speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)'
+    write (output_unit, '(a)') 'time:       about '//duration_text(seconds*max(1.0_dp, &
+      real(ceiling(real(task_count(plan), dp)/ranks), dp)))//' on '//to_text(ranks) &
+      //merge(' ranks', ' rank ', ranks > 1)
+    write (output_unit, '(a)') 'memory:     about '//to_text(int(bytes_per_particle()*maxval(plan%points%number) &
+      /1.0e6_dp) + 30)//' MB a rank'
+    write (output_unit, '(a)') 'results:    '//plan%file, 'nothing was written'
+  end subroutine print_outlook
+
+  !> Bytes that the engines take per particle, the initial state included.
+  pure function bytes_per_particle() result(bytes)
+    real(dp) :: bytes
+
+    bytes = 120.0_dp
+  end function bytes_per_particle
+
+  subroutine print_parameters(plan)
+    type(plan_type), intent(in) :: plan
+
+    write (output_unit, '(a)') 'tasks:      '//to_text(task_count(plan))//' ('//to_text(size(plan%points)) &
+      //' points, '//to_text(plan%replicas)//' replicas each)'
+    write (output_unit, '(a)') 'shape:      '//plan%shape//', urn radius '//to_text(plan%urn_radius) &
+      //', channel 1 '//to_text(plan%channel1_length)//' long, channel 2 '//to_text(plan%channel2_length)
+    write (output_unit, '(a)') 'engine:     '//plan%engine
+    write (output_unit, '(a)') 'N:          '//range_of(plan%points%number)
+    write (output_unit, '(a)') 'T:          '//range_of(plan%points%threshold)
+    write (output_unit, '(a)') 'w:          '//real_range(plan%points%channel1_width)
+    write (output_unit, '(a)') 'w'':         '//real_range(plan%points%channel2_width)
+    write (output_unit, '(a)') 'urn 1:      '//range_of(plan%points%urn1_number)//' particles at the start'
+    if (plan%duration > 0.0_wp) then
+      write (output_unit, '(a)') 'length:     '//to_text(plan%duration)//' time units each, the first ' &
+        //to_text(plan%transient_duration)//' not averaged'
+    else
+      write (output_unit, '(a)') 'length:     '//rate_text(real(plan%collisions, dp))//' collisions each, the first ' &
+        //rate_text(real(plan%transient_collisions, dp))//' not averaged'
+    end if
+  end subroutine print_parameters
+
+  pure function range_of(values) result(text)
+    integer, intent(in) :: values(:)
+    character(len=:), allocatable :: text
+
+    text = to_text(minval(values))
+    if (maxval(values) > minval(values)) text = text//' ... '//to_text(maxval(values))
+  end function range_of
+
+  pure function real_range(values) result(text)
+    real(wp), intent(in) :: values(:)
+    character(len=:), allocatable :: text
+
+    text = to_text(minval(values))
+    if (maxval(values) > minval(values)) text = text//' ... '//to_text(maxval(values))
+  end function real_range
+
+  !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the plan.
+  subroutine calibrate(plan, seconds, rate, error)
+    type(plan_type), intent(in) :: plan
+    real(dp), intent(out) :: seconds, rate
+    type(error_type), allocatable, intent(out) :: error
+    integer :: tries, k
+    real(dp) :: one_seconds, one_rate
+
+    tries = min(most_tries, task_count(plan))
+    seconds = 0.0_dp
+    rate = 0.0_dp
+    do k = 1, tries
+      call try(task_of(plan, 1 + int(int(task_count(plan) - 1, int64)*(k - 1)/max(tries - 1, 1))), &
+        one_seconds, one_rate, error)
+      if (allocated(error)) return
+      seconds = seconds + one_seconds/tries
+      rate = rate + one_rate/tries
+    end do
+  end subroutine calibrate
+
+  !> Runs a task for a short while.
+  subroutine try(task, seconds, rate, error)
+    type(task_type), intent(in) :: task
+    real(dp), intent(out) :: seconds, rate
+    type(error_type), allocatable, intent(out) :: error
+    type(simulation_type) :: simulation
+    type(particles_type) :: particles
+    real(dp) :: began, spent, elapsed
+    integer(int64) :: before
+
+    if (task%initial_file == '') then
+      call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, error)
+    else
+      call read_particles(task%initial_file, task%setup%table, task%number, particles, error)
+    end if
+    if (allocated(error)) return
+    call begin_simulation(simulation, task%setup, particles, error)
+    if (allocated(error)) return
+    began = wall_seconds()
+    before = simulation%engine%collisions()
+    elapsed = real(simulation%elapsed, dp)
+    do
+      call step(simulation)
+      spent = wall_seconds() - began
+      if (spent > try_seconds .or. simulation%done) exit
+    end do
+    rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
+    if (task%setup%duration > 0.0_wp) then
+      seconds = spent*real(task%setup%duration, dp)/max(real(simulation%elapsed, dp) - elapsed, 1.0e-30_dp)
+    else
+      seconds = real(task%setup%collisions, dp)/max(rate, 1.0e-9_dp)
+    end if
+  end subroutine try
+
+end module battery_outlook

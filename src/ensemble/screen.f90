@@ -1,0 +1,134 @@
+!> What a run shows while it goes on and when it is over.
+!>
+!> On a terminal one line that is written over and over; in a log a plain line now and then. Only
+!> rank 0 speaks.
+module battery_screen
+  use, intrinsic :: iso_fortran_env, only: output_unit
+  use battery_kinds, only: dp, int64
+  use battery_communicator, only: board_type, read_board, tasks_finished, collisions_done
+  use battery_signals, only: wall_seconds, is_terminal
+  implicit none (type, external)
+  private
+  public :: screen_type, new_screen, show_ensemble, end_progress, duration_text, rate_text
+
+  type :: screen_type
+    !> Whether anything is shown, and whether lines can be written over.
+    logical :: speaks = .false., terminal = .false.
+    real(dp) :: began = 0.0_dp, next = 0.0_dp
+    logical :: line_open = .false.
+    !> Tasks of the ensemble, those finished before this start, and ranks.
+    integer :: tasks = 0, finished_before = 0, ranks = 1
+  end type screen_type
+
+  !> Seconds between two lines: on a terminal, in a log.
+  real(dp), parameter :: terminal_interval = 0.2_dp, log_interval = 60.0_dp
+
+contains
+
+  !> A screen that speaks or not.
+  function new_screen(speaks, tasks, finished_before, ranks) result(screen)
+    logical, intent(in) :: speaks
+    integer, intent(in) :: tasks, finished_before, ranks
+    type(screen_type) :: screen
+
+    screen%speaks = speaks
+    screen%terminal = is_terminal()
+    screen%tasks = tasks
+    screen%finished_before = finished_before
+    screen%ranks = ranks
+    screen%began = wall_seconds()
+    screen%next = screen%began + merge(terminal_interval, log_interval, screen%terminal)
+  end function new_screen
+
+  !> Tells how far the ensemble is, if it is time to. This rank's task is done to `share` (0 to 1);
+  !> the tasks of the other ranks are taken to be as far.
+  subroutine show_ensemble(screen, board, share)
+    type(screen_type), intent(inout) :: screen
+    type(board_type), intent(in) :: board
+    real(dp), intent(in) :: share
+    integer :: finished, running
+    real(dp) :: before
+
+    if (.not. screen%speaks) return
+    if (wall_seconds() < screen%next) return
+    finished = int(read_board(board, tasks_finished)) + screen%finished_before
+    running = min(screen%ranks, screen%tasks - finished)
+    before = real(screen%finished_before, dp)/screen%tasks
+    call show_progress(screen, min(1.0_dp, (finished + share*running)/screen%tasks), before, finished, &
+      screen%tasks, read_board(board, collisions_done))
+  end subroutine show_ensemble
+
+  !> Shows `share` done of the ensemble, `share_before` of it before this start, tasks finished of
+  !> all, and the collisions a second.
+  subroutine show_progress(screen, share, share_before, finished, tasks, collisions)
+    type(screen_type), intent(inout) :: screen
+    real(dp), intent(in) :: share, share_before
+    integer, intent(in) :: finished, tasks
+    integer(int64), intent(in) :: collisions
+    real(dp) :: now, spent, left
+    character(len=160) :: line
+    integer, parameter :: bar = 24
+    integer :: filled
+
+    now = wall_seconds()
+    screen%next = now + merge(terminal_interval, log_interval, screen%terminal)
+    spent = now - screen%began
+    left = 0.0_dp
+    if (share > share_before) left = spent*(1.0_dp - share)/(share - share_before)
+    filled = max(0, min(bar, int(share*bar)))
+    write (line, '(a, i0, a, i0, a, f5.1, a)') repeat('#', filled)//repeat('.', bar - filled)//'  ', &
+      finished, ' of ', tasks, ' tasks  ', 100.0_dp*share, ' %  ' &
+      //rate_text(real(collisions, dp)/max(spent, 1.0e-9_dp))//' collisions/s  ' &
+      //duration_text(left)//' left'
+    if (screen%terminal) then
+      write (output_unit, '(a)', advance='no') achar(13)//line(:100)
+      screen%line_open = .true.
+    else
+      write (output_unit, '(a)') trim(line)
+    end if
+    flush (output_unit)
+  end subroutine show_progress
+
+  !> Clears the progress line.
+  subroutine end_progress(screen)
+    type(screen_type), intent(inout) :: screen
+
+    if (screen%line_open) write (output_unit, '(a)', advance='no') &
+      achar(13)//repeat(' ', 100)//achar(13)
+    screen%line_open = .false.
+  end subroutine end_progress
+
+  !> A time as a reader would say it: `8 s`, `3 min 20 s`, `2 h 05 min`.
+  pure function duration_text(seconds) result(text)
+    real(dp), intent(in) :: seconds
+    character(len=:), allocatable :: text
+    character(len=32) :: buffer
+    integer(int64) :: whole
+
+    whole = nint(min(max(seconds, 0.0_dp), 1.0e12_dp), int64)
+    if (seconds < 9.95_dp) then
+      write (buffer, '(f3.1, a)') max(seconds, 0.0_dp), ' s'
+    else if (whole < 60) then
+      write (buffer, '(i0, a)') whole, ' s'
+    else if (whole < 3600) then
+      write (buffer, '(i0, a, i0, a)') whole/60, ' min ', mod(whole, 60_int64), ' s'
+    else
+      write (buffer, '(i0, a, i2.2, a)') whole/3600, ' h ', mod(whole, 3600_int64)/60, ' min'
+    end if
+    text = trim(buffer)
+  end function duration_text
+
+  !> A rate with three digits, such as `2.13e8`.
+  pure function rate_text(rate) result(text)
+    real(dp), intent(in) :: rate
+    character(len=:), allocatable :: text
+    character(len=32) :: buffer
+    integer :: power
+
+    power = 0
+    if (rate > 0.0_dp) power = floor(log10(rate))
+    write (buffer, '(f4.2, a, i0)') rate/10.0_dp**power, 'e', power
+    text = trim(buffer)
+  end function rate_text
+
+end module battery_screen

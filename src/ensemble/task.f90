@@ -1,0 +1,141 @@
+!> One task of an ensemble, from its particles to its result.
+module battery_task
+  use battery_kinds, only: dp, int64
+  use battery_error, only: error_type
+  use battery_engine, only: particles_type
+  use battery_signals, only: wall_seconds, cpu_seconds, stop_requested
+  use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, verify
+  use battery_initial_state, only: random_particles, read_particles
+  use battery_journal, only: journal_type, read_state, write_state
+  use battery_task_result, only: task_result_type, result_of, failed_result
+  use battery_communicator, only: board_type, add_to_board, read_board, collisions_done, stop_wanted
+  use battery_screen, only: screen_type, show_ensemble
+  implicit none (type, external)
+  private
+  public :: task_type, watch_type, run_task
+
+  type :: task_type
+    !> Number of the task from 1; its point and replica.
+    integer :: task = 0, point = 0, replica = 0
+    type(setup_type) :: setup
+    integer :: number = 0, urn1_number = 0
+    integer(int64) :: seed = 0
+    !> Where the particles start, if not at random.
+    character(len=:), allocatable :: initial_file
+    logical :: final_state = .false.
+  end type task_type
+
+  !> What a running task looks at from time to time.
+  type :: watch_type
+    !> When the run must have stopped, and how often states are saved, in seconds of `wall_seconds`.
+    real(dp) :: stop_at = huge(1.0_dp)
+    real(dp) :: checkpoint_interval = huge(1.0_dp)
+    real(dp) :: next_checkpoint = huge(1.0_dp)
+    real(dp) :: next_look = 0.0_dp
+    !> Whether the run stops early.
+    logical :: stopping = .false.
+    !> Time spent in tasks.
+    real(dp) :: busy = 0.0_dp
+  end type watch_type
+
+  !> Windows between two looks at the clock, and seconds between two looks at the board.
+  integer, parameter :: windows_between_looks = 16
+  real(dp), parameter :: look_interval = 0.1_dp
+
+contains
+
+  !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
+  !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's troubles.
+  subroutine run_task(task, journal, board, watch, screen, found, stopped, error)
+    type(task_type), intent(in) :: task
+    type(journal_type), intent(inout) :: journal
+    type(board_type), intent(in) :: board
+    type(watch_type), intent(inout) :: watch
+    type(screen_type), intent(inout) :: screen
+    type(task_result_type), intent(out) :: found
+    logical, intent(out) :: stopped
+    type(error_type), allocatable, intent(out) :: error
+    type(simulation_type) :: simulation
+    type(error_type), allocatable :: trouble
+    real(dp) :: cpu_before, cpu_began, began, now
+    integer(int64) :: told, before
+
+    stopped = .false.
+    began = wall_seconds()
+    cpu_began = cpu_seconds()
+    call resume_or_begin(task, journal, simulation, cpu_before, trouble)
+    told = 0
+    if (.not. allocated(trouble)) told = simulation%observer%collisions
+    watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
+    do while (.not. allocated(trouble))
+      if (simulation%done) exit
+      call some_steps(simulation)
+      if (wall_seconds() < watch%next_look) cycle
+      call look_around()
+      call show_ensemble(screen, board, real(progress(simulation), dp))
+      if (simulation%done) exit
+      stopped = watch%stopping
+      now = wall_seconds()
+      if (.not. stopped .and. now < watch%next_checkpoint) cycle
+      call write_state(journal, task%task, simulation, cpu_before + cpu_seconds() - cpu_began, error)
+      if (stopped .or. allocated(error)) exit
+      watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
+    end do
+    watch%busy = watch%busy + wall_seconds() - began
+    if (stopped .or. allocated(error)) return
+    if (.not. allocated(trouble)) call verify(simulation, trouble)
+    if (allocated(trouble)) then
+      found = failed_result(task%task, trouble%message)
+    else
+      call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
+      found = result_of(task%task, simulation, task%final_state, cpu_before + cpu_seconds() - cpu_began)
+    end if
+
+  contains
+
+    !> Tells the board what was done, and hears whether to stop.
+    subroutine look_around()
+      real(dp) :: now
+
+      now = wall_seconds()
+      watch%next_look = now + look_interval
+      call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
+      told = simulation%observer%collisions
+      if (stop_requested() .or. now >= watch%stop_at) call add_to_board(board, stop_wanted, 1_int64, before)
+      watch%stopping = read_board(board, stop_wanted) > 0
+    end subroutine look_around
+
+  end subroutine run_task
+
+  subroutine some_steps(simulation)
+    type(simulation_type), intent(inout) :: simulation
+    integer :: window
+
+    do window = 1, windows_between_looks
+      call step(simulation)
+      if (simulation%done) exit
+    end do
+  end subroutine some_steps
+
+  !> From the saved state if there is one, else from the start.
+  subroutine resume_or_begin(task, journal, simulation, cpu_before, error)
+    type(task_type), intent(in) :: task
+    type(journal_type), intent(inout) :: journal
+    type(simulation_type), intent(out) :: simulation
+    real(dp), intent(out) :: cpu_before
+    type(error_type), allocatable, intent(out) :: error
+    type(particles_type) :: particles
+    logical :: resumed
+
+    call read_state(journal, task%task, task%setup, simulation, cpu_before, resumed, error)
+    if (resumed .or. allocated(error)) return
+    if (task%initial_file == '') then
+      call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, error)
+    else
+      call read_particles(task%initial_file, task%setup%table, task%number, particles, error)
+    end if
+    if (allocated(error)) return
+    call begin_simulation(simulation, task%setup, particles, error)
+  end subroutine resume_or_begin
+
+end module battery_task
