@@ -489,6 +489,11 @@ contains
       if (step > 0.0_wp) hits = floor(elapsed/step, int64)
       elapsed = elapsed - real(hits, wp)*step
       turned = flight%y + modulo(real(hits, wp)*2.0_wp*acos(flight%across), 2.0_wp*pi)
+      if (.not. step > 0.0_wp) then
+        ! A chord without length: the particle glides along the wall.
+        turned = flight%y + flight%across*elapsed/self%urn%radius
+        elapsed = 0.0_wp
+      end if
       impact = cmplx(cos(turned), sin(turned), wp)
       velocity = [real(impact*cmplx(-flight%along, flight%across, wp), wp), &
         aimag(impact*cmplx(-flight%along, flight%across, wp))]
@@ -566,7 +571,7 @@ contains
     integer :: counted(2)
 
     counted = self%gate%count
-    state%integers = [self%pages, self%known_hits, int(counted, int64), &
+    state%integers = [self%pages, self%known_hits, self%told_hits, int(counted, int64), &
       int(self%gate(1)%particle(:counted(1)), int64), int(self%gate(2)%particle(:counted(2)), int64)]
     state%reals = [self%now, self%clock_start, self%flight%time, self%flight%y, self%flight%along, &
       self%flight%across, self%flight%entered, self%calendar%entry%due, &
@@ -585,7 +590,7 @@ contains
     call prepare(self, table, threshold, number)
     self%pages = state%integers(1)
     self%known_hits = state%integers(2)
-    self%told_hits = self%known_hits
+    self%told_hits = state%integers(3)
     self%now = state%reals(1)
     self%clock_start = state%reals(2)
     self%flight%time = state%reals(3:number + 2)
@@ -598,9 +603,9 @@ contains
     self%flight%urn = state%bytes - 2*self%flight%heading
     at = 0
     do g = 1, 2
-      counted = int(state%integers(2 + g))
+      counted = int(state%integers(3 + g))
       call fill_gate(self%gate(g), state%reals(6*number + 3 + at:6*number + 2 + at + counted), &
-        int(state%integers(5 + at:4 + at + counted)))
+        int(state%integers(6 + at:5 + at + counted)))
       at = at + counted
     end do
     do i = 1, number

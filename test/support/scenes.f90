@@ -220,7 +220,7 @@ contains
     history%logging = .true.
     began = log%elapsed
     rest = duration
-    do while (rest > 4.0_wp*epsilon(1.0_wp)*duration)
+    do while (rest > 16.0_wp*epsilon(1.0_wp)*(began + duration))
       if (present(step)) rest = min(rest, step)
       call engine%advance(rest, history)
       call tally(history, engine%number, log)
@@ -344,6 +344,7 @@ contains
     real(qp) :: wait, soonest
     integer :: i, next, what, now_what
 
+    call make_room(log, 0)
     do
       soonest = real(until, qp) - plain%now
       next = 0
