@@ -3,7 +3,8 @@ program battery
   use, intrinsic :: iso_fortran_env, only: error_unit, output_unit
   use battery_error, only: error_type, exit_success
   use battery_command_line, only: command_line_type, read_command_line, usage_text, version_text
-  use battery_communicator, only: communicator_type, open_communicator, close_communicator, share_error
+  use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
+    share_error
   use battery_ensemble, only: run_ensemble
   use battery_namelist_input, only: read_namelist
   use battery_outlook, only: print_outlook
@@ -47,7 +48,8 @@ contains
     call share_error(communicator, error)
     if (allocated(error)) return
     if (.not. command_line%check) then
-      call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, error)
+      call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
+        error)
     else if (communicator%rank == 0) then
       call print_outlook(plan, communicator%size, error)
     end if

@@ -66,20 +66,19 @@ contains
     type(case_type) :: one
     type(runner_type) :: runner
     type(history_type) :: history
-    character(len=64) :: words(6)
+    character(len=512) :: words
+    character(len=64) :: word
     integer(int64) :: collisions, wanted
-    integer :: k, status(6)
+    integer :: k, status
 
-    do k = 1, 6
-      call get_command_argument(k + 1, words(k))
+    words = ''
+    do k = 2, command_argument_count()
+      call get_command_argument(k, word)
+      words = trim(words)//' '//word
     end do
-    one%engine = words(1)(:12)
-    read (words(2), *, iostat=status(1)) one%number
-    read (words(3), *, iostat=status(2)) one%threshold
-    read (words(4), *, iostat=status(3)) one%width1
-    read (words(5), *, iostat=status(4)) one%width2
-    read (words(6), *, iostat=status(5)) wanted
-    if (any(status(:5) /= 0)) then
+    read (words, *, iostat=status) one%engine, one%number, one%threshold, one%width1, one%width2, &
+      wanted
+    if (status /= 0) then
       write (unit, '(a)') 'bench single: six words are needed; see bench --help'
       return
     end if
@@ -123,8 +122,8 @@ contains
     end do
   end subroutine warm_up
 
-  !> Goes on for about the seconds of the case. Visits are counted from the stationary rate of visits
-  !> per particle time only in the tables; here what the engine reports is summed up.
+  !> Goes on for about the seconds of the case. Visits are counted from the stationary rate of
+  !> visits per particle time only in the tables; here what the engine reports is summed up.
   subroutine round(one, runner, rate)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
@@ -199,7 +198,8 @@ contains
     file = 0
     if (json /= '') then
       open (newunit=file, file=json, status='replace', action='write')
-      write (file, '(a)') '{"compiler": "'//compiler_version()//'", "processor": "'//processor()//'", "cases": ['
+      write (file, '(a)') '{"compiler": "'//compiler_version()//'", "processor": "'//processor() &
+        //'", "cases": ['
     end if
     write (unit, '(a)') 'processor: '//processor(), 'compiler:  '//compiler_version()
     call table(unit, file, 'Engines at N = 1000, T = 7, w = 0.3, w'' = 0.01; ratios to the first', &
@@ -237,27 +237,31 @@ contains
     real(dp) :: collisions(3), visits(3), time(3), ratio(3)
     integer :: k
     logical, save :: first = .true.
+    character(len=*), parameter :: row = '(a12, i8, i8, 2es10.2, es14.3, a, es9.2, a, es9.2, a, ' &
+      // 'es10.2, f10.1, f8.3, a, f5.3, a, f5.3, a)'
 
     call compare(cases, rates)
     write (unit, '(/, a)') title
-    write (unit, '(a)') 'engine            N       T    w         w''         collisions/s  (least ... most)      '// &
-      'visits/s   ns/visit  ratio of visits'
+    write (unit, '(a)') 'engine            N       T         w        w''  collisions/s' &
+      //' (least ... most)       visits/s  ns/visit  ratio of visits'
     do k = 1, size(cases)
       collisions = spread_of(rates(:, k)%collisions)
       visits = spread_of(rates(:, k)%visits)
       time = spread_of(rates(:, k)%particle_time)
       ratio = spread_of(rates(:, k)%visits/rates(:, 1)%visits)
-      write (unit, '(a12, i8, i8, 2es10.2, es14.3, a, es9.2, a, es9.2, a, es10.2, f10.1, f8.3, a, f5.3, a, f5.3, a)') &
-        cases(k)%engine, cases(k)%number, cases(k)%threshold, cases(k)%width1, cases(k)%width2, &
-        collisions(2), ' (', collisions(1), ' ... ', collisions(3), ')', visits(2), 1.0e9_dp/visits(2), &
-        ratio(2), ' (', ratio(1), ' ... ', ratio(3), ')'
+      write (unit, row) cases(k)%engine, cases(k)%number, cases(k)%threshold, cases(k)%width1, &
+        cases(k)%width2, collisions(2), ' (', collisions(1), ' ... ', collisions(3), ')', &
+        visits(2), 1.0e9_dp/visits(2), ratio(2), ' (', ratio(1), ' ... ', ratio(3), ')'
       if (file /= 0) then
         if (.not. first) write (file, '(a)') ','
         first = .false.
-        write (file, '(a, i0, a, i0, a, es12.5, a, es12.5, a, 3(es12.5, a), es12.5, a, es12.5, a)') &
-          '{"engine": "'//trim(cases(k)%engine)//'", "number": ', cases(k)%number, ', "threshold": ', &
+        write (file, &
+          '(a, i0, a, i0, a, es12.5, a, es12.5, a, 3(es12.5, a), es12.5, a, es12.5, a)') &
+          '{"engine": "'//trim(cases(k)%engine)//'", "number": ', cases(k)%number, &
+          ', "threshold": ', &
           cases(k)%threshold, ', "channel1_width": ', cases(k)%width1, ', "channel2_width": ', &
-          cases(k)%width2, ', "collisions_per_second": [', collisions(1), ', ', collisions(2), ', ', &
+          cases(k)%width2, ', "collisions_per_second": [', collisions(1), ', ', collisions(2), &
+          ', ', &
           collisions(3), '], "visits_per_second": ', visits(2), ', "particle_time_per_second": ', &
           time(2), '}'
       end if
@@ -281,6 +285,7 @@ contains
     text = line_of('/proc/self/status', 'VmHWM')
     kilobytes = 0
     read (text, *, iostat=status) kilobytes
+    if (status /= 0) kilobytes = 0
   end function peak_memory
 
   !> What stands after the colon in the line of a file that begins with `key`.

@@ -5,7 +5,8 @@ module battery_error
   public :: error_type, fatal_error, exit_success, exit_failure, exit_bad_input, exit_stopped_early
 
   !> Exit codes of the program.
-  integer, parameter :: exit_success = 0, exit_failure = 1, exit_bad_input = 2, exit_stopped_early = 3
+  integer, parameter :: exit_success = 0, exit_failure = 1, exit_bad_input = 2, &
+    exit_stopped_early = 3
 
   !> What went wrong, where, and what would be right; not allocated: nothing did.
   type :: error_type

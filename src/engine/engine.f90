@@ -17,7 +17,8 @@ module battery_engine
   integer, parameter :: channel1_12 = 1, channel1_21 = 2, channel2_12 = 3, channel2_21 = 4
 
   !> Kinds of the event log.
-  integer, parameter :: event_entry = 1, event_reversal = 2, event_crossing1 = 3, event_crossing2 = 4
+  integer, parameter :: event_entry = 1, event_reversal = 2, event_crossing1 = 3, &
+    event_crossing2 = 4
 
   !> Positions and velocities (speed 1) of all particles, in the order of the initial file.
   type :: particles_type
@@ -81,6 +82,7 @@ module battery_engine
   abstract interface
     subroutine start_interface(self, table, threshold, particles, clock)
       import :: engine_type, table_type, particles_type, wp
+      implicit none (type, external)
       class(engine_type), intent(inout) :: self
       type(table_type), intent(in) :: table
       integer, intent(in) :: threshold
@@ -90,6 +92,7 @@ module battery_engine
 
     subroutine advance_interface(self, duration, history)
       import :: engine_type, history_type, wp
+      implicit none (type, external)
       class(engine_type), intent(inout) :: self
       real(wp), intent(in) :: duration
       type(history_type), intent(inout) :: history
@@ -97,6 +100,7 @@ module battery_engine
 
     subroutine particles_interface(self, first, last, particles)
       import :: engine_type, particles_type
+      implicit none (type, external)
       class(engine_type), intent(in) :: self
       integer, intent(in) :: first, last
       type(particles_type), intent(out) :: particles
@@ -104,18 +108,21 @@ module battery_engine
 
     function count_interface(self) result(total)
       import :: engine_type, int64
+      implicit none (type, external)
       class(engine_type), intent(in) :: self
       integer(int64) :: total
     end function count_interface
 
     function clock_interface(self) result(time)
       import :: engine_type, wp
+      implicit none (type, external)
       class(engine_type), intent(in) :: self
       real(wp) :: time
     end function clock_interface
 
     subroutine save_interface(self, state)
       import :: engine_type, engine_state_type
+      implicit none (type, external)
       class(engine_type), intent(in) :: self
       type(engine_state_type), intent(out) :: state
     end subroutine save_interface
@@ -124,6 +131,7 @@ module battery_engine
     !> same engine with the same table.
     subroutine restore_interface(self, table, threshold, number, state)
       import :: engine_type, engine_state_type, table_type
+      implicit none (type, external)
       class(engine_type), intent(inout) :: self
       type(table_type), intent(in) :: table
       integer, intent(in) :: threshold, number
@@ -155,10 +163,12 @@ contains
     integer, intent(in) :: crossings, events
     integer :: room
 
-    if (.not. allocated(history%crossing_time)) allocate (history%crossing_time(0), history%crossing(0))
+    if (.not. allocated(history%crossing_time)) allocate (history%crossing_time(0), &
+      history%crossing(0))
     if (size(history%crossing_time) < crossings) then
       room = max(crossings, 2*size(history%crossing_time), 64)
-      history%crossing_time = [history%crossing_time, spread(0.0_wp, 1, room - size(history%crossing_time))]
+      history%crossing_time = [history%crossing_time, spread(0.0_wp, 1, room &
+        - size(history%crossing_time))]
       history%crossing = [history%crossing, spread(0_int8, 1, room - size(history%crossing))]
     end if
     if (.not. history%logging) return
@@ -179,15 +189,18 @@ contains
     real(wp), intent(in) :: time
     integer, intent(in) :: crossing, particle
 
-    if (history%crossings == size(history%crossing_time)) call grow(history, history%crossings + 1, 0)
+    if (history%crossings == size(history%crossing_time)) call grow(history, history%crossings &
+      + 1, 0)
     history%crossings = history%crossings + 1
     history%crossing_time(history%crossings) = time
     history%crossing(history%crossings) = int(crossing, int8)
     if (.not. history%logging) return
     if (crossing <= channel1_21) then
-      call record_event(history, time, event_crossing1, merge(12, 21, crossing == channel1_12), particle)
+      call record_event(history, time, event_crossing1, merge(12, 21, crossing == channel1_12), &
+        particle)
     else
-      call record_event(history, time, event_crossing2, merge(12, 21, crossing == channel2_12), particle)
+      call record_event(history, time, event_crossing2, merge(12, 21, crossing == channel2_12), &
+        particle)
     end if
   end subroutine record_crossing
 

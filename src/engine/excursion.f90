@@ -12,8 +12,8 @@ module battery_excursion
   use battery_kinds, only: wp, int8, int64, pi
   use battery_table, only: table_type, shape_circuit, area_of_urn, shortest_excursion, region_at, &
     urn_one, urn_two, gate_one, return_one, return_two
-  use battery_urn, only: urn_type, visits_type, new_urn, reserve_visits, leave_channels, cross_urns, &
-    position_before
+  use battery_urn, only: urn_type, visits_type, new_urn, reserve_visits, leave_channels, &
+    cross_urns, position_before
   use battery_channel, only: fold
   use battery_gate, only: gate_type, empty_gate, fill_gate, enter_gate, cross_middle, shift_gate
   use battery_calendar, only: calendar_type, new_calendar, schedule, schedule_all, open_until, &
@@ -93,8 +93,8 @@ contains
       do first = 1, self%number, start_chunk
         call reserve_visits(self%visits, start_chunk)
         do i = first, min(first + start_chunk - 1, self%number)
-          call take_over(self, i, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i), &
-            from_channels)
+          call take_over(self, i, particles%x(i), particles%y(i), particles%ux(i), &
+            particles%uy(i), from_channels)
         end do
         if (from_channels) call leave_channels(self%urn, self%visits)
         call finish_visits(self)
@@ -104,8 +104,10 @@ contains
     end do
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
     do urn = 1, 2
-      inside = pack([(i, i=1, self%number)], self%flight%heading == in_gate .and. self%flight%urn == urn)
-      call fill_gate(self%gate(urn), self%flight(inside)%time + self%half1/self%flight(inside)%along, inside)
+      inside = pack([(i, i=1, self%number)], self%flight%heading == in_gate &
+        .and. self%flight%urn == urn)
+      call fill_gate(self%gate(urn), self%flight(inside)%time &
+        + self%half1/self%flight(inside)%along, inside)
     end do
   end subroutine start
 
@@ -167,8 +169,8 @@ contains
     in_channel2 = region == return_one .or. region == return_two
     opening = merge(-1.0_wp, 1.0_wp, in_channel2)
     width = merge(self%table%channel2_width, self%table%channel1_width, in_channel2)
-    depth = merge(abs(x) - self%table%urn_centre - self%table%chord2_distance, self%half1 - abs(x), &
-      in_channel2)
+    depth = merge(abs(x) - self%table%urn_centre - self%table%chord2_distance, self%half1 &
+      - abs(x), in_channel2)
     outward = opening*merge(ux, -ux, urn == 1)
     self%flight(i)%urn = urn
     length = merge(self%table%channel2_length, self%table%channel1_length, in_channel2)
@@ -221,15 +223,16 @@ contains
     n = self%visits%count
     associate (v => self%visits)
       self%known_hits = self%known_hits + int(sum(v%hits(:n)), int64)
-      call land(self%number, self%flight, n, self%half2, v%particle, v%urn, v%opening, v%time, v%length, &
-        v%y, v%along, v%across)
+      call land(self%number, self%flight, n, self%half2, v%particle, v%urn, v%opening, v%time, &
+        v%length, v%y, v%along, v%across)
       call schedule_all(self%calendar, n, v%particle, v%time)
       v%count = 0
     end associate
   end subroutine finish_visits
 
   !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
-  pure subroutine land(number, flight, n, half2, particle, urn, opening, time, length, y, along, across)
+  pure subroutine land(number, flight, n, half2, particle, urn, opening, time, length, y, along, &
+    across)
     integer, intent(in) :: number, n
     type(flight_type), intent(inout) :: flight(number)
     real(wp), intent(in) :: half2
@@ -266,14 +269,15 @@ contains
     if (self%now >= self%calendar%page) call turn(self)
     began = self%now
     limit = min(self%now + duration, self%calendar%page)
-    call next_due(self%calendar, min(limit, self%gate(1)%next_crossing, self%gate(2)%next_crossing), due)
+    call next_due(self%calendar, min(limit, self%gate(1)%next_crossing, &
+      self%gate(2)%next_crossing), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
     call open_until(self%calendar, ends)
     call reserve_visits(self%visits, self%calendar%sorted + self%gate(1)%count + self%gate(2)%count)
     call reserve_history(history, self%calendar%sorted, 0)
     call walk(self, began, ends, history)
-    call gather(self%number, self%flight, self%visits%count, self%visits%particle, self%visits%time, &
-      self%visits%y, self%visits%along, self%visits%across)
+    call gather(self%number, self%flight, self%visits%count, self%visits%particle, &
+      self%visits%time, self%visits%y, self%visits%along, self%visits%across)
     call leave_channels(self%urn, self%visits)
     call finish_visits(self)
     self%now = ends
@@ -326,7 +330,8 @@ contains
         call enter_gate(self%gate(urn), time + half1/self%flight(i)%along, i)
         if (logging) call record_event(history, time - began, event_entry, urn, i)
         if (self%gate(urn)%count > threshold) then
-          if (.not. more_enter_now(self, urn, at, last)) call reverse(self, urn, time, began, history)
+          if (.not. more_enter_now(self, urn, at, last)) call reverse(self, urn, time, began, &
+            history)
         end if
       else
         call cross_periodic_line(self, i, time, began, history)
@@ -477,9 +482,11 @@ contains
     elapsed = self%now - flight%time
     select case (flight%heading)
     case (parked_in_channel)
-      call fold(flight%y + flight%across*elapsed, self%table%channel1_width, position(2), turned, passed)
+      call fold(flight%y + flight%across*elapsed, self%table%channel1_width, position(2), turned, &
+        passed)
       if (abs(flight%along) > self%half1) &
-        call fold(flight%y + flight%across*elapsed, self%table%channel2_width, position(2), turned, passed)
+        call fold(flight%y + flight%across*elapsed, self%table%channel2_width, position(2), &
+        turned, passed)
       position(1) = flight%along
       velocity = [0.0_wp, turned*flight%across]
       hits = int(passed, int64)
@@ -531,7 +538,8 @@ contains
     side = merge(1.0_wp, -1.0_wp, position(1) > 0.0_wp)
     width = merge(self%urn%width1, self%urn%width2, side > 0.0_wp)
     call fold(position(2) - velocity(2)*before, width, height, turned, passed)
-    position(1) = side*(merge(self%urn%chord1, self%urn%chord2, side > 0.0_wp) + abs(velocity(1))*before)
+    position(1) = side*(merge(self%urn%chord1, self%urn%chord2, side > 0.0_wp) &
+      + abs(velocity(1))*before)
     position(2) = height
     velocity(2) = turned*velocity(2)
     hits = hits - int(passed, int64)
@@ -555,7 +563,8 @@ contains
     class(excursion_type), intent(in) :: self
     integer(int64) :: total
 
-    total = count(self%flight%heading == parked_in_urn .or. self%flight%heading == parked_in_channel)
+    total = count(self%flight%heading == parked_in_urn .or. self%flight%heading == &
+      parked_in_channel)
   end function trapped
 
   function clock(self) result(time)
@@ -572,7 +581,8 @@ contains
 
     counted = self%gate%count
     state%integers = [self%pages, self%known_hits, self%told_hits, int(counted, int64), &
-      int(self%gate(1)%particle(:counted(1)), int64), int(self%gate(2)%particle(:counted(2)), int64)]
+      int(self%gate(1)%particle(:counted(1)), int64), int(self%gate(2)%particle(:counted(2)), &
+      int64)]
     state%reals = [self%now, self%clock_start, self%flight%time, self%flight%y, self%flight%along, &
       self%flight%across, self%flight%entered, self%calendar%entry%due, &
       self%gate(1)%time(:counted(1)), self%gate(2)%time(:counted(2))]

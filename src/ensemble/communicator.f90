@@ -2,14 +2,16 @@
 !>
 !> The board is a few counters in the memory of rank 0 that every rank changes by one-sided atomic
 !> operations: the next task, tasks finished, collisions done, and whether to stop. So no rank waits
-!> for a master, no message grows with the number of ranks or tasks, and rank 0 computes too; it only
-!> has to enter MPI now and then (`read_board`) where the network needs a hand from the processor.
+!> for a master, no message grows with the number of ranks or tasks, and rank 0 computes too; it
+!> only has to enter MPI now and then (`read_board`) where the network needs a hand from the
+!> processor.
 module battery_communicator
   use, intrinsic :: iso_c_binding, only: c_ptr, c_f_pointer
   use mpi_f08, only: MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
     MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
     MPI_ADDRESS_KIND, MPI_MAX_LIBRARY_VERSION_STRING, MPI_Init, MPI_Initialized, MPI_Finalize, &
-    MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, MPI_Allreduce, &
+    MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &
+    MPI_Allreduce, &
     MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, MPI_Win_flush, &
     MPI_Win_sync, MPI_Fetch_and_op, MPI_Get_library_version
   use battery_kinds, only: dp, int64
@@ -38,8 +40,8 @@ module battery_communicator
 
 contains
 
-  !> All ranks of the program, or those of `parent` where MPI is already running (as in tests). Works
-  !> without mpirun, too: then there is one rank.
+  !> All ranks of the program, or those of `parent` where MPI is already running (as in tests).
+  !> Works without mpirun, too: then there is one rank.
   subroutine open_communicator(communicator, parent)
     type(communicator_type), intent(out) :: communicator
     type(MPI_Comm), intent(in), optional :: parent
@@ -195,8 +197,8 @@ contains
     integer(int64), intent(in) :: amount
     integer(int64), intent(out) :: before
 
-    call MPI_Fetch_and_op(amount, before, MPI_INTEGER8, 0, int(entry - 1, MPI_ADDRESS_KIND), MPI_SUM, &
-      board%window)
+    call MPI_Fetch_and_op(amount, before, MPI_INTEGER8, 0, int(entry - 1, MPI_ADDRESS_KIND), &
+      MPI_SUM, board%window)
     call MPI_Win_flush(0, board%window)
   end subroutine add_to_board
 

@@ -1,19 +1,21 @@
-!> An ensemble: all tasks of a plan on any number of ranks, so that nothing that happens can spoil it.
+!> An ensemble: all tasks of a plan on any number of ranks, so that nothing that happens can spoil
+!> it.
 !>
-!> Every rank takes the next task from the board when it is free, writes its result to the journal at
-!> once, and in the end rank 0 merges the journal into the results file. A run that is stopped or
+!> Every rank takes the next task from the board when it is free, writes its result to the journal
+!> at once, and in the end rank 0 merges the journal into the results file. A run that is stopped or
 !> killed goes on from its journal; results depend on the plan alone, not on ranks, order or stops.
 module battery_ensemble
   use, intrinsic :: iso_fortran_env, only: output_unit
   use battery_kinds, only: dp, int64
-  use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early, &
-    exit_bad_input
+  use battery_error, only: error_type, fatal_error, exit_success, exit_failure, &
+    exit_stopped_early, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_signals, only: watch_signals, wall_seconds, stop_requested, rest
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count, task_of, put_longest_first
   use battery_namelist_input, only: differing_keys
-  use battery_communicator, only: communicator_type, board_type, open_board, close_board, add_to_board, &
+  use battery_communicator, only: communicator_type, board_type, open_board, close_board, &
+    add_to_board, &
     read_board, share_error, share_integers, wait_for_all, all_true, summary_of, next_task, &
     tasks_finished, tasks_failed, collisions_done, stop_wanted
   use battery_journal, only: journal_type, read_plan, begin_journal, join_journal, read_finished, &
@@ -54,14 +56,16 @@ contains
       return
     end if
     finished_before = task_count(plan) - size(pending)
-    if (plan%wall_minutes > 0.0_dp) watch%stop_at = began + stop_seconds(real(plan%wall_minutes, dp))
+    if (plan%wall_minutes > 0.0_dp) watch%stop_at = began + stop_seconds(real(plan%wall_minutes, &
+      dp))
     watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
     if (.not. watch%checkpoint_interval > 0.0_dp) watch%checkpoint_interval = huge(1.0_dp)
     call open_board(board, communicator)
     call work(plan, communicator, pending, finished_before, journal, board, watch, quiet, error)
     call share_error(communicator, error)
     if (.not. allocated(error)) &
-      call finish(plan, communicator, journal, board, watch, began, size(pending), quiet, exit_code, error)
+      call finish(plan, communicator, journal, board, watch, began, size(pending), quiet, &
+      exit_code, error)
     call close_board(board)
   end subroutine run_ensemble
 
@@ -93,7 +97,8 @@ contains
     call share_integers(communicator, numbers)
     complete = numbers(1) == 1
     pending = numbers(3:)
-    call join_journal(journal, journal_folder(plan), numbers(2), communicator%rank, communicator%size)
+    call join_journal(journal, journal_folder(plan), numbers(2), communicator%rank, &
+      communicator%size)
 
   contains
 
@@ -117,7 +122,8 @@ contains
         call compare(plan, before, error)
         if (allocated(error)) return
         if (complete) then
-          if (.not. quiet) write (output_unit, '(a)') plan%file//' is complete; --overwrite runs it again'
+          if (.not. quiet) write (output_unit, '(a)') plan%file &
+            //' is complete; --overwrite runs it again'
           numbers = [1, 0]
           return
         end if
@@ -168,9 +174,10 @@ contains
     character(len=:), allocatable :: keys
 
     keys = differing_keys(before, plan%text)
-    if (keys /= '') call fatal_error(error, plan%file//' was made from another input; these differ:' &
-      //new_line('a')//keys//new_line('a')//'name another output file, or discard it with --overwrite', &
-      exit_bad_input)
+    if (keys /= '') call fatal_error(error, plan%file &
+      //' was made from another input; these differ:' &
+      //new_line('a')//keys//new_line('a') &
+      //'name another output file, or discard it with --overwrite', exit_bad_input)
   end subroutine compare
 
   !> The tasks that are not finished, the longest first, else in their order.
@@ -200,8 +207,8 @@ contains
     integer(int64) :: taken, before
     logical :: stopped
 
-    screen = new_screen(communicator%rank == 0 .and. .not. quiet, task_count(plan), finished_before, &
-      communicator%size)
+    screen = new_screen(communicator%rank == 0 .and. .not. quiet, task_count(plan), &
+      finished_before, communicator%size)
     do
       stopped = wall_seconds() >= watch%stop_at
       if (stop_requested()) stopped = .true.
@@ -241,7 +248,8 @@ contains
   end subroutine work
 
   !> Rank 0 merges the journal into the results file and says how it went.
-  subroutine finish(plan, communicator, journal, board, watch, began, tasks, quiet, exit_code, error)
+  subroutine finish(plan, communicator, journal, board, watch, began, tasks, quiet, exit_code, &
+    error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
     type(journal_type), intent(in) :: journal

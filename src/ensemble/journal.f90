@@ -134,7 +134,8 @@ contains
     type(task_result_type), intent(in) :: found
     type(error_type), allocatable, intent(out) :: error
 
-    call append_record(file_of(journal, 'rank', journal%mine), to_record(found), journal%written, error)
+    call append_record(file_of(journal, 'rank', journal%mine), to_record(found), journal%written, &
+      error)
     if (allocated(error)) return
     call sync_file(file_of(journal, 'rank', journal%mine), error)
     if (allocated(error)) return
@@ -164,8 +165,8 @@ contains
     call save_simulation(simulation, state(1), state(2), state(3))
     record%tag = task
     journal%generation = journal%generation + 1
-    record%integers = [journal%generation, sizes_of(state(1)), sizes_of(state(2)), sizes_of(state(3)), &
-      state(1)%integers, state(2)%integers, state(3)%integers]
+    record%integers = [journal%generation, sizes_of(state(1)), sizes_of(state(2)), &
+      sizes_of(state(3)), state(1)%integers, state(2)%integers, state(3)%integers]
     record%reals = real([real(cpu_seconds, wp), state(1)%reals, state(2)%reals, state(3)%reals], dp)
     record%bytes = [state(1)%bytes, state(2)%bytes, state(3)%bytes]
     name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)

@@ -141,8 +141,8 @@ contains
     if (size(found%final_state) > 0) then
       call room_for_final(plan, results)
       call unpack_state(found%final_state, n, results%final_x(:, task%replica, task%point), &
-        results%final_y(:, task%replica, task%point), results%final_ux(:, task%replica, task%point), &
-        results%final_uy(:, task%replica, task%point))
+        results%final_y(:, task%replica, task%point), results%final_ux(:, task%replica, &
+        task%point), results%final_uy(:, task%replica, task%point))
     end if
     if (plan%event_log) then
       k = size(found%event_times)
@@ -206,7 +206,8 @@ contains
     type(results_type), intent(inout) :: results
 
     if (allocated(results%final_x)) return
-    allocate (results%final_x(maxval(results%number), plan%replicas, size(plan%points)), source=unknown())
+    allocate (results%final_x(maxval(results%number), plan%replicas, size(plan%points)), &
+      source=unknown())
     results%final_y = results%final_x
     results%final_ux = results%final_x
     results%final_uy = results%final_x
@@ -220,20 +221,21 @@ contains
 
   !> What stands under the name of the output file: nothing, or results of which input, complete or
   !> not. Anything else there is an error.
-  subroutine existing_results(file, namelist, found, complete, error)
+  subroutine existing_results(file, input_text, found, complete, error)
     character(len=*), intent(in) :: file
-    character(len=:), allocatable, intent(out) :: namelist
+    character(len=:), allocatable, intent(out) :: input_text
     logical, intent(out) :: found, complete
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: status
 
     complete = .false.
-    namelist = ''
+    input_text = ''
     found = file_exists(file)
     if (.not. found) return
-    call read_metadata(file, namelist, status, error)
+    call read_metadata(file, input_text, status, error)
     if (allocated(error)) then
-      call fatal_error(error, file//' is there already, and is not a results file of this program; ' &
+      call fatal_error(error, file &
+        //' is there already, and is not a results file of this program; ' &
         //'name another output file, or discard it with --overwrite', exit_bad_input)
     else
       complete = status == 'complete'

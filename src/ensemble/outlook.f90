@@ -37,8 +37,8 @@ contains
     write (output_unit, '(a)') 'time:       about '//duration_text(seconds*max(1.0_dp, &
       real(ceiling(real(task_count(plan), dp)/ranks), dp)))//' on '//to_text(ranks) &
       //merge(' ranks', ' rank ', ranks > 1)
-    write (output_unit, '(a)') 'memory:     about '//to_text(int(bytes_per_particle()*maxval(plan%points%number) &
-      /1.0e6_dp) + 30)//' MB a rank'
+    write (output_unit, '(a)') 'memory:     about ' &
+      //to_text(int(bytes_per_particle()*maxval(plan%points%number) /1.0e6_dp) + 30)//' MB a rank'
     write (output_unit, '(a)') 'results:    '//plan%file, 'nothing was written'
   end subroutine print_outlook
 
@@ -52,21 +52,25 @@ contains
   subroutine print_parameters(plan)
     type(plan_type), intent(in) :: plan
 
-    write (output_unit, '(a)') 'tasks:      '//to_text(task_count(plan))//' ('//to_text(size(plan%points)) &
-      //' points, '//to_text(plan%replicas)//' replicas each)'
-    write (output_unit, '(a)') 'shape:      '//plan%shape//', urn radius '//to_text(plan%urn_radius) &
-      //', channel 1 '//to_text(plan%channel1_length)//' long, channel 2 '//to_text(plan%channel2_length)
+    write (output_unit, '(a)') 'tasks:      '//to_text(task_count(plan))//' (' &
+      //to_text(size(plan%points)) //' points, '//to_text(plan%replicas)//' replicas each)'
+    write (output_unit, '(a)') 'shape:      '//plan%shape//', urn radius ' &
+      //to_text(plan%urn_radius) &
+      //', channel 1 '//to_text(plan%channel1_length)//' long, channel 2 ' &
+      //to_text(plan%channel2_length)
     write (output_unit, '(a)') 'engine:     '//plan%engine
     write (output_unit, '(a)') 'N:          '//range_of(plan%points%number)
     write (output_unit, '(a)') 'T:          '//range_of(plan%points%threshold)
     write (output_unit, '(a)') 'w:          '//real_range(plan%points%channel1_width)
     write (output_unit, '(a)') 'w'':         '//real_range(plan%points%channel2_width)
-    write (output_unit, '(a)') 'urn 1:      '//range_of(plan%points%urn1_number)//' particles at the start'
+    write (output_unit, '(a)') 'urn 1:      '//range_of(plan%points%urn1_number) &
+      //' particles at the start'
     if (plan%duration > 0.0_wp) then
-      write (output_unit, '(a)') 'length:     '//to_text(plan%duration)//' time units each, the first ' &
-        //to_text(plan%transient_duration)//' not averaged'
+      write (output_unit, '(a)') 'length:     '//to_text(plan%duration) &
+        //' time units each, the first ' //to_text(plan%transient_duration)//' not averaged'
     else
-      write (output_unit, '(a)') 'length:     '//rate_text(real(plan%collisions, dp))//' collisions each, the first ' &
+      write (output_unit, '(a)') 'length:     '//rate_text(real(plan%collisions, dp)) &
+        //' collisions each, the first ' &
         //rate_text(real(plan%transient_collisions, dp))//' not averaged'
     end if
   end subroutine print_parameters
@@ -118,7 +122,8 @@ contains
     integer(int64) :: before
 
     if (task%initial_file == '') then
-      call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, error)
+      call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, &
+        error)
     else
       call read_particles(task%initial_file, task%setup%table, task%number, particles, error)
     end if
@@ -135,7 +140,8 @@ contains
     end do
     rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
     if (task%setup%duration > 0.0_wp) then
-      seconds = spent*real(task%setup%duration, dp)/max(real(simulation%elapsed, dp) - elapsed, 1.0e-30_dp)
+      seconds = spent*real(task%setup%duration, dp)/max(real(simulation%elapsed, dp) - elapsed, &
+        1.0e-30_dp)
     else
       seconds = real(task%setup%collisions, dp)/max(rate, 1.0e-9_dp)
     end if

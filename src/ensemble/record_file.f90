@@ -1,8 +1,8 @@
 !> Files of records that survive a program's sudden end: results of finished tasks, saved states.
 !>
 !> A record is a tag, three arrays (integers, reals, bytes) and a checksum over all of them. Records
-!> are appended and brought to the disk one by one. On reading, the first record that is cut short or
-!> does not match its checksum ends the file: what stands before it is good.
+!> are appended and brought to the disk one by one. On reading, the first record that is cut short
+!> or does not match its checksum ends the file: what stands before it is good.
 module battery_record_file
   use battery_kinds, only: dp, int8, int64
   use battery_error, only: error_type, fatal_error
@@ -35,8 +35,8 @@ contains
 
     open (newunit=unit, file=name, access='stream', form='unformatted', action='readwrite', &
       iostat=status, iomsg=reason)
-    if (status == 0) write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, record%tag, &
-      size(record%integers, kind=int64), size(record%reals, kind=int64), &
+    if (status == 0) write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, &
+      record%tag, size(record%integers, kind=int64), size(record%reals, kind=int64), &
       size(record%bytes, kind=int64), record%integers, record%reals, record%bytes, checksum(record)
     if (status == 0) flush (unit, iostat=status, iomsg=reason)
     if (status == 0) then
@@ -45,7 +45,7 @@ contains
     end if
     if (status /= 0) then
       call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
-      close (unit, iostat=status)
+      close (unit)
     else
       close (unit, iostat=status, iomsg=reason)
       if (status /= 0) call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
@@ -66,8 +66,8 @@ contains
 
     allocate (records(0))
     good_size = 0
-    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', status='old', &
-      iostat=status)
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
+      status='old', iostat=status)
     if (status /= 0) return
     inquire (unit, size=bytes)
     count = 0
@@ -106,8 +106,9 @@ contains
     if (any(head(3:5) < 0) .or. any(head(3:5) > left)) return
     if (8*head(3) + 8*head(4) + head(5) > left) return
     record%tag = head(2)
-    allocate (record%integers(head(3)), record%reals(head(4)), record%bytes(head(5)), stat=status)
-    if (status /= 0) return
+    allocate (record%integers(head(3)))
+    allocate (record%reals(head(4)))
+    allocate (record%bytes(head(5)))
     read (unit, iostat=status) record%integers, record%reals, record%bytes, sum
     if (status /= 0) return
     good = sum == checksum(record)
@@ -151,7 +152,8 @@ contains
     integer(int64) :: size_before
     integer :: unit, status
 
-    open (newunit=unit, file=name, status='replace', access='stream', form='unformatted', iostat=status)
+    open (newunit=unit, file=name, status='replace', access='stream', form='unformatted', &
+      iostat=status)
     if (status == 0) close (unit, iostat=status)
     if (status /= 0) then
       call fatal_error(error, 'cannot write '''//name//'''')

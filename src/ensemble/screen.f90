@@ -54,8 +54,8 @@ contains
     finished = int(read_board(board, tasks_finished)) + screen%finished_before
     running = min(screen%ranks, screen%tasks - finished)
     before = real(screen%finished_before, dp)/screen%tasks
-    call show_progress(screen, min(1.0_dp, (finished + share*running)/screen%tasks), before, finished, &
-      screen%tasks, read_board(board, collisions_done))
+    call show_progress(screen, min(1.0_dp, (finished + share*running)/screen%tasks), before, &
+      finished, screen%tasks, read_board(board, collisions_done))
   end subroutine show_ensemble
 
   !> Shows `share` done of the ensemble, `share_before` of it before this start, tasks finished of
@@ -76,8 +76,8 @@ contains
     left = 0.0_dp
     if (share > share_before) left = spent*(1.0_dp - share)/(share - share_before)
     filled = max(0, min(bar, int(share*bar)))
-    write (line, '(a, i0, a, i0, a, f5.1, a)') repeat('#', filled)//repeat('.', bar - filled)//'  ', &
-      finished, ' of ', tasks, ' tasks  ', 100.0_dp*share, ' %  ' &
+    write (line, '(a, i0, a, i0, a, f5.1, a)') repeat('#', filled)//repeat('.', bar - filled) &
+      //'  ', finished, ' of ', tasks, ' tasks  ', 100.0_dp*share, ' %  ' &
       //rate_text(real(collisions, dp)/max(spent, 1.0e-9_dp))//' collisions/s  ' &
       //duration_text(left)//' left'
     if (screen%terminal) then

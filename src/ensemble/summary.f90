@@ -18,8 +18,8 @@ module battery_summary
 
 contains
 
-  !> Prints what came out; `busy` is the least, mean and greatest share of the time that a rank spent
-  !> in tasks.
+  !> Prints what came out; `busy` is the least, mean and greatest share of the time that a rank
+  !> spent in tasks.
   subroutine print_summary(plan, journal, ranks, busy, seconds, collisions, all_done, quiet)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
@@ -35,24 +35,28 @@ contains
     call print_failures(journal, results)
     if (quiet) return
     if (task_count(plan) <= most_rows) then
-      write (output_unit, '(a)') &
-        '     N    T       w         w''   replica       chi  +-error    current 1  +-error    current 2  +-error'
+      write (output_unit, '(a)') '     N    T       w         w''   replica       chi  +-error' &
+        //'    current 1  +-error    current 2  +-error'
       do point = 1, size(results%number)
         do replica = 1, plan%replicas
-          if (results%task_status(replica, point) == task_complete) call print_row(results, point, replica)
+          if (results%task_status(replica, point) == task_complete) call print_row(results, point, &
+            replica)
         end do
       end do
     end if
     write (output_unit, '(i0, a, i0, a)') done, ' of ', task_count(plan), ' tasks are complete'
-    write (output_unit, '(a, i0, a, 3(i0, a))') 'ranks ', ranks, ', busy ', nint(100.0_dp*busy(1)), ' / ', &
+    write (output_unit, '(a, i0, a, 3(i0, a))') 'ranks ', ranks, ', busy ', &
+      nint(100.0_dp*busy(1)), ' / ', &
       nint(100.0_dp*busy(2)), ' / ', nint(100.0_dp*busy(3)), ' % (least, mean, greatest)'
     write (output_unit, '(a)') rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp)) &
       //' collisions/s in '//duration_text(seconds)
     if (done > 0) write (output_unit, '(a)') 'slowest task: ' &
       //duration_text(maxval(results%cpu_seconds, mask=results%task_status == task_complete))
     if (sum(results%trapped, mask=results%task_status == task_complete) > 0) &
-      write (output_unit, '(a)') 'some particles are on orbits that never leave: see the dataset trapped'
-    if (.not. all_done) write (output_unit, '(a)') 'stopped early, the state is saved: the same command goes on'
+      write (output_unit, &
+      '(a)') 'some particles are on orbits that never leave: see the dataset trapped'
+    if (.not. all_done) write (output_unit, &
+      '(a)') 'stopped early, the state is saved: the same command goes on'
     write (output_unit, '(a)') 'results: '//plan%file
   end subroutine print_summary
 
@@ -60,8 +64,10 @@ contains
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, r
 
-    write (output_unit, '(i6, i5, f8.4, f11.6, i10, f10.5, f9.5, 2(f13.5, f9.5))') results%number(p), &
-      results%threshold(p), results%channel1_width(p), results%channel2_width(p), r, results%chi(r, p), &
+    write (output_unit, &
+      '(i6, i5, f8.4, f11.6, i10, f10.5, f9.5, 2(f13.5, f9.5))') results%number(p), &
+      results%threshold(p), results%channel1_width(p), results%channel2_width(p), r, &
+      results%chi(r, p), &
       results%chi_error(r, p), results%current1(r, p), results%current1_error(r, p), &
       results%current2(r, p), results%current2_error(r, p)
   end subroutine print_row

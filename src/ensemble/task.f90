@@ -4,7 +4,8 @@ module battery_task
   use battery_error, only: error_type
   use battery_engine, only: particles_type
   use battery_signals, only: wall_seconds, cpu_seconds, stop_requested
-  use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, verify
+  use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, &
+    verify
   use battery_initial_state, only: random_particles, read_particles
   use battery_journal, only: journal_type, read_state, write_state
   use battery_task_result, only: task_result_type, result_of, failed_result
@@ -45,7 +46,8 @@ module battery_task
 contains
 
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
-  !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's troubles.
+  !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's
+  !> troubles.
   subroutine run_task(task, journal, board, watch, screen, found, stopped, error)
     type(task_type), intent(in) :: task
     type(journal_type), intent(inout) :: journal
@@ -77,7 +79,8 @@ contains
       stopped = watch%stopping
       now = wall_seconds()
       if (.not. stopped .and. now < watch%next_checkpoint) cycle
-      call write_state(journal, task%task, simulation, cpu_before + cpu_seconds() - cpu_began, error)
+      call write_state(journal, task%task, simulation, cpu_before + cpu_seconds() - cpu_began, &
+        error)
       if (stopped .or. allocated(error)) exit
       watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
     end do
@@ -88,7 +91,8 @@ contains
       found = failed_result(task%task, trouble%message)
     else
       call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
-      found = result_of(task%task, simulation, task%final_state, cpu_before + cpu_seconds() - cpu_began)
+      found = result_of(task%task, simulation, task%final_state, cpu_before + cpu_seconds() &
+        - cpu_began)
     end if
 
   contains
@@ -101,7 +105,8 @@ contains
       watch%next_look = now + look_interval
       call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
       told = simulation%observer%collisions
-      if (stop_requested() .or. now >= watch%stop_at) call add_to_board(board, stop_wanted, 1_int64, before)
+      if (stop_requested() .or. now >= watch%stop_at) call add_to_board(board, stop_wanted, &
+        1_int64, before)
       watch%stopping = read_board(board, stop_wanted) > 0
     end subroutine look_around
 
@@ -130,7 +135,8 @@ contains
     call read_state(journal, task%task, task%setup, simulation, cpu_before, resumed, error)
     if (resumed .or. allocated(error)) return
     if (task%initial_file == '') then
-      call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, error)
+      call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, &
+        error)
     else
       call read_particles(task%initial_file, task%setup%table, task%number, particles, error)
     end if

@@ -66,7 +66,8 @@ contains
     found%chi_error = merge(real(averages%chi_error, dp), unknown, averages%errors_known)
     found%current1_error = merge(real(averages%current1_error, dp), unknown, averages%errors_known)
     found%current2_error = merge(real(averages%current2_error, dp), unknown, averages%errors_known)
-    found%chi_collision = merge(real(averages%chi_collision, dp), unknown, averages%chi_collision_known)
+    found%chi_collision = merge(real(averages%chi_collision, dp), unknown, &
+      averages%chi_collision_known)
     if (.not. simulation%observer%two_halves) then
       found%chi = unknown
       found%chi_error = unknown
@@ -112,9 +113,10 @@ contains
     real(dp) :: unknown
 
     unknown = ieee_value(unknown, ieee_quiet_nan)
-    failed = task_result_type(task, task_failed, message, 0_int64, 0_int64, 0_int64, 0_int64, unknown, &
-      unknown, unknown, unknown, unknown, unknown, unknown, spread(unknown, 1, 4), unknown, unknown, &
-      unknown, null(), null(), null(), null(), null(), null())
+    failed = task_result_type(task, task_failed, message, 0_int64, 0_int64, 0_int64, 0_int64, &
+      unknown, &
+      unknown, unknown, unknown, unknown, unknown, unknown, spread(unknown, 1, 4), unknown, &
+      unknown, unknown, null(), null(), null(), null(), null(), null())
     allocate (failed%series_urn1_number(0), failed%series_flow(0), failed%snapshots(0))
     allocate (failed%final_state(0), failed%events(0), failed%event_times(0))
   end function failed_result
@@ -124,15 +126,16 @@ contains
     type(record_type) :: record
 
     record%tag = found%task
-    record%integers = [int(found%status, int64), found%collisions, found%bounce_backs, found%reversals, &
-      found%trapped, size(found%series_urn1_number, kind=int64), size(found%series_flow, kind=int64), &
-      size(found%snapshots, kind=int64), size(found%final_state, kind=int64), &
+    record%integers = [int(found%status, int64), found%collisions, found%bounce_backs, &
+      found%reversals, &
+      found%trapped, size(found%series_urn1_number, kind=int64), size(found%series_flow, &
+      kind=int64), size(found%snapshots, kind=int64), size(found%final_state, kind=int64), &
       size(found%events, kind=int64), size(found%event_times, kind=int64), &
       found%series_urn1_number, found%events]
     record%reals = [found%chi, found%chi_error, found%chi_collision, found%current1, &
       found%current1_error, found%current2, found%current2_error, found%flow, found%time, &
-      found%transient_time, found%cpu_seconds, found%series_flow, found%snapshots, found%final_state, &
-      found%event_times]
+      found%transient_time, found%cpu_seconds, found%series_flow, found%snapshots, &
+      found%final_state, found%event_times]
     record%bytes = int(iachar(transfer(found%message, 'a', len(found%message))), kind(record%bytes))
   end function to_record
 

@@ -65,12 +65,13 @@ contains
 
     if (time < calendar%opened_until) then
       calendar%entry(particle)%due = time
-      call insert(size(calendar%entry), calendar%due_time, calendar%particle, calendar%sorted, time, &
-        particle)
+      call insert(size(calendar%entry), calendar%due_time, calendar%particle, calendar%sorted, &
+        time, particle)
     else
       bucket = calendar%buckets + 1
       if (time < calendar%page) bucket = 1 + int(time*calendar%per_width)
-      call push(size(calendar%entry), calendar%buckets, calendar%head, calendar%entry, particle, time, bucket)
+      call push(size(calendar%entry), calendar%buckets, calendar%head, calendar%entry, particle, &
+        time, bucket)
     end if
   end subroutine schedule
 
@@ -86,8 +87,8 @@ contains
     head(bucket) = int(particle, int32)
   end subroutine push
 
-  !> Writes down many events at once: of `particle(:count)` at `time(:count)`; those whose time is huge
-  !> never come.
+  !> Writes down many events at once: of `particle(:count)` at `time(:count)`; those whose time is
+  !> huge never come.
   pure subroutine schedule_all(calendar, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
     integer, intent(in) :: count
@@ -99,8 +100,8 @@ contains
       if (time(k) < calendar%opened_until .or. time(k) >= calendar%page) then
         if (time(k) < huge(time)) call schedule(calendar, particle(k), time(k))
       else
-        call push(size(calendar%entry), calendar%buckets, calendar%head, calendar%entry, particle(k), &
-          time(k), 1 + int(time(k)*calendar%per_width))
+        call push(size(calendar%entry), calendar%buckets, calendar%head, calendar%entry, &
+          particle(k), time(k), 1 + int(time(k)*calendar%per_width))
       end if
     end do
   end subroutine schedule_all
@@ -114,15 +115,17 @@ contains
     if (calendar%opened_until >= time .or. calendar%opened == calendar%buckets) return
     target = calendar%buckets
     if (time < calendar%page) target = min(target, ceiling(time*calendar%per_width))
-    call open_buckets(size(calendar%entry), calendar%buckets, calendar%opened + 1, target, calendar%head, &
-      calendar%entry, calendar%sorted, calendar%due_time, calendar%particle)
+    call open_buckets(size(calendar%entry), calendar%buckets, calendar%opened + 1, target, &
+      calendar%head, calendar%entry, calendar%sorted, calendar%due_time, calendar%particle)
     calendar%opened = target
     calendar%opened_until = real(target, wp)*calendar%width
   end subroutine open_until
 
-  !> Empties the buckets `first` ... `last` into the sorted events. A bucket holds about one particle
-  !> and all that was sorted before is due earlier, so insertion is the fastest sort there is.
-  pure subroutine open_buckets(number, buckets, first, last, head, entry, sorted, due_time, particle)
+  !> Empties the buckets `first` ... `last` into the sorted events. A bucket holds about one
+  !> particle and all that was sorted before is due earlier, so insertion is the fastest sort there
+  !> is.
+  pure subroutine open_buckets(number, buckets, first, last, head, entry, sorted, due_time, &
+    particle)
     integer, intent(in) :: number, buckets, first, last
     integer(int32), intent(inout) :: head(buckets + 1)
     type(entry_type), intent(inout) :: entry(number)

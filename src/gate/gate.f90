@@ -61,8 +61,8 @@ contains
     if (at == 1) gate%next_crossing = time
   end subroutine enter_gate
 
-  !> Counts particles that are inside at the start. Not the way of an entrant: `enter_gate` is called
-  !> in one place only, where it is to be compiled in.
+  !> Counts particles that are inside at the start. Not the way of an entrant: `enter_gate` is
+  !> called in one place only, where it is to be compiled in.
   pure subroutine fill_gate(gate, time, particle)
     type(gate_type), intent(inout) :: gate
     real(wp), intent(in) :: time(:)

@@ -1,9 +1,9 @@
 !> Standard errors from blocks of a time series whose length is not known beforehand.
 !>
-!> The averages of equal blocks of time are kept; when there are `most_blocks`, neighbours are merged
-!> and the blocks become twice as long. So between half of that many and all of them are there at
-!> the end, and their scatter gives the error as long as they are longer than the memory of the
-!> process; where they are not, replicas tell.
+!> The averages of equal blocks of time are kept; when there are `most_blocks`, neighbours are
+!> merged and the blocks become twice as long. So between half of that many and all of them are
+!> there at the end, and their scatter gives the error as long as they are longer than the memory of
+!> the process; where they are not, replicas tell.
 module battery_blocks
   use battery_kinds, only: wp
   implicit none (type, external)
@@ -31,7 +31,8 @@ contains
     blocks%average(blocks%count) = average
     if (blocks%count < most_blocks) return
     half = most_blocks/2
-    blocks%average(:half) = 0.5_wp*(blocks%average(1:most_blocks:2) + blocks%average(2:most_blocks:2))
+    blocks%average(:half) = 0.5_wp*(blocks%average(1:most_blocks:2) &
+      + blocks%average(2:most_blocks:2))
     blocks%count = half
     blocks%length = 2.0_wp*blocks%length
   end subroutine add_block

@@ -1,8 +1,8 @@
 !> What is measured while an engine runs: mass spread, flows, and their course in time.
 !>
 !> An observer reads the history of each window. It follows N1 from crossing to crossing, so time
-!> averages are exact integrals over the windows. Averages count from `begin_measuring` on, the series
-!> from the start.
+!> averages are exact integrals over the windows. Averages count from `begin_measuring` on, the
+!> series from the start.
 !> Source: mass spread eq. (mass), net current eq. (netJ), with its sign: (n12 - n21)/t.
 module battery_observer
   use battery_kinds, only: wp, int64
@@ -184,7 +184,8 @@ contains
 
     averages%time = observer%time + observer%block_time
     if (averages%time <= 0.0_wp) return
-    averages%chi = (observer%spread + observer%block_spread)/(averages%time*real(observer%number, wp))
+    averages%chi = (observer%spread + observer%block_spread)/(averages%time*real(observer%number, &
+      wp))
     averages%flow = real(observer%crossings, wp)/averages%time
     averages%current1 = real(observer%crossings(1) - observer%crossings(2), wp)/averages%time
     averages%current2 = real(observer%crossings(3) - observer%crossings(4), wp)/averages%time
@@ -192,8 +193,8 @@ contains
     call standard_error(observer%current1_blocks, averages%current1_error, averages%errors_known)
     call standard_error(observer%current2_blocks, averages%current2_error, averages%errors_known)
     averages%chi_collision_known = observer%collisions_seen > 0
-    if (averages%chi_collision_known) averages%chi_collision = real(observer%collision_spread_sum, wp) &
-      /(real(observer%collisions_seen, wp)*real(observer%number, wp))
+    if (averages%chi_collision_known) averages%chi_collision = real(observer%collision_spread_sum, &
+      wp) /(real(observer%collisions_seen, wp)*real(observer%number, wp))
   end function averages_of
 
   !> All that is needed to go on observing to the same last bit.
@@ -203,10 +204,12 @@ contains
 
     associate (o => observer)
       state%integers = [int([o%number, o%urn1_number, merge(1, 0, o%two_halves), &
-        merge(1, 0, o%measuring), o%entries, o%chi_blocks%count], int64), o%reversals, o%bounce_backs, &
+        merge(1, 0, o%measuring), o%entries, o%chi_blocks%count], int64), o%reversals, &
+        o%bounce_backs, &
         o%collisions, o%collision_spread_sum, o%collisions_seen, o%crossings, o%block_net, &
         o%series_crossings, int(o%series_urn1_number(:o%entries), int64)]
-      state%reals = [o%time, o%spread, o%block_left, o%block_time, o%block_spread, o%series_interval, &
+      state%reals = [o%time, o%spread, o%block_left, o%block_time, o%block_spread, &
+        o%series_interval, &
         o%series_left, o%chi_blocks%length, o%chi_blocks%average, o%current1_blocks%average, &
         o%current2_blocks%average, reshape(o%series_flow(:, :o%entries), [4*o%entries])]
     end associate

@@ -1,15 +1,15 @@
 !> One simulation from start to end: an engine, an observer, and when to stop.
 !>
 !> A run is as long as a number of wall collisions or as a time; so is the transient at its start,
-!> which the averages leave out. `step` goes on by one window, so that the caller can save the state,
-!> show the progress or stop between any two.
+!> which the averages leave out. `step` goes on by one window, so that the caller can save the
+!> state, show the progress or stop between any two.
 module battery_simulation
   use battery_kinds, only: wp, int32, int64
   use battery_error, only: error_type, fatal_error
   use battery_table, only: table_type, shape_circuit, region_at, outside
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type
-  use battery_observer, only: observer_type, averages_type, new_observer, observe, begin_measuring, &
-    averages_of, save_observer, restore_observer
+  use battery_observer, only: observer_type, averages_type, new_observer, observe, &
+    begin_measuring, averages_of, save_observer, restore_observer
   use battery_engines, only: new_engine
   implicit none (type, external)
   private
@@ -141,7 +141,8 @@ contains
     type(simulation_type), intent(inout) :: simulation
 
     do while (snapshots_left(simulation))
-      if (.not. reached(simulation, simulation%setup%snapshot_times(simulation%snapshots_taken + 1))) exit
+      if (.not. reached(simulation, simulation%setup%snapshot_times(simulation%snapshots_taken &
+        + 1))) exit
       simulation%snapshots_taken = simulation%snapshots_taken + 1
       call simulation%engine%particles(1, simulation%engine%number, &
         simulation%snapshot(simulation%snapshots_taken))
@@ -190,8 +191,8 @@ contains
     simulation%next_count = target_of(simulation)
   end subroutine set_target
 
-  !> Ends the transient or the run once the exact count has reached its target. What is known may run
-  !> ahead of what has happened, so the exact count is only taken when it can matter.
+  !> Ends the transient or the run once the exact count has reached its target. What is known may
+  !> run ahead of what has happened, so the exact count is only taken when it can matter.
   subroutine count_collisions(simulation)
     type(simulation_type), intent(inout) :: simulation
     integer(int64) :: exact
@@ -209,7 +210,8 @@ contains
       simulation%collisions = exact
       simulation%done = .true.
     end if
-    simulation%next_count = simulation%observer%collisions + max(target_of(simulation) - exact, 0_int64)
+    simulation%next_count = simulation%observer%collisions + max(target_of(simulation) - exact, &
+      0_int64)
   end subroutine count_collisions
 
   subroutine append_events(simulation)
@@ -217,7 +219,8 @@ contains
     integer :: total, room
 
     associate (log => simulation%events, history => simulation%history)
-      if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
+      if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), &
+        log%particle(0))
       total = log%count + history%events
       if (total > size(log%time)) then
         room = max(total, 2*size(log%time), 1024) - size(log%time)
@@ -244,13 +247,14 @@ contains
     else if (simulation%setup%duration > 0.0_wp) then
       share = simulation%elapsed/simulation%setup%duration
     else
-      share = real(simulation%observer%collisions, wp)/real(max(simulation%setup%collisions, 1_int64), wp)
+      share = real(simulation%observer%collisions, wp)/real(max(simulation%setup%collisions, &
+        1_int64), wp)
     end if
     share = min(share, 1.0_wp)
   end function progress
 
-  !> What every run must end with: all particles inside the table at speed 1, and as many in each half
-  !> as the crossings say.
+  !> What every run must end with: all particles inside the table at speed 1, and as many in each
+  !> half as the crossings say.
   subroutine verify(simulation, error)
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
@@ -302,7 +306,8 @@ contains
         rest%reals = [rest%reals, log%time(:log%count)]
       end if
       do k = 1, s%snapshots_taken
-        rest%reals = [rest%reals, s%snapshot(k)%x, s%snapshot(k)%y, s%snapshot(k)%ux, s%snapshot(k)%uy]
+        rest%reals = [rest%reals, s%snapshot(k)%x, s%snapshot(k)%y, s%snapshot(k)%ux, &
+          s%snapshot(k)%uy]
       end do
     end associate
     allocate (rest%bytes(0))
@@ -341,8 +346,8 @@ contains
     allocate (simulation%snapshot(size(setup%snapshot_times)))
     do k = 1, simulation%snapshots_taken
       at = 2 + events + 4*n*(k - 1)
-      simulation%snapshot(k) = particles_type(rest%reals(at + 1:at + n), rest%reals(at + n + 1:at + 2*n), &
-        rest%reals(at + 2*n + 1:at + 3*n), rest%reals(at + 3*n + 1:at + 4*n))
+      simulation%snapshot(k) = particles_type(rest%reals(at + 1:at + n), rest%reals(at + n + 1:at &
+        + 2*n), rest%reals(at + 2*n + 1:at + 3*n), rest%reals(at + 3*n + 1:at + 4*n))
     end do
   end subroutine restore_simulation
 

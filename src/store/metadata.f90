@@ -34,6 +34,7 @@ contains
     type(hdf5_file_type), intent(in) :: file
     type(metadata_type), intent(in) :: metadata
     type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: created
 
     call put_text(file, 'program', metadata%program, error)
     call put_text(file, 'version', metadata%version, error)
@@ -44,11 +45,9 @@ contains
     if (.not. allocated(error)) &
       call write_attribute(file, '/', 'mpi_ranks', int(metadata%mpi_ranks, int32), error)
     call put_text(file, 'namelist', metadata%namelist, error)
-    if (allocated(metadata%created)) then
-      call put_text(file, 'created', metadata%created, error)
-    else
-      call put_text(file, 'created', utc_now(), error)
-    end if
+    created = utc_now()
+    if (allocated(metadata%created)) created = metadata%created
+    call put_text(file, 'created', created, error)
     call put_text(file, 'status', metadata%status, error)
     call put_text(file, 'shape', metadata%shape, error)
     call put_text(file, 'engine', metadata%engine, error)
@@ -85,18 +84,18 @@ contains
   end subroutine put_real
 
   !> From which input a results file was made, and whether it is complete; an error if it is none.
-  subroutine read_metadata(name, namelist, status, error)
+  subroutine read_metadata(name, input_text, status, error)
     character(len=*), intent(in) :: name
-    character(len=:), allocatable, intent(out) :: namelist, status
+    character(len=:), allocatable, intent(out) :: input_text, status
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: close_error
     type(hdf5_file_type) :: file
 
-    namelist = ''
+    input_text = ''
     status = ''
     call open_file(file, name, error)
     if (allocated(error)) return
-    call read_attribute(file, '/', 'namelist', namelist, error)
+    call read_attribute(file, '/', 'namelist', input_text, error)
     if (.not. allocated(error)) call read_attribute(file, '/', 'status', status, error)
     call close_file(file, close_error)
     if (.not. allocated(error) .and. allocated(close_error)) call move_alloc(close_error, error)
@@ -124,8 +123,8 @@ contains
     integer :: year, month, day, minutes, l, n, shift
 
     shift = (values(2) - 14)/12
-    day = values(3) - 32075 + 1461*(values(1) + 4800 + shift)/4 + 367*(values(2) - 2 - shift*12)/12 &
-      - 3*((values(1) + 4900 + shift)/100)/4
+    day = values(3) - 32075 + 1461*(values(1) + 4800 + shift)/4 + 367*(values(2) - 2 &
+      - shift*12)/12 - 3*((values(1) + 4900 + shift)/100)/4
     minutes = 60*values(5) + values(6) - values(4)
     l = day + floor(minutes/1440.0_dp) + 68569
     minutes = modulo(minutes, 1440)

@@ -27,11 +27,13 @@ module battery_results
     real(dp), allocatable :: flow1_12(:, :), flow1_21(:, :), flow2_12(:, :), flow2_21(:, :)
     !> Measured time, time of the transient before it, seconds of the processor.
     real(dp), allocatable :: time(:, :), transient_time(:, :), cpu_seconds(:, :)
-    integer(int64), allocatable :: collisions(:, :), bounce_backs(:, :), reversals(:, :), trapped(:, :)
+    integer(int64), allocatable :: collisions(:, :), bounce_backs(:, :), reversals(:, :), &
+      trapped(:, :)
     integer(int32), allocatable :: task_status(:, :)
 
     !> Series, if asked for: times since the start; N1 as (time, replica, point); crossings per unit
-    !> time since the entry before as (time, replica, point, which), which is 1_12, 1_21, 2_12, 2_21.
+    !> time since the entry before as (time, replica, point, which), which is 1_12, 1_21, 2_12,
+    !> 2_21.
     real(dp), allocatable :: series_time(:)
     integer(int32), allocatable :: series_urn1_number(:, :, :)
     real(dp), allocatable :: series_flow(:, :, :, :)
@@ -67,7 +69,8 @@ contains
     allocate (results%chi, results%chi_error, results%chi_collision, source=nothing)
     allocate (results%current1, results%current1_error, source=nothing)
     allocate (results%current2, results%current2_error, source=nothing)
-    allocate (results%flow1_12, results%flow1_21, results%flow2_12, results%flow2_21, source=nothing)
+    allocate (results%flow1_12, results%flow1_21, results%flow2_12, results%flow2_21, &
+      source=nothing)
     allocate (results%time, results%transient_time, results%cpu_seconds, source=nothing)
   end subroutine new_results
 

@@ -1,246 +1,327 @@
-!> The results file of a run: the layout that users and their scripts rely on.
+!> The results file: what `battery_results` holds, by name, with units and named dimensions.
 !>
-!> Arrays are (replica, point) here and (point, replica) for readers in C or Python. A file is written
-!> under a temporary name and renamed when it is whole. What was not done is NaN, or -1 for integers.
+!> It is written whole under another name and then renamed, so that there is always either the old
+!> file or the new one. Not known are NaN and, where an attribute `_FillValue` says so, -1.
 module battery_results_file
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
   use battery_files, only: publish_file, remove_file
   use battery_hdf5_file, only: hdf5_file_type, create_file, close_file, make_group
+  use battery_hdf5_attributes, only: write_attribute
   use battery_hdf5_datasets, only: write_dataset
-  use battery_hdf5_scales, only: make_scale, attach_scales
-  use battery_metadata, only: metadata_type, write_metadata
-  use battery_results, only: results_type, spread_of
+  use battery_hdf5_scales, only: make_scale, make_dimension, attach_scales
+  use battery_results, only: results_type, new_results, spread_of, unknown_real, task_complete, &
+    task_failed, task_not_done
+  use battery_metadata, only: metadata_type, write_metadata, read_metadata
   implicit none (type, external)
   private
-  public :: write_results
+  public :: results_type, new_results, unknown_real, task_complete, task_failed, task_not_done
+  public :: metadata_type, read_metadata, write_results
 
-  character(len=*), parameter :: by_task(2) = [character(len=8) :: '/point', '/replica']
+  !> Writes a dataset and attaches its dimensions, unless an error came before: (file, path, values,
+  !> dimensions, units, long_name, error).
+  interface put
+    module procedure :: put_real64, put_int32, put_int64
+  end interface put
 
-  !> A file under way: after the first error nothing more is done.
-  type :: writer_type
-    type(hdf5_file_type) :: file
-    type(error_type), allocatable :: error
-  contains
-    procedure :: real_numbers
-    procedure :: integers
-    procedure :: long_integers
-  end type writer_type
+  !> Paths of the dimension scales, in Fortran order.
+  character(len=*), parameter :: by_point(*) = ['/point']
+  character(len=*), parameter :: by_task(*) = [character(len=8) :: '/replica', '/point']
+
+  !> Marks integers that are not known.
+  integer, parameter :: not_known = -1
 
 contains
 
-  !> Writes all to a temporary file and renames it to `name`; after an error, what was there under
-  !> that name is still there.
+  !> Writes the file `name`, replacing what is there; on an error that stays as it was.
   subroutine write_results(name, results, metadata, error)
     character(len=*), intent(in) :: name
     type(results_type), intent(in) :: results
     type(metadata_type), intent(in) :: metadata
     type(error_type), allocatable, intent(out) :: error
-    type(writer_type) :: writer
-    type(error_type), allocatable :: trouble
+    type(error_type), allocatable :: other
+    type(hdf5_file_type) :: file
     character(len=:), allocatable :: temporary
 
-    temporary = name//'.new'
-    call create_file(writer%file, temporary, writer%error)
-    if (.not. allocated(writer%error)) call write_metadata(writer%file, metadata, writer%error)
-    call write_points(writer, results)
-    call write_tasks(writer, results)
-    if (allocated(results%series_time)) call write_series(writer, results)
-    if (allocated(results%snapshot_time)) call write_snapshots(writer, results)
-    if (allocated(results%event_time)) call write_events(writer, results)
-    if (allocated(results%final_x)) call write_final(writer, results)
-    call close_file(writer%file, trouble)
-    if (.not. allocated(writer%error) .and. allocated(trouble)) call move_alloc(trouble, writer%error)
-    if (.not. allocated(writer%error)) call publish_file(temporary, name, writer%error)
-    if (allocated(writer%error)) call remove_file(temporary, trouble)
-    call move_alloc(writer%error, error)
+    temporary = name//'.part'
+    call create_file(file, temporary, error)
+    if (allocated(error)) return
+    call write_metadata(file, metadata, error)
+    call write_points(file, results, error)
+    call write_averages(file, results, error)
+    call write_work(file, results, error)
+    call write_series(file, results, error)
+    call write_snapshots(file, results, error)
+    call write_events(file, results, error)
+    call write_final(file, results, error)
+    call close_file(file, other)
+    if (.not. allocated(error)) call move_alloc(other, error)
+    if (.not. allocated(error)) call publish_file(temporary, name, error)
+    if (allocated(error)) call remove_file(temporary, other)
   end subroutine write_results
 
-  subroutine write_points(writer, results)
-    type(writer_type), intent(inout) :: writer
+  !> Dimensions, points of the scan, seeds.
+  subroutine write_points(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
-    character(len=*), parameter :: by_point(1) = ['/point']
+    type(error_type), allocatable, intent(inout) :: error
 
-    call dimension_of(writer, '/point', size(results%number), 'parameter point')
-    call dimension_of(writer, '/replica', size(results%chi, 1), 'replica')
-    call writer%integers('/number', results%number, 'number of particles', by_point)
-    call writer%integers('/threshold', results%threshold, 'threshold T of the gates', by_point)
-    call writer%integers('/urn1_number', results%urn1_number, 'particles that start in urn 1', by_point)
-    call writer%real_numbers('/channel1_width', results%channel1_width, 'length', 'width w of channel 1', &
-      by_point)
-    call writer%real_numbers('/channel2_width', results%channel2_width, 'length', 'width w'' of channel 2', &
-      by_point)
-    call write_spread('/chi_spread', results%chi, '1', 'mass spread')
-    ! Which urn fills up is a matter of chance, and with it the sign of the currents.
-    call write_spread('/current1_spread', abs(results%current1), '1/time', 'size of the net current of channel 1')
-    call write_spread('/current2_spread', abs(results%current2), '1/time', 'size of the net current of channel 2')
-
-  contains
-
-    subroutine write_spread(path, values, units, what)
-      character(len=*), intent(in) :: path, units, what
-      real(dp), intent(in) :: values(:, :)
-
-      call writer%real_numbers(path, spread_of(values, results%task_status), units, &
-        what//': standard error of the mean from the scatter of the replicas', by_point)
-    end subroutine write_spread
-
+    call put_scale(file, '/point', 0, results%points, 'point of the scan, from 0', error)
+    call put_scale(file, '/replica', 0, results%replicas, 'replica of a point, from 0', error)
+    call put(file, '/number', results%number, by_point, '1', 'particles N', error)
+    call put(file, '/threshold', results%threshold, by_point, '1', &
+      'threshold T: a gate reverses when more particles head for the other', error)
+    call put(file, '/urn1_number', results%urn1_number, by_point, '1', &
+      'particles in urn 1 at the start', error)
+    call put(file, '/channel1_width', results%channel1_width, by_point, 'length', &
+      'width w of channel 1', error)
+    call put(file, '/channel2_width', results%channel2_width, by_point, 'length', &
+      'width w'' of channel 2', error)
+    call put(file, '/seed', results%seed, by_task, '1', 'seed of the random start', error)
   end subroutine write_points
 
-  !> A dimension whose coordinates are 0, 1, 2, ...
-  subroutine dimension_of(writer, path, length, long_name)
-    type(writer_type), intent(inout) :: writer
-    character(len=*), intent(in) :: path, long_name
-    integer, intent(in) :: length
-    integer(int32) :: k
-
-    if (allocated(writer%error)) return
-    call write_dataset(writer%file, path, [(k, k=0, int(length - 1, int32))], '1', long_name, writer%error)
-    if (.not. allocated(writer%error)) call make_scale(writer%file, path, writer%error)
-  end subroutine dimension_of
-
-  subroutine write_tasks(writer, r)
-    type(writer_type), intent(inout) :: writer
-    type(results_type), intent(in) :: r
+  !> Averages over the measured time, and how they scatter.
+  subroutine write_averages(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), parameter :: blocks = ', standard error from blocks of the run'
+    character(len=*), parameter :: scatter = ', standard error from the scatter of the replicas'
+    character(len=*), parameter :: spread = 'mass spread |N1 - N2|/N, time average'
+    character(len=*), parameter :: one = 'net current of channel 1 from urn 1 to urn 2'
+    character(len=*), parameter :: two = 'net current of channel 2 from urn 1 to urn 2'
     character(len=*), parameter :: rate = '1/time'
 
-    call writer%long_integers('/seed', r%seed, 'seed of the random start', by_task)
-    call writer%real_numbers('/chi', r%chi, '1', 'mass spread |N1 - N2|/N, time average', by_task)
-    call writer%real_numbers('/chi_error', r%chi_error, '1', 'its standard error from blocks', by_task)
-    call writer%real_numbers('/chi_collision', r%chi_collision, '1', &
-      'mass spread averaged over the states after each wall collision', by_task)
-    call writer%real_numbers('/current1', r%current1, rate, &
-      'net current of channel 1 from urn 1 to urn 2', by_task)
-    call writer%real_numbers('/current1_error', r%current1_error, rate, &
-      'its standard error from blocks', by_task)
-    call writer%real_numbers('/current2', r%current2, rate, &
-      'net current of channel 2 from urn 1 to urn 2', by_task)
-    call writer%real_numbers('/current2_error', r%current2_error, rate, &
-      'its standard error from blocks', by_task)
-    call writer%real_numbers('/flow1_12', r%flow1_12, rate, 'crossings of channel 1 from urn 1', by_task)
-    call writer%real_numbers('/flow1_21', r%flow1_21, rate, 'crossings of channel 1 from urn 2', by_task)
-    call writer%real_numbers('/flow2_12', r%flow2_12, rate, 'crossings of channel 2 from urn 1', by_task)
-    call writer%real_numbers('/flow2_21', r%flow2_21, rate, 'crossings of channel 2 from urn 2', by_task)
-    call writer%real_numbers('/time', r%time, 'time', 'length of the run, transient included', by_task)
-    call writer%real_numbers('/transient_time', r%transient_time, 'time', &
-      'length of the transient, which the averages leave out', by_task)
-    call writer%real_numbers('/cpu_seconds', r%cpu_seconds, 's', 'processor time', by_task)
-    call writer%long_integers('/collisions', r%collisions, 'wall collisions, transient included', by_task)
-    call writer%long_integers('/bounce_backs', r%bounce_backs, 'particles turned back by the gates', by_task)
-    call writer%long_integers('/reversals', r%reversals, 'how often a gate reversed', by_task)
-    call writer%long_integers('/trapped', r%trapped, 'particles on orbits that never leave', by_task)
-    call writer%integers('/task_status', r%task_status, '0 complete, 1 failed, 2 not done', by_task)
-  end subroutine write_tasks
+    associate (r => results, status => results%task_status)
+      call put(file, '/chi', r%chi, by_task, '1', spread, error)
+      call put(file, '/chi_error', r%chi_error, by_task, '1', spread//blocks, error)
+      call put(file, '/chi_spread', spread_of(r%chi, status), by_point, '1', spread//scatter, error)
+      call put(file, '/chi_collision', r%chi_collision, by_task, '1', &
+        'mass spread, average over the states after each wall collision', error)
+      call put(file, '/current1', r%current1, by_task, rate, one, error)
+      call put(file, '/current1_error', r%current1_error, by_task, rate, one//blocks, error)
+      call put(file, '/current1_spread', spread_of(r%current1, status), by_point, rate, &
+        one//scatter, error)
+      call put(file, '/current2', r%current2, by_task, rate, two, error)
+      call put(file, '/current2_error', r%current2_error, by_task, rate, two//blocks, error)
+      call put(file, '/current2_spread', spread_of(r%current2, status), by_point, rate, &
+        two//scatter, error)
+      call put(file, '/flow1_12', r%flow1_12, by_task, rate, flow_name(1), error)
+      call put(file, '/flow1_21', r%flow1_21, by_task, rate, flow_name(2), error)
+      call put(file, '/flow2_12', r%flow2_12, by_task, rate, flow_name(3), error)
+      call put(file, '/flow2_21', r%flow2_21, by_task, rate, flow_name(4), error)
+    end associate
+  end subroutine write_averages
 
-  subroutine write_series(writer, r)
-    type(writer_type), intent(inout) :: writer
-    type(results_type), intent(in) :: r
-    character(len=*), parameter :: axes(3) = [character(len=12) :: '/point', '/replica', '/series/time']
+  !> What one of the four flows is.
+  pure function flow_name(which) result(name)
+    integer, intent(in) :: which
+    character(len=:), allocatable :: name
 
-    call group(writer, '/series')
-    call scale(writer, '/series/time', r%series_time, 'time since the start')
-    call writer%integers('/series/urn1_number', r%series_urn1_number, 'particles in half 1 then', axes)
-    call writer%real_numbers('/series/flow1_12', r%series_flow(:, :, :, 1), '1/time', &
-      'crossings of channel 1 from urn 1 since the entry before', axes)
-    call writer%real_numbers('/series/flow1_21', r%series_flow(:, :, :, 2), '1/time', &
-      'crossings of channel 1 from urn 2 since the entry before', axes)
-    call writer%real_numbers('/series/flow2_12', r%series_flow(:, :, :, 3), '1/time', &
-      'crossings of channel 2 from urn 1 since the entry before', axes)
-    call writer%real_numbers('/series/flow2_21', r%series_flow(:, :, :, 4), '1/time', &
-      'crossings of channel 2 from urn 2 since the entry before', axes)
+    name = 'crossings of the middle line of channel 1'
+    if (which > 2) name = 'crossings of the periodic line of channel 2'
+    if (modulo(which, 2) == 1) then
+      name = name//' from urn 1 to urn 2'
+    else
+      name = name//' from urn 2 to urn 1'
+    end if
+  end function flow_name
+
+  !> What was done for it.
+  subroutine write_work(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+
+    associate (r => results)
+      call put(file, '/time', r%time, by_task, 'time', 'measured time', error)
+      call put(file, '/transient_time', r%transient_time, by_task, 'time', &
+        'time of the transient, before what is measured', error)
+      call put(file, '/cpu_seconds', r%cpu_seconds, by_task, 's', 'time of the processor', error)
+      call put_counts(file, '/collisions', r%collisions, 'wall collisions', error)
+      call put_counts(file, '/bounce_backs', r%bounce_backs, &
+        'particles turned back by a gate', error)
+      call put_counts(file, '/reversals', r%reversals, 'reversals of a gate', error)
+      call put_counts(file, '/trapped', r%trapped, &
+        'particles in the urns that never reach a channel', error)
+      call put(file, '/task_status', r%task_status, by_task, '1', 'how the task ended', error)
+    end associate
+    if (.not. allocated(error)) call write_attribute(file, '/task_status', 'flag_values', &
+      [task_complete, task_failed, task_not_done], error)
+    if (.not. allocated(error)) call write_attribute(file, '/task_status', 'flag_meanings', &
+      'complete failed not_done', error)
+  end subroutine write_work
+
+  !> The course of N1 and of the flows.
+  subroutine write_series(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', by_task]
+    character(len=*), parameter :: names(4) = ['1_12', '1_21', '2_12', '2_21']
+    integer :: which
+
+    if (.not. allocated(results%series_time) .or. allocated(error)) return
+    call make_group(file, '/series', error)
+    call put_time(file, '/series/time', results%series_time, error)
+    call put(file, '/series/urn1_number', results%series_urn1_number, by_time, '1', &
+      'particles at x < 0', error)
+    if (.not. allocated(error)) call write_attribute(file, '/series/urn1_number', '_FillValue', &
+      int(not_known, int32), error)
+    do which = 1, 4
+      call put(file, '/series/flow'//names(which), results%series_flow(:, :, :, which), by_time, &
+        '1/time', flow_name(which)//', since the entry before', error)
+    end do
   end subroutine write_series
 
-  subroutine write_snapshots(writer, r)
-    type(writer_type), intent(inout) :: writer
-    type(results_type), intent(in) :: r
-    character(len=*), parameter :: axes(4) = [character(len=19) :: '/point', '/replica', &
-      '/snapshots/snapshot', '/snapshots/particle']
-    character(len=*), parameter :: by_snapshot(1) = ['/snapshots/snapshot']
+  !> Positions and velocities at chosen times.
+  subroutine write_snapshots(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), parameter :: dimensions(*) = [character(len=19) :: '/snapshots/particle', &
+      '/snapshots/time', by_task]
 
-    call group(writer, '/snapshots')
-    call dimension_of(writer, '/snapshots/particle', size(r%snapshot_x, 1), 'particle')
-    call dimension_of(writer, '/snapshots/snapshot', size(r%snapshot_time), 'snapshot')
-    call writer%real_numbers('/snapshots/time', r%snapshot_time, 'time', 'time since the start', by_snapshot)
-    call writer%real_numbers('/snapshots/x', r%snapshot_x, 'length', 'position along channel 1', axes)
-    call writer%real_numbers('/snapshots/y', r%snapshot_y, 'length', 'position across channel 1', axes)
-    call writer%real_numbers('/snapshots/ux', r%snapshot_ux, '1', 'velocity along channel 1', axes)
-    call writer%real_numbers('/snapshots/uy', r%snapshot_uy, '1', 'velocity across channel 1', axes)
+    if (.not. allocated(results%snapshot_time) .or. allocated(error)) return
+    call make_group(file, '/snapshots', error)
+    call put_time(file, '/snapshots/time', results%snapshot_time, error)
+    associate (r => results)
+      call put_particles(file, '/snapshots', size(r%snapshot_x, 1), error)
+      call put(file, '/snapshots/x', r%snapshot_x, dimensions, 'length', 'position x', error)
+      call put(file, '/snapshots/y', r%snapshot_y, dimensions, 'length', 'position y', error)
+      call put(file, '/snapshots/ux', r%snapshot_ux, dimensions, '1', 'velocity x', error)
+      call put(file, '/snapshots/uy', r%snapshot_uy, dimensions, '1', 'velocity y', error)
+    end associate
   end subroutine write_snapshots
 
-  subroutine write_events(writer, r)
-    type(writer_type), intent(inout) :: writer
-    type(results_type), intent(in) :: r
-    character(len=*), parameter :: axes(1) = ['/events/event']
+  !> The event log.
+  subroutine write_events(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), parameter :: by_event(*) = ['/events/event']
 
-    call group(writer, '/events')
-    call dimension_of(writer, '/events/event', size(r%event_time), 'event')
-    call writer%real_numbers('/events/time', r%event_time, 'time', 'time since the start', axes)
-    call writer%integers('/events/kind', r%event_kind, &
-      '1 enters a gate, 2 a gate reverses, 3 crosses channel 1, 4 crosses channel 2', axes)
-    call writer%integers('/events/where', r%event_where, 'gate 1 or 2; or 12 or 21: from which urn to which', axes)
-    call writer%integers('/events/particle', r%event_particle, &
-      'particle, from 1; when a gate reverses, how many turn back', axes)
+    if (.not. allocated(results%event_time) .or. allocated(error)) return
+    call make_group(file, '/events', error)
+    if (.not. allocated(error)) call make_dimension(file, '/events/event', &
+      size(results%event_time), 'events in the order of time', error)
+    associate (r => results)
+      call put(file, '/events/time', r%event_time, by_event, 'time', 'time since the start', error)
+      call put(file, '/events/kind', r%event_kind, by_event, '1', 'what happens', error)
+      if (.not. allocated(error)) call write_attribute(file, '/events/kind', 'flag_values', &
+        [1_int32, 2_int32, 3_int32, 4_int32], error)
+      if (.not. allocated(error)) call write_attribute(file, '/events/kind', 'flag_meanings', &
+        'enters_gate gate_reverses crosses_channel_1 crosses_channel_2', error)
+      call put(file, '/events/where', r%event_where, by_event, '1', &
+        'gate (1 or 2), or direction of a crossing (12 or 21)', error)
+      call put(file, '/events/particle', r%event_particle, by_event, '1', &
+        'particle, from 1; where a gate reverses, how many turn back', error)
+    end associate
   end subroutine write_events
 
-  subroutine write_final(writer, r)
-    type(writer_type), intent(inout) :: writer
-    type(results_type), intent(in) :: r
-    character(len=*), parameter :: axes(3) = [character(len=15) :: '/point', '/replica', '/final/particle']
+  !> Positions and velocities at the end.
+  subroutine write_final(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), parameter :: dimensions(*) = [character(len=15) :: '/final/particle', by_task]
 
-    call group(writer, '/final')
-    call dimension_of(writer, '/final/particle', size(r%final_x, 1), 'particle')
-    call writer%real_numbers('/final/x', r%final_x, 'length', 'position along channel 1 at the end', axes)
-    call writer%real_numbers('/final/y', r%final_y, 'length', 'position across channel 1 at the end', axes)
-    call writer%real_numbers('/final/ux', r%final_ux, '1', 'velocity along channel 1 at the end', axes)
-    call writer%real_numbers('/final/uy', r%final_uy, '1', 'velocity across channel 1 at the end', axes)
+    if (.not. allocated(results%final_x) .or. allocated(error)) return
+    call make_group(file, '/final', error)
+    associate (r => results)
+      call put_particles(file, '/final', size(r%final_x, 1), error)
+      call put(file, '/final/x', r%final_x, dimensions, 'length', 'position x', error)
+      call put(file, '/final/y', r%final_y, dimensions, 'length', 'position y', error)
+      call put(file, '/final/ux', r%final_ux, dimensions, '1', 'velocity x', error)
+      call put(file, '/final/uy', r%final_uy, dimensions, '1', 'velocity y', error)
+    end associate
   end subroutine write_final
 
-  subroutine group(writer, path)
-    type(writer_type), intent(inout) :: writer
-    character(len=*), intent(in) :: path
+  subroutine put_real64(file, path, values, dimensions, units, long_name, error)
+    type(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: path, dimensions(:), units, long_name
+    real(dp), intent(in), contiguous, target :: values(..)
+    type(error_type), allocatable, intent(inout) :: error
 
-    if (.not. allocated(writer%error)) call make_group(writer%file, path, writer%error)
-  end subroutine group
+    if (allocated(error)) return
+    call write_dataset(file, path, values, units, long_name, error)
+    if (.not. allocated(error)) call attach_scales(file, path, dimensions, error)
+  end subroutine put_real64
 
-  !> A dimension with coordinates in time.
-  subroutine scale(writer, path, values, long_name)
-    type(writer_type), intent(inout) :: writer
+  subroutine put_int32(file, path, values, dimensions, units, long_name, error)
+    type(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: path, dimensions(:), units, long_name
+    integer(int32), intent(in), contiguous, target :: values(..)
+    type(error_type), allocatable, intent(inout) :: error
+
+    if (allocated(error)) return
+    call write_dataset(file, path, values, units, long_name, error)
+    if (.not. allocated(error)) call attach_scales(file, path, dimensions, error)
+  end subroutine put_int32
+
+  subroutine put_int64(file, path, values, dimensions, units, long_name, error)
+    type(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: path, dimensions(:), units, long_name
+    integer(int64), intent(in), contiguous, target :: values(..)
+    type(error_type), allocatable, intent(inout) :: error
+
+    if (allocated(error)) return
+    call write_dataset(file, path, values, units, long_name, error)
+    if (.not. allocated(error)) call attach_scales(file, path, dimensions, error)
+  end subroutine put_int64
+
+  !> Counts by task, which are not known where the task is not complete.
+  subroutine put_counts(file, path, values, long_name, error)
+    type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, long_name
-    real(dp), intent(in) :: values(:)
+    integer(int64), intent(in) :: values(:, :)
+    type(error_type), allocatable, intent(inout) :: error
 
-    if (allocated(writer%error)) return
-    call write_dataset(writer%file, path, values, 'time', long_name, writer%error)
-    if (.not. allocated(writer%error)) call make_scale(writer%file, path, writer%error)
-  end subroutine scale
+    call put(file, path, values, by_task, '1', long_name, error)
+    if (.not. allocated(error)) &
+      call write_attribute(file, path, '_FillValue', int(not_known, int64), error)
+  end subroutine put_counts
 
-  subroutine real_numbers(self, path, values, units, long_name, axes)
-    class(writer_type), intent(inout) :: self
-    character(len=*), intent(in) :: path, units, long_name, axes(:)
-    real(dp), intent(in), contiguous :: values(..)
+  !> A dimension whose coordinates count up from `first`.
+  subroutine put_scale(file, path, first, length, long_name, error)
+    type(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: path
+    integer, intent(in) :: first, length
+    character(len=*), intent(in) :: long_name
+    type(error_type), allocatable, intent(inout) :: error
+    integer(int32), allocatable :: coordinates(:)
+    integer :: k
 
-    if (allocated(self%error)) return
-    call write_dataset(self%file, path, values, units, long_name, self%error)
-    if (.not. allocated(self%error)) call attach_scales(self%file, path, axes, self%error)
-  end subroutine real_numbers
+    if (allocated(error)) return
+    allocate (coordinates(length))
+    do k = 1, length
+      coordinates(k) = first + k - 1
+    end do
+    call write_dataset(file, path, coordinates, '1', long_name, error)
+    if (.not. allocated(error)) call make_scale(file, path, error)
+  end subroutine put_scale
 
-  subroutine integers(self, path, values, long_name, axes)
-    class(writer_type), intent(inout) :: self
-    character(len=*), intent(in) :: path, long_name, axes(:)
-    integer(int32), intent(in), contiguous :: values(..)
+  !> The dimension of particles of a group, from 1 as in the event log.
+  subroutine put_particles(file, group, number, error)
+    type(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: group
+    integer, intent(in) :: number
+    type(error_type), allocatable, intent(inout) :: error
 
-    if (allocated(self%error)) return
-    call write_dataset(self%file, path, values, '1', long_name, self%error)
-    if (.not. allocated(self%error)) call attach_scales(self%file, path, axes, self%error)
-  end subroutine integers
+    call put_scale(file, group//'/particle', 1, number, &
+      'particle, from 1, in the order of the initial file', error)
+  end subroutine put_particles
 
-  subroutine long_integers(self, path, values, long_name, axes)
-    class(writer_type), intent(inout) :: self
-    character(len=*), intent(in) :: path, long_name, axes(:)
-    integer(int64), intent(in), contiguous :: values(..)
+  !> The dimension of time of a group.
+  subroutine put_time(file, path, times, error)
+    type(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: path
+    real(dp), intent(in) :: times(:)
+    type(error_type), allocatable, intent(inout) :: error
 
-    if (allocated(self%error)) return
-    call write_dataset(self%file, path, values, '1', long_name, self%error)
-    if (.not. allocated(self%error)) call attach_scales(self%file, path, axes, self%error)
-  end subroutine long_integers
+    if (allocated(error)) return
+    call write_dataset(file, path, times, 'time', 'time since the start', error)
+    if (.not. allocated(error)) call make_scale(file, path, error)
+  end subroutine put_time
 
 end module battery_results_file

@@ -105,7 +105,8 @@ contains
     type(table_type), intent(in) :: table
     real(wp) :: length
 
-    length = table%urn_radius*(2.0_wp*pi - 2.0_wp*asin(0.5_wp*table%channel1_width/table%urn_radius) &
+    length = table%urn_radius*(2.0_wp*pi &
+      - 2.0_wp*asin(0.5_wp*table%channel1_width/table%urn_radius) &
       - 2.0_wp*asin(0.5_wp*table%channel2_width/table%urn_radius))
   end function arc_length
 
@@ -153,8 +154,8 @@ contains
 
   end function shortest_excursion
 
-  !> Region that holds the point (x, y); a point on a chord belongs to the channel, one on the middle
-  !> line to gate 2. `tolerance` is how far beyond a wall a point may lie.
+  !> Region that holds the point (x, y); a point on a chord belongs to the channel, one on the
+  !> middle line to gate 2. `tolerance` is how far beyond a wall a point may lie.
   pure function region_at(table, x, y, tolerance) result(region)
     type(table_type), intent(in) :: table
     real(wp), intent(in) :: x, y, tolerance
@@ -164,10 +165,12 @@ contains
     region = outside
     from_centre = abs(x) - table%urn_centre
     if (abs(x) <= 0.5_wp*table%channel1_length) then
-      if (abs(y) <= 0.5_wp*table%channel1_width + tolerance) region = merge(gate_one, gate_two, x < 0.0_wp)
+      if (abs(y) <= 0.5_wp*table%channel1_width + tolerance) region = merge(gate_one, gate_two, &
+        x < 0.0_wp)
     else if (table%channel2_width > 0.0_wp .and. from_centre >= table%chord2_distance) then
       if (abs(y) <= 0.5_wp*table%channel2_width + tolerance .and. &
-        abs(x) <= table%periodic_line + tolerance) region = merge(return_one, return_two, x < 0.0_wp)
+        abs(x) <= table%periodic_line + tolerance) region = merge(return_one, return_two, &
+        x < 0.0_wp)
     else
       if (hypot(from_centre, y) <= table%urn_radius + tolerance) &
         region = merge(urn_one, urn_two, x < 0.0_wp)

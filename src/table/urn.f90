@@ -19,7 +19,8 @@ module battery_urn
   use battery_channel, only: fold
   implicit none (type, external)
   private
-  public :: urn_type, visits_type, new_urn, reserve_visits, leave_channels, cross_urns, position_before
+  public :: urn_type, visits_type, new_urn, reserve_visits, leave_channels, cross_urns, &
+    position_before
 
   !> Particles that the kernel steps together, and impacts it steps them without closing ranks.
   integer, parameter :: lanes = 4, march_steps = 8
@@ -140,8 +141,8 @@ contains
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
 
-    call leave(lanes*((visits%count + lanes - 1)/lanes), visits%time, visits%passage, visits%opening, &
-      visits%x, visits%y, visits%along, visits%across, visits%hits)
+    call leave(lanes*((visits%count + lanes - 1)/lanes), visits%time, visits%passage, &
+      visits%opening, visits%x, visits%y, visits%along, visits%across, visits%hits)
 
   contains
 
@@ -194,22 +195,23 @@ contains
         end do
         call march(urn%half1, urn%half2, lanes*((active + lanes - 1)/lanes), visits%px, visits%py, &
           visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call march(urn%half1, urn%half2, lanes*((active + lanes - 1)/lanes), &
-          visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        call close_ranks(urn%half1, urn%half2, active, visits%slot, visits%px, visits%py, visits%zx, &
-          visits%zy, visits%steps, visits%hit_x, visits%hit_y, visits%impacts)
+        if (round <= early_rounds) call march(urn%half1, urn%half2, lanes*((active + lanes &
+          - 1)/lanes), visits%px, visits%py, visits%zx, visits%zy, visits%steps)
+        call close_ranks(urn%half1, urn%half2, active, visits%slot, visits%px, visits%py, &
+          visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, visits%impacts)
         if (active == 0) exit
       end do
     end if
     do j = 1, active
-      call search(urn, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), visits%zy(j), &
-        visits%steps(j))
+      call search(urn, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
+        visits%zy(j), visits%steps(j))
     end do
     call find_exits(n, urn, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%opening, visits%x, visits%y, visits%along, visits%across, visits%length)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
-        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(urn, visits, j)
+        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(urn, visits, &
+          j)
       end do
     end if
     call add(n, visits%hits, visits%impacts)
@@ -296,7 +298,8 @@ contains
   end subroutine march
 
   !> Writes down where every particle stands and keeps those that still bounce, without branches.
-  pure subroutine close_ranks(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, impacts)
+  pure subroutine close_ranks(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &
+    impacts)
     real(wp), intent(in) :: half1, half2
     integer, intent(inout) :: active
     integer, intent(inout) :: slot(*)
@@ -326,8 +329,8 @@ contains
   end subroutine close_ranks
 
   !> First impact in an opening, from the impact (px, py) on, by search in the integer circle. The
-  !> openings lie opposite to each other, so half a turn is searched for the wider of them; an impact
-  !> that misses the narrower one is passed by.
+  !> openings lie opposite to each other, so half a turn is searched for the wider of them; an
+  !> impact that misses the narrower one is passed by.
   pure subroutine search(urn, visits, mine, px, py, zx, zy, steps)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
@@ -352,8 +355,8 @@ contains
     place = start
     total = 0
     do misses = 1, most_misses
-      call first_entry(modulo(place + widest - 1, half_turn), modulo(step, half_turn), 2*widest - 2, &
-        moves, landing, found, half_turn)
+      call first_entry(modulo(place + widest - 1, half_turn), modulo(step, half_turn), 2*widest &
+        - 2, moves, landing, found, half_turn)
       if (.not. found) exit
       ! The product may wrap around the integers, a multiple of the full turn.
       place = modulo(place + moves*step, full_turn)
@@ -415,8 +418,8 @@ contains
   end subroutine search_each
 
   !> From the impact in an opening back to the chord.
-  pure subroutine find_exits(n, urn, c, s, hit_x, hit_y, impacts, first, opening, x, y, along, across, &
-      length)
+  pure subroutine find_exits(n, urn, c, s, hit_x, hit_y, impacts, first, opening, x, y, along, &
+    across, length)
     integer, intent(in) :: n
     type(urn_type), intent(in) :: urn
     real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
@@ -482,8 +485,9 @@ contains
     visits%length(j) = visits%first(j) + 2.0_wp*urn%radius*visits%c(j)*visits%impacts(j)
   end subroutine mend
 
-  !> Where a particle is, in the local frame, a length `before` ahead of leaving an urn, if it was in
-  !> the urn all that time, and how many walls it hits in between. It leaves through `opening` (1 or
+  !> Where a particle is, in the local frame, a length `before` ahead of leaving an urn, if it was
+  !> in the urn all that time, and how many walls it hits in between. It leaves through `opening` (1
+  !> or
   !> -1) at height y with |u_x| = along and u_y = across.
   pure subroutine position_before(urn, opening, y, along, across, before, position, velocity, hits)
     type(urn_type), intent(in) :: urn
