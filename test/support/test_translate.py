@@ -12,7 +12,7 @@ import pytest
 
 SUPPORT = Path(__file__).resolve().parent
 sys.path.insert(0, str(SUPPORT))
-from translate import (
+from translate import (  # noqa: E402
     LONGEST_NAME,
     TranslationError,
     driver,
