@@ -35,7 +35,8 @@ contains
     if (.not. allocated(error)) call set_scale(file, path, name, error)
   end subroutine make_dimension
 
-  !> Attaches dimension scales to a dataset: `scales` are their paths, one a dimension.
+  !> Attaches dimension scales to a dataset: `scales` are their paths, one a dimension, in Fortran
+  !> order. HDF5 counts dimensions the other way round here, in its Fortran interface too.
   subroutine attach_scales(file, path, scales, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
@@ -49,7 +50,8 @@ contains
     do dimension = 1, size(scales)
       scale = no_handle
       if (status == 0) call h5dopen_f(file%id, trim(scales(dimension)), scale, status)
-      if (status == 0) call h5dsattach_scale_f(dataset, scale, dimension, status)
+      if (status == 0) &
+        call h5dsattach_scale_f(dataset, scale, size(scales) - dimension + 1, status)
       call release(scale, status)
     end do
     call release(dataset, status)

@@ -274,7 +274,7 @@ contains
   subroutine put_counts(file, path, values, long_name, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, long_name
-    integer(int64), intent(in) :: values(:, :)
+    integer(int64), intent(in), contiguous :: values(:, :)
     type(error_type), allocatable, intent(inout) :: error
 
     call put(file, path, values, by_task, '1', long_name, error)
@@ -316,7 +316,7 @@ contains
   subroutine put_time(file, path, times, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
-    real(dp), intent(in) :: times(:)
+    real(dp), intent(in), contiguous :: times(:)
     type(error_type), allocatable, intent(inout) :: error
 
     if (allocated(error)) return
