@@ -1,0 +1,187 @@
+"""Run the built program from tests, and compare what it leaves."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = ROOT / "build/bin/battery"
+ENVIRONMENT = {
+    **os.environ,
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "LC_ALL": "C.UTF-8",
+}
+# Long enough for a busy machine; what hangs is found out all the same.
+PATIENCE = 60.0
+# What may differ between two runs of the same input.
+VARIABLE_DATASETS = {"cpu_seconds"}
+VARIABLE_ATTRIBUTES = {"created", "mpi_ranks"}
+
+
+def namelist(**groups: dict[str, Any]) -> str:
+    """Write a namelist; values are texts as they stand in it."""
+    lines = []
+    for group, keys in groups.items():
+        lines += [f"&{group}", *(f"  {key} = {value}" for key, value in keys.items()), "/"]
+    return "\n".join(lines) + "\n"
+
+
+def command_of(*arguments: str, ranks: int = 0) -> list[str]:
+    """Give the command; without ranks there is no mpirun."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+    return [*launcher, str(PROGRAM), *arguments]
+
+
+def start(
+    *arguments: str, folder: Path, ranks: int = 0, prepare: Callable[[], None] | None = None
+) -> subprocess.Popen[str]:
+    """Start the program in a folder, as leader of its own session."""
+    return subprocess.Popen(
+        command_of(*arguments, ranks=ranks),
+        cwd=folder,
+        env=ENVIRONMENT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+        preexec_fn=prepare,  # noqa: PLW1509 (no threads here)
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
+    """Wait for the end; a program that hangs is killed, and the test fails."""
+    try:
+        output, errors = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        kill_all(process)
+        process.communicate()
+        raise
+    assert "Backtrace" not in errors, errors
+    return subprocess.CompletedProcess(process.args, process.returncode, output, errors)
+
+
+def run(
+    *arguments: str, folder: Path, ranks: int = 0, prepare: Callable[[], None] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run the program to its end."""
+    return finish(start(*arguments, folder=folder, ranks=ranks, prepare=prepare))
+
+
+def rank_processes(process: subprocess.Popen[str], ranks: int) -> list[int]:
+    """Wait until all ranks run, and give their process numbers; without mpirun, that of the one."""
+    if ranks == 0:
+        return [process.pid]
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end and process.poll() is None:
+        found = [
+            int(child)
+            for task in Path(f"/proc/{process.pid}/task").glob("*/children")
+            for child in words_of(task)
+            if is_program(int(child))
+        ]
+        if len(found) == ranks:
+            return sorted(found)
+        time.sleep(0.005)
+    return []
+
+
+def words_of(path: Path) -> list[str]:
+    """Read the words of a file of the system; none if it is gone."""
+    try:
+        return path.read_text(encoding="utf-8").split()
+    except OSError:
+        return []
+
+
+def is_program(number: int) -> bool:
+    """Tell whether a process is the program, and not mpirun before it becomes the program."""
+    try:
+        return Path(f"/proc/{number}/exe").readlink().name.startswith(PROGRAM.name)
+    except OSError:
+        return False
+
+
+def send(numbers: list[int], what: signal.Signals) -> None:
+    """Send a signal to processes of this test; those that are gone are passed over."""
+    for number in numbers:
+        try:
+            os.kill(number, what)
+        except ProcessLookupError:
+            continue
+
+
+def kill_all(process: subprocess.Popen[str]) -> None:
+    """Kill the program with mpirun and all ranks, at once."""
+    ranks = [
+        int(child)
+        for task in Path(f"/proc/{process.pid}/task").glob("*/children")
+        for child in words_of(task)
+    ]
+    send([process.pid, *ranks], signal.SIGKILL)
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:
+    """Wait until something is so, as long as the program runs."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        if condition():
+            return True
+        if process.poll() is not None:
+            return condition()
+        time.sleep(0.005)
+    return False
+
+
+def contents(path: Path) -> dict[str, tuple[Any, ...]]:
+    """Give all that two runs of the same input must have in common, to the last bit."""
+    found: dict[str, tuple[Any, ...]] = {}
+
+    def visit(name: str, thing: h5py.Group | h5py.Dataset) -> None:
+        for key, value in thing.attrs.items():
+            if key in VARIABLE_ATTRIBUTES or is_reference(value):
+                continue
+            found[f"{name}@{key}"] = (np.asarray(value).tolist(),)
+        if isinstance(thing, h5py.Dataset) and name not in VARIABLE_DATASETS:
+            found[name] = (str(thing.dtype), thing.shape, thing[()].tobytes())
+
+    with h5py.File(path) as file:
+        visit("/", file)
+        file.visititems(visit)
+    return found
+
+
+def is_reference(value: Any) -> bool:  # noqa: ANN401
+    """Tell whether an attribute points to datasets, as those of dimension scales do."""
+    return getattr(value, "dtype", None) is not None and value.dtype.kind in "OV"
+
+
+def assert_same(one: Path, other: Path) -> None:
+    """Two results files hold the same bits."""
+    left, right = contents(one), contents(other)
+    assert left.keys() == right.keys()
+    differing = [name for name in left if left[name] != right[name]]
+    assert not differing, f"these differ: {differing}"
+
+
+def listing(folder: Path) -> dict[str, tuple[int, int]]:
+    """Everything in a folder with its size and time, to see that nothing was written."""
+    return {
+        str(path.relative_to(folder)): (path.stat().st_size, path.stat().st_mtime_ns)
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() or not any(path.iterdir())
+    }

@@ -1,0 +1,671 @@
+"""The program from end to end: its input, its command line, and the file it leaves."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+from support import program
+from support.program import assert_same, listing, namelist, run, start
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from subprocess import CompletedProcess
+
+NUMBER = 60
+PARTICLES = {"number": str(NUMBER)}
+GATE = {"threshold": "2"}
+RUN = {"duration": "400", "transient_duration": "100"}
+OUTPUT = {
+    "series_interval": "5",
+    "snapshot_times": "0, 10, 20.5",
+    "final_state": ".true.",
+}
+
+
+def write(folder: Path, name: str = "case.nml", **groups: dict[str, Any]) -> Path:
+    """Write a small case; groups given replace those of the small case, None leaves one out."""
+    case = {
+        "particles": PARTICLES,
+        "gate": GATE,
+        "run": RUN,
+        "output": {"file": "'out.h5'", **OUTPUT},
+        **groups,
+    }
+    path = folder / name
+    path.write_text(namelist(**{key: keys for key, keys in case.items() if keys is not None}))
+    return path
+
+
+def problems(folder: Path, text: str, *arguments: str, ranks: int = 0) -> list[str]:
+    """Run a bad input; give the lines of its complaint. Nothing may be written."""
+    (folder / "bad.nml").write_text(text)
+    before = listing(folder)
+    ended = run(*arguments, "bad.nml", folder=folder, ranks=ranks)
+    assert ended.returncode == 2, (ended.returncode, ended.stdout, ended.stderr)
+    assert listing(folder) == before
+    assert ended.stdout == ""
+    ours = re.compile(r"(bad\.nml|start\.txt)\b")
+    return [line for line in ended.stderr.splitlines() if ours.match(line)]
+
+
+GOOD = """&particles
+  number = 10
+/
+&gate
+  threshold = 2
+/
+"""
+
+# Name of the case: what stands after the good part (or instead), and what one line must hold.
+BAD = {
+    "unknown group": ("&tabel\n urn_radius = 1\n/\n", ["&tabel", "&table"]),
+    "repeated group": ("&gate\n/\n", ["&gate", "once"]),
+    "unknown key": ("&run\n colisions = 5\n/\n", ["&run colisions = 5", "collisions"]),
+    "repeated key": (
+        "&table\n urn_radius = 1\n urn_radius = 2\n/\n",
+        ["line 9", "&table urn_radius = 2", "once"],
+    ),
+    "key of another group": ("&run\n number = 5\n/\n", ["&run number = 5", "belongs to &"]),
+    "no end": ("&table\n urn_radius = 1\n", ["&table", "/", "missing"]),
+    "text for a number": (
+        "&table\n urn_radius = 'wide'\n/\n",
+        ["&table urn_radius = 'wide'", "allowed: one number above 0"],
+    ),
+    "fraction for a whole number": (
+        "&scan\n replicas = 2.5\n/\n",
+        ["&scan replicas = 2.5", "allowed: one whole number from 1 up"],
+    ),
+    "number for a logical": (
+        "&output\n final_state = 1\n/\n",
+        ["&output final_state = 1", ".true. or .false."],
+    ),
+    "number for a text": ("&output\n file = 5\n/\n", ["&output file = 5", "text in quotes"]),
+    "two values": ("&table\n urn_radius = 1, 2\n/\n", ["&table urn_radius = 1, 2", "one number"]),
+    "no value": ("&table\n urn_radius =\n/\n", ["&table urn_radius", "one number"]),
+    "NaN": ("&table\n urn_radius = NaN\n/\n", ["&table urn_radius = NaN", "above 0"]),
+    "infinity": ("&run\n duration = Infinity\n/\n", ["&run duration = Infinity", "allowed"]),
+    "w = 2r": ("&table\n channel1_width = 2\n/\n", ["&table channel1_width = 2", "below 2"]),
+    "w' = 2r": ("&table\n channel2_width = 2.1\n/\n", ["channel2_width = 2.1", "below 2"]),
+    "w = 0": ("&table\n channel1_width = 0\n/\n", ["&table channel1_width = 0", "above 0"]),
+    "w' < 0": ("&table\n channel2_width = -0.1\n/\n", ["channel2_width = -0.1", "from 0"]),
+    "l = 0": ("&table\n channel1_length = 0\n/\n", ["channel1_length = 0", "above 0"]),
+    "l' < 0": ("&table\n channel2_length = -1\n/\n", ["channel2_length = -1", "above 0"]),
+    "r = 0": ("&table\n urn_radius = 0\n/\n", ["urn_radius = 0", "above 0"]),
+    "unknown shape": ("&table\n shape = 'square'\n/\n", ["shape = 'square'", "'circuit', 'urn'"]),
+    "unknown engine": ("&run\n engine = 'steam'\n/\n", ["engine = 'steam'", "'excursion'"]),
+    "transient too long": (
+        "&run\n collisions = 10\n transient_collisions = 10\n/\n",
+        ["transient_collisions = 10", "below collisions"],
+    ),
+    "both lengths": (
+        "&run\n collisions = 10\n duration = 10\n/\n",
+        ["&run collisions", "duration"],
+    ),
+    "bad range": (
+        "&scan\n channel2_width_range = 0.1, 0.2\n/\n",
+        ["channel2_width_range = 0.1, 0.2", "how many"],
+    ),
+    "list and range": (
+        "&scan\n channel2_width = 0.1\n channel2_width_range = 0.1, 0.2, 3\n/\n",
+        ["channel2_width", "one of the two"],
+    ),
+    "w' scanned too wide": ("&scan\n channel2_width = 0.1, 2.5\n/\n", ["2.5", "below 2"]),
+    "share above 1": ("&scan\n urn1_fraction = 0.5, 1.5\n/\n", ["urn1_fraction", "1.5"]),
+    "event log of many": (
+        "&scan\n replicas = 2\n/\n&output\n event_log = .true.\n/\n",
+        ["event_log = .true.", "allowed: .false."],
+    ),
+    "snapshots out of order": (
+        "&output\n snapshot_times = 2, 1\n/\n",
+        ["snapshot_times = 1", "allowed"],
+    ),
+    "no folder": (
+        "&output\n file = 'nowhere/out.h5'\n/\n",
+        ["&output file = 'nowhere/out.h5'", "folder", "allowed"],
+    ),
+    "folder for a file": ("&output\n file = '.'\n/\n", ["&output file = '.'", "allowed"]),
+    "no initial file": (
+        "INITIAL none.txt",
+        ["&particles initial_file = 'none.txt'"],
+    ),
+}
+
+# Without the good part: the whole text.
+BAD_WHOLE = {
+    "nothing at all": ("", ["&particles number", "missing"]),
+    "no threshold": ("&particles\n number = 5\n/\n", ["&gate threshold", "missing"]),
+    "N < 1": (
+        "&particles\n number = 0\n/\n&gate\n threshold = 1\n/\n",
+        ["&particles number = 0", "from 1 up"],
+    ),
+    "T < 0": (
+        "&particles\n number = 5\n/\n&gate\n threshold = -1\n/\n",
+        ["&gate threshold = -1", "from 0 up"],
+    ),
+    "urn1_number > N": (
+        "&particles\n number = 5\n urn1_number = 6\n/\n&gate\n threshold = 1\n/\n",
+        ["&particles urn1_number = 6", "number, which is 5"],
+    ),
+    "T and T/N": (
+        "&particles\n number = 5\n/\n&gate\n threshold = 1\n threshold_fraction = 0.1\n/\n",
+        ["&gate threshold_fraction", "one of the two"],
+    ),
+    "no group": ("number = 5\n" + GOOD, ["line 1"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input(tmp_path: Path, case: str) -> None:
+    """Each kind of bad input is refused with file, group, key, value and what is allowed."""
+    text, words = BAD[case]
+    text = GOOD + text
+    if "INITIAL" in text:
+        name = text.split()[-1]
+        text = GOOD.replace("= 10", f"= 10\n  initial_file = '{name}'").split("INITIAL")[0]
+    lines = problems(tmp_path, text)
+    assert any(all(word in line for word in words) for line in lines), lines
+    assert lines[0].startswith("bad.nml")
+
+
+@pytest.mark.parametrize("case", BAD_WHOLE)
+def test_bad_whole_input(tmp_path: Path, case: str) -> None:
+    """What is missing, or does not fit together, is refused with what is allowed."""
+    text, words = BAD_WHOLE[case]
+    lines = problems(tmp_path, text)
+    assert any(all(word in line for word in words) for line in lines), lines
+
+
+MANY_WRONG = """&particles
+  number = 0, seed = 1.5
+/
+&gate
+  threshold = -1
+/
+&table
+  channel2_width = -0.1
+  urn_radius = NaN
+  colour = 'red'
+/
+&gate
+/
+&nonsense
+/
+&output
+  file = 'nowhere/out.h5'
+"""
+MANY_WORDS = [
+    "number = 0",
+    "seed = 1.5",
+    "threshold = -1",
+    "channel2_width = -0.1",
+    "urn_radius = NaN",
+    "colour = 'red'",
+    "&gate: ",
+    "&nonsense",
+    "missing",
+    "nowhere",
+]
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_all_problems_at_once(tmp_path: Path, ranks: int) -> None:
+    """Every problem has its own line, in the order of the file, on one rank or two."""
+    lines = problems(tmp_path, MANY_WRONG, ranks=ranks)
+    assert len(lines) == len(MANY_WORDS)
+    for word in MANY_WORDS:
+        assert sum(word in line for line in lines) == 1, (word, lines)
+    numbers = [int(re.search(r"line (\d+)", line)[1]) for line in lines]
+    assert numbers == sorted(numbers)
+
+
+STARTS = {
+    "outside": ("9 9 1 0\n-1 0 1 0\n", ["line 1", "outside"]),
+    "in the wall of the channel": ("0 0.4 1 0\n-1 0 1 0\n", ["line 1", "outside"]),
+    "too few columns": ("-1 0 1\n-1 0 1 0\n", ["line 1", "columns", "4"]),
+    "too many columns": ("-1 0 1 0 7\n-1 0 1 0\n", ["line 1", "columns", "4"]),
+    "not a number": ("-1 0 1 up\n-1 0 1 0\n", ["line 1", "numbers"]),
+    "NaN": ("-1 NaN 1 0\n-1 0 1 0\n", ["line 1"]),
+    "no speed": ("-1 0 0 0\n-1 0 1 0\n", ["line 1", "speed"]),
+    "a line too many": ("-1 0 1 0\n" * 3, ["3 particles", "2"]),
+    "a line too few": ("-1 0 1 0\n", ["1 particles", "2"]),
+    "empty": ("", ["0 particles", "2"]),
+}
+
+
+@pytest.mark.parametrize("case", STARTS)
+def test_bad_initial_file(tmp_path: Path, case: str) -> None:
+    """An initial file that does not do is refused with the line and what is allowed."""
+    start_text, words = STARTS[case]
+    (tmp_path / "start.txt").write_text(start_text)
+    text = GOOD.replace("= 10", "= 2\n  initial_file = 'start.txt'")
+    lines = problems(tmp_path, text)
+    assert "&particles initial_file = 'start.txt'" in lines[0]
+    assert any(all(word in line for word in words) for line in lines), lines
+
+
+def test_problems_of_initial_file_and_namelist_together(tmp_path: Path) -> None:
+    """Problems in the namelist do not hide those in the initial file, on two ranks as well."""
+    (tmp_path / "start.txt").write_text("9 9 1 0\n-1 0 0 0\n")
+    text = GOOD.replace("= 10", "= 2\n  initial_file = 'start.txt'") + "&run\n speed = 2\n/\n"
+    lines = problems(tmp_path, text, ranks=2)
+    assert any("&run speed = 2" in line for line in lines)
+    assert any("line 1" in line and "outside" in line for line in lines)
+    assert any("line 2" in line and "speed 0" in line for line in lines)
+
+
+def test_folder_without_rights(tmp_path: Path) -> None:
+    """A folder that cannot be written to is found out before the run."""
+    folder = tmp_path / "closed"
+    folder.mkdir()
+    folder.chmod(0o555)
+    (tmp_path / "bad.nml").write_text(GOOD + "&output\n file = 'closed/out.h5'\n/\n")
+    # Root may write anywhere, unless it gives up that right.
+    humble = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
+    if os.getuid() != 0:
+        humble = []
+    ended = program.finish(
+        program.subprocess.Popen(
+            [*humble, *program.command_of("bad.nml")],
+            cwd=tmp_path,
+            env=program.ENVIRONMENT,
+            stdout=program.subprocess.PIPE,
+            stderr=program.subprocess.PIPE,
+            text=True,
+        )
+    )
+    assert ended.returncode == 2, ended.stderr
+    assert "&output file = 'closed/out.h5'" in ended.stderr
+    assert "cannot be written" in ended.stderr
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_no_such_namelist(tmp_path: Path, ranks: int) -> None:
+    """A namelist that is not there is named."""
+    ended = run("none.nml", folder=tmp_path, ranks=ranks)
+    assert ended.returncode == 2
+    assert "none.nml" in ended.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--chek", "case.nml"], ["--chek", "--check"]),
+        ([], ["namelist file is missing"]),
+        (["case.nml", "other.nml"], ["other.nml"]),
+        (["--what", "--ever"], ["--what", "--ever"]),
+    ],
+)
+def test_bad_command_line(tmp_path: Path, arguments: list[str], words: list[str]) -> None:
+    """Every mistake on the command line is told, with what is allowed."""
+    write(tmp_path)
+    before = listing(tmp_path)
+    ended = run(*arguments, folder=tmp_path)
+    assert ended.returncode == 2
+    assert all(word in ended.stderr for word in words)
+    assert "usage" in ended.stderr
+    assert listing(tmp_path) == before
+
+
+def test_bad_command_line_on_two_ranks(tmp_path: Path) -> None:
+    """On two ranks the complaint comes once."""
+    ended = run("--nonsense", folder=tmp_path, ranks=2)
+    assert ended.returncode == 2
+    assert ended.stderr.count("--nonsense: ") == 1
+
+
+def test_help_and_version(tmp_path: Path) -> None:
+    """The help knows options, exit codes and every key; the version has a number."""
+    helped = run("--help", folder=tmp_path)
+    assert helped.returncode == 0
+    for word in ("--check", "--overwrite", "--quiet", "channel2_width_range", "checkpoint_minutes"):
+        assert word in helped.stdout
+    versioned = run("--version", folder=tmp_path)
+    assert versioned.returncode == 0
+    assert re.match(r"battery \d+\.\d+", versioned.stdout)
+    assert helped.stderr == versioned.stderr == ""
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_check_writes_nothing(tmp_path: Path, ranks: int) -> None:
+    """--check shows the plan with tasks, time and memory, and leaves the folder as it was."""
+    write(tmp_path, scan={"channel2_width": "0.01, 0.1", "replicas": "3"})
+    before = listing(tmp_path)
+    ended = run("--check", "case.nml", folder=tmp_path, ranks=ranks)
+    assert ended.returncode == 0
+    for word in ("6", "2 points, 3 replicas", "time", "memory", "out.h5"):
+        assert word in ended.stdout
+    assert listing(tmp_path) == before
+
+
+def test_check_refuses_bad_input(tmp_path: Path) -> None:
+    """--check complains as the run would."""
+    lines = problems(tmp_path, GOOD + "&run\n collisions = 0\n/\n", "--check")
+    assert len(lines) == 1
+    assert "&run collisions = 0" in lines[0]
+
+
+def test_quiet(tmp_path: Path) -> None:
+    """--quiet prints nothing, without quiet there is a summary."""
+    write(tmp_path)
+    ended = run("--quiet", "case.nml", folder=tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
+    loud = run("--overwrite", "case.nml", folder=tmp_path)
+    assert loud.returncode == 0
+    assert "1 of 1 tasks are complete" in loud.stdout
+    assert "out.h5" in loud.stdout
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a scan of two points with two replicas."""
+    folder = tmp_path_factory.mktemp("scan")
+    write(folder, scan={"channel2_width": "0.01, 0.1", "replicas": "2"})
+    ended = run("case.nml", folder=folder)
+    assert ended.returncode == 0, ended.stderr
+    assert sorted(path.name for path in folder.iterdir()) == ["case.nml", "out.h5"]
+    return folder / "out.h5"
+
+
+BY_POINT = ["number", "threshold", "channel1_width", "channel2_width", "urn1_number"]
+BY_TASK = [
+    *("seed", "chi", "chi_error", "chi_collision"),
+    *("current1", "current1_error", "current2", "current2_error"),
+    *("flow1_12", "flow1_21", "flow2_12", "flow2_21"),
+    *("collisions", "bounce_backs", "time", "cpu_seconds", "task_status"),
+]
+SERIES = ["urn1_number", "flow1_12", "flow1_21", "flow2_12", "flow2_21"]
+
+
+def test_datasets_of_the_contract(scan: Path) -> None:
+    """All datasets are there with their dimensions; every one has units and a long name."""
+    with h5py.File(scan) as file:
+        shapes = {**dict.fromkeys(BY_POINT, (2,)), **dict.fromkeys(BY_TASK, (2, 2))}
+        entries = file["series/time"].shape[0]
+        shapes |= {f"series/{name}": (2, 2, entries) for name in SERIES}
+        shapes |= {f"final/{name}": (2, 2, NUMBER) for name in ("x", "y", "ux", "uy")}
+        for name, shape in shapes.items():
+            assert file[name].shape == shape, name
+            dimensions = [list(dimension.keys()) for dimension in file[name].dims]
+            assert all(dimensions), name
+        names: list[str] = []
+        file.visititems(
+            lambda name, thing: names.append(name) if isinstance(thing, h5py.Dataset) else None
+        )
+        for name in names:
+            assert file[name].attrs["units"], name
+            assert file[name].attrs["long_name"], name
+
+
+def test_attributes_of_the_contract(scan: Path) -> None:
+    """The root tells where the results come from; the namelist is the whole input."""
+    with h5py.File(scan) as file:
+        attributes = {
+            key: value.decode() if isinstance(value, bytes) else value
+            for key, value in file.attrs.items()
+        }
+    expected = (
+        "program version git_commit compiler compiler_options mpi_library mpi_ranks namelist "
+        "created status"
+    )
+    assert set(expected.split()) <= attributes.keys()
+    assert attributes["program"] == "battery"
+    assert attributes["status"] == "complete"
+    assert attributes["mpi_ranks"] == 1
+    assert attributes["namelist"] == (scan.parent / "case.nml").read_text()
+    assert re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ?$", attributes["created"])
+
+
+def test_xarray_opens_it(scan: Path) -> None:
+    """No more than xarray.open_dataset gives named dimensions and units, root and groups."""
+    with xarray.open_dataset(scan) as root:
+        for name in BY_POINT:
+            assert root[name].dims == ("point",), name
+        for name in BY_TASK:
+            assert root[name].dims == ("point", "replica"), name
+        assert root["current1"].attrs["units"] == "1/time"
+        np.testing.assert_array_equal(root["channel2_width"], [0.01, 0.1])
+    with xarray.open_dataset(scan, group="series") as series:
+        assert series["flow1_12"].dims == ("point", "replica", "time")
+        np.testing.assert_allclose(series["time"], 5.0 * np.arange(series.sizes["time"]))
+    with xarray.open_dataset(scan, group="final") as final:
+        assert final["x"].dims == ("point", "replica", "particle")
+    with xarray.open_dataset(scan, group="snapshots") as snapshots:
+        assert snapshots["x"].dims == ("point", "replica", "snapshot", "particle")
+        np.testing.assert_array_equal(snapshots["time"], [0.0, 10.0, 20.5])
+
+
+def test_flows_currents_and_particles_agree(scan: Path) -> None:
+    """Currents are differences of flows; N1 follows from them; nothing is lost."""
+    with xarray.open_dataset(scan) as root, xarray.open_dataset(scan, group="series") as series:
+        for channel in ("1", "2"):
+            net = root[f"flow{channel}_12"] - root[f"flow{channel}_21"]
+            np.testing.assert_allclose(net, root[f"current{channel}"], rtol=1e-12, atol=1e-12)
+        assert ((root["chi"] > 0) & (root["chi"] < 1)).all()
+        assert np.isnan(root["chi_collision"]).all()
+        assert (root["task_status"] == 0).all()
+        assert (root["collisions"] > 0).all()
+        np.testing.assert_allclose(root["time"], 400.0, rtol=1e-6)
+        assert len(np.unique(root["seed"])) == 4
+        urn1 = series["urn1_number"]
+        assert ((urn1 >= 0) & (urn1 <= NUMBER)).all()
+        assert (urn1[..., 0] == NUMBER // 2).all()
+        leaving = sum(series[f"flow{c}_12"] - series[f"flow{c}_21"] for c in "12")
+        steps = np.diff(urn1.astype(int), axis=-1)
+        np.testing.assert_allclose(steps, -5.0 * leaving.values[..., 1:], atol=1e-9)
+
+
+def test_positions_are_in_the_table(scan: Path) -> None:
+    """Snapshots and the final state hold all particles, inside, with speed 1 and in their half."""
+    snapshots = xarray.load_dataset(scan, group="snapshots")
+    final = xarray.load_dataset(scan, group="final")
+    series = xarray.load_dataset(scan, group="series")
+    for state in (snapshots, final):
+        assert np.isfinite(state["x"]).all()
+        np.testing.assert_allclose(np.hypot(state["ux"], state["uy"]), 1.0, atol=1e-12)
+        assert (abs(state["y"]) <= 1.0).all()
+        assert (abs(state["x"]) <= 3.0 + 1e-9).all()
+    for snapshot, entry in ((0, 0), (1, 2)):
+        halves = (snapshots["x"][:, :, snapshot] < 0).sum("particle")
+        np.testing.assert_array_equal(halves, series["urn1_number"][:, :, entry])
+
+
+@pytest.mark.parametrize("engine", ["collision", "synchronous"])
+def test_other_engines(tmp_path: Path, engine: str) -> None:
+    """Engines that see every wall collision average over them, and count about the same."""
+    write(tmp_path, run={**RUN, "engine": f"'{engine}'"})
+    assert run("case.nml", folder=tmp_path).returncode == 0
+    with xarray.open_dataset(tmp_path / "out.h5") as root:
+        assert (root["chi_collision"] - root["chi"]).item() == pytest.approx(0.0, abs=0.05)
+        # The mean free path in an urn is near pi r/2; channels make it a little shorter.
+        assert 0.4 < (root["collisions"] / root["time"] / NUMBER).item() < 0.9
+
+
+def test_urn_shape(tmp_path: Path) -> None:
+    """With one urn there is no channel 2 and no chi; hits on the end wall are current 1."""
+    write(tmp_path, table={"shape": "'urn'"})
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    with xarray.open_dataset(tmp_path / "out.h5") as root:
+        assert np.isnan(root["chi"]).all()
+        assert root["current1"].item() > 0
+        assert root["urn1_number"].item() == NUMBER
+        assert not np.nan_to_num(root["current2"]).any()
+
+
+def test_event_log(tmp_path: Path) -> None:
+    """Events come in order, of the four kinds; crossings and reversals are those counted."""
+    write(
+        tmp_path,
+        run={"duration": "100"},
+        table={"channel2_width": "0.2"},
+        output={"file": "'out.h5'", "event_log": ".true."},
+    )
+    assert run("case.nml", folder=tmp_path).returncode == 0
+    root = xarray.load_dataset(tmp_path / "out.h5")
+    events = xarray.load_dataset(tmp_path / "out.h5", group="events")
+    assert events["time"].dims == ("event",)
+    time, kind, where, particle = (
+        events[name].values for name in ("time", "kind", "where", "particle")
+    )
+    assert (np.diff(time) >= 0).all()
+    assert time[0] >= 0
+    assert time[-1] <= 100
+    assert set(kind) == {1, 2, 3, 4}
+    assert set(where[kind <= 2]) == {1, 2}
+    assert set(where[kind >= 3]) == {12, 21}
+    assert particle.min() >= 1
+    assert particle[kind != 2].max() <= NUMBER
+    assert (particle[kind == 2] > 2).all()
+    for channel, number in (("1", 3), ("2", 4)):
+        for way in (12, 21):
+            flow = root[f"flow{channel}_{way}"].item()
+            count = ((kind == number) & (where == way)).sum()
+            assert flow * root["time"].item() == pytest.approx(count, abs=1e-6)
+    assert particle[kind == 2].sum() == root["bounce_backs"].item()
+    assert (kind == 2).sum() == root["reversals"].item()
+
+
+def write_start(state: xarray.Dataset, path: Path) -> None:
+    """Write particles as an initial file."""
+    columns = [state[name].values.ravel() for name in ("x", "y", "ux", "uy")]
+    lines = zip(*(column.tolist() for column in columns), strict=True)
+    path.write_text("".join("{!r} {!r} {!r} {!r}\n".format(*line) for line in lines))
+
+
+def test_final_state_goes_on(tmp_path: Path) -> None:
+    """A final state is a start: snapshots at time 0 are the initial file, and runs join up."""
+    output = {"file": "'one.h5'", "final_state": ".true."}
+    write(tmp_path, "one.nml", run={"duration": "3"}, output=output)
+    assert run("one.nml", folder=tmp_path).returncode == 0
+    final = xarray.load_dataset(tmp_path / "one.h5", group="final")
+    write_start(final, tmp_path / "start.txt")
+    output = {"file": "'two.h5'", "final_state": ".true.", "snapshot_times": "0, 2"}
+    particles = {**PARTICLES, "initial_file": "'start.txt'", "seed": "77"}
+    write(tmp_path, "two.nml", particles=particles, run={"duration": "2"}, output=output)
+    ended = run("two.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    snapshots = xarray.load_dataset(tmp_path / "two.h5", group="snapshots")
+    write(
+        tmp_path,
+        "whole.nml",
+        run={"duration": "5"},
+        output={"file": "'whole.h5'", "final_state": ".true.", "snapshot_times": "3"},
+    )
+    assert run("whole.nml", folder=tmp_path).returncode == 0
+    whole = xarray.load_dataset(tmp_path / "whole.h5", group="snapshots")
+    last = xarray.load_dataset(tmp_path / "whole.h5", group="final")
+    second = xarray.load_dataset(tmp_path / "two.h5", group="final")
+    for name in ("x", "y", "ux", "uy"):
+        np.testing.assert_allclose(
+            snapshots[name].values[0, 0, 0], final[name].values[0, 0], rtol=0, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            snapshots[name].values[0, 0, 1], second[name].values[0, 0], rtol=0, atol=1e-12
+        )
+        # Rounding grows with every bounce: the digits left after so short a time are plenty.
+        np.testing.assert_allclose(whole[name].values[0, 0, 0], final[name].values[0, 0], atol=1e-9)
+        np.testing.assert_allclose(last[name].values[0, 0], second[name].values[0, 0], atol=1e-6)
+    with xarray.open_dataset(tmp_path / "two.h5") as root:
+        assert root["urn1_number"].item() == (final["x"] < 0).sum().item()
+
+
+def test_speed_of_initial_file_is_normalised(tmp_path: Path) -> None:
+    """Only the direction of the velocities in an initial file counts."""
+    (tmp_path / "start.txt").write_text("# a comment\n-1 0 30 40\n\n1.2 0.1 -2 0\n")
+    write(
+        tmp_path,
+        particles={"number": "2", "initial_file": "'start.txt'"},
+        run={"duration": "1"},
+        output={"file": "'out.h5'", "snapshot_times": "0"},
+    )
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    state = xarray.load_dataset(tmp_path / "out.h5", group="snapshots")
+    np.testing.assert_allclose(state["ux"].values.ravel(), [0.6, -1.0], atol=1e-15)
+    np.testing.assert_allclose(state["x"].values.ravel(), [-1.0, 1.2], atol=1e-15)
+
+
+def complete_run(folder: Path) -> CompletedProcess[str]:
+    """Make a complete results file."""
+    write(folder)
+    ended = run("case.nml", folder=folder)
+    assert ended.returncode == 0, ended.stderr
+    return ended
+
+
+def test_complete_file_is_kept(tmp_path: Path) -> None:
+    """The same command again says that all is complete, exits 0 and writes nothing."""
+    complete_run(tmp_path)
+    before = listing(tmp_path)
+    for ranks in (0, 2):
+        again = run("case.nml", folder=tmp_path, ranks=ranks)
+        assert again.returncode == 0
+        assert "complete" in again.stdout
+    assert listing(tmp_path) == before
+
+
+def test_another_input_is_refused(tmp_path: Path) -> None:
+    """Results of another input are not touched; the keys that differ are named with both values."""
+    complete_run(tmp_path)
+    write(tmp_path, gate={"threshold": "3"}, particles={"number": "61"})
+    before = listing(tmp_path)
+    for ranks in (0, 2):
+        ended = run("case.nml", folder=tmp_path, ranks=ranks)
+        assert ended.returncode == 2
+        assert "&gate threshold: was 2, is 3" in ended.stderr
+        assert "&particles number: was 60, is 61" in ended.stderr
+        assert "duration" not in ended.stderr
+    assert listing(tmp_path) == before
+
+
+def test_another_spelling_is_the_same_input(tmp_path: Path) -> None:
+    """Defaults written out, other ways of writing and limits make no other run."""
+    complete_run(tmp_path)
+    write(
+        tmp_path,
+        run={"transient_duration": "1.0e2", "duration": "400.0", "engine": "'excursion'"},
+        limits={"wall_minutes": "5"},
+    )
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert "complete" in ended.stdout
+
+
+def test_overwrite(tmp_path: Path) -> None:
+    """--overwrite discards results of another input, and runs a complete one again."""
+    complete_run(tmp_path)
+    (tmp_path / "out.h5").rename(tmp_path / "first.h5")
+    write(tmp_path, gate={"threshold": "3"})
+    assert run("case.nml", folder=tmp_path).returncode == 0
+    write(tmp_path)
+    assert run("--overwrite", "case.nml", folder=tmp_path).returncode == 0
+    assert_same(tmp_path / "first.h5", tmp_path / "out.h5")
+
+
+def test_a_file_of_someone_else_is_kept(tmp_path: Path) -> None:
+    """A file that is no results file is not overwritten without being told to."""
+    write(tmp_path)
+    (tmp_path / "out.h5").write_text("my notes")
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert "out.h5" in ended.stderr
+    assert (tmp_path / "out.h5").read_text() == "my notes"
+
+
+def test_no_half_file_while_it_runs(tmp_path: Path) -> None:
+    """A killed run leaves nothing under the final name."""
+    write(tmp_path, run={"collisions": "4000000000"}, output={"file": "'out.h5'"})
+    process = start("case.nml", folder=tmp_path)
+    folder = tmp_path / "out.h5.tasks"
+    assert program.wait_for(folder.exists, process)
+    program.kill_all(process)
+    process.communicate()
+    assert not (tmp_path / "out.h5").exists()
