@@ -58,8 +58,10 @@ module battery_excursion
     real(wp) :: now = 0.0_wp
     integer(int64) :: pages = 0
     real(wp) :: clock_start = 0.0_wp
-    !> Lookahead, longest window, half lengths of the channels.
-    real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, half1 = 0.0_wp, half2 = 0.0_wp
+    !> Lookahead, longest window, mean time between two events of a particle, half lengths of the
+    !> channels.
+    real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp, half1 = 0.0_wp, half2 = &
+      0.0_wp
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
     !> histories have told of them.
     integer(int64) :: known_hits = 0, told_hits = 0
@@ -83,7 +85,6 @@ contains
     type(particles_type), intent(inout) :: particles
     real(wp), intent(in) :: clock
     integer :: first, i, urn
-    integer, allocatable :: inside(:)
     logical :: from_channels
 
     call prepare(self, table, threshold, size(particles%x))
@@ -98,25 +99,57 @@ contains
         end do
         if (from_channels) call leave_channels(self%urn, self%visits)
         call finish_visits(self)
+        self%visits%count = 0
       end do
       if (from_channels) exit
       from_channels = .true.
     end do
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
+    call new_calendar(self%calendar, self%number, self%interval)
+    do i = 1, self%number
+      call write_down(self, i)
+    end do
     do urn = 1, 2
-      inside = pack([(i, i=1, self%number)], self%flight%heading == in_gate &
-        .and. self%flight%urn == urn)
-      call fill_gate(self%gate(urn), self%flight(inside)%time &
-        + self%half1/self%flight(inside)%along, inside)
+      call fill_at_start(self, urn)
     end do
   end subroutine start
+
+  !> Puts the next event of a particle into the calendar, if it has one there.
+  subroutine write_down(self, i)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: i
+
+    associate (flight => self%flight(i))
+      if (flight%heading == to_gate) call schedule(self%calendar, i, flight%time)
+      if (flight%heading == to_return) &
+        call schedule(self%calendar, i, flight%time + self%half2/flight%along)
+    end associate
+  end subroutine write_down
+
+  !> Counts those that are inside a gate when the run starts.
+  subroutine fill_at_start(self, urn)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: urn
+    integer, allocatable :: inside(:)
+    integer :: i, members
+
+    members = count(self%flight%heading == in_gate .and. self%flight%urn == urn)
+    allocate (inside(members))
+    members = 0
+    do i = 1, self%number
+      if (self%flight(i)%heading /= in_gate .or. self%flight(i)%urn /= urn) cycle
+      members = members + 1
+      inside(members) = i
+    end do
+    call fill_gate(self%gate(urn), self%flight(inside)%time &
+      + self%half1/self%flight(inside)%along, inside)
+  end subroutine fill_at_start
 
   !> Sizes and lengths that follow from the table and the number of particles.
   subroutine prepare(self, table, threshold, number)
     type(excursion_type), intent(inout) :: self
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold, number
-    real(wp) :: interval
     integer :: g
 
     self%table = table
@@ -125,11 +158,10 @@ contains
     self%urn = new_urn(table)
     self%half1 = 0.5_wp*table%channel1_length
     self%half2 = 0.5_wp*table%channel2_length
-    interval = pi*area_of_urn(table)/(table%channel1_width + table%channel2_width) &
+    self%interval = pi*area_of_urn(table)/(table%channel1_width + table%channel2_width) &
       + 0.25_wp*pi*table%channel1_length
     self%lookahead = shortest_excursion(table)
-    self%window = min(self%lookahead, real(self%batch, wp)*interval/real(number, wp))
-    call new_calendar(self%calendar, number, interval)
+    self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(number, wp))
     if (allocated(self%flight)) deallocate (self%flight)
     allocate (self%flight(number))
     do g = 1, 2
@@ -188,7 +220,6 @@ contains
       self%known_hits = self%known_hits - int(hits, int64)
       if (in_channel2) then
         self%flight(i)%heading = to_return
-        call schedule(self%calendar, i, self%flight(i)%time + self%half2/outward)
       else
         self%flight(i)%heading = in_gate
       end if
@@ -214,7 +245,7 @@ contains
 
   end subroutine take_over
 
-  !> Visits of the batch: from the urn's entrance to its exit, into flights and the calendar.
+  !> Visits of the batch: from the urn's entrance to its exit, into flights.
   subroutine finish_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: n
@@ -225,8 +256,6 @@ contains
       self%known_hits = self%known_hits + int(sum(v%hits(:n)), int64)
       call land(self%number, self%flight, n, self%half2, v%particle, v%urn, v%opening, v%time, &
         v%length, v%y, v%along, v%across)
-      call schedule_all(self%calendar, n, v%particle, v%time)
-      v%count = 0
     end associate
   end subroutine finish_visits
 
@@ -280,6 +309,8 @@ contains
       self%visits%time, self%visits%y, self%visits%along, self%visits%across)
     call leave_channels(self%urn, self%visits)
     call finish_visits(self)
+    call schedule_all(self%calendar, self%visits%count, self%visits%particle, self%visits%time)
+    self%visits%count = 0
     self%now = ends
     history%duration = ends - began
     history%collisions = self%known_hits - self%told_hits
@@ -608,6 +639,7 @@ contains
     self%flight%along = state%reals(2*number + 3:3*number + 2)
     self%flight%across = state%reals(3*number + 3:4*number + 2)
     self%flight%entered = state%reals(4*number + 3:5*number + 2)
+    call new_calendar(self%calendar, number, self%interval)
     due = state%reals(5*number + 3:6*number + 2)
     self%flight%heading = (state%bytes - 1)/2
     self%flight%urn = state%bytes - 2*self%flight%heading

@@ -2,12 +2,19 @@
 !>
 !> The layer over HDF5 has four rooms: this one, attributes, datasets, dimension scales. A path is
 !> absolute, the groups on its way are there already. An error names the file and the path.
+!>
+!> A new file is made in memory and written to the disk when it is closed: HDF5 crashes at the end of
+!> the program if a disk is full, and locks files, which some network disks refuse.
 module battery_hdf5_file
-  use hdf5, only: hid_t, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, h5fclose_f, &
-    h5fis_hdf5_f, h5gcreate_f, h5lexists_f, h5pcreate_f, h5pset_fclose_degree_f, h5idec_ref_f
-  use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5p_file_access_f
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
+  use hdf5, only: hid_t, size_t, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
+    h5fflush_f, h5fget_file_image_f, h5fis_hdf5_f, h5gcreate_f, h5lexists_f, h5pcreate_f, &
+    h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f
+  use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
+    h5p_file_access_f
+  use battery_kinds, only: int8
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: file_exists, is_folder, is_readable, folder_of
+  use battery_files, only: file_exists, is_folder, is_readable, is_writable, folder_of
   implicit none (type, external)
   private
   public :: hdf5_file_type, create_file, open_file, close_file, make_group, path_exists
@@ -20,6 +27,8 @@ module battery_hdf5_file
   type :: hdf5_file_type
     character(len=:), allocatable :: name
     integer(hid_t) :: id = no_handle
+    !> Whether it is new, and so still in memory.
+    logical :: is_new = .false.
   end type hdf5_file_type
 
   !> HDF5 makes its types anew each time it is started, so this is done once in a program.
@@ -38,27 +47,31 @@ contains
     is_started = status == 0
   end subroutine start_hdf5
 
-  !> Creates a file; one that is there is emptied.
+  !> Creates a file in memory; `close_file` writes it to the disk, over one of the same name.
   subroutine create_file(file, name, error)
     type(hdf5_file_type), intent(out) :: file
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
+    integer(size_t), parameter :: growth = 1024_size_t**2
     integer(hid_t) :: access
     integer :: status
 
     file%name = name
-    call start_hdf5(status)
-    call new_access(access, status)
-    if (status == 0) call h5fcreate_f(name, h5f_acc_trunc_f, file%id, status, access_prp=access)
-    call release(access, status)
-    if (status == 0) return
+    file%is_new = .true.
     if (.not. is_folder(folder_of(name))) then
       call fatal_error(error, name//': cannot be created: there is no folder '//folder_of(name))
     else if (is_folder(name)) then
       call fatal_error(error, name//': cannot be created: a folder has that name')
-    else
-      call fatal_error(error, name//': cannot be created: may '//folder_of(name)//' be written to?')
+    else if (.not. is_writable(folder_of(name))) then
+      call fatal_error(error, name//': cannot be created: '//folder_of(name)//' may not be written to')
     end if
+    if (allocated(error)) return
+    call start_hdf5(status)
+    call new_access(access, status)
+    if (status == 0) call h5pset_fapl_core_f(access, growth, .false., status)
+    if (status == 0) call h5fcreate_f(name, h5f_acc_trunc_f, file%id, status, access_prp=access)
+    call release(access, status)
+    if (status /= 0) call fatal_error(error, name//': cannot be created in memory')
   end subroutine create_file
 
   !> Opens a file for reading.
@@ -103,17 +116,62 @@ contains
     if (status == 0) call h5pset_fclose_degree_f(access, h5f_close_strong_f, status)
   end subroutine new_access
 
-  !> Closes a file; one that is not open is no error. What could not be written is found out here.
+  !> Closes a file, and writes a new one to the disk; one that is not open is no error.
   subroutine close_file(file, error)
     type(hdf5_file_type), intent(inout) :: file
     type(error_type), allocatable, intent(out) :: error
+    integer(int8), allocatable :: image(:)
     integer :: status
 
     if (file%id < 0) return
-    call h5fclose_f(file%id, status)
+    status = 0
+    if (file%is_new) call get_image(file, image, status)
+    call release(file%id, status)
     file%id = no_handle
-    if (status /= 0) call fatal_error(error, file%name//': cannot be closed: is the disk full?')
+    if (status /= 0) then
+      call fatal_error(error, file%name//': cannot be closed')
+    else if (file%is_new) then
+      call write_image(file%name, image, error)
+    end if
   end subroutine close_file
+
+  !> The bytes of a file that is in memory.
+  subroutine get_image(file, image, status)
+    type(hdf5_file_type), intent(in) :: file
+    integer(int8), allocatable, target, intent(out) :: image(:)
+    integer, intent(out) :: status
+    integer(size_t) :: bytes
+    type(c_ptr) :: address
+
+    bytes = 0
+    address = c_null_ptr
+    call h5fflush_f(file%id, h5f_scope_global_f, status)
+    if (status == 0) call h5fget_file_image_f(file%id, address, 0_size_t, status, bytes)
+    allocate (image(bytes))
+    address = c_loc(image)
+    if (status == 0) call h5fget_file_image_f(file%id, address, bytes, status)
+  end subroutine get_image
+
+  subroutine write_image(name, image, error)
+    character(len=*), intent(in) :: name
+    integer(int8), intent(in) :: image(:)
+    type(error_type), allocatable, intent(out) :: error
+    character(len=256) :: reason
+    integer :: unit, status, closed
+
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
+      status='replace', iostat=status, iomsg=reason)
+    if (status == 0) then
+      write (unit, iostat=status, iomsg=reason) image
+      if (status == 0) flush (unit, iostat=status, iomsg=reason)
+      close (unit, iostat=closed)
+      if (status == 0 .and. closed /= 0) then
+        status = closed
+        reason = 'the disk took not all of it'
+      end if
+    end if
+    if (status /= 0) call fatal_error(error, name//': cannot be written: '//trim(reason))
+  end subroutine write_image
 
   !> Makes a group.
   subroutine make_group(file, path, error)
