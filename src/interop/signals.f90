@@ -4,7 +4,7 @@
 !> the program at once. Signals within half a second of the first count as that one: `timeout` and
 !> some batch systems send each signal to the process and to its group.
 module battery_signals
-  use, intrinsic :: iso_c_binding, only: c_int, c_funptr, c_funloc
+  use, intrinsic :: iso_c_binding, only: c_int, c_char, c_null_char, c_funptr, c_funloc
   use, intrinsic :: iso_fortran_env, only: output_unit, error_unit
   use battery_kinds, only: dp, int64
   implicit none (type, external)
@@ -49,6 +49,27 @@ module battery_signals
       integer(c_int), value, intent(in) :: descriptor
       integer(c_int) :: yes
     end function c_isatty
+
+    function c_getppid() result(number) bind(c, name='getppid')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int) :: number
+    end function c_getppid
+
+    function c_open(path, flags) result(descriptor) bind(c, name='open')
+      import :: c_int, c_char
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int), value, intent(in) :: flags
+      integer(c_int) :: descriptor
+    end function c_open
+
+    function c_close(descriptor) result(status) bind(c, name='close')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: descriptor
+      integer(c_int) :: status
+    end function c_close
 
     function c_usleep(microseconds) result(status) bind(c, name='usleep')
       import :: c_int
@@ -148,11 +169,23 @@ contains
     status = c_usleep(int(1.0e6_dp*min(seconds, 0.99_dp), c_int))
   end subroutine rest
 
-  !> Whether standard output is a terminal.
+  !> Whether standard output is a terminal. A rank that mpirun has started writes to a terminal of
+  !> mpirun's own making, whatever mpirun itself writes to; then mpirun's output is what counts.
   function is_terminal() result(terminal)
     logical :: terminal
+    integer(c_int), parameter :: standard_output = 1, write_only = 1, no_control = 256
+    integer(c_int) :: descriptor, status
+    character(len=32) :: path
+    integer :: length
 
-    terminal = c_isatty(1_c_int) == 1_c_int
+    terminal = c_isatty(standard_output) == 1
+    call get_environment_variable('OMPI_COMM_WORLD_RANK', length=length)
+    if (length == 0 .or. .not. terminal) return
+    write (path, '(a, i0, a)') '/proc/', c_getppid(), '/fd/1'
+    descriptor = c_open(trim(path)//c_null_char, write_only + no_control)
+    if (descriptor < 0) return
+    terminal = c_isatty(descriptor) == 1
+    status = c_close(descriptor)
   end function is_terminal
 
   !> Number of this process.
