@@ -59,6 +59,7 @@ def figure_model(files: Sequence[Results]) -> Figure:
         snapshot = Snapshot(full.time, *parts)
     snapshot = snapshot or example_snapshot(table)
     made = style.figure(style.PAGE, 2.9)
+    made.set_layout_engine("none")  # the labels beside the table leave it no room
     axes = made.subplots()
     draw_table(axes, table)
     counted = counted_by(table, snapshot) > 0
