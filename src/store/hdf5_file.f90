@@ -3,8 +3,8 @@
 !> The layer over HDF5 has four rooms: this one, attributes, datasets, dimension scales. A path is
 !> absolute, the groups on its way are there already. An error names the file and the path.
 !>
-!> A new file is made in memory and written to the disk when it is closed: HDF5 crashes at the end of
-!> the program if a disk is full, and locks files, which some network disks refuse.
+!> A new file is made in memory and written to the disk when it is closed: after a write that failed
+!> HDF5 crashes at the end of the program, and it locks files, which some network disks refuse.
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
   use hdf5, only: hid_t, size_t, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
@@ -12,9 +12,10 @@ module battery_hdf5_file
     h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
     h5p_file_access_f
-  use battery_kinds, only: int8
+  use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error
   use battery_files, only: file_exists, is_folder, is_readable, is_writable, folder_of
+  use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: hdf5_file_type, create_file, open_file, close_file, make_group, path_exists
@@ -63,7 +64,8 @@ contains
     else if (is_folder(name)) then
       call fatal_error(error, name//': cannot be created: a folder has that name')
     else if (.not. is_writable(folder_of(name))) then
-      call fatal_error(error, name//': cannot be created: '//folder_of(name)//' may not be written to')
+      call fatal_error(error, &
+        name//': cannot be created: '//folder_of(name)//' may not be written to')
     end if
     if (allocated(error)) return
     call start_hdf5(status)
@@ -152,22 +154,32 @@ contains
     if (status == 0) call h5fget_file_image_f(file%id, address, bytes, status)
   end subroutine get_image
 
+  !> Writes bytes to a file. Its size is asked for in the end, since the runtime library reports no
+  !> failure of what it has buffered.
   subroutine write_image(name, image, error)
     character(len=*), intent(in) :: name
     integer(int8), intent(in) :: image(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=256) :: reason
     integer :: unit, status, closed
+    integer(int64) :: bytes
 
     open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
       status='replace', iostat=status, iomsg=reason)
     if (status == 0) then
       write (unit, iostat=status, iomsg=reason) image
-      if (status == 0) flush (unit, iostat=status, iomsg=reason)
-      close (unit, iostat=closed)
-      if (status == 0 .and. closed /= 0) then
-        status = closed
-        reason = 'the disk took not all of it'
+      if (status == 0) then
+        close (unit, iostat=status, iomsg=reason)
+      else
+        close (unit, iostat=closed)
+      end if
+    end if
+    if (status == 0) then
+      inquire (file=name, size=bytes)
+      if (bytes /= size(image, kind=int64)) then
+        status = 1
+        reason = 'only '//to_text(bytes)//' of '//to_text(size(image, kind=int64)) &
+          //' bytes: is the disk full?'
       end if
     end if
     if (status /= 0) call fatal_error(error, name//': cannot be written: '//trim(reason))
