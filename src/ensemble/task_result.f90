@@ -89,9 +89,12 @@ contains
       end if
     end associate
     allocate (found%snapshots(0), found%final_state(0))
-    do k = 1, size(simulation%snapshot)
+    do k = 1, simulation%snapshots_taken
       found%snapshots = [found%snapshots, flat(simulation%snapshot(k))]
     end do
+    ! A run by collisions may end before the time of a snapshot.
+    k = 4*simulation%engine%number*(size(simulation%snapshot) - simulation%snapshots_taken)
+    found%snapshots = [found%snapshots, spread(unknown, 1, k)]
     if (final_state) then
       call simulation%engine%particles(1, simulation%engine%number, particles)
       found%final_state = flat(particles)
