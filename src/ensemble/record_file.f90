@@ -42,6 +42,8 @@ contains
     if (status == 0) then
       inquire (unit, pos=good_size)
       good_size = good_size - 1
+      ! What was longer must not be taken for the next record.
+      endfile (unit, iostat=status, iomsg=reason)
     end if
     if (status /= 0) then
       call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
@@ -115,7 +117,7 @@ contains
     if (good) at = at + 48 + 8*head(3) + 8*head(4) + head(5)
   end subroutine read_record
 
-  !> FNV-1a over the words of a record; additions wrap (-fwrapv).
+  !> FNV-1a over the words of a record and their numbers; additions wrap (-fwrapv).
   pure function checksum(record) result(sum)
     type(record_type), intent(in) :: record
     integer(int64) :: sum
@@ -123,6 +125,9 @@ contains
     integer(int64) :: k
 
     sum = ieor(-3750763034362895579_int64, record%tag)*prime
+    call mix(size(record%integers, kind=int64))
+    call mix(size(record%reals, kind=int64))
+    call mix(size(record%bytes, kind=int64))
     do k = 1, size(record%integers, kind=int64)
       call mix(record%integers(k))
     end do
