@@ -298,7 +298,7 @@ contains
     associate (s => simulation, log => simulation%events)
       rest%integers = [s%transient_collisions, s%collisions, s%next_count, &
         int(s%windows_since_count, int64), int(s%snapshots_taken, int64), int(log%count, int64), &
-        int(s%engine%number, int64)]
+        int(s%engine%number, int64), merge(1_int64, 0_int64, s%done)]
       rest%reals = [s%elapsed, s%transient_time]
       if (log%count > 0) then
         rest%integers = [rest%integers, int(log%kind(:log%count), int64), &
@@ -333,14 +333,15 @@ contains
     simulation%next_count = rest%integers(3)
     simulation%windows_since_count = int(rest%integers(4))
     simulation%snapshots_taken = int(rest%integers(5))
+    simulation%done = rest%integers(8) == 1
     simulation%elapsed = rest%reals(1)
     simulation%transient_time = rest%reals(2)
     events = int(rest%integers(6))
     simulation%events%count = events
     if (events > 0) then
-      simulation%events%kind = int(rest%integers(8:7 + events), int32)
-      simulation%events%where = int(rest%integers(8 + events:7 + 2*events), int32)
-      simulation%events%particle = int(rest%integers(8 + 2*events:7 + 3*events), int32)
+      simulation%events%kind = int(rest%integers(9:8 + events), int32)
+      simulation%events%where = int(rest%integers(9 + events:8 + 2*events), int32)
+      simulation%events%particle = int(rest%integers(9 + 2*events:8 + 3*events), int32)
       simulation%events%time = rest%reals(3:2 + events)
     end if
     allocate (simulation%snapshot(size(setup%snapshot_times)))
