@@ -12,8 +12,10 @@ module battery_excursion
   use battery_kinds, only: wp, int8, int64, pi
   use battery_table, only: table_type, shape_circuit, area_of_urn, shortest_excursion, region_at, &
     urn_one, urn_two, gate_one, return_one, return_two
+  use battery_flight, only: flight_type, land, gather, locate, to_gate, to_return, in_gate, &
+    parked_in_urn, parked_in_channel
   use battery_urn, only: urn_type, visits_type, new_urn, reserve_visits, leave_channels, &
-    cross_urns, position_before
+    cross_urns
   use battery_channel, only: fold
   use battery_gate, only: gate_type, empty_gate, fill_gate, enter_gate, cross_middle, shift_gate
   use battery_calendar, only: calendar_type, new_calendar, schedule, schedule_all, open_until, &
@@ -25,25 +27,8 @@ module battery_excursion
   private
   public :: excursion_type
 
-  !> Where a particle goes: into a gate, into channel 2; inside a gate and counted; nowhere.
-  integer, parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
-    parked_in_channel = 5
-
   !> How many particles are taken over at a time at the start.
   integer, parameter :: start_chunk = 4096
-
-  type :: flight_type
-    !> When it enters the channel (entered it, for `in_gate` and those on their way to the periodic
-    !> line), at which height, with |u_x| and u_y.
-    !> `parked_in_urn`: time and angle of an impact, cosine and sine of the incidence.
-    !> `parked_in_channel`: time, y, x, u_y.
-    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
-    !> When it enters the urn before that.
-    real(wp) :: entered = 0.0_wp
-    integer :: heading = 0
-    !> Urn it leaves, 1 or 2.
-    integer :: urn = 0
-  end type flight_type
 
   type, extends(engine_type) :: excursion_type
     private
@@ -259,36 +244,6 @@ contains
     end associate
   end subroutine finish_visits
 
-  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
-  pure subroutine land(number, flight, n, half2, particle, urn, opening, time, length, y, along, &
-    across)
-    integer, intent(in) :: number, n
-    type(flight_type), intent(inout) :: flight(number)
-    real(wp), intent(in) :: half2
-    integer, intent(in) :: particle(n), urn(n)
-    real(wp), intent(in) :: opening(n), length(n), y(n), along(n), across(n)
-    real(wp), intent(inout) :: time(n)
-    integer :: j, i
-    real(wp) :: leaves
-
-    do j = 1, n
-      i = particle(j)
-      leaves = time(j) + length(j)
-      flight(i)%entered = time(j)
-      flight(i)%time = leaves
-      flight(i)%y = y(j)
-      flight(i)%along = along(j)
-      flight(i)%across = across(j)
-      flight(i)%urn = urn(j)
-      flight(i)%heading = to_gate
-      time(j) = leaves
-      if (.not. opening(j) > 0.0_wp) then
-        flight(i)%heading = merge(to_return, parked_in_urn, opening(j) < 0.0_wp)
-        time(j) = merge(leaves + half2/along(j), huge(1.0_wp), opening(j) < 0.0_wp)
-      end if
-    end do
-  end subroutine land
-
   subroutine advance(self, duration, history)
     class(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -458,23 +413,6 @@ contains
     self%visits%passage(count) = passage
   end subroutine send
 
-  !> Takes what a batch needs to know of its particles from their flights.
-  pure subroutine gather(number, flight, n, particle, time, y, along, across)
-    integer, intent(in) :: number, n
-    type(flight_type), intent(in) :: flight(number)
-    integer, intent(in) :: particle(n)
-    real(wp), intent(out) :: time(n), y(n), along(n), across(n)
-    integer :: j, i
-
-    do j = 1, n
-      i = particle(j)
-      time(j) = flight(i)%time
-      y(j) = flight(i)%y
-      along(j) = flight(i)%along
-      across(j) = flight(i)%across
-    end do
-  end subroutine gather
-
   subroutine all_particles(self, first, last, particles)
     class(excursion_type), intent(in) :: self
     integer, intent(in) :: first, last
@@ -486,7 +424,7 @@ contains
     allocate (particles%x(last - first + 1), particles%y(last - first + 1))
     allocate (particles%ux(last - first + 1), particles%uy(last - first + 1))
     do i = first, last
-      call locate(self, self%flight(i), position, velocity, hits)
+      call locate(self%urn, self%half1, self%flight(i), self%now, position, velocity, hits)
       side = merge(1.0_wp, -1.0_wp, self%flight(i)%urn == 1)
       if (self%flight(i)%heading == parked_in_channel) then
         particles%x(i - first + 1) = position(1)
@@ -500,82 +438,6 @@ contains
     end do
   end subroutine all_particles
 
-  !> Where a particle is now, in the local frame of its urn (`parked_in_channel`: of the table), and
-  !> by how many wall hits `known_hits` is short for it (negative: so many are still to come).
-  subroutine locate(self, flight, position, velocity, hits)
-    type(excursion_type), intent(in) :: self
-    type(flight_type), intent(in) :: flight
-    real(wp), intent(out) :: position(2), velocity(2)
-    integer(int64), intent(out) :: hits
-    real(wp) :: elapsed, opening, turned, passed, chord, width, step
-    complex(wp) :: impact
-
-    elapsed = self%now - flight%time
-    select case (flight%heading)
-    case (parked_in_channel)
-      call fold(flight%y + flight%across*elapsed, self%table%channel1_width, position(2), turned, &
-        passed)
-      if (abs(flight%along) > self%half1) &
-        call fold(flight%y + flight%across*elapsed, self%table%channel2_width, position(2), &
-        turned, passed)
-      position(1) = flight%along
-      velocity = [0.0_wp, turned*flight%across]
-      hits = int(passed, int64)
-    case (parked_in_urn)
-      step = 2.0_wp*self%urn%radius*flight%along
-      hits = 0
-      if (step > 0.0_wp) hits = floor(elapsed/step, int64)
-      elapsed = elapsed - real(hits, wp)*step
-      turned = flight%y + modulo(real(hits, wp)*2.0_wp*acos(flight%across), 2.0_wp*pi)
-      if (.not. step > 0.0_wp) then
-        ! A chord without length: the particle glides along the wall.
-        turned = flight%y + flight%across*elapsed/self%urn%radius
-        elapsed = 0.0_wp
-      end if
-      impact = cmplx(cos(turned), sin(turned), wp)
-      velocity = [real(impact*cmplx(-flight%along, flight%across, wp), wp), &
-        aimag(impact*cmplx(-flight%along, flight%across, wp))]
-      position = self%urn%radius*[real(impact, wp), aimag(impact)] + elapsed*velocity
-      hits = hits + 1
-    case default
-      opening = merge(-1.0_wp, 1.0_wp, flight%heading == to_return)
-      chord = merge(self%urn%chord2, self%urn%chord1, opening < 0.0_wp)
-      width = merge(self%urn%width2, self%urn%width1, opening < 0.0_wp)
-      if (elapsed >= 0.0_wp) then
-        call fold(flight%y + flight%across*elapsed, width, position(2), turned, passed)
-        position(1) = opening*(chord + flight%along*elapsed)
-        velocity = [opening*flight%along, turned*flight%across]
-        hits = int(passed, int64)
-      else
-        call locate_before(self, flight, opening, position, velocity, hits)
-      end if
-    end select
-  end subroutine locate
-
-  !> The same for a particle that has not yet left its urn, or is still in the channel before it.
-  subroutine locate_before(self, flight, opening, position, velocity, hits)
-    type(excursion_type), intent(in) :: self
-    type(flight_type), intent(in) :: flight
-    real(wp), intent(in) :: opening
-    real(wp), intent(out) :: position(2), velocity(2)
-    integer(int64), intent(out) :: hits
-    real(wp) :: before, side, turned, passed, width, height
-
-    call position_before(self%urn, opening, flight%y, flight%along, flight%across, &
-      flight%time - max(self%now, flight%entered), position, velocity, hits)
-    hits = -hits
-    before = flight%entered - self%now
-    if (before <= 0.0_wp) return
-    side = merge(1.0_wp, -1.0_wp, position(1) > 0.0_wp)
-    width = merge(self%urn%width1, self%urn%width2, side > 0.0_wp)
-    call fold(position(2) - velocity(2)*before, width, height, turned, passed)
-    position(1) = side*(merge(self%urn%chord1, self%urn%chord2, side > 0.0_wp) &
-      + abs(velocity(1))*before)
-    position(2) = height
-    velocity(2) = turned*velocity(2)
-    hits = hits - int(passed, int64)
-  end subroutine locate_before
-
   function collisions(self) result(total)
     class(excursion_type), intent(in) :: self
     integer(int64) :: total
@@ -585,7 +447,7 @@ contains
 
     total = self%known_hits
     do i = 1, self%number
-      call locate(self, self%flight(i), position, velocity, hits)
+      call locate(self%urn, self%half1, self%flight(i), self%now, position, velocity, hits)
       total = total + hits
     end do
   end function collisions
