@@ -168,10 +168,10 @@ contains
       status='replace', iostat=status, iomsg=reason)
     if (status == 0) then
       write (unit, iostat=status, iomsg=reason) image
-      if (status == 0) then
-        close (unit, iostat=status, iomsg=reason)
-      else
-        close (unit, iostat=closed)
+      close (unit, iostat=closed)
+      if (status == 0 .and. closed /= 0) then
+        status = closed
+        reason = 'it cannot be closed'
       end if
     end if
     if (status == 0) then
