@@ -136,7 +136,8 @@ contains
         call join_journal(earlier, journal_folder(plan), 0, 0, rank_files)
         call read_finished(earlier, finished)
       end if
-      call begin_journal(journal_folder(plan), plan%text, rank_files, communicator%size, error)
+      call begin_journal(journal_folder(plan), plan%text, rank_files, communicator%size, &
+        task_count(plan), error)
       if (allocated(error)) return
       numbers = [0, rank_files, longest_first(plan, finished)]
       if (found .and. .not. quiet) write (output_unit, '(a, i0, a, i0, a)') &
@@ -163,7 +164,7 @@ contains
     call remove_file(plan%file, error)
     if (allocated(error)) return
     call read_plan(journal_folder(plan), before, rank_files, found)
-    if (found) call remove_journal(journal_folder(plan), rank_files, task_count(plan), error)
+    if (found) call remove_journal(journal_folder(plan), rank_files, error)
   end subroutine discard
 
   !> Results of another input are not gone on with.
@@ -276,7 +277,7 @@ contains
         call print_summary(plan, journal, communicator%size, busy, wall_seconds() - began, &
           read_board(board, collisions_done), all_done, quiet)
         if (all_done .and. failed == 0) &
-          call remove_journal(journal%folder, journal%rank_files, task_count(plan), error)
+          call remove_journal(journal%folder, journal%rank_files, error)
       end if
     end if
     call share_error(communicator, error)

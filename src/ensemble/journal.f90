@@ -1,6 +1,6 @@
 !> What an ensemble has on disk while it is under way, in the folder `FILE.h5.tasks`:
 !>
-!> - `plan`: the namelist, and how many rank files there may be;
+!> - `plan`: the namelist, how many rank files there may be, and how many tasks there are;
 !> - `rank_N`: results of finished tasks, appended one by one; each rank of each start has its own;
 !> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole.
 !>
@@ -66,9 +66,9 @@ contains
 
   !> Rank 0 writes the plan before any rank writes anything else: `rank_files` of earlier starts and
   !> one for each of `ranks`.
-  subroutine begin_journal(folder, namelist, rank_files, ranks, error)
+  subroutine begin_journal(folder, namelist, rank_files, ranks, tasks, error)
     character(len=*), intent(in) :: folder, namelist
-    integer, intent(in) :: rank_files, ranks
+    integer, intent(in) :: rank_files, ranks, tasks
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: plan
     integer :: k
@@ -76,7 +76,8 @@ contains
     call make_folder(folder, error)
     if (allocated(error)) return
     plan%tag = rank_files + ranks
-    allocate (plan%integers(0), plan%reals(0), plan%bytes(len(namelist)))
+    plan%integers = [int(tasks, int64)]
+    allocate (plan%reals(0), plan%bytes(len(namelist)))
     do k = 1, len(namelist)
       plan%bytes(k) = int(merge(iachar(namelist(k:k)) - 256, iachar(namelist(k:k)), &
         iachar(namelist(k:k)) > 127), int8)
@@ -222,16 +223,21 @@ contains
     call restore_simulation(simulation, setup, state(1), state(2), state(3), error)
   end subroutine read_state
 
-  !> Removes the journal with all its files, for `tasks` tasks.
-  subroutine remove_journal(folder, rank_files, tasks, error)
+  !> Removes the journal with all its files. It may be another run's, with more tasks than this one.
+  subroutine remove_journal(folder, rank_files, error)
     character(len=*), intent(in) :: folder
-    integer, intent(in) :: rank_files, tasks
+    integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
     type(journal_type) :: journal
-    integer :: k
+    type(record_type) :: plan
+    logical :: found
+    integer :: tasks, k
 
     journal%folder = folder
     if (.not. is_folder(folder)) return
+    call read_single(folder//'/plan', plan, found)
+    tasks = 0
+    if (found) tasks = int(plan%integers(1))
     do k = 0, rank_files - 1
       call remove_file(file_of(journal, 'rank', k), error)
       if (allocated(error)) return
