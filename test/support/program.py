@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROOT = Path(__file__).resolve().parents[2]
-PROGRAM = ROOT / "build/bin/battery"
+# Another build may be tried with BATTERY_PROGRAM.
+PROGRAM = Path(os.environ.get("BATTERY_PROGRAM", ROOT / "build/bin/battery"))
 ENVIRONMENT = {
     **os.environ,
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -46,13 +47,17 @@ def command_of(*arguments: str, ranks: int = 0) -> list[str]:
 
 
 def start(
-    *arguments: str, folder: Path, ranks: int = 0, prepare: Callable[[], None] | None = None
+    *arguments: str,
+    folder: Path,
+    ranks: int = 0,
+    prepare: Callable[[], None] | None = None,
+    environment: dict[str, str] | None = None,
 ) -> subprocess.Popen[str]:
     """Start the program in a folder, as leader of its own session."""
     return subprocess.Popen(
         command_of(*arguments, ranks=ranks),
         cwd=folder,
-        env=ENVIRONMENT,
+        env={**ENVIRONMENT, **(environment or {})},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -71,15 +76,21 @@ def finish(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
         kill_all(process)
         process.communicate()
         raise
-    assert "Backtrace" not in errors, errors
+    assert "Backtrace" not in errors, errors[:2000]
     return subprocess.CompletedProcess(process.args, process.returncode, output, errors)
 
 
 def run(
-    *arguments: str, folder: Path, ranks: int = 0, prepare: Callable[[], None] | None = None
+    *arguments: str,
+    folder: Path,
+    ranks: int = 0,
+    prepare: Callable[[], None] | None = None,
+    environment: dict[str, str] | None = None,
 ) -> subprocess.CompletedProcess[str]:
     """Run the program to its end."""
-    return finish(start(*arguments, folder=folder, ranks=ranks, prepare=prepare))
+    return finish(
+        start(*arguments, folder=folder, ranks=ranks, prepare=prepare, environment=environment)
+    )
 
 
 def rank_processes(process: subprocess.Popen[str], ranks: int) -> list[int]:

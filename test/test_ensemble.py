@@ -1,0 +1,530 @@
+"""Ensembles: the same bits on any number of ranks, and whatever happens on the way."""
+
+from __future__ import annotations
+
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+import pytest
+from support.program import (
+    ENVIRONMENT,
+    PATIENCE,
+    PROGRAM,
+    assert_same,
+    finish,
+    kill_all,
+    listing,
+    namelist,
+    rank_processes,
+    run,
+    send,
+    start,
+    wait_for,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from subprocess import Popen
+
+TASKS = 4
+COLLISIONS = 60_000_000
+CASE: dict[str, dict[str, Any]] = {
+    "particles": {"number": 200},
+    "gate": {"threshold": 3},
+    "run": {"collisions": COLLISIONS},
+    "scan": {"channel2_width": "0.01, 0.1", "replicas": TASKS // 2},
+    "output": {
+        "file": "'out.h5'",
+        "series_interval": 1000,
+        "snapshot_times": "0, 100",
+        "final_state": ".true.",
+    },
+    "limits": {"checkpoint_minutes": 0.001},
+}
+
+
+def write(folder: Path, **groups: dict[str, Any]) -> Path:
+    """Write the ensemble, some keys changed."""
+    folder.mkdir(exist_ok=True)
+    case = {group: {**keys, **groups.get(group, {})} for group, keys in CASE.items()}
+    path = folder / "case.nml"
+    path.write_text(namelist(**case))
+    return path
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the results that every other run must reproduce."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    write(folder)
+    ended = run("--quiet", "case.nml", folder=folder)
+    assert ended.returncode == 0, ended.stderr
+    return folder / "out.h5"
+
+
+def complete(folder: Path, undisturbed: Path, ranks: int = 0) -> str:
+    """Run to the end; the results are those of the undisturbed run, and nothing else is left."""
+    ended = run("case.nml", folder=folder, ranks=ranks)
+    assert ended.returncode == 0, (ended.stdout, ended.stderr)
+    assert_same(folder / "out.h5", undisturbed)
+    assert sorted(path.name for path in folder.iterdir()) == ["case.nml", "out.h5"]
+    return ended.stdout
+
+
+def under_way(folder: Path, ranks: int = 0, *arguments: str) -> tuple[Popen[str], list[int]]:
+    """Start the program; return when it has begun its journal."""
+    plan = folder / "out.h5.tasks/plan"
+    before = plan.stat().st_mtime_ns if plan.exists() else 0
+    process = start(*arguments, "case.nml", folder=folder, ranks=ranks)
+    numbers = rank_processes(process, ranks)
+    began = wait_for(lambda: plan.exists() and plan.stat().st_mtime_ns != before, process)
+    if not (began and numbers):
+        kill_all(process)
+        output, errors = process.communicate()
+        pytest.fail(f"it did not start: {output} {errors}")
+    return process, numbers
+
+
+def stopped(folder: Path, what: signal.Signals, delay: float, ranks: int = 0) -> None:
+    """Stop a run by a signal to all ranks some time after its start; it exits with 3."""
+    process, numbers = under_way(folder, ranks)
+    time.sleep(delay)
+    send(numbers, what)
+    ended = finish(process)
+    assert ended.returncode == 3, (ended.returncode, ended.stdout, ended.stderr)
+    with h5py.File(folder / "out.h5") as file:
+        assert np.asarray(file.attrs["status"]).item() in ("partial", b"partial")
+        assert set(np.unique(file["task_status"])) <= {0, 2}
+
+
+def killed(folder: Path, ranks: int, delay: float, victim: int | None) -> None:
+    """Kill one rank, or all with mpirun, at any moment."""
+    process = start("--quiet", "case.nml", folder=folder, ranks=ranks)
+    numbers = rank_processes(process, ranks)
+    time.sleep(delay)
+    if victim is None or not numbers:
+        kill_all(process)
+    else:
+        send([numbers[victim % len(numbers)]], signal.SIGKILL)
+    finish(process)
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3])
+def test_ranks_make_no_difference(tmp_path: Path, undisturbed: Path, ranks: int) -> None:
+    """Results are the same bits on any number of ranks and without mpirun."""
+    write(tmp_path)
+    complete(tmp_path, undisturbed, ranks)
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert file.attrs["mpi_ranks"] == ranks
+
+
+def test_more_ranks_than_tasks(tmp_path: Path) -> None:
+    """Ranks without a task do no harm."""
+    write(tmp_path, scan={"channel2_width": 0.1, "replicas": 2}, run={"collisions": 1_000_000})
+    assert run("case.nml", folder=tmp_path, ranks=3).returncode == 0
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert not file["task_status"][()].any()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4])
+@pytest.mark.parametrize("what", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1])
+def test_stopped_by_a_signal(
+    tmp_path: Path, undisturbed: Path, what: signal.Signals, delay: float
+) -> None:
+    """Each signal stops with exit 3; the same command goes on to the same bits."""
+    write(tmp_path)
+    stopped(tmp_path, what, delay)
+    assert "going on" in complete(tmp_path, undisturbed)
+
+
+@pytest.mark.parametrize(("delay", "ranks_after"), [(0.0, 0), (0.3, 3)])
+def test_two_ranks_stopped_by_a_signal(
+    tmp_path: Path, undisturbed: Path, delay: float, ranks_after: int
+) -> None:
+    """All ranks are stopped; any other number of ranks goes on."""
+    write(tmp_path)
+    stopped(tmp_path, signal.SIGUSR1, delay, ranks=2)
+    complete(tmp_path, undisturbed, ranks_after)
+
+
+def test_one_rank_of_two_hears_the_signal(tmp_path: Path, undisturbed: Path) -> None:
+    """A signal to one rank stops all."""
+    write(tmp_path)
+    process, numbers = under_way(tmp_path, 2)
+    send(numbers[1:], signal.SIGUSR1)
+    assert finish(process).returncode == 3
+    complete(tmp_path, undisturbed, 2)
+
+
+@pytest.mark.parametrize("what", [signal.SIGUSR1, signal.SIGTERM])
+def test_signal_to_mpirun(tmp_path: Path, undisturbed: Path, what: signal.Signals) -> None:
+    """A signal to mpirun, as from a batch system, loses nothing."""
+    write(tmp_path)
+    process, _ = under_way(tmp_path, 2)
+    time.sleep(0.2)
+    send([process.pid], what)
+    ended = finish(process)
+    assert ended.returncode != 0
+    if what == signal.SIGUSR1:
+        assert ended.returncode == 3
+    complete(tmp_path, undisturbed, 2)
+
+
+def test_stopped_again_and_again(tmp_path: Path, undisturbed: Path) -> None:
+    """Every start gets further, and the bits stay the same."""
+    write(tmp_path)
+    for _ in range(3):
+        stopped(tmp_path, signal.SIGTERM, 0.15)
+    complete(tmp_path, undisturbed)
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_wall_minutes(tmp_path: Path, undisturbed: Path, ranks: int) -> None:
+    """The time limit stops a run cleanly; without it, the run goes on."""
+    write(tmp_path, limits={"checkpoint_minutes": 10, "wall_minutes": 0.005})
+    before = time.monotonic()
+    ended = run("case.nml", folder=tmp_path, ranks=ranks)
+    assert ended.returncode == 3, (ended.stdout, ended.stderr)
+    assert time.monotonic() - before < 20
+    write(tmp_path)
+    complete(tmp_path, undisturbed, ranks)
+
+
+KILLS = random.Random(2021)
+
+
+@pytest.mark.parametrize(
+    ("ranks", "first", "second", "victim", "ranks_after"),
+    [
+        (
+            KILLS.choice([0, 2, 3]),
+            KILLS.uniform(0.0, 0.9),
+            KILLS.uniform(0.2, 0.6),
+            KILLS.choice([None, 0, 1]),
+            KILLS.choice([0, 1, 2]),
+        )
+        for _ in range(8)
+    ],
+)
+def test_killed(
+    tmp_path: Path,
+    undisturbed: Path,
+    ranks: int,
+    first: float,
+    second: float,
+    victim: int | None,
+    ranks_after: int,
+) -> None:
+    """After kill -9 of one rank or of all, at any moment, the bits are the same."""
+    write(tmp_path)
+    killed(tmp_path, ranks, first, victim)
+    if not ranks:
+        killed(tmp_path, 0, second, None)
+    complete(tmp_path, undisturbed, ranks_after)
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder with a run killed after some finished tasks, with states of the next."""
+    folder = tmp_path_factory.mktemp("interrupted") / "case"
+    write(folder)
+    process, _ = under_way(folder, 0, "--quiet")
+    journal = folder / "out.h5.tasks"
+    third = [journal / f"task_3.{generation}" for generation in "ab"]
+    assert wait_for(lambda: all(path.exists() for path in third), process)
+    send([process.pid], signal.SIGKILL)
+    finish(process)
+    assert (journal / "rank_0").stat().st_size > 0
+    assert all(path.exists() for path in third)
+    return folder
+
+
+def copy_of(interrupted: Path, tmp_path: Path) -> Path:
+    """Copy the folder of the killed run."""
+    folder = tmp_path / "case"
+    shutil.copytree(interrupted, folder)
+    return folder
+
+
+def flip(path: Path, at: int) -> None:
+    """Turn one bit of one byte."""
+    data = bytearray(path.read_bytes())
+    data[at] ^= 16
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.45, 0.55, 0.999])
+def test_truncated_part(
+    tmp_path: Path, interrupted: Path, undisturbed: Path, share: float
+) -> None:
+    """A rank file cut short is found out; what stands before the cut is used."""
+    folder = copy_of(interrupted, tmp_path)
+    path = folder / "out.h5.tasks/rank_0"
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    output = complete(folder, undisturbed)
+    assert f"{1 if share >= 0.5 else 0} of {TASKS} tasks are finished" in output
+
+
+@pytest.mark.parametrize("share", [0.0, 0.0015, 0.55, 0.9999])
+def test_flipped_byte_in_part(
+    tmp_path: Path, interrupted: Path, undisturbed: Path, share: float
+) -> None:
+    """A damaged result in a rank file is found out and computed again."""
+    folder = copy_of(interrupted, tmp_path)
+    path = folder / "out.h5.tasks/rank_0"
+    flip(path, int(share * path.stat().st_size))
+    output = complete(folder, undisturbed)
+    assert f"{1 if share >= 0.5 else 0} of {TASKS} tasks are finished" in output
+
+
+@pytest.mark.parametrize(
+    ("generations", "share"),
+    [("a", -1.0), ("b", -1.0), ("ab", -1.0), ("a", 0.5), ("b", 0.5), ("ab", 0.0), ("ab", 0.9999)],
+)
+def test_damaged_state(
+    tmp_path: Path, interrupted: Path, undisturbed: Path, generations: str, share: float
+) -> None:
+    """With a damaged state the other generation is used, or the start; negative: cut in half."""
+    folder = copy_of(interrupted, tmp_path)
+    for generation in generations:
+        path = folder / f"out.h5.tasks/task_3.{generation}"
+        if share < 0.0:
+            path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        else:
+            flip(path, int(share * path.stat().st_size))
+    complete(folder, undisturbed)
+
+
+def test_state_of_another_task(tmp_path: Path, interrupted: Path, undisturbed: Path) -> None:
+    """A state under the name of another task is not taken for its own."""
+    folder = copy_of(interrupted, tmp_path)
+    journal = folder / "out.h5.tasks"
+    shutil.copy(journal / "task_3.a", journal / "task_4.a")
+    complete(folder, undisturbed)
+
+
+def test_lost_part(tmp_path: Path, interrupted: Path, undisturbed: Path) -> None:
+    """A rank file that is gone costs its tasks, nothing else."""
+    folder = copy_of(interrupted, tmp_path)
+    (folder / "out.h5.tasks/rank_0").unlink()
+    complete(folder, undisturbed)
+
+
+def test_damaged_plan(tmp_path: Path, interrupted: Path, undisturbed: Path) -> None:
+    """If the plan of the journal is damaged, all is computed again."""
+    folder = copy_of(interrupted, tmp_path)
+    flip(folder / "out.h5.tasks/plan", 100)
+    complete(folder, undisturbed)
+
+
+def other_case(folder: Path) -> Path:
+    """Run another ensemble with as many tasks and numbers, on its own."""
+    write(folder, gate={"threshold": 4})
+    assert run("--quiet", "case.nml", folder=folder).returncode == 0
+    return folder / "out.h5"
+
+
+@pytest.mark.xfail(strict=True, reason="parts of another input are taken over")
+@pytest.mark.parametrize("arguments", [(), ("--overwrite",)])
+def test_damaged_plan_and_another_input(
+    tmp_path: Path, interrupted: Path, arguments: tuple[str, ...]
+) -> None:
+    """Parts and states of another input are never used, even if the plan was lost."""
+    folder = copy_of(interrupted, tmp_path)
+    flip(folder / "out.h5.tasks/plan", 100)
+    write(folder, gate={"threshold": 4})
+    ended = run(*arguments, "case.nml", folder=folder)
+    if ended.returncode == 2 and not arguments:
+        return
+    assert ended.returncode == 0, ended.stderr
+    assert_same(folder / "out.h5", other_case(tmp_path / "other"))
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_edited_namelist(
+    tmp_path: Path, interrupted: Path, undisturbed: Path, ranks: int
+) -> None:
+    """Another input is refused with the keys that differ; with the old one the run goes on."""
+    folder = copy_of(interrupted, tmp_path)
+    write(folder, gate={"threshold": 4}, scan={"channel2_width": "0.01, 0.2"})
+    before = listing(folder)
+    ended = run("case.nml", folder=folder, ranks=ranks)
+    assert ended.returncode == 2
+    assert "&gate threshold: was 3, is 4" in ended.stderr
+    assert "&scan channel2_width: was" in ended.stderr
+    assert "collisions" not in ended.stderr
+    assert listing(folder) == before
+    write(folder)
+    complete(folder, undisturbed, ranks)
+
+
+@pytest.mark.xfail(strict=True, reason="only the name of the initial file is compared")
+def test_edited_initial_file(tmp_path: Path) -> None:
+    """Going on with another initial file under the same name is refused too."""
+    lines = [f"-1.{k} 0.{k} 1 0.{k}\n" for k in range(1, 6)]
+    (tmp_path / "start.txt").write_text("".join(lines))
+    write(tmp_path, particles={"number": 5, "initial_file": "'start.txt'"})
+    case = (tmp_path / "case.nml").read_text()
+    (tmp_path / "case.nml").write_text(case.replace("threshold = 3", "threshold = 1"))
+    stopped(tmp_path, signal.SIGTERM, 0.2)
+    lines[0] = "-1.1 0.2 1 0.9\n"
+    (tmp_path / "start.txt").write_text("".join(lines))
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2, ended.stdout
+    assert "start.txt" in ended.stderr
+
+
+@pytest.mark.xfail(strict=True, reason="states of tasks beyond the new plan are left behind")
+def test_overwrite_with_fewer_tasks(tmp_path: Path, interrupted: Path) -> None:
+    """--overwrite discards a journal with states of tasks that there are no more."""
+    folder = copy_of(interrupted, tmp_path)
+    changes = {"scan": {"channel2_width": 0.1, "replicas": 1}, "run": {"collisions": 1_000_000}}
+    write(folder, **changes)
+    ended = run("--overwrite", "case.nml", folder=folder)
+    assert ended.returncode == 0, ended.stderr
+    assert sorted(path.name for path in folder.iterdir()) == ["case.nml", "out.h5"]
+
+
+def limit_memory() -> None:
+    """Leave the program 8 GB of address space."""
+    resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+
+
+def failing(folder: Path, ranks: int = 0, **output: Any) -> None:
+    """One task of three has too many particles for the memory."""
+    write(
+        folder,
+        run={"collisions": 3_000_000},
+        scan={"channel2_width": 0.1, "replicas": 1, "number": "100, 2000000000, 50"},
+        output={"snapshot_times": 0, "final_state": ".false.", **output},
+    )
+    case = (folder / "case.nml").read_text().replace("  snapshot_times = 0\n", "")
+    (folder / "case.nml").write_text(case)
+    ended = run("case.nml", folder=folder, ranks=ranks, prepare=limit_memory)
+    assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr)
+    assert "no memory for 2000000000 particles" in ended.stdout + ended.stderr
+    with h5py.File(folder / "out.h5") as file:
+        np.testing.assert_array_equal(file["task_status"], [[0], [1], [0]])
+        np.testing.assert_array_equal(np.isfinite(file["chi"]), [[True], [False], [True]])
+        assert np.asarray(file.attrs["status"]).item() in ("partial", b"partial")
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_one_bad_task(tmp_path: Path, ranks: int) -> None:
+    """A task that fails is listed and marked, the others are complete, exit 1."""
+    failing(tmp_path, ranks)
+
+
+@pytest.mark.xfail(strict=True, reason="room is made for the states of the failed task")
+def test_a_bad_task_with_final_states(tmp_path: Path) -> None:
+    """The final states of the others are kept, and need no room for those of the bad task."""
+    failing(tmp_path, final_state=".true.")
+
+
+@pytest.mark.xfail(strict=True, reason="the second start exits 0")
+def test_a_bad_task_stays_bad(tmp_path: Path) -> None:
+    """The same command again does not call an ensemble with a failed task complete."""
+    failing(tmp_path)
+    failing(tmp_path)
+
+
+@pytest.mark.xfail(strict=True, reason="the engine's arrays are allocated unchecked")
+def test_memory_short_after_the_start(tmp_path: Path) -> None:
+    """A task that has room for its particles, but not for the engine, fails like any other."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30))
+
+    write(
+        tmp_path,
+        run={"collisions": 3_000_000},
+        scan={"channel2_width": 0.1, "replicas": 1, "number": "100, 30000000"},
+        output={"snapshot_times": 0, "final_state": ".false.", "series_interval": 0},
+    )
+    ended = run("case.nml", folder=tmp_path, prepare=limit)
+    assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr[:2000])
+    assert "task 2 failed" in ended.stdout
+    assert "1 of 2 tasks are complete" in ended.stdout
+
+
+@pytest.mark.xfail(strict=True, reason="SIGXFSZ ends the program with a backtrace")
+@pytest.mark.parametrize("room", [100, 9000, 30000])
+def test_file_size_limit(tmp_path: Path, undisturbed: Path, room: int) -> None:
+    """When no file may grow beyond some size: a clear message, exit 1; with room it goes on."""
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    write(tmp_path)
+    # Files of MPI itself are in memory and shared; one process alone can do without.
+    environment = {"OMPI_MCA_btl": "self", "PMIX_MCA_gds": "hash"}
+    ended = run("case.nml", folder=tmp_path, prepare=limit, environment=environment)
+    assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr)
+    assert "out.h5" in ended.stderr
+    complete(tmp_path, undisturbed)
+
+
+FULL_DISK = """
+mount -t tmpfs -o size={size} none disk || exit 77
+cp case.nml disk && cd disk
+{program} case.nml > ../output 2> ../errors
+echo $? > ../code
+mount -o remount,size=64m .
+{program} case.nml > ../output_again 2>&1
+echo $? > ../code_again
+cp -r . ..
+"""
+
+
+@pytest.mark.parametrize("size", ["4k", "28k", "80k"])
+def test_full_disk(tmp_path: Path, undisturbed: Path, size: str) -> None:
+    """On a full disk: a clear message, exit 1, nothing lost; with room it goes on."""
+    write(tmp_path)
+    (tmp_path / "disk").mkdir()
+    script = FULL_DISK.format(size=size, program=PROGRAM)
+    # A small file system that only these processes see.
+    subprocess.run(
+        ["unshare", "-rm", "sh", "-c", script],
+        cwd=tmp_path,
+        env=ENVIRONMENT,
+        timeout=PATIENCE,
+        check=False,
+    )
+    if not (tmp_path / "code").exists():
+        pytest.skip("this system does not let us mount a small file system")
+    assert (tmp_path / "code").read_text() == "1\n", (tmp_path / "output").read_text()
+    assert "out.h5" in (tmp_path / "errors").read_text()
+    assert (tmp_path / "code_again").read_text() == "0\n", (tmp_path / "output_again").read_text()
+    assert_same(tmp_path / "out.h5", undisturbed)
+
+
+@pytest.mark.xfail(strict=True, reason="short writes of parts go unnoticed, exit 0")
+def test_full_disk_with_room_for_a_results_file(tmp_path: Path) -> None:
+    """Results that do not fit are missed, even if a file without them would fit."""
+    changes = {"particles": {"number": 2000}, "run": {"collisions": 60_000_000}}
+    text = write(tmp_path, **changes).read_text().replace("  snapshot_times = 0, 100\n", "")
+    (tmp_path / "case.nml").write_text(text)
+    (tmp_path / "disk").mkdir()
+    script = FULL_DISK.format(size="120k", program=PROGRAM)
+    subprocess.run(
+        ["unshare", "-rm", "sh", "-c", script],
+        cwd=tmp_path,
+        env=ENVIRONMENT,
+        timeout=PATIENCE,
+        check=False,
+    )
+    if not (tmp_path / "code").exists():
+        pytest.skip("this system does not let us mount a small file system")
+    write(tmp_path / "other", **changes).write_text(text)
+    assert run("--quiet", "case.nml", folder=tmp_path / "other").returncode == 0
+    assert (tmp_path / "code").read_text() == "1\n", (tmp_path / "output").read_text()
+    assert (tmp_path / "code_again").read_text() == "0\n", (tmp_path / "output_again").read_text()
+    assert_same(tmp_path / "out.h5", tmp_path / "other/out.h5")
