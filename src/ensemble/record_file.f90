@@ -24,33 +24,45 @@ module battery_record_file
 contains
 
   !> Appends a record to the file `name`, which is created if it is not there; `good_size` is the
-  !> length of its good part in bytes, beyond which anything is overwritten.
+  !> length of its good part in bytes, beyond which anything is overwritten. The record is read back:
+  !> on a full disk gfortran reports neither the write nor the close as failed.
   subroutine append_record(name, record, good_size, error)
     character(len=*), intent(in) :: name
     type(record_type), intent(in) :: record
     integer(int64), intent(inout) :: good_size
     type(error_type), allocatable, intent(out) :: error
+    type(record_type) :: written
     integer :: unit, status
+    integer(int64) :: at, bytes
     character(len=256) :: reason
+    logical :: good
 
+    reason = 'the disk may be full'
+    good = .false.
+    at = good_size
     open (newunit=unit, file=name, access='stream', form='unformatted', action='readwrite', &
       iostat=status, iomsg=reason)
-    if (status == 0) write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, &
-      record%tag, size(record%integers, kind=int64), size(record%reals, kind=int64), &
-      size(record%bytes, kind=int64), record%integers, record%reals, record%bytes, checksum(record)
-    if (status == 0) flush (unit, iostat=status, iomsg=reason)
     if (status == 0) then
-      inquire (unit, pos=good_size)
-      good_size = good_size - 1
+      write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, record%tag, &
+        size(record%integers, kind=int64), size(record%reals, kind=int64), &
+        size(record%bytes, kind=int64), record%integers, record%reals, record%bytes, checksum(record)
       ! What was longer must not be taken for the next record.
-      endfile (unit, iostat=status, iomsg=reason)
-    end if
-    if (status /= 0) then
-      call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
+      if (status == 0) endfile (unit, iostat=status, iomsg=reason)
       close (unit)
+    end if
+    if (status == 0) then
+      open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
+        status='old', iostat=status, iomsg=reason)
+      if (status == 0) then
+        inquire (unit, size=bytes)
+        call read_record(unit, at, bytes, written, good)
+        close (unit)
+      end if
+    end if
+    if (good) then
+      good_size = at
     else
-      close (unit, iostat=status, iomsg=reason)
-      if (status /= 0) call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
+      call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
     end if
   end subroutine append_record
 

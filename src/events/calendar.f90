@@ -44,11 +44,11 @@ contains
     integer :: bits
 
     bits = 0
-    do while (2**bits < max(number, 16) .and. bits < 29)
+    do while (2**bits < max(number, 16) .and. bits < 28)
       bits = bits + 1
     end do
-    calendar%buckets = 2**(bits + 1)
-    calendar%page = 2.0_wp**ceiling(log(2.0_wp*interval)/log(2.0_wp))
+    calendar%buckets = 2**(bits + 2)
+    calendar%page = 2.0_wp**ceiling(log(4.0_wp*interval)/log(2.0_wp))
     calendar%width = calendar%page/real(calendar%buckets, wp)
     calendar%per_width = 1.0_wp/calendar%width
     allocate (calendar%head(calendar%buckets + 1), source=0_int32)

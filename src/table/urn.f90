@@ -306,8 +306,10 @@ contains
     real(wp), intent(inout) :: px(*), py(*), zx(*), zy(*), steps(*)
     real(wp), intent(inout) :: hit_x(*), hit_y(*), impacts(*)
     integer :: j, kept, mine
-    real(wp) :: x, y, taken
+    real(wp) :: x, y, taken, h1, h2
 
+    h1 = half1
+    h2 = half2
     kept = 0
     do j = 1, active
       x = px(j)
@@ -323,7 +325,7 @@ contains
       zy(kept + 1) = zy(j)
       steps(kept + 1) = taken
       slot(kept + 1) = mine
-      kept = kept + merge(1, 0, abs(y) >= merge(half1, half2, x > 0.0_wp))
+      kept = kept + merge(1, 0, abs(y) >= merge(h1, h2, x > 0.0_wp))
     end do
     active = kept
   end subroutine close_ranks
