@@ -24,8 +24,8 @@ module battery_record_file
 contains
 
   !> Appends a record to the file `name`, which is created if it is not there; `good_size` is the
-  !> length of its good part in bytes, beyond which anything is overwritten. The record is read back:
-  !> on a full disk gfortran reports neither the write nor the close as failed.
+  !> length of its good part in bytes, beyond which anything is overwritten. The record is read
+  !> back: on a full disk gfortran reports neither the write nor the close as failed.
   subroutine append_record(name, record, good_size, error)
     character(len=*), intent(in) :: name
     type(record_type), intent(in) :: record
@@ -45,7 +45,8 @@ contains
     if (status == 0) then
       write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, record%tag, &
         size(record%integers, kind=int64), size(record%reals, kind=int64), &
-        size(record%bytes, kind=int64), record%integers, record%reals, record%bytes, checksum(record)
+        size(record%bytes, kind=int64), record%integers, record%reals, record%bytes, &
+        checksum(record)
       ! What was longer must not be taken for the next record.
       if (status == 0) endfile (unit, iostat=status, iomsg=reason)
       close (unit)
