@@ -9,7 +9,7 @@ program battery
   use battery_namelist_input, only: read_namelist
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
-  use battery_signals, only: leave
+  use battery_signals, only: watch_signals, leave
   implicit none (type, external)
 
   type(command_line_type) :: command_line
@@ -18,6 +18,7 @@ program battery
   integer :: exit_code
 
   exit_code = exit_success
+  call watch_signals()
   call open_communicator(communicator)
   call read_command_line(command_line, error)
   if (.not. allocated(error)) then

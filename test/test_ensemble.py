@@ -381,7 +381,6 @@ def test_edited_initial_file(tmp_path: Path) -> None:
     assert "start.txt" in ended.stderr
 
 
-@pytest.mark.xfail(strict=True, reason="states of tasks beyond the new plan are left behind")
 def test_overwrite_with_fewer_tasks(tmp_path: Path, interrupted: Path) -> None:
     """--overwrite discards a journal with states of tasks that there are no more."""
     folder = copy_of(interrupted, tmp_path)
@@ -428,7 +427,6 @@ def test_a_bad_task_with_final_states(tmp_path: Path) -> None:
     failing(tmp_path, final_state=".true.")
 
 
-@pytest.mark.xfail(strict=True, reason="the second start exits 0")
 def test_a_bad_task_stays_bad(tmp_path: Path) -> None:
     """The same command again does not call an ensemble with a failed task complete."""
     failing(tmp_path)
@@ -506,7 +504,6 @@ def test_full_disk(tmp_path: Path, undisturbed: Path, size: str) -> None:
     assert_same(tmp_path / "out.h5", undisturbed)
 
 
-@pytest.mark.xfail(strict=True, reason="short writes of parts go unnoticed, exit 0")
 def test_full_disk_with_room_for_a_results_file(tmp_path: Path) -> None:
     """Results that do not fit are missed, even if a file without them would fit."""
     changes = {"particles": {"number": 2000}, "run": {"collisions": 60_000_000}}

@@ -462,7 +462,6 @@ def test_flows_currents_and_particles_agree(scan: Path) -> None:
         np.testing.assert_allclose(steps, -5.0 * leaving.values[..., 1:], atol=1e-9)
 
 
-@pytest.mark.xfail(strict=True, reason="some tasks lack the entry at the very end")
 def test_series_ends_with_the_run(tmp_path: Path) -> None:
     """Runs of the same duration have series of the same length, the end included or not."""
     scanned = {"channel2_width": "0.01, 0.1", "replicas": "2"}

@@ -10,7 +10,7 @@ module battery_ensemble
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, &
     exit_stopped_early, exit_bad_input
   use battery_files, only: file_exists, remove_file
-  use battery_signals, only: watch_signals, wall_seconds, stop_requested, rest
+  use battery_signals, only: wall_seconds, stop_requested, rest
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count, task_of, put_longest_first
   use battery_namelist_input, only: differing_keys
@@ -48,7 +48,6 @@ contains
 
     exit_code = exit_failure
     began = wall_seconds()
-    call watch_signals()
     call prepare(plan, communicator, overwrite, quiet, journal, pending, complete, error)
     if (allocated(error)) return
     if (complete) then

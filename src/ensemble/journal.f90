@@ -10,7 +10,8 @@ module battery_journal
   use battery_error, only: error_type
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, is_folder
   use battery_record_file, only: record_type, append_record, read_records, write_single, read_single
-  use battery_task_result, only: task_result_type, to_record, from_record
+  use battery_task_result, only: task_result_type, task_complete, to_record, &
+    from_record
   use battery_engine, only: engine_state_type
   use battery_simulation, only: simulation_type, setup_type, save_simulation, restore_simulation
   implicit none (type, external)
@@ -97,7 +98,8 @@ contains
     journal%mine = rank_files + rank
   end subroutine join_journal
 
-  !> Which of the tasks 1 ... size(finished) are in the rank files.
+  !> Which of the tasks 1 ... size(finished) the rank files have as complete; failed ones are tried
+  !> again.
   subroutine read_finished(journal, finished)
     type(journal_type), intent(in) :: journal
     logical, intent(inout) :: finished(:)
@@ -107,8 +109,8 @@ contains
     do file = 0, journal%rank_files - 1
       call read_rank_file(journal, file, results)
       do k = 1, size(results)
-        if (results(k)%task >= 1 .and. results(k)%task <= size(finished)) &
-          finished(results(k)%task) = .true.
+        if (results(k)%task < 1 .or. results(k)%task > size(finished)) cycle
+        finished(results(k)%task) = results(k)%status == task_complete
       end do
     end do
   end subroutine read_finished

@@ -10,7 +10,8 @@ module battery_observer
   use battery_engine, only: history_type, engine_state_type, channel1_12, channel2_12
   implicit none (type, external)
   private
-  public :: observer_type, averages_type, new_observer, observe, begin_measuring, averages_of
+  public :: observer_type, averages_type, new_observer, observe, begin_measuring, end_series
+  public :: averages_of
   public :: save_observer, restore_observer
 
   !> Averages over the measured time; those that are not known are marked by `known`-flags.
@@ -84,6 +85,16 @@ contains
     observer%measuring = .true.
     observer%block_left = observer%chi_blocks%length
   end subroutine begin_measuring
+
+  !> The run is over: an entry that is due now, but for the rounding of the times between crossings
+  !> (up to `rounding`), is written.
+  pure subroutine end_series(observer, rounding)
+    type(observer_type), intent(inout) :: observer
+    real(wp), intent(in) :: rounding
+
+    if (observer%series_interval > 0.0_wp .and. observer%series_left <= rounding) &
+      call write_entry(observer)
+  end subroutine end_series
 
   !> Takes in one window.
   pure subroutine observe(observer, history)

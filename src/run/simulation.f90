@@ -8,7 +8,7 @@ module battery_simulation
   use battery_error, only: error_type, fatal_error
   use battery_table, only: table_type, shape_circuit, region_at, outside
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type
-  use battery_observer, only: observer_type, averages_type, new_observer, observe, &
+  use battery_observer, only: end_series, observer_type, averages_type, new_observer, observe, &
     begin_measuring, averages_of, save_observer, restore_observer
   use battery_engines, only: new_engine
   implicit none (type, external)
@@ -162,6 +162,8 @@ contains
       end if
     end if
     if (reached(simulation, simulation%setup%duration)) then
+      call end_series(simulation%observer, &
+        64.0_wp*epsilon(1.0_wp)*max(1.0_wp, simulation%setup%duration))
       simulation%collisions = simulation%engine%collisions()
       simulation%done = .true.
     end if
