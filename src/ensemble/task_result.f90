@@ -6,13 +6,11 @@ module battery_task_result
   use battery_observer, only: averages_type, averages_of
   use battery_simulation, only: simulation_type
   use battery_record_file, only: record_type
+  use battery_results, only: task_complete, task_failed, task_not_done
   implicit none (type, external)
   private
   public :: task_result_type, result_of, failed_result, to_record, from_record
   public :: task_complete, task_failed, task_not_done
-
-  !> Values of `task_status`.
-  integer, parameter :: task_complete = 0, task_failed = 1, task_not_done = 2
 
   !> How many integers and reals every result has; arrays follow.
   integer, parameter :: integer_count = 11, real_count = 14
