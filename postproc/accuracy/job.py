@@ -1,0 +1,126 @@
+"""What the parts of the package share: the folder, quick or full, the program, kept numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import f90nml
+
+from postproc.cli import InputError, output_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    Changes = Mapping[str, Mapping[str, object]]  # values by group and key
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMELISTS = ROOT / "namelists"
+MPI = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """Where and how the parts run.
+
+    Attributes
+    ----------
+    folder : everything made lands here: namelists, results, figures, numbers.
+    full : long runs in place of quick ones.
+    program : the built program.
+    ranks : MPI ranks of an ensemble.
+    afresh : discard results that are there.
+    """
+
+    folder: Path
+    full: bool = False
+    program: Path = ROOT / "build/bin/battery"
+    ranks: int = 2
+    afresh: bool = False
+
+    def pick(self, quick: float, full: float) -> float:
+        """Return the one or the other, as the job is quick or full."""
+        return full if self.full else quick
+
+    def battery(self, case: str, name: str, changes: Changes | None = None) -> Path:
+        """Run `namelists/accuracy_CASE.nml` with some keys changed; return its results file.
+
+        The namelist is written to `folder/NAME.nml`, the results are `folder/NAME.h5`. A run that
+        is complete is not repeated, one that was interrupted goes on; other results of that name
+        are discarded. `changes` are values by group and key; None removes a key.
+        """
+        source = NAMELISTS / f"accuracy_{case}.nml"
+        try:
+            text = namelist_text(source, {**(changes or {}), "output": _output(changes, name)})
+        except OSError as problem:
+            raise InputError(f"{source}: {problem.strerror}") from problem
+        return self.run_text(text, name)
+
+    def run_text(self, text: str, name: str) -> Path:
+        """Run a namelist whose results file is NAME.h5, as `battery` does."""
+        path = output_folder(self.folder) / f"{name}.nml"
+        same = path.exists() and path.read_text(encoding="utf-8") == text and not self.afresh
+        path.write_text(text, encoding="utf-8")
+        program = [str(self.program.resolve()), "--quiet", *([] if same else ["--overwrite"])]
+        command = ["mpirun", "-n", str(self.ranks), *program, path.name]
+        done = subprocess.run(
+            command, cwd=self.folder, env={**os.environ, **MPI}, check=False, text=True,
+            stdin=subprocess.DEVNULL, capture_output=True,
+        )  # fmt: skip
+        if done.returncode:
+            said = (done.stderr or done.stdout).strip().splitlines() or ["nothing was said"]
+            raise InputError(f"{path}: exit {done.returncode}: {said[0]}")
+        return path.with_suffix(".h5")
+
+    def keep(self, part: str, numbers: Mapping[str, object]) -> Path:
+        """Write the numbers of a part to `folder/PART.json` (NaN and infinity as null)."""
+        path = output_folder(self.folder) / f"{part}.json"
+        path.write_text(json.dumps(finite(numbers), indent=1) + "\n", encoding="utf-8")
+        print(path)
+        return path
+
+    def kept(self, part: str) -> dict[str, object] | None:
+        """Return the numbers of a part, None if it has not been made."""
+        path = self.folder / f"{part}.json"
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+def _output(changes: Changes | None, name: str) -> dict[str, object]:
+    return {**dict((changes or {}).get("output", {})), "file": f"{name}.h5"}
+
+
+def namelist_text(source: Path, changes: Changes) -> str:
+    """Return a namelist file's text with values changed, groups added, and None removed."""
+    groups = f90nml.Parser().reads(source.read_text(encoding="utf-8"))
+    for group, values in changes.items():
+        if group not in groups:
+            groups[group] = f90nml.Namelist()
+        for key, value in values.items():
+            if value is None:
+                groups[group].pop(key, None)
+            else:
+                groups[group][key] = list(value) if isinstance(value, tuple) else value
+    groups.column_width = 100
+    return f"{groups}\n"
+
+
+def finite(value: object) -> object:
+    """Return a value as JSON can hold it: numpy's numbers as Python's, NaN and infinity as None."""
+    if isinstance(value, dict):
+        return {str(key): finite(one) for key, one in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [finite(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
