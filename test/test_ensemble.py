@@ -237,7 +237,8 @@ def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(folder)
     process, _ = under_way(folder, 0, "--quiet")
     journal = folder / "out.h5.tasks"
-    third = [journal / f"task_3.{generation}" for generation in "ab"]
+    # The tasks of the wider channel 2, 3 and 4, cost more and come first.
+    third = [journal / f"task_1.{generation}" for generation in "ab"]
     assert wait_for(lambda: all(path.exists() for path in third), process)
     send([process.pid], signal.SIGKILL)
     finish(process)
@@ -294,7 +295,7 @@ def test_damaged_state(
     """With a damaged state the other generation is used, or the start; negative: cut in half."""
     folder = copy_of(interrupted, tmp_path)
     for generation in generations:
-        path = folder / f"out.h5.tasks/task_3.{generation}"
+        path = folder / f"out.h5.tasks/task_1.{generation}"
         if share < 0.0:
             path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
         else:
@@ -306,7 +307,7 @@ def test_state_of_another_task(tmp_path: Path, interrupted: Path, undisturbed: P
     """A state under the name of another task is not taken for its own."""
     folder = copy_of(interrupted, tmp_path)
     journal = folder / "out.h5.tasks"
-    shutil.copy(journal / "task_3.a", journal / "task_4.a")
+    shutil.copy(journal / "task_1.a", journal / "task_2.a")
     complete(folder, undisturbed)
 
 
@@ -331,7 +332,6 @@ def other_case(folder: Path) -> Path:
     return folder / "out.h5"
 
 
-@pytest.mark.xfail(strict=True, reason="parts of another input are taken over")
 @pytest.mark.parametrize("arguments", [(), ("--overwrite",)])
 def test_damaged_plan_and_another_input(
     tmp_path: Path, interrupted: Path, arguments: tuple[str, ...]
@@ -365,7 +365,6 @@ def test_edited_namelist(
     complete(folder, undisturbed, ranks)
 
 
-@pytest.mark.xfail(strict=True, reason="only the name of the initial file is compared")
 def test_edited_initial_file(tmp_path: Path) -> None:
     """Going on with another initial file under the same name is refused too."""
     lines = [f"-1.{k} 0.{k} 1 0.{k}\n" for k in range(1, 6)]
@@ -421,7 +420,6 @@ def test_one_bad_task(tmp_path: Path, ranks: int) -> None:
     failing(tmp_path, ranks)
 
 
-@pytest.mark.xfail(strict=True, reason="room is made for the states of the failed task")
 def test_a_bad_task_with_final_states(tmp_path: Path) -> None:
     """The final states of the others are kept, and need no room for those of the bad task."""
     failing(tmp_path, final_state=".true.")
@@ -452,13 +450,11 @@ def test_memory_short_after_the_start(tmp_path: Path) -> None:
     assert "1 of 2 tasks are complete" in ended.stdout
 
 
-@pytest.mark.xfail(strict=True, reason="SIGXFSZ ends the program with a backtrace")
 @pytest.mark.parametrize("room", [100, 9000, 30000])
 def test_file_size_limit(tmp_path: Path, undisturbed: Path, room: int) -> None:
     """When no file may grow beyond some size: a clear message, exit 1; with room it goes on."""
 
     def limit() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 
     write(tmp_path)

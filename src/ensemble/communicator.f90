@@ -1,10 +1,11 @@
 !> The ranks of a run, and the board they share. This module alone knows MPI.
 !>
 !> The board is a few counters in the memory of rank 0 that every rank changes by one-sided atomic
-!> operations: the next task, tasks finished, collisions done, and whether to stop. So no rank waits
-!> for a master, no message grows with the number of ranks or tasks, and rank 0 computes too; it
-!> only has to enter MPI now and then (`read_board`) where the network needs a hand from the
-!> processor.
+!> operations: the next task, tasks finished, collisions done, and whether to stop; behind them the
+!> list of the tasks to be done, of which a rank reads one entry at a time. So no rank waits for a
+!> master, no other rank holds a list of tasks, no message grows with the number of ranks or tasks,
+!> and rank 0 computes too; it only has to enter MPI now and then (`help_board`) where the network
+!> needs a hand from the processor.
 module battery_communicator
   use, intrinsic :: iso_c_binding, only: c_ptr, c_f_pointer
   use mpi_f08, only: MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
@@ -13,7 +14,8 @@ module battery_communicator
     MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &
     MPI_Allreduce, &
     MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, MPI_Win_flush, &
-    MPI_Win_sync, MPI_Fetch_and_op, MPI_Get_library_version
+    MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, MPI_Get_library_version, &
+    MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type
   implicit none (type, external)
@@ -21,6 +23,7 @@ module battery_communicator
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: share_integers, wait_for_all, summary_of, all_true, mpi_library
   public :: board_type, open_board, close_board, add_to_board, read_board
+  public :: take_task, help_board
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
 
   !> Entries of the board.
@@ -36,6 +39,12 @@ module battery_communicator
 
   type :: board_type
     type(MPI_Win) :: window
+    !> Tasks on the list.
+    integer :: tasks = 0
+    !> Ranks that look at the board, and whether this one holds it.
+    integer :: ranks = 1
+    logical :: mine = .false.
+    type(MPI_Comm) :: comm
   end type board_type
 
 contains
@@ -162,25 +171,60 @@ contains
     name = text(:length)
   end function mpi_library
 
-  !> Sets up the board, all entries 0. Collective.
-  subroutine open_board(board, communicator)
+  !> Sets up the board, all entries 0, with the list of tasks that rank 0 has. Collective.
+  subroutine open_board(board, communicator, tasks)
     type(board_type), intent(out) :: board
     type(communicator_type), intent(in) :: communicator
+    !> Looked at on rank 0 only.
+    integer, intent(in) :: tasks(:)
     integer(MPI_ADDRESS_KIND) :: bytes
     type(c_ptr) :: base
     integer(int64), pointer :: entries(:)
 
-    bytes = merge(board_size*storage_size(1_int64)/8, 0, communicator%rank == 0)
+    board%mine = communicator%rank == 0
+    board%ranks = communicator%size
+    board%comm = communicator%ranks
+    board%tasks = size(tasks)
+    call MPI_Bcast(board%tasks, 1, MPI_INTEGER, 0, communicator%ranks)
+    bytes = merge(int(board_size + board%tasks, MPI_ADDRESS_KIND)*storage_size(1_int64)/8, &
+      0_MPI_ADDRESS_KIND, board%mine)
     call MPI_Win_allocate(bytes, storage_size(1_int64)/8, MPI_INFO_NULL, communicator%ranks, base, &
       board%window)
     call MPI_Win_lock_all(0, board%window)
-    if (communicator%rank == 0) then
-      call c_f_pointer(base, entries, [board_size])
-      entries = 0
+    if (board%mine) then
+      call c_f_pointer(base, entries, [board_size + board%tasks])
+      entries(:board_size) = 0
+      entries(board_size + 1:) = tasks
       call MPI_Win_sync(board%window)
     end if
     call MPI_Barrier(communicator%ranks)
   end subroutine open_board
+
+  !> The next task of the list; 0 if there are no more.
+  subroutine take_task(board, task)
+    type(board_type), intent(in) :: board
+    integer, intent(out) :: task
+    integer(int64) :: place
+    integer(int64), asynchronous :: entry
+
+    task = 0
+    call add_to_board(board, next_task, 1_int64, place)
+    if (place >= board%tasks) return
+    call MPI_Get(entry, 1, MPI_INTEGER8, 0, int(board_size + place, MPI_ADDRESS_KIND), 1, &
+      MPI_INTEGER8, board%window)
+    call MPI_Win_flush(0, board%window)
+    task = int(entry)
+  end subroutine take_task
+
+  !> Where the network cannot reach into the memory of rank 0 by itself, operations of the others
+  !> wait until rank 0 enters MPI: so it does, often.
+  subroutine help_board(board)
+    type(board_type), intent(in) :: board
+    logical :: waiting
+
+    if (board%mine .and. board%ranks > 1) &
+      call MPI_Iprobe(MPI_ANY_SOURCE, MPI_ANY_TAG, board%comm, waiting, MPI_STATUS_IGNORE)
+  end subroutine help_board
 
   !> Collective.
   subroutine close_board(board)

@@ -9,21 +9,23 @@ module battery_ensemble
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, &
     exit_stopped_early, exit_bad_input
-  use battery_files, only: file_exists, remove_file
+  use battery_files, only: remove_file
+  use battery_fingerprint, only: fingerprint_text
+  use battery_text, only: string_type
   use battery_signals, only: wall_seconds, stop_requested, rest
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count, task_of, put_longest_first
   use battery_namelist_input, only: differing_keys
   use battery_communicator, only: communicator_type, board_type, open_board, close_board, &
-    add_to_board, &
-    read_board, share_error, share_integers, wait_for_all, all_true, summary_of, next_task, &
-    tasks_finished, tasks_failed, collisions_done, stop_wanted
+    take_task, add_to_board, read_board, share_error, share_integers, summary_of, tasks_finished, &
+    tasks_failed, collisions_done, stop_wanted
   use battery_journal, only: journal_type, read_plan, begin_journal, join_journal, read_finished, &
-    write_finished, remove_journal
-  use battery_task, only: task_type, watch_type, run_task
+    write_finished, remove_journal, rank_files_in, belongs_to_another
+  use battery_task, only: watch_type, run_task, seconds_between_looks
   use battery_task_result, only: task_result_type, task_failed
   use battery_screen, only: screen_type, new_screen, show_ensemble, end_progress
   use battery_merge, only: merge_results, existing_results
+  use battery_results, only: results_type, task_complete
   use battery_summary, only: print_summary
   implicit none (type, external)
   private
@@ -54,17 +56,16 @@ contains
       exit_code = exit_success
       return
     end if
-    finished_before = task_count(plan) - size(pending)
     if (plan%wall_minutes > 0.0_dp) watch%stop_at = began + stop_seconds(real(plan%wall_minutes, &
       dp))
     watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
     if (.not. watch%checkpoint_interval > 0.0_dp) watch%checkpoint_interval = huge(1.0_dp)
-    call open_board(board, communicator)
-    call work(plan, communicator, pending, finished_before, journal, board, watch, quiet, error)
+    call open_board(board, communicator, pending)
+    finished_before = task_count(plan) - board%tasks
+    call work(plan, communicator, finished_before, journal, board, watch, quiet, error)
     call share_error(communicator, error)
     if (.not. allocated(error)) &
-      call finish(plan, communicator, journal, board, watch, began, size(pending), quiet, &
-      exit_code, error)
+      call finish(plan, communicator, journal, board, watch, began, quiet, exit_code, error)
     call close_board(board)
   end subroutine run_ensemble
 
@@ -78,7 +79,7 @@ contains
   end function stop_seconds
 
   !> Rank 0 looks at what is there: results that are complete, a journal to go on with, or neither;
-  !> every rank gets the tasks that are still to be done, longest first.
+  !> it gets the tasks that are still to be done, longest first, the other ranks an empty list.
   subroutine prepare(plan, communicator, overwrite, quiet, journal, pending, complete, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
@@ -89,59 +90,78 @@ contains
     type(error_type), allocatable, intent(out) :: error
     integer, allocatable :: numbers(:)
 
-    allocate (numbers(0))
+    allocate (numbers(2), source=0)
+    allocate (pending(0))
     if (communicator%rank == 0) call look_for_results(numbers)
     call share_error(communicator, error)
     if (allocated(error)) return
     call share_integers(communicator, numbers)
     complete = numbers(1) == 1
-    pending = numbers(3:)
-    call join_journal(journal, journal_folder(plan), numbers(2), communicator%rank, &
-      communicator%size)
+    call join_journal(journal, journal_folder(plan), plan%fingerprint, numbers(2), &
+      communicator%rank, communicator%size)
 
   contains
 
-    !> Fills `numbers`: 1 if all is complete, rank files of earlier starts, the tasks to be done.
+    !> Fills `numbers`: 1 if all is complete, rank files of earlier starts; and `pending`.
     subroutine look_for_results(numbers)
-      integer, allocatable, intent(out) :: numbers(:)
-      character(len=:), allocatable :: before
+      integer, intent(out) :: numbers(2)
       type(journal_type) :: earlier
       logical, allocatable :: finished(:)
       logical :: found
-      integer :: rank_files
 
-      numbers = [0, 0]
+      numbers = 0
       if (overwrite) then
         call discard(plan, error)
         if (allocated(error)) return
       end if
-      call existing_results(plan%file, before, found, complete, error)
+      call look_at_results_file()
       if (allocated(error)) return
-      if (found) then
-        call compare(plan, before, error)
-        if (allocated(error)) return
-        if (complete) then
-          if (.not. quiet) write (output_unit, '(a)') plan%file &
-            //' is complete; --overwrite runs it again'
-          numbers = [1, 0]
-          return
-        end if
+      if (complete) then
+        if (.not. quiet) write (output_unit, '(a)') plan%file &
+          //' is complete; --overwrite runs it again'
+        numbers(1) = 1
+        call remove_journal(journal_folder(plan), error)
+        return
       end if
-      call read_plan(journal_folder(plan), before, rank_files, found)
+      call look_at_journal(found)
+      if (allocated(error)) return
+      numbers(2) = rank_files_in(journal_folder(plan))
       allocate (finished(task_count(plan)), source=.false.)
-      if (found) then
-        call compare(plan, before, error)
-        if (allocated(error)) return
-        call join_journal(earlier, journal_folder(plan), 0, 0, rank_files)
-        call read_finished(earlier, finished)
-      end if
-      call begin_journal(journal_folder(plan), plan%text, rank_files, communicator%size, &
-        task_count(plan), error)
+      call join_journal(earlier, journal_folder(plan), plan%fingerprint, 0, 0, numbers(2))
+      call read_finished(earlier, finished)
+      call begin_journal(journal_folder(plan), plan%text, plan%fingerprint, &
+        plan%initial_fingerprint, error)
       if (allocated(error)) return
-      numbers = [0, rank_files, longest_first(plan, finished)]
-      if (found .and. .not. quiet) write (output_unit, '(a, i0, a, i0, a)') &
+      pending = longest_first(plan, finished)
+      if ((found .or. any(finished)) .and. .not. quiet) write (output_unit, '(a, i0, a, i0, a)') &
         'going on: ', count(finished), ' of ', size(finished), ' tasks are finished'
     end subroutine look_for_results
+
+    !> Results must be of this input.
+    subroutine look_at_results_file()
+      character(len=:), allocatable :: before, initial_fingerprint
+      logical :: found
+
+      call existing_results(plan%file, before, initial_fingerprint, found, complete, error)
+      if (found .and. .not. allocated(error)) call compare(plan, before, initial_fingerprint, error)
+    end subroutine look_at_results_file
+
+    !> A journal must be of this input; if its plan is damaged, its other files must not say that
+    !> they are of another.
+    subroutine look_at_journal(found)
+      logical, intent(out) :: found
+      character(len=:), allocatable :: before
+      integer(int64) :: initial_fingerprint
+
+      call read_plan(journal_folder(plan), before, initial_fingerprint, found)
+      if (found) then
+        call compare(plan, before, fingerprint_text(initial_fingerprint), error)
+      else if (belongs_to_another(journal_folder(plan), plan%fingerprint)) then
+        call fatal_error(error, journal_folder(plan)//' holds parts of another input, and the ' &
+          //'plan in it is damaged; name another output file, or discard it with --overwrite', &
+          exit_bad_input)
+      end if
+    end subroutine look_at_journal
 
   end subroutine prepare
 
@@ -156,24 +176,22 @@ contains
   subroutine discard(plan, error)
     type(plan_type), intent(in) :: plan
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: before
-    integer :: rank_files
-    logical :: found
 
     call remove_file(plan%file, error)
-    if (allocated(error)) return
-    call read_plan(journal_folder(plan), before, rank_files, found)
-    if (found) call remove_journal(journal_folder(plan), rank_files, error)
+    if (.not. allocated(error)) call remove_journal(journal_folder(plan), error)
   end subroutine discard
 
-  !> Results of another input are not gone on with.
-  subroutine compare(plan, before, error)
+  !> Results of another input are not gone on with, nor those of an initial file that has changed.
+  subroutine compare(plan, before, initial_fingerprint, error)
     type(plan_type), intent(in) :: plan
-    character(len=*), intent(in) :: before
+    character(len=*), intent(in) :: before, initial_fingerprint
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: keys
 
     keys = differing_keys(before, plan%text)
+    if (keys == '' .and. plan%initial_file /= '' &
+      .and. initial_fingerprint /= fingerprint_text(plan%initial_fingerprint)) &
+      keys = '&particles initial_file: '''//plan%initial_file//''' has other contents now'
     if (keys /= '') call fatal_error(error, plan%file &
       //' was made from another input; these differ:' &
       //new_line('a')//keys//new_line('a') &
@@ -192,91 +210,106 @@ contains
   end function longest_first
 
   !> One rank's part: takes tasks from the board until none is left.
-  subroutine work(plan, communicator, pending, finished_before, journal, board, watch, quiet, error)
+  subroutine work(plan, communicator, finished_before, journal, board, watch, quiet, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
-    integer, intent(in) :: pending(:), finished_before
+    integer, intent(in) :: finished_before
     type(journal_type), intent(inout) :: journal
     type(board_type), intent(in) :: board
     type(watch_type), intent(inout) :: watch
     logical, intent(in) :: quiet
     type(error_type), allocatable, intent(out) :: error
-    type(task_type) :: task
     type(task_result_type) :: found
     type(screen_type) :: screen
-    integer(int64) :: taken, before
+    integer(int64) :: before
+    integer :: task
     logical :: stopped
 
     screen = new_screen(communicator%rank == 0 .and. .not. quiet, task_count(plan), &
       finished_before, communicator%size)
     do
-      stopped = wall_seconds() >= watch%stop_at
-      if (stop_requested()) stopped = .true.
-      if (read_board(board, stop_wanted) > 0) stopped = .true.
-      if (stopped) then
-        call add_to_board(board, stop_wanted, 1_int64, before)
-        exit
-      end if
-      call add_to_board(board, next_task, 1_int64, taken)
-      if (taken >= size(pending)) exit
-      task = task_of(plan, pending(taken + 1))
-      call run_task(task, journal, board, watch, screen, found, stopped, error)
+      if (must_stop()) exit
+      call take_task(board, task)
+      if (task == 0) exit
+      call run_task(task_of(plan, task), journal, board, watch, screen, found, stopped, error)
       if (stopped .or. allocated(error)) exit
       call write_finished(journal, found, error)
       if (allocated(error)) exit
-      call add_to_board(board, tasks_finished, 1_int64, before)
       if (found%status == task_failed) call add_to_board(board, tasks_failed, 1_int64, before)
+      call add_to_board(board, tasks_finished, 1_int64, before)
     end do
     ! The others must not wait for a rank that has failed.
-    if (allocated(error)) call add_to_board(board, stop_wanted, 1_int64, before)
-    if (communicator%rank == 0 .and. .not. allocated(error)) call wait_showing()
+    if (allocated(error)) then
+      call add_to_board(board, stop_wanted, 1_int64, before)
+    else
+      call wait_for_others()
+    end if
     call end_progress(screen)
 
   contains
 
-    !> Rank 0 goes on showing the progress while others finish their last tasks.
-    subroutine wait_showing()
-      if (.not. screen%speaks) return
-      do while (read_board(board, stop_wanted) == 0)
-        if (read_board(board, tasks_finished) >= size(pending)) exit
-        call show_ensemble(screen, board, 0.5_dp)
-        if (stop_requested()) call add_to_board(board, stop_wanted, 1_int64, before)
-        call rest(0.02_dp)
+    !> Whether the run ends here; if this rank is the first to know, it tells the others.
+    function must_stop() result(stopping)
+      logical :: stopping
+
+      stopping = read_board(board, stop_wanted) > 0
+      if (stopping) return
+      stopping = wall_seconds() >= watch%stop_at .or. stop_requested()
+      if (stopping) call add_to_board(board, stop_wanted, 1_int64, before)
+    end function must_stop
+
+    !> A rank without a task still hears signals, and leaves the processor to those that have one.
+    subroutine wait_for_others()
+      real(dp), parameter :: nap = 0.005_dp
+      real(dp) :: next_look
+
+      next_look = 0.0_dp
+      do
+        if (wall_seconds() >= next_look .or. stop_requested()) then
+          if (must_stop()) exit
+          if (read_board(board, tasks_finished) >= board%tasks) exit
+          call show_ensemble(screen, board, 0.5_dp)
+          next_look = wall_seconds() + seconds_between_looks(board%ranks, nap)
+        end if
+        call rest(nap)
       end do
-    end subroutine wait_showing
+    end subroutine wait_for_others
 
   end subroutine work
 
-  !> Rank 0 merges the journal into the results file and says how it went.
-  subroutine finish(plan, communicator, journal, board, watch, began, tasks, quiet, exit_code, &
-    error)
+  !> Rank 0 merges the journal into the results file and says how it went. The journal is removed
+  !> once all that it should have is in the results file.
+  subroutine finish(plan, communicator, journal, board, watch, began, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
     type(journal_type), intent(in) :: journal
     type(board_type), intent(in) :: board
     type(watch_type), intent(in) :: watch
     real(dp), intent(in) :: began
-    integer, intent(in) :: tasks
     logical, intent(in) :: quiet
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
+    type(results_type) :: results
+    type(string_type), allocatable :: failures(:)
     real(dp) :: busy(3)
     logical :: all_done
-    integer :: failed
 
     busy = summary_of(communicator, watch%busy/max(wall_seconds() - began, 1.0e-9_dp))
-    all_done = read_board(board, tasks_finished) >= tasks
-    failed = int(read_board(board, tasks_failed))
+    all_done = read_board(board, tasks_finished) >= board%tasks
     exit_code = exit_success
-    if (failed > 0) exit_code = exit_failure
+    if (read_board(board, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
     if (communicator%rank == 0) then
-      call merge_results(plan, journal, communicator%size, all_done .and. failed == 0, error)
-      if (.not. allocated(error)) then
-        call print_summary(plan, journal, communicator%size, busy, wall_seconds() - began, &
-          read_board(board, collisions_done), all_done, quiet)
-        if (all_done .and. failed == 0) &
-          call remove_journal(journal%folder, journal%rank_files, error)
+      call merge_results(plan, journal, communicator%size, results, failures, error)
+      if (.not. allocated(error)) call print_summary(plan, results, failures, communicator%size, &
+        busy, wall_seconds() - began, read_board(board, collisions_done), all_done, quiet)
+      if (.not. allocated(error) .and. exit_code == exit_success) then
+        if (all(results%task_status == task_complete)) then
+          call remove_journal(journal%folder, error)
+        else
+          call fatal_error(error, 'some results in '//journal%folder//' cannot be read back; ' &
+            //'the same command computes them again')
+        end if
       end if
     end if
     call share_error(communicator, error)

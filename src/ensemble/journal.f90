@@ -1,15 +1,21 @@
 !> What an ensemble has on disk while it is under way, in the folder `FILE.h5.tasks`:
 !>
-!> - `plan`: the namelist, how many rank files there may be, and how many tasks there are;
+!> - `plan`: the namelist, and the fingerprint of the initial file;
 !> - `rank_N`: results of finished tasks, appended one by one; each rank of each start has its own;
 !> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole.
 !>
 !> All are record files with checksums: what is cut short or damaged is found out and done again.
+!> Every record carries the fingerprint of the input that it belongs to, a state that of the build
+!> of the program as well: what others have left is never taken for this run's.
 module battery_journal
   use battery_kinds, only: wp, dp, int8, int64
   use battery_error, only: error_type
-  use battery_files, only: make_folder, sync_file, remove_file, publish_file, is_folder
-  use battery_record_file, only: record_type, append_record, read_records, write_single, read_single
+  use battery_build_information, only: git_commit, program_version
+  use battery_fingerprint, only: fingerprint_of
+  use battery_text, only: string_type, to_text
+  use battery_files, only: make_folder, sync_file, remove_file, publish_file, is_folder, files_like
+  use battery_record_file, only: record_type, append_record, read_records, &
+    write_single, read_single
   use battery_task_result, only: task_result_type, task_complete, to_record, &
     from_record
   use battery_engine, only: engine_state_type
@@ -17,10 +23,13 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_finished, read_rank_file
+  public :: rank_files_in, belongs_to_another
   public :: write_finished, write_state, read_state, remove_states, remove_journal
 
   type :: journal_type
     character(len=:), allocatable :: folder
+    !> Fingerprint of the input.
+    integer(int64) :: owner = 0
     !> Rank files that there may be, of all starts of this ensemble.
     integer :: rank_files = 0
     !> This rank's own file, and the length of what is written in it.
@@ -38,47 +47,90 @@ contains
     character(len=*), intent(in) :: kind
     integer, intent(in) :: number
     character(len=:), allocatable :: name
-    character(len=12) :: digits
 
-    write (digits, '(i0)') number
-    name = journal%folder//'/'//kind//'_'//trim(digits)
+    name = journal%folder//'/'//kind//'_'//to_text(number)
   end function file_of
 
-  !> Looks for the journal of an earlier start: its namelist, and how many rank files it may have.
-  !> `found` is false where there is none that can be read.
-  subroutine read_plan(folder, namelist, rank_files, found)
+  !> Looks for the journal of an earlier start: its namelist, and the fingerprint of its initial
+  !> file. `found` is false where there is none that can be read.
+  subroutine read_plan(folder, namelist, initial_fingerprint, found)
     character(len=*), intent(in) :: folder
     character(len=:), allocatable, intent(out) :: namelist
-    integer, intent(out) :: rank_files
+    integer(int64), intent(out) :: initial_fingerprint
     logical, intent(out) :: found
     type(record_type) :: plan
     integer :: k
 
     call read_single(folder//'/plan', plan, found)
-    rank_files = 0
+    initial_fingerprint = 0
     namelist = ''
     if (.not. found) return
-    rank_files = int(plan%tag)
+    initial_fingerprint = plan%tag
     namelist = repeat(' ', size(plan%bytes))
     do k = 1, size(plan%bytes)
       namelist(k:k) = achar(iand(int(plan%bytes(k)), 255))
     end do
   end subroutine read_plan
 
-  !> Rank 0 writes the plan before any rank writes anything else: `rank_files` of earlier starts and
-  !> one for each of `ranks`.
-  subroutine begin_journal(folder, namelist, rank_files, ranks, tasks, error)
+  !> How many rank files there may be: one more than the greatest number of any that is there.
+  function rank_files_in(folder) result(rank_files)
+    character(len=*), intent(in) :: folder
+    integer :: rank_files
+    type(string_type), allocatable :: names(:)
+    integer :: k, number, status
+
+    rank_files = 0
+    names = files_like(folder, 'rank_*')
+    do k = 1, size(names)
+      read (names(k)%text(6:), *, iostat=status) number
+      if (status == 0) rank_files = max(rank_files, number + 1)
+    end do
+  end function rank_files_in
+
+  !> Whether any file in the folder holds a good record of another input, where the plan itself
+  !> cannot tell.
+  function belongs_to_another(folder, owner) result(another)
+    character(len=*), intent(in) :: folder
+    integer(int64), intent(in) :: owner
+    logical :: another
+    type(string_type), allocatable :: names(:)
+    type(record_type) :: record
+    logical :: found
+    integer :: k
+
+    another = .false.
+    names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
+      files_like(folder, 'task_*.b')]
+    do k = 1, size(names)
+      call read_single(folder//'/'//names(k)%text, record, found)
+      if (.not. found) cycle
+      another = record%owner /= owner .and. record%owner /= state_owner(owner)
+      if (another) return
+    end do
+  end function belongs_to_another
+
+  !> The owner of states: the input and this build of the program. Another build may keep a state in
+  !> another way; then the task begins anew.
+  pure function state_owner(owner) result(state)
+    integer(int64), intent(in) :: owner
+    integer(int64) :: state
+
+    state = ieor(owner, fingerprint_of(program_version//' '//git_commit))
+  end function state_owner
+
+  !> Rank 0 writes the plan before any rank writes anything else.
+  subroutine begin_journal(folder, namelist, owner, initial_fingerprint, error)
     character(len=*), intent(in) :: folder, namelist
-    integer, intent(in) :: rank_files, ranks, tasks
+    integer(int64), intent(in) :: owner, initial_fingerprint
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: plan
     integer :: k
 
     call make_folder(folder, error)
     if (allocated(error)) return
-    plan%tag = rank_files + ranks
-    plan%integers = [int(tasks, int64)]
-    allocate (plan%reals(0), plan%bytes(len(namelist)))
+    plan%owner = owner
+    plan%tag = initial_fingerprint
+    allocate (plan%integers(0), plan%reals(0), plan%bytes(len(namelist)))
     do k = 1, len(namelist)
       plan%bytes(k) = int(merge(iachar(namelist(k:k)) - 256, iachar(namelist(k:k)), &
         iachar(namelist(k:k)) > 127), int8)
@@ -88,12 +140,14 @@ contains
   end subroutine begin_journal
 
   !> Every rank, then: `rank_files` as before this start.
-  subroutine join_journal(journal, folder, rank_files, rank, ranks)
+  subroutine join_journal(journal, folder, owner, rank_files, rank, ranks)
     type(journal_type), intent(out) :: journal
     character(len=*), intent(in) :: folder
+    integer(int64), intent(in) :: owner
     integer, intent(in) :: rank_files, rank, ranks
 
     journal%folder = folder
+    journal%owner = owner
     journal%rank_files = rank_files + ranks
     journal%mine = rank_files + rank
   end subroutine join_journal
@@ -115,19 +169,22 @@ contains
     end do
   end subroutine read_finished
 
-  !> Results in rank file `file`, counted from 0; none if there is no such file.
+  !> Results of this input in rank file `file`, counted from 0; none if there is no such file.
   subroutine read_rank_file(journal, file, results)
     type(journal_type), intent(in) :: journal
     integer, intent(in) :: file
     type(task_result_type), allocatable, intent(out) :: results(:)
     type(record_type), allocatable :: records(:)
     integer(int64) :: good_size
-    integer :: k
+    integer :: k, own
 
     call read_records(file_of(journal, 'rank', file), records, good_size)
-    allocate (results(size(records)))
+    allocate (results(count(records%owner == journal%owner)))
+    own = 0
     do k = 1, size(records)
-      results(k) = from_record(records(k))
+      if (records(k)%owner /= journal%owner) cycle
+      own = own + 1
+      results(own) = from_record(records(k))
     end do
   end subroutine read_rank_file
 
@@ -136,9 +193,11 @@ contains
     type(journal_type), intent(inout) :: journal
     type(task_result_type), intent(in) :: found
     type(error_type), allocatable, intent(out) :: error
+    type(record_type) :: record
 
-    call append_record(file_of(journal, 'rank', journal%mine), to_record(found), journal%written, &
-      error)
+    record = to_record(found)
+    record%owner = journal%owner
+    call append_record(file_of(journal, 'rank', journal%mine), record, journal%written, error)
     if (allocated(error)) return
     call sync_file(file_of(journal, 'rank', journal%mine), error)
     if (allocated(error)) return
@@ -166,6 +225,7 @@ contains
     character(len=:), allocatable :: name
 
     call save_simulation(simulation, state(1), state(2), state(3))
+    record%owner = state_owner(journal%owner)
     record%tag = task
     journal%generation = journal%generation + 1
     record%integers = [journal%generation, sizes_of(state(1)), sizes_of(state(2)), &
@@ -202,15 +262,14 @@ contains
 
     journal%generation = 0
     cpu_seconds = 0.0_dp
-    call read_single(file_of(journal, 'task', task)//'.a', record, found)
-    call read_single(file_of(journal, 'task', task)//'.b', other, other_found)
+    call read_own('.a', record, found)
+    call read_own('.b', other, other_found)
     if (other_found .and. found) then
       if (other%integers(1) > record%integers(1)) record = other
     else if (other_found) then
       record = other
     end if
     found = found .or. other_found
-    if (found) found = record%tag == task
     if (.not. found) return
     journal%generation = record%integers(1)
     cpu_seconds = record%reals(1)
@@ -223,34 +282,36 @@ contains
       at = at + sizes
     end do
     call restore_simulation(simulation, setup, state(1), state(2), state(3), error)
+
+  contains
+
+    !> The state in one of the two files, if it is whole and of this task, input and build.
+    subroutine read_own(generation, record, found)
+      character(len=*), intent(in) :: generation
+      type(record_type), intent(out) :: record
+      logical, intent(out) :: found
+
+      call read_single(file_of(journal, 'task', task)//generation, record, found)
+      if (found) found = record%tag == task .and. record%owner == state_owner(journal%owner)
+    end subroutine read_own
+
   end subroutine read_state
 
-  !> Removes the journal with all its files. It may be another run's, with more tasks than this one.
-  subroutine remove_journal(folder, rank_files, error)
+  !> Removes the journal with all its files, the plan last. A folder that holds anything else stays.
+  subroutine remove_journal(folder, error)
     character(len=*), intent(in) :: folder
-    integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
-    type(journal_type) :: journal
-    type(record_type) :: plan
-    logical :: found
-    integer :: tasks, k
+    type(string_type), allocatable :: names(:)
+    integer :: k
 
-    journal%folder = folder
     if (.not. is_folder(folder)) return
-    call read_single(folder//'/plan', plan, found)
-    tasks = 0
-    if (found) tasks = int(plan%integers(1))
-    do k = 0, rank_files - 1
-      call remove_file(file_of(journal, 'rank', k), error)
+    names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
+      files_like(folder, 'task_*.b'), files_like(folder, 'plan.new'), files_like(folder, 'plan')]
+    do k = 1, size(names)
+      call remove_file(folder//'/'//names(k)%text, error)
       if (allocated(error)) return
     end do
-    do k = 1, tasks
-      call remove_states(journal, k, error)
-      if (allocated(error)) return
-    end do
-    call remove_file(folder//'/plan.new', error)
-    if (.not. allocated(error)) call remove_file(folder//'/plan', error)
-    if (.not. allocated(error)) call remove_file(folder, error)
+    if (size(files_like(folder, '*')) == 0) call remove_file(folder, error)
   end subroutine remove_journal
 
 end module battery_journal

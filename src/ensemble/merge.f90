@@ -13,7 +13,9 @@ module battery_merge
   use battery_journal, only: journal_type, read_rank_file
   use battery_communicator, only: mpi_library
   use battery_metadata, only: metadata_type, read_metadata
-  use battery_results, only: results_type, new_results
+  use battery_results, only: results_type, new_results, task_complete, task_failed
+  use battery_fingerprint, only: fingerprint_text
+  use battery_text, only: string_type
   use battery_results_file, only: write_results
   implicit none (type, external)
   private
@@ -21,17 +23,18 @@ module battery_merge
 
 contains
 
-  !> Writes the results file from all that the journal has.
-  subroutine merge_results(plan, journal, ranks, complete, error)
+  !> Writes the results file from all that the journal has, which comes back in `results`.
+  subroutine merge_results(plan, journal, ranks, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     integer, intent(in) :: ranks
-    logical, intent(in) :: complete
+    type(results_type), intent(out) :: results
+    !> Why a task failed; not allocated where it did not.
+    type(string_type), allocatable, intent(out) :: failures(:)
     type(error_type), allocatable, intent(out) :: error
-    type(results_type) :: results
     type(metadata_type) :: metadata
 
-    call collect_results(plan, journal, results)
+    call collect_results(plan, journal, results, failures)
     metadata%program = 'battery'
     metadata%version = program_version
     metadata%git_commit = git_commit
@@ -40,7 +43,10 @@ contains
     metadata%mpi_library = mpi_library()
     metadata%mpi_ranks = ranks
     metadata%namelist = plan%text
-    metadata%status = merge('complete', 'partial ', complete)
+    metadata%initial_file_fingerprint = ''
+    if (plan%initial_file /= '') &
+      metadata%initial_file_fingerprint = fingerprint_text(plan%initial_fingerprint)
+    metadata%status = merge('complete', 'partial ', all(results%task_status == task_complete))
     metadata%status = trim(metadata%status)
     metadata%shape = plan%shape
     metadata%engine = plan%engine
@@ -52,15 +58,17 @@ contains
   end subroutine merge_results
 
   !> All results of the journal, in the arrays of the results file.
-  subroutine collect_results(plan, journal, results)
+  subroutine collect_results(plan, journal, results, failures)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     type(results_type), intent(out) :: results
+    type(string_type), allocatable, intent(out) :: failures(:)
     type(task_result_type), allocatable :: found(:)
     type(task_type) :: task
     integer :: file, k
 
-    call new_results(results, size(plan%points), plan%replicas)
+    allocate (failures(task_count(plan)))
+    call new_results(results, plan%point_count, plan%replicas)
     do k = 1, task_count(plan)
       task = task_of(plan, k)
       results%number(task%point) = task%number
@@ -76,6 +84,8 @@ contains
         if (found(k)%task < 1 .or. found(k)%task > task_count(plan)) cycle
         task = task_of(plan, found(k)%task)
         call place(plan, found(k), task, results)
+        if (allocated(failures(found(k)%task)%text)) deallocate (failures(found(k)%task)%text)
+        if (found(k)%status == task_failed) failures(found(k)%task)%text = found(k)%message
       end do
     end do
   end subroutine collect_results
@@ -129,7 +139,7 @@ contains
       end do
     end if
     if (size(found%snapshots) > 0) then
-      call room_for_snapshots(plan, results)
+      call room_for_snapshots(n, plan, results)
       do k = 1, size(results%snapshot_time)
         call unpack_state(found%snapshots(4*n*(k - 1) + 1:4*n*k), n, &
           results%snapshot_x(:, k, task%replica, task%point), &
@@ -139,7 +149,7 @@ contains
       end do
     end if
     if (size(found%final_state) > 0) then
-      call room_for_final(plan, results)
+      call room_for_final(n, plan, results)
       call unpack_state(found%final_state, n, results%final_x(:, task%replica, task%point), &
         results%final_y(:, task%replica, task%point), results%final_ux(:, task%replica, &
         task%point), results%final_uy(:, task%replica, task%point))
@@ -176,8 +186,8 @@ contains
     before = 0
     if (allocated(results%series_time)) before = size(results%series_time)
     if (entries <= before) return
-    allocate (urn1_number(entries, plan%replicas, size(plan%points)), source=-1)
-    allocate (flow(entries, plan%replicas, size(plan%points), 4), source=unknown())
+    allocate (urn1_number(entries, plan%replicas, plan%point_count), source=-1)
+    allocate (flow(entries, plan%replicas, plan%point_count, 4), source=unknown())
     if (before > 0) then
       urn1_number(:before, :, :) = results%series_urn1_number
       flow(:before, :, :, :) = results%series_flow
@@ -187,30 +197,63 @@ contains
     results%series_time = [(real(k - 1, dp)*real(plan%series_interval, dp), k=1, entries)]
   end subroutine room_for_series
 
-  subroutine room_for_snapshots(plan, results)
+  !> Snapshot arrays with room for `n` particles; keeps what is there.
+  subroutine room_for_snapshots(n, plan, results)
+    integer, intent(in) :: n
     type(plan_type), intent(in) :: plan
     type(results_type), intent(inout) :: results
-    integer :: dims(4)
 
-    if (allocated(results%snapshot_time)) return
-    results%snapshot_time = real(plan%snapshot_times, dp)
-    dims = [maxval(results%number), size(plan%snapshot_times), plan%replicas, size(plan%points)]
-    allocate (results%snapshot_x(dims(1), dims(2), dims(3), dims(4)), source=unknown())
-    results%snapshot_y = results%snapshot_x
-    results%snapshot_ux = results%snapshot_x
-    results%snapshot_uy = results%snapshot_x
+    if (.not. allocated(results%snapshot_time)) results%snapshot_time = real(plan%snapshot_times, &
+      dp)
+    call extend(results%snapshot_x)
+    call extend(results%snapshot_y)
+    call extend(results%snapshot_ux)
+    call extend(results%snapshot_uy)
+
+  contains
+
+    subroutine extend(array)
+      real(dp), allocatable, intent(inout) :: array(:, :, :, :)
+      real(dp), allocatable :: longer(:, :, :, :)
+      integer :: before
+
+      before = 0
+      if (allocated(array)) before = size(array, 1)
+      if (n <= before) return
+      allocate (longer(n, size(plan%snapshot_times), plan%replicas, plan%point_count), &
+        source=unknown())
+      if (before > 0) longer(:before, :, :, :) = array
+      call move_alloc(longer, array)
+    end subroutine extend
+
   end subroutine room_for_snapshots
 
-  subroutine room_for_final(plan, results)
+  !> Arrays of the final state with room for `n` particles; keeps what is there.
+  subroutine room_for_final(n, plan, results)
+    integer, intent(in) :: n
     type(plan_type), intent(in) :: plan
     type(results_type), intent(inout) :: results
 
-    if (allocated(results%final_x)) return
-    allocate (results%final_x(maxval(results%number), plan%replicas, size(plan%points)), &
-      source=unknown())
-    results%final_y = results%final_x
-    results%final_ux = results%final_x
-    results%final_uy = results%final_x
+    call extend(results%final_x)
+    call extend(results%final_y)
+    call extend(results%final_ux)
+    call extend(results%final_uy)
+
+  contains
+
+    subroutine extend(array)
+      real(dp), allocatable, intent(inout) :: array(:, :, :)
+      real(dp), allocatable :: longer(:, :, :)
+      integer :: before
+
+      before = 0
+      if (allocated(array)) before = size(array, 1)
+      if (n <= before) return
+      allocate (longer(n, plan%replicas, plan%point_count), source=unknown())
+      if (before > 0) longer(:before, :, :) = array
+      call move_alloc(longer, array)
+    end subroutine extend
+
   end subroutine room_for_final
 
   pure function unknown()
@@ -221,18 +264,21 @@ contains
 
   !> What stands under the name of the output file: nothing, or results of which input, complete or
   !> not. Anything else there is an error.
-  subroutine existing_results(file, input_text, found, complete, error)
+  subroutine existing_results(file, input_text, initial_fingerprint, found, complete, error)
     character(len=*), intent(in) :: file
     character(len=:), allocatable, intent(out) :: input_text
+    !> Of the initial file, in hexadecimal digits; empty if there was none.
+    character(len=:), allocatable, intent(out) :: initial_fingerprint
     logical, intent(out) :: found, complete
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: status
 
     complete = .false.
     input_text = ''
+    initial_fingerprint = ''
     found = file_exists(file)
     if (.not. found) return
-    call read_metadata(file, input_text, status, error)
+    call read_metadata(file, input_text, status, error, initial_fingerprint)
     if (allocated(error)) then
       call fatal_error(error, file &
         //' is there already, and is not a results file of this program; ' &

@@ -6,7 +6,7 @@ module battery_outlook
   use battery_error, only: error_type
   use battery_engine, only: particles_type
   use battery_initial_state, only: random_particles, read_particles
-  use battery_plan, only: plan_type
+  use battery_plan, only: plan_type, point_type, point_of
   use battery_screen, only: duration_text, rate_text
   use battery_signals, only: wall_seconds
   use battery_simulation, only: simulation_type, begin_simulation, step
@@ -35,10 +35,9 @@ contains
     if (allocated(error)) return
     write (output_unit, '(a)') 'speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)'
     write (output_unit, '(a)') 'time:       about '//duration_text(seconds*max(1.0_dp, &
-      real(ceiling(real(task_count(plan), dp)/ranks), dp)))//' on '//to_text(ranks) &
-      //merge(' ranks', ' rank ', ranks > 1)
+      real(ceiling(real(task_count(plan), dp)/ranks), dp)))//' on '//counted(ranks, 'rank')
     write (output_unit, '(a)') 'memory:     about ' &
-      //to_text(int(bytes_per_particle()*maxval(plan%points%number) /1.0e6_dp) + 30)//' MB a rank'
+      //to_text(int(bytes_per_particle()*greatest_number(plan)/1.0e6_dp) + 30)//' MB a rank'
     write (output_unit, '(a)') 'results:    '//plan%file, 'nothing was written'
   end subroutine print_outlook
 
@@ -49,22 +48,56 @@ contains
     bytes = 120.0_dp
   end function bytes_per_particle
 
+  !> Particles of the largest system.
+  pure function greatest_number(plan) result(number)
+    type(plan_type), intent(in) :: plan
+    integer :: number
+    type(point_type) :: point
+    integer :: at
+
+    number = 0
+    do at = 1, plan%point_count
+      point = point_of(plan, at)
+      number = max(number, point%number)
+    end do
+  end function greatest_number
+
   subroutine print_parameters(plan)
     type(plan_type), intent(in) :: plan
+    type(point_type) :: point, least, most
+    integer :: at
 
+    least = point_of(plan, 1)
+    most = least
+    do at = 2, plan%point_count
+      point = point_of(plan, at)
+      least%number = min(least%number, point%number)
+      most%number = max(most%number, point%number)
+      least%threshold = min(least%threshold, point%threshold)
+      most%threshold = max(most%threshold, point%threshold)
+      least%channel1_width = min(least%channel1_width, point%channel1_width)
+      most%channel1_width = max(most%channel1_width, point%channel1_width)
+      least%channel2_width = min(least%channel2_width, point%channel2_width)
+      most%channel2_width = max(most%channel2_width, point%channel2_width)
+      least%urn1_number = min(least%urn1_number, point%urn1_number)
+      most%urn1_number = max(most%urn1_number, point%urn1_number)
+    end do
     write (output_unit, '(a)') 'tasks:      '//to_text(task_count(plan))//' (' &
-      //to_text(size(plan%points)) //' points, '//to_text(plan%replicas)//' replicas each)'
+      //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)'
     write (output_unit, '(a)') 'shape:      '//plan%shape//', urn radius ' &
-      //to_text(plan%urn_radius) &
-      //', channel 1 '//to_text(plan%channel1_length)//' long, channel 2 ' &
-      //to_text(plan%channel2_length)
+      //to_text(plan%urn_radius)//', channel 1 '//to_text(plan%channel1_length) &
+      //' long, channel 2 '//to_text(plan%channel2_length)
     write (output_unit, '(a)') 'engine:     '//plan%engine
-    write (output_unit, '(a)') 'N:          '//range_of(plan%points%number)
-    write (output_unit, '(a)') 'T:          '//range_of(plan%points%threshold)
-    write (output_unit, '(a)') 'w:          '//real_range(plan%points%channel1_width)
-    write (output_unit, '(a)') 'w'':         '//real_range(plan%points%channel2_width)
-    write (output_unit, '(a)') 'urn 1:      '//range_of(plan%points%urn1_number) &
-      //' particles at the start'
+    write (output_unit, '(a)') 'N:          '//range_text(to_text(least%number), &
+      to_text(most%number))
+    write (output_unit, '(a)') 'T:          '//range_text(to_text(least%threshold), &
+      to_text(most%threshold))
+    write (output_unit, '(a)') 'w:          '//range_text(to_text(least%channel1_width), &
+      to_text(most%channel1_width))
+    write (output_unit, '(a)') 'w'':         '//range_text(to_text(least%channel2_width), &
+      to_text(most%channel2_width))
+    write (output_unit, '(a)') 'urn 1:      '//range_text(to_text(least%urn1_number), &
+      to_text(most%urn1_number))//' particles at the start'
     if (plan%duration > 0.0_wp) then
       write (output_unit, '(a)') 'length:     '//to_text(plan%duration) &
         //' time units each, the first ' //to_text(plan%transient_duration)//' not averaged'
@@ -75,21 +108,23 @@ contains
     end if
   end subroutine print_parameters
 
-  pure function range_of(values) result(text)
-    integer, intent(in) :: values(:)
+  !> `1 point`, `2 points`.
+  pure function counted(number, what) result(text)
+    integer, intent(in) :: number
+    character(len=*), intent(in) :: what
     character(len=:), allocatable :: text
 
-    text = to_text(minval(values))
-    if (maxval(values) > minval(values)) text = text//' ... '//to_text(maxval(values))
-  end function range_of
+    text = to_text(number)//' '//what
+    if (number /= 1) text = text//'s'
+  end function counted
 
-  pure function real_range(values) result(text)
-    real(wp), intent(in) :: values(:)
+  pure function range_text(least, most) result(text)
+    character(len=*), intent(in) :: least, most
     character(len=:), allocatable :: text
 
-    text = to_text(minval(values))
-    if (maxval(values) > minval(values)) text = text//' ... '//to_text(maxval(values))
-  end function real_range
+    text = least
+    if (most /= least) text = text//' ... '//most
+  end function range_text
 
   !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the plan.
   subroutine calibrate(plan, seconds, rate, error)

@@ -1,16 +1,19 @@
 !> Files of records that survive a program's sudden end: results of finished tasks, saved states.
 !>
-!> A record is a tag, three arrays (integers, reals, bytes) and a checksum over all of them. Records
-!> are appended and brought to the disk one by one. On reading, the first record that is cut short
-!> or does not match its checksum ends the file: what stands before it is good.
+!> A record is an owner, a tag, three arrays (integers, reals, bytes) and a checksum over all of
+!> them. Records are appended and brought to the disk one by one. On reading, the first record that
+!> is cut short or does not match its checksum ends the file: what stands before it is good.
 module battery_record_file
   use battery_kinds, only: dp, int8, int64
   use battery_error, only: error_type, fatal_error
+  use battery_fingerprint, only: fingerprint_start, mix_word
   implicit none (type, external)
   private
   public :: record_type, append_record, read_records, write_single, read_single
 
   type :: record_type
+    !> Fingerprint of the input that the record was made from.
+    integer(int64) :: owner = 0
     !> What the record is about, for instance the number of a task.
     integer(int64) :: tag = 0
     integer(int64), allocatable :: integers(:)
@@ -43,8 +46,8 @@ contains
     open (newunit=unit, file=name, access='stream', form='unformatted', action='readwrite', &
       iostat=status, iomsg=reason)
     if (status == 0) then
-      write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, record%tag, &
-        size(record%integers, kind=int64), size(record%reals, kind=int64), &
+      write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, record%owner, &
+        record%tag, size(record%integers, kind=int64), size(record%reals, kind=int64), &
         size(record%bytes, kind=int64), record%integers, record%reals, record%bytes, &
         checksum(record)
       ! What was longer must not be taken for the next record.
@@ -110,56 +113,48 @@ contains
     integer(int64), intent(in) :: bytes
     type(record_type), intent(out) :: record
     logical, intent(out) :: good
-    integer(int64) :: head(5), sum, left
+    integer(int64) :: head(6), sum, left
     integer :: status
 
     good = .false.
-    left = bytes - at - 48
+    left = bytes - at - 56
     if (left < 0) return
     read (unit, pos=at + 1, iostat=status) head
     if (status /= 0 .or. head(1) /= mark) return
-    if (any(head(3:5) < 0) .or. any(head(3:5) > left)) return
-    if (8*head(3) + 8*head(4) + head(5) > left) return
-    record%tag = head(2)
-    allocate (record%integers(head(3)))
-    allocate (record%reals(head(4)))
-    allocate (record%bytes(head(5)))
+    if (any(head(4:6) < 0) .or. any(head(4:6) > left)) return
+    if (8*head(4) + 8*head(5) + head(6) > left) return
+    record%owner = head(2)
+    record%tag = head(3)
+    allocate (record%integers(head(4)))
+    allocate (record%reals(head(5)))
+    allocate (record%bytes(head(6)))
     read (unit, iostat=status) record%integers, record%reals, record%bytes, sum
     if (status /= 0) return
     good = sum == checksum(record)
-    if (good) at = at + 48 + 8*head(3) + 8*head(4) + head(5)
+    if (good) at = at + 56 + 8*head(4) + 8*head(5) + head(6)
   end subroutine read_record
 
-  !> FNV-1a over the words of a record and their numbers; additions wrap (-fwrapv).
+  !> The fingerprint of a record: its words and their numbers.
   pure function checksum(record) result(sum)
     type(record_type), intent(in) :: record
     integer(int64) :: sum
-    integer(int64), parameter :: prime = 1099511628211_int64
     integer(int64) :: k
 
-    sum = ieor(-3750763034362895579_int64, record%tag)*prime
-    call mix(size(record%integers, kind=int64))
-    call mix(size(record%reals, kind=int64))
-    call mix(size(record%bytes, kind=int64))
+    sum = fingerprint_start
+    call mix_word(sum, record%owner)
+    call mix_word(sum, record%tag)
+    call mix_word(sum, size(record%integers, kind=int64))
+    call mix_word(sum, size(record%reals, kind=int64))
+    call mix_word(sum, size(record%bytes, kind=int64))
     do k = 1, size(record%integers, kind=int64)
-      call mix(record%integers(k))
+      call mix_word(sum, record%integers(k))
     end do
     do k = 1, size(record%reals, kind=int64)
-      call mix(transfer(record%reals(k), 1_int64))
+      call mix_word(sum, transfer(record%reals(k), 1_int64))
     end do
     do k = 1, size(record%bytes, kind=int64)
-      call mix(int(record%bytes(k), int64))
+      call mix_word(sum, int(record%bytes(k), int64))
     end do
-
-  contains
-
-    pure subroutine mix(word)
-      integer(int64), intent(in) :: word
-
-      sum = ieor(sum, word)*prime
-      sum = ieor(sum, ishft(sum, -29))
-    end subroutine mix
-
   end function checksum
 
   !> Writes a file that holds just this record.

@@ -4,11 +4,9 @@ module battery_summary
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count
-  use battery_journal, only: journal_type, read_rank_file
-  use battery_merge, only: collect_results
-  use battery_results, only: results_type
+  use battery_results, only: results_type, task_complete
   use battery_screen, only: duration_text, rate_text
-  use battery_task_result, only: task_result_type, task_complete, task_failed
+  use battery_text, only: string_type
   implicit none (type, external)
   private
   public :: print_summary
@@ -18,21 +16,24 @@ module battery_summary
 
 contains
 
-  !> Prints what came out; `busy` is the least, mean and greatest share of the time that a rank
-  !> spent in tasks.
-  subroutine print_summary(plan, journal, ranks, busy, seconds, collisions, all_done, quiet)
+  !> Prints what came out, and which tasks failed and why; `busy` is the least, mean and greatest
+  !> share of the time that a rank spent in tasks.
+  subroutine print_summary(plan, results, failures, ranks, busy, seconds, collisions, all_done, &
+      quiet)
     type(plan_type), intent(in) :: plan
-    type(journal_type), intent(in) :: journal
+    type(results_type), intent(in) :: results
+    type(string_type), intent(in) :: failures(:)
     integer, intent(in) :: ranks
     real(dp), intent(in) :: busy(3), seconds
     integer(int64), intent(in) :: collisions
     logical, intent(in) :: all_done, quiet
-    type(results_type) :: results
-    integer :: point, replica, done
+    integer :: point, replica, done, task
 
-    call collect_results(plan, journal, results)
     done = count(results%task_status == task_complete)
-    call print_failures(journal, results)
+    do task = 1, size(failures)
+      if (allocated(failures(task)%text)) write (output_unit, '(a, i0, a)') 'task ', task, &
+        ' failed: '//failures(task)%text
+    end do
     if (quiet) return
     if (task_count(plan) <= most_rows) then
       write (output_unit, '(a)') '     N    T       w         w''   replica       chi  +-error' &
@@ -71,22 +72,5 @@ contains
       results%chi_error(r, p), results%current1(r, p), results%current1_error(r, p), &
       results%current2(r, p), results%current2_error(r, p)
   end subroutine print_row
-
-  !> Which tasks failed, and why.
-  subroutine print_failures(journal, results)
-    type(journal_type), intent(in) :: journal
-    type(results_type), intent(in) :: results
-    type(task_result_type), allocatable :: found(:)
-    integer :: file, k
-
-    if (all(results%task_status /= task_failed)) return
-    do file = 0, journal%rank_files - 1
-      call read_rank_file(journal, file, found)
-      do k = 1, size(found)
-        if (found(k)%status /= task_failed) cycle
-        write (output_unit, '(a, i0, a)') 'task ', found(k)%task, ' failed: '//found(k)%message
-      end do
-    end do
-  end subroutine print_failures
 
 end module battery_summary

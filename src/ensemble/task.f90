@@ -1,19 +1,21 @@
 !> One task of an ensemble, from its particles to its result.
 module battery_task
   use battery_kinds, only: dp, int64
-  use battery_error, only: error_type
+  use battery_error, only: error_type, fatal_error
   use battery_engine, only: particles_type
   use battery_signals, only: wall_seconds, cpu_seconds, stop_requested
   use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, &
     verify
   use battery_initial_state, only: random_particles, read_particles
+  use battery_namelist_input, only: file_fingerprint
   use battery_journal, only: journal_type, read_state, write_state
   use battery_task_result, only: task_result_type, result_of, failed_result
-  use battery_communicator, only: board_type, add_to_board, read_board, collisions_done, stop_wanted
+  use battery_communicator, only: board_type, add_to_board, read_board, help_board, &
+    collisions_done, stop_wanted
   use battery_screen, only: screen_type, show_ensemble
   implicit none (type, external)
   private
-  public :: task_type, watch_type, run_task
+  public :: task_type, watch_type, run_task, seconds_between_looks
 
   type :: task_type
     !> Number of the task from 1; its point and replica.
@@ -21,8 +23,9 @@ module battery_task
     type(setup_type) :: setup
     integer :: number = 0, urn1_number = 0
     integer(int64) :: seed = 0
-    !> Where the particles start, if not at random.
+    !> Where the particles start, if not at random, and the fingerprint of what the file holds.
     character(len=:), allocatable :: initial_file
+    integer(int64) :: initial_fingerprint = 0
     logical :: final_state = .false.
   end type task_type
 
@@ -33,17 +36,32 @@ module battery_task
     real(dp) :: checkpoint_interval = huge(1.0_dp)
     real(dp) :: next_checkpoint = huge(1.0_dp)
     real(dp) :: next_look = 0.0_dp
+    !> When rank 0 next lends the network a hand.
+    real(dp) :: next_help = 0.0_dp
     !> Whether the run stops early.
     logical :: stopping = .false.
     !> Time spent in tasks.
     real(dp) :: busy = 0.0_dp
   end type watch_type
 
-  !> Windows between two looks at the clock, and seconds between two looks at the board.
-  integer, parameter :: windows_between_looks = 16
-  real(dp), parameter :: look_interval = 0.1_dp
+  !> Windows between two looks at the clock, for as many particles or fewer.
+  integer, parameter :: windows_between_looks = 16, few_particles = 2000
+
+  !> Seconds between two looks at the board: this long, or so long that all ranks together look this
+  !> often a second. Rank 0 lends a hand more often.
+  real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, &
+    help_interval = 1.0e-3_dp
 
 contains
+
+  !> Seconds between two looks at the board of each of so many ranks, at least `least`.
+  pure function seconds_between_looks(ranks, least) result(seconds)
+    integer, intent(in) :: ranks
+    real(dp), intent(in) :: least
+    real(dp) :: seconds
+
+    seconds = max(least, ranks/looks_a_second)
+  end function seconds_between_looks
 
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
   !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's
@@ -72,7 +90,12 @@ contains
     do while (.not. allocated(trouble))
       if (simulation%done) exit
       call some_steps(simulation)
-      if (wall_seconds() < watch%next_look) cycle
+      now = wall_seconds()
+      if (now >= watch%next_help) then
+        call help_board(board)
+        watch%next_help = now + help_interval
+      end if
+      if (now < watch%next_look) cycle
       call look_around()
       call show_ensemble(screen, board, real(progress(simulation), dp))
       if (simulation%done) exit
@@ -102,7 +125,7 @@ contains
       real(dp) :: now
 
       now = wall_seconds()
-      watch%next_look = now + look_interval
+      watch%next_look = now + seconds_between_looks(board%ranks, look_interval)
       call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
       told = simulation%observer%collisions
       if (stop_requested() .or. now >= watch%stop_at) call add_to_board(board, stop_wanted, &
@@ -116,7 +139,8 @@ contains
     type(simulation_type), intent(inout) :: simulation
     integer :: window
 
-    do window = 1, windows_between_looks
+    do window = 1, max(1, windows_between_looks*few_particles &
+      /max(few_particles, simulation%engine%number))
       call step(simulation)
       if (simulation%done) exit
     end do
@@ -130,6 +154,7 @@ contains
     real(dp), intent(out) :: cpu_before
     type(error_type), allocatable, intent(out) :: error
     type(particles_type) :: particles
+    integer(int64) :: fingerprint
     logical :: resumed
 
     call read_state(journal, task%task, task%setup, simulation, cpu_before, resumed, error)
@@ -138,6 +163,12 @@ contains
       call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, &
         error)
     else
+      call file_fingerprint(task%initial_file, fingerprint, error)
+      if (allocated(error)) return
+      if (fingerprint /= task%initial_fingerprint) then
+        call fatal_error(error, task%initial_file//' has changed since the run began')
+        return
+      end if
       call read_particles(task%initial_file, task%setup%table, task%number, particles, error)
     end if
     if (allocated(error)) return

@@ -1,17 +1,48 @@
-!> What Fortran cannot do with files: sync, atomic rename, remove, rights, folders.
+!> What Fortran cannot do with files: sync, atomic rename, remove, rights, folders and what is in
+!> them.
 module battery_files
-  use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, &
-    c_associated, c_f_pointer
-  use battery_error, only: error_type, fatal_error
+  use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_funptr, &
+    c_null_char, c_null_funptr, c_associated, c_f_pointer
+  use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
+  use battery_text, only: string_type
   implicit none (type, external)
   private
   public :: file_exists, is_folder, is_readable, is_writable, folder_of, real_path_of
   public :: sync_file, rename_file, remove_file, make_folder, publish_file, read_text
+  public :: files_like
 
   !> Questions to C's `access`.
   integer(c_int), parameter :: exists = 0, may_write = 2, may_read = 4
 
+  !> Numbers of errors on Linux: the disk fails, is full, a quota is used up.
+  integer(c_int), parameter :: disk_errors(4) = [5_c_int, 27_c_int, 28_c_int, 122_c_int]
+
+  !> What C's `glob` finds (glob_t of the GNU library).
+  type, bind(c) :: glob_type
+    integer(c_size_t) :: count = 0
+    type(c_ptr) :: paths
+    integer(c_size_t) :: reserved = 0
+    integer(c_int) :: flags = 0
+    type(c_funptr) :: functions(5)
+  end type glob_type
+
   interface
+    function c_glob(pattern, flags, on_error, found) result(status) bind(c, name='glob')
+      import :: c_char, c_int, c_funptr, glob_type
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: pattern(*)
+      integer(c_int), value, intent(in) :: flags
+      type(c_funptr), value, intent(in) :: on_error
+      type(glob_type), intent(inout) :: found
+      integer(c_int) :: status
+    end function c_glob
+
+    subroutine c_globfree(found) bind(c, name='globfree')
+      import :: glob_type
+      implicit none (type, external)
+      type(glob_type), intent(inout) :: found
+    end subroutine c_globfree
+
     function c_access(path, mode) result(status) bind(c, name='access')
       import :: c_char, c_int
       implicit none (type, external)
@@ -207,20 +238,61 @@ contains
     end if
   end subroutine remove_file
 
-  !> Makes a folder; one that is there already is no error.
+  !> Makes a folder; one that is there already is no error. The error's code is `exit_bad_input`
+  !> unless the disk is at fault.
   subroutine make_folder(path, error)
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     integer(c_int), parameter :: rights = int(o'777', c_int)
     character(len=:), allocatable :: reason
+    integer(c_int), pointer :: number
+    integer :: code
 
     if (is_folder(path)) return
     if (c_mkdir(path//c_null_char, rights) == 0) return
+    call c_f_pointer(c_errno(), number)
+    code = merge(exit_failure, exit_bad_input, any(number == disk_errors))
     reason = system_message()
     ! Another rank may have been faster.
     if (is_folder(path)) return
-    call fatal_error(error, path//': the folder cannot be made: '//reason)
+    call fatal_error(error, path//': the folder cannot be made: '//reason, code)
   end subroutine make_folder
+
+  !> Names, without the folder, of the files in a folder that match a pattern with `*` and `?`;
+  !> none if there is no such folder. Their order is arbitrary.
+  function files_like(folder, pattern) result(names)
+    character(len=*), intent(in) :: folder, pattern
+    type(string_type), allocatable :: names(:)
+    integer(c_int), parameter :: unsorted = 4
+    type(glob_type) :: found
+    type(c_ptr), pointer :: paths(:)
+    integer :: at
+
+    allocate (names(0))
+    if (c_glob(plain(folder)//'/'//pattern//c_null_char, unsorted, c_null_funptr, found) /= 0) &
+      return
+    call c_f_pointer(found%paths, paths, [found%count])
+    deallocate (names)
+    allocate (names(found%count))
+    do at = 1, size(names)
+      names(at)%text = text_at(paths(at))
+      names(at)%text = names(at)%text(len(folder) + 2:)
+    end do
+    call c_globfree(found)
+  end function files_like
+
+  !> A path in which nothing stands for anything else.
+  pure function plain(path) result(pattern)
+    character(len=*), intent(in) :: path
+    character(len=:), allocatable :: pattern
+    integer :: at
+
+    pattern = ''
+    do at = 1, len(path)
+      if (scan(path(at:at), '*?[]\') > 0) pattern = pattern//'\'
+      pattern = pattern//path(at:at)
+    end do
+  end function plain
 
   !> The whole of a file as one text, its line ends as they are.
   subroutine read_text(path, text, error)
@@ -253,17 +325,23 @@ contains
   function system_message() result(message)
     character(len=:), allocatable :: message
     integer(c_int), pointer :: number
-    character(kind=c_char), pointer :: letters(:)
-    type(c_ptr) :: text
-    integer :: at
 
     call c_f_pointer(c_errno(), number)
-    text = c_strerror(number)
-    call c_f_pointer(text, letters, [c_strlen(text)])
-    allocate (character(len=size(letters)) :: message)
-    do at = 1, size(letters)
-      message(at:at) = letters(at)
-    end do
+    message = text_at(c_strerror(number))
   end function system_message
+
+  !> The text of C that an address points to.
+  function text_at(address) result(text)
+    type(c_ptr), intent(in) :: address
+    character(len=:), allocatable :: text
+    character(kind=c_char), pointer :: letters(:)
+    integer :: at
+
+    call c_f_pointer(address, letters, [c_strlen(address)])
+    allocate (character(len=size(letters)) :: text)
+    do at = 1, size(letters)
+      text(at:at) = letters(at)
+    end do
+  end function text_at
 
 end module battery_files

@@ -4,7 +4,8 @@
 !> the program at once. Signals within half a second of the first count as that one: `timeout` and
 !> some batch systems send each signal to the process and to its group.
 module battery_signals
-  use, intrinsic :: iso_c_binding, only: c_int, c_char, c_null_char, c_funptr, c_funloc
+  use, intrinsic :: iso_c_binding, only: c_int, c_intptr_t, c_char, c_null_char, &
+    c_funptr, c_null_funptr, c_funloc
   use, intrinsic :: iso_fortran_env, only: output_unit, error_unit
   use battery_kinds, only: dp, int64
   implicit none (type, external)
@@ -13,7 +14,8 @@ module battery_signals
   public :: wall_seconds, cpu_seconds, rest, leave, is_terminal, process_number
 
   !> Numbers of the signals on Linux.
-  integer(c_int), parameter :: signal_interrupt = 2, signal_user1 = 10, signal_terminate = 15
+  integer(c_int), parameter :: signal_interrupt = 2, signal_user1 = 10, signal_terminate = 15, &
+    signal_file_size = 25
 
   !> Signals that come in so short a time are one, in seconds.
   real(dp), parameter :: same_signal = 0.5_dp
@@ -87,13 +89,17 @@ module battery_signals
 
 contains
 
-  !> From now on, the three signals ask for a stop instead of ending the program.
+  !> From now on, the three signals ask for a stop instead of ending the program, and a file that
+  !> grows beyond the size allowed is an error of the write.
   subroutine watch_signals()
+    !> The handler that ignores (SIG_IGN).
+    integer(c_intptr_t), parameter :: ignore = 1
     type(c_funptr) :: old
 
     old = c_signal(signal_interrupt, c_funloc(receive))
     old = c_signal(signal_user1, c_funloc(receive))
     old = c_signal(signal_terminate, c_funloc(receive))
+    old = c_signal(signal_file_size, transfer(ignore, c_null_funptr))
   end subroutine watch_signals
 
   !> Called by the system when a signal comes: notes it, or leaves at once with 128 + its number.

@@ -3,16 +3,18 @@
 module battery_namelist_input
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_fingerprint, only: fingerprint_of, mix_word
   use battery_text, only: to_text, new_line_character
   use battery_files, only: read_text, is_folder, is_writable, file_exists, folder_of
   use battery_engine, only: particles_type
   use battery_namelist_text, only: remark_type
   use battery_namelist_settings, only: settings_type, read_settings, find_setting
   use battery_initial_state, only: read_particles
-  use battery_plan, only: plan_type, point_type, problem_type, complete_plan, table_of
+  use battery_plan, only: plan_type, point_type, problem_type, complete_plan, point_of, &
+    table_of
   implicit none (type, external)
   private
-  public :: read_namelist, parse_namelist, differing_keys
+  public :: read_namelist, parse_namelist, differing_keys, file_fingerprint
 
 contains
 
@@ -36,7 +38,21 @@ contains
     call check_files(settings, plan)
     call report(file, settings%problems, error)
     call check_initial_file(plan, error)
+    if (allocated(error) .or. plan%initial_file == '') return
+    call file_fingerprint(plan%initial_file, plan%initial_fingerprint, error)
+    call mix_word(plan%fingerprint, plan%initial_fingerprint)
   end subroutine read_namelist
+
+  !> The fingerprint of what is in a file.
+  subroutine file_fingerprint(file, fingerprint, error)
+    character(len=*), intent(in) :: file
+    integer(int64), intent(out) :: fingerprint
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: text
+
+    call read_text(file, text, error)
+    fingerprint = fingerprint_of(text)
+  end subroutine file_fingerprint
 
   !> The plan that a text describes; `name` stands for the file in messages. Does not look at files.
   subroutine parse_namelist(text, name, plan, error)
@@ -60,6 +76,7 @@ contains
 
     plan%text = text
     plan%input_file = name
+    plan%fingerprint = fingerprint_of(deciding_text(settings))
     call fill_components(settings, plan)
     call fill_scan(settings, plan)
     call check_pairs(settings)
@@ -241,7 +258,7 @@ contains
   subroutine check_initial_file(plan, error)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable, intent(inout) :: error
-    type(point_type) :: point
+    type(point_type) :: point, before
     integer :: at, urn1_number
 
     if (plan%initial_file == '') return
@@ -250,15 +267,14 @@ contains
       call try_initial_file(plan, point, urn1_number, error)
       return
     end if
-    do at = 1, size(plan%points)
-      if (at > 1 .and. same_widths(plan%points(at), plan%points(max(at - 1, 1)))) then
-        plan%points(at)%urn1_number = urn1_number
-        cycle
-      end if
-      call try_initial_file(plan, plan%points(at), urn1_number, error)
+    do at = 1, plan%point_count
+      point = point_of(plan, at)
+      if (at > 1 .and. same_widths(point, before)) cycle
+      call try_initial_file(plan, point, urn1_number, error)
       if (allocated(error)) return
-      plan%points(at)%urn1_number = urn1_number
+      before = point
     end do
+    plan%urn1_number = urn1_number
   end subroutine check_initial_file
 
   !> Whether two points have the same table.
@@ -359,6 +375,21 @@ contains
         //value_text(before%all(at)%canonical)//', is '//value_text(now%all(at)%canonical)
     end do
   end function differing_keys
+
+  !> All that decides the results, one key a line in one way of writing.
+  pure function deciding_text(settings) result(text)
+    type(settings_type), intent(in) :: settings
+    character(len=:), allocatable :: text
+    integer :: at
+
+    text = ''
+    do at = 1, size(settings%all)
+      associate (setting => settings%all(at))
+        if (setting%key%decides) text = text//setting%key%group//' '//setting%key%name//' ' &
+          //setting%canonical//new_line_character
+      end associate
+    end do
+  end function deciding_text
 
   pure function value_text(canonical) result(text)
     character(len=*), intent(in) :: canonical

@@ -106,12 +106,11 @@ contains
 
     if (.not. is_one_of(entry%group, group_names(keys))) return
     names = keys_of_group(keys, entry%group)
-    elsewhere = suggestion('', entry%key, names)
-    if (elsewhere == '') then
-      do at = 1, size(keys)
-        if (keys(at)%name == entry%key) elsewhere = ' (it belongs to &'//keys(at)%group//')'
-      end do
-    end if
+    elsewhere = ''
+    do at = 1, size(keys)
+      if (keys(at)%name == entry%key) elsewhere = ' (it belongs to &'//keys(at)%group//')'
+    end do
+    if (elsewhere == '') elsewhere = suggestion('', entry%key, names)
     call add(problems, entry%line, name_of(entry)//' = ' &
       //written_text(entry%values)//': there is no such key'//elsewhere &
       //'; allowed: '//join(names, ', '))

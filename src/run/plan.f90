@@ -1,9 +1,12 @@
 !> What a run is: table, particles, gate, length, scan, output and limits.
 !>
 !> A plan is made of components; `complete_plan` checks how they fit together, tells all problems at
-!> once, and expands the scan into parameter points. The first of the lists threshold (or
+!> once, and counts the parameter points of the scan. The first of the lists threshold (or
 !> threshold_fraction), number, channel1_width, channel2_width, urn1_fraction varies slowest, the
 !> last fastest; every point has all replicas. A list replaces what its own group says.
+!>
+!> Points are made one by one from their numbers (`point_of`): every rank has the plan, and must not
+!> hold a list that grows with the scan.
 module battery_plan
   use battery_kinds, only: wp, int64
   use battery_text, only: to_text
@@ -11,7 +14,8 @@ module battery_plan
   use battery_simulation, only: setup_type
   implicit none (type, external)
   private
-  public :: plan_type, point_type, problem_type, complete_plan, table_of, setup_of, task_seed
+  public :: plan_type, point_type, problem_type, complete_plan, point_of, table_of, setup_of
+  public :: task_seed
   public :: not_given
 
   !> Value of whole numbers that were not given.
@@ -62,14 +66,15 @@ module battery_plan
     real(wp), allocatable :: snapshot_times(:)
     logical :: event_log = .false., final_state = .false.
     real(wp) :: wall_minutes = 0.0_wp, checkpoint_minutes = 10.0_wp
-    !> The scan expanded, from `complete_plan`.
-    type(point_type), allocatable :: points(:)
+    !> Points of the scan, from `complete_plan`; 0 if there are problems.
+    integer :: point_count = 0
+    !> Fingerprints of the initial file, and of all of the input that decides the results.
+    integer(int64) :: initial_fingerprint = 0, fingerprint = 0
   end type plan_type
 
 contains
 
-  !> Fills in what was not given, checks how the components fit together and expands the scan.
-  !> Without problems, `plan%points` is ready; otherwise it is empty.
+  !> Fills in what was not given, checks how the components fit together and counts the points.
   subroutine complete_plan(plan, problems)
     type(plan_type), intent(inout) :: plan
     type(problem_type), allocatable, intent(out) :: problems(:)
@@ -80,12 +85,11 @@ contains
     call check_widths(plan, problems)
     call check_length(plan, problems)
     call check_output(plan, problems)
-    if (allocated(plan%points)) deallocate (plan%points)
-    allocate (plan%points(0))
+    plan%point_count = 0
     if (size(problems) > 0) return
-    call expand(plan)
+    plan%point_count = product(list_lengths(plan))
     call check_points(plan, problems)
-    if (size(problems) > 0) plan%points = plan%points(:0)
+    if (size(problems) > 0) plan%point_count = 0
   end subroutine complete_plan
 
   pure subroutine fill_defaults(plan)
@@ -225,37 +229,39 @@ contains
     integer(int64) :: total
     integer :: lengths(6), at
 
-    lengths = [size(plan%scan_threshold) + size(plan%scan_threshold_fraction), &
-      size(plan%scan_number), size(plan%scan_channel1_width), size(plan%scan_channel2_width), &
-      size(plan%scan_urn1_fraction), plan%replicas]
+    lengths = [list_lengths(plan), plan%replicas]
     total = 1
     do at = 1, size(lengths)
       if (total <= most_tasks) total = total*max(lengths(at), 1)
     end do
   end function task_total
 
-  !> Fills `plan%points`.
-  pure subroutine expand(plan)
-    type(plan_type), intent(inout) :: plan
-    integer :: lengths(5), place(5), at, list, count
+  !> How many values the lists threshold, number, widths and urn1_fraction have; 1: not scanned.
+  pure function list_lengths(plan) result(lengths)
+    type(plan_type), intent(in) :: plan
+    integer :: lengths(5)
 
     lengths = [size(plan%scan_threshold) + size(plan%scan_threshold_fraction), &
       size(plan%scan_number), size(plan%scan_channel1_width), size(plan%scan_channel2_width), &
       size(plan%scan_urn1_fraction)]
     lengths = max(lengths, 1)
-    count = product(lengths)
-    deallocate (plan%points)
-    allocate (plan%points(count))
-    place = 1
-    do at = 1, count
-      plan%points(at) = point_at(plan, place)
-      do list = 5, 1, -1
-        place(list) = place(list) + 1
-        if (place(list) <= lengths(list)) exit
-        place(list) = 1
-      end do
+  end function list_lengths
+
+  !> Point `number` of the scan, from 1 to `plan%point_count`.
+  pure function point_of(plan, number) result(point)
+    type(plan_type), intent(in) :: plan
+    integer, intent(in) :: number
+    type(point_type) :: point
+    integer :: lengths(5), place(5), list, left
+
+    lengths = list_lengths(plan)
+    left = number - 1
+    do list = 5, 1, -1
+      place(list) = 1 + mod(left, lengths(list))
+      left = left/lengths(list)
     end do
-  end subroutine expand
+    point = point_at(plan, place)
+  end function point_of
 
   !> The point at the places `place` in the lists threshold, number, widths and urn1_fraction.
   pure function point_at(plan, place) result(point)
@@ -300,18 +306,18 @@ contains
   pure subroutine check_points(plan, problems)
     type(plan_type), intent(in) :: plan
     type(problem_type), allocatable, intent(inout) :: problems(:)
+    type(point_type) :: point
     integer :: at
 
-    do at = 1, size(plan%points)
-      associate (point => plan%points(at))
-        if (point%urn1_number > point%number) then
-          call add(problems, 'particles', 'urn1_number', to_text(point%urn1_number), &
-            'from 0 to number, which is '//to_text(point%number))
-        else if (plan%shape == 'urn' .and. point%urn1_number /= point%number) then
-          call add(problems, 'particles', 'urn1_number', to_text(point%urn1_number), &
-            to_text(point%number)//', all particles, since the shape ''urn'' has one urn')
-        end if
-      end associate
+    do at = 1, plan%point_count
+      point = point_of(plan, at)
+      if (point%urn1_number > point%number) then
+        call add(problems, 'particles', 'urn1_number', to_text(point%urn1_number), &
+          'from 0 to number, which is '//to_text(point%number))
+      else if (plan%shape == 'urn' .and. point%urn1_number /= point%number) then
+        call add(problems, 'particles', 'urn1_number', to_text(point%urn1_number), &
+          to_text(point%number)//', all particles, since the shape ''urn'' has one urn')
+      end if
       if (size(problems) > 0) return
     end do
   end subroutine check_points
@@ -338,10 +344,12 @@ contains
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: point, replica
     type(setup_type) :: setup
+    type(point_type) :: at
 
+    at = point_of(plan, point)
     setup%engine = plan%engine
-    setup%table = table_of(plan, plan%points(point))
-    setup%threshold = plan%points(point)%threshold
+    setup%table = table_of(plan, at)
+    setup%threshold = at%threshold
     setup%collisions = plan%collisions
     setup%transient_collisions = plan%transient_collisions
     setup%duration = plan%duration

@@ -16,6 +16,8 @@ module battery_metadata
     integer :: mpi_ranks = 0
     !> The whole text of the input.
     character(len=:), allocatable :: namelist
+    !> Fingerprint of the initial file in hexadecimal digits; empty if there is none.
+    character(len=:), allocatable :: initial_file_fingerprint
     !> When the file was written, ISO 8601, UTC; not allocated: now.
     character(len=:), allocatable :: created
     !> `complete` or `partial`.
@@ -45,6 +47,7 @@ contains
     if (.not. allocated(error)) &
       call write_attribute(file, '/', 'mpi_ranks', int(metadata%mpi_ranks, int32), error)
     call put_text(file, 'namelist', metadata%namelist, error)
+    call put_text(file, 'initial_file_fingerprint', metadata%initial_file_fingerprint, error)
     created = utc_now()
     if (allocated(metadata%created)) created = metadata%created
     call put_text(file, 'created', created, error)
@@ -84,19 +87,23 @@ contains
   end subroutine put_real
 
   !> From which input a results file was made, and whether it is complete; an error if it is none.
-  subroutine read_metadata(name, input_text, status, error)
+  subroutine read_metadata(name, input_text, status, error, initial_file_fingerprint)
     character(len=*), intent(in) :: name
     character(len=:), allocatable, intent(out) :: input_text, status
     type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable, intent(out), optional :: initial_file_fingerprint
     type(error_type), allocatable :: close_error
     type(hdf5_file_type) :: file
 
     input_text = ''
     status = ''
+    if (present(initial_file_fingerprint)) initial_file_fingerprint = ''
     call open_file(file, name, error)
     if (allocated(error)) return
     call read_attribute(file, '/', 'namelist', input_text, error)
     if (.not. allocated(error)) call read_attribute(file, '/', 'status', status, error)
+    if (.not. allocated(error) .and. present(initial_file_fingerprint)) &
+      call read_attribute(file, '/', 'initial_file_fingerprint', initial_file_fingerprint, error)
     call close_file(file, close_error)
     if (.not. allocated(error) .and. allocated(close_error)) call move_alloc(close_error, error)
     if (allocated(error)) return

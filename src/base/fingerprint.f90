@@ -1,0 +1,46 @@
+!> Fingerprints: 64 bits that tell texts and numbers apart.
+!>
+!> FNV-1a (Fowler, Noll, Vo; IETF draft-eastlake-fnv) over words instead of bytes, with a shift that
+!> brings the high bits down; additions and products wrap (-fwrapv). It finds accidents, not malice.
+module battery_fingerprint
+  use battery_kinds, only: int64
+  implicit none (type, external)
+  private
+  public :: fingerprint_start, mix_word, fingerprint_of, fingerprint_text
+
+  integer(int64), parameter :: fingerprint_start = -3750763034362895579_int64
+  integer(int64), parameter :: prime = 1099511628211_int64
+
+contains
+
+  !> Takes one more word into a fingerprint.
+  pure subroutine mix_word(fingerprint, word)
+    integer(int64), intent(inout) :: fingerprint
+    integer(int64), intent(in) :: word
+
+    fingerprint = ieor(fingerprint, word)*prime
+    fingerprint = ieor(fingerprint, ishft(fingerprint, -29))
+  end subroutine mix_word
+
+  !> The fingerprint of a text.
+  pure function fingerprint_of(text) result(fingerprint)
+    character(len=*), intent(in) :: text
+    integer(int64) :: fingerprint
+    integer :: k
+
+    fingerprint = fingerprint_start
+    call mix_word(fingerprint, len(text, kind=int64))
+    do k = 1, len(text)
+      call mix_word(fingerprint, int(iachar(text(k:k)), int64))
+    end do
+  end function fingerprint_of
+
+  !> A fingerprint in sixteen hexadecimal digits.
+  pure function fingerprint_text(fingerprint) result(text)
+    integer(int64), intent(in) :: fingerprint
+    character(len=16) :: text
+
+    write (text, '(z16.16)') fingerprint
+  end function fingerprint_text
+
+end module battery_fingerprint
