@@ -48,7 +48,7 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 
-.PHONY: help demo test build bench figures lint clean install information
+.PHONY: help demo test build bench accuracy figures lint clean install information
 
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 16
@@ -73,6 +73,9 @@ build: install information ## only builds: the program is build/bin/battery
 
 bench: build ## the speed tables, as ratios measured in one run
 	@build/bin/bench
+
+accuracy: build ## the speed-accuracy charts and the stability tables; FULL=1: long runs
+	@$(PYTHON) -m postproc.accuracy --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 
 figures: build ## every figure of the paper, quick; FULL=1: at the paper's own length
 	@mkdir -p $(FIGURES)

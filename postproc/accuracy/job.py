@@ -51,27 +51,31 @@ class Job:
         """Return the one or the other, as the job is quick or full."""
         return full if self.full else quick
 
-    def battery(self, case: str, name: str, changes: Changes | None = None) -> Path:
+    def battery(
+        self, case: str, name: str, changes: Changes | None = None, *, alone: bool = False
+    ) -> Path:
         """Run `namelists/accuracy_CASE.nml` with some keys changed; return its results file.
 
         The namelist is written to `folder/NAME.nml`, the results are `folder/NAME.h5`. A run that
         is complete is not repeated, one that was interrupted goes on; other results of that name
-        are discarded. `changes` are values by group and key; None removes a key.
+        are discarded. `changes` are values by group and key; None removes a key. `alone`: without
+        mpirun, for the short run of a single task.
         """
         source = NAMELISTS / f"accuracy_{case}.nml"
         try:
             text = namelist_text(source, {**(changes or {}), "output": _output(changes, name)})
         except OSError as problem:
             raise InputError(f"{source}: {problem.strerror}") from problem
-        return self.run_text(text, name)
+        return self.run_text(text, name, alone=alone)
 
-    def run_text(self, text: str, name: str) -> Path:
+    def run_text(self, text: str, name: str, *, alone: bool = False) -> Path:
         """Run a namelist whose results file is NAME.h5, as `battery` does."""
         path = output_folder(self.folder) / f"{name}.nml"
         same = path.exists() and path.read_text(encoding="utf-8") == text and not self.afresh
         path.write_text(text, encoding="utf-8")
         program = [str(self.program.resolve()), "--quiet", *([] if same else ["--overwrite"])]
-        command = ["mpirun", "-n", str(self.ranks), *program, path.name]
+        launcher = [] if alone else ["mpirun", "-n", str(self.ranks)]
+        command = [*launcher, *program, path.name]
         done = subprocess.run(
             command, cwd=self.folder, env={**os.environ, **MPI}, check=False, text=True,
             stdin=subprocess.DEVNULL, capture_output=True,

@@ -1,0 +1,96 @@
+"""Reversal with gates: logs worked out by hand, and the program run backwards."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from postproc.accuracy import gated_reversal as gated
+from postproc.accuracy.events import Log, outward_stays, stories
+from postproc.accuracy.job import Job
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def _log(*events: tuple[float, int, int, int]) -> Log:
+    time, kind, where, particle = np.array(sorted(events), float).T
+    return Log(time, *(column.astype(int) for column in (kind, where, particle)))
+
+
+# particle 1 enters gate 2 at 0.2, 2 at 0.3, and both are turned back; 3 comes through at 0.1
+PAIR = ((0.2, 1, 2, 1), (0.3, 1, 2, 2), (0.3, 2, 2, 2))
+PASSER = ((-0.4, 1, 1, 3), (0.1, 3, 12, 3))
+
+
+def test_stories_tell_who_was_turned_and_who_got_through() -> None:
+    told = stories(_log(*PAIR, *PASSER))
+    assert told.particle.tolist() == [1, 2, 3, 3]
+    assert told.turned[:2] == pytest.approx([0.3, 0.3], abs=1e-6)
+    assert np.isnan(told.turned[2:]).all()
+    assert told.after.tolist() == [-1, -1, 3, -1]
+    assert told.before.tolist() == [-1, -1, -1, 2]
+
+
+def test_who_heads_out_of_a_gate_and_how_long() -> None:
+    gate, start, stop = outward_stays(stories(_log(*PAIR, *PASSER)))
+    assert gate.tolist() == [2, 2, 2]
+    assert start == pytest.approx([0.3, 0.3, 0.1], abs=1e-6)
+    assert stop == pytest.approx([0.4, 0.3, 0.6], abs=1e-6)
+
+
+def test_reversal_is_undone_only_if_nobody_else_heads_out() -> None:
+    with_nobody = gated.reversals_of(_log(*PAIR), 1, end=0.8)
+    assert with_nobody.alone.tolist() == [True]
+    assert with_nobody.parting == -math.inf
+    with_passer = gated.reversals_of(_log(*PAIR, *PASSER), 1, end=0.8)
+    assert with_passer.alone.tolist() == [False]
+    assert with_passer.parting == pytest.approx(0.4, abs=1e-6)
+    turned_inside = gated.reversals_of(_log(*PAIR, *PASSER), 1, end=0.35)
+    assert turned_inside.parting == pytest.approx(0.3, abs=1e-6)
+
+
+def test_mirror_images_need_gate_number_and_time() -> None:
+    def one(time: float, gate: int, size: int) -> gated.Reversals:
+        columns = (np.array([value]) for value in (time, gate, size, True))
+        return gated.Reversals(*columns, -math.inf)
+
+    forward = one(0.3, 2, 2)
+    assert gated.mirrored(forward, one(0.5, 2, 2), 0.8).all()
+    for other in (one(0.5, 1, 2), one(0.5, 2, 3), one(0.6, 2, 2)):
+        assert not gated.mirrored(forward, other, 0.8).any()
+
+
+def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
+    job = Job(tmp_path)
+    good = gated._example(job, "good", gated.FROM_URN2)
+    assert good["returns_within"] < 1e-14
+    assert [words for _, words in good["back"]] == [words for _, words in good["forth"]]
+    bad = gated._example(job, "bad", (*gated.FROM_URN2, gated.PASSER))
+    assert bad["returns_within"] > 0.5
+    assert [words for _, words in bad["back"]] == [
+        "particle 3 enters gate 2",
+        "particle 1 enters gate 2",
+        "gate 2 turns back 2",
+        "particle 2 enters gate 2",
+    ]
+    assert [time for time, _ in bad["back"]] == pytest.approx([0.2, 0.4, 0.4, 0.5])
+
+
+def test_two_pasts_have_one_present(tmp_path: Path) -> None:
+    job = Job(tmp_path)
+    ends = [
+        np.array(gated._example(job, name, states)["forth_end"])
+        for name, states in (("turned", gated.FROM_URN2), ("through", gated.FROM_URN1))
+    ]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-14)
+
+
+def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:
+    found = gated._backwards(Job(tmp_path), 100, 1, 12.0, turns=3)
+    assert found["parting_as_told"] == found["turns"] == 3
+    assert found["parting_median"] < 12.0
+    assert 0.0 < found["undone"] < 1.0
