@@ -99,6 +99,11 @@ BAD = {
     "r = 0": ("&table\n urn_radius = 0\n/\n", ["urn_radius = 0", "above 0"]),
     "unknown shape": ("&table\n shape = 'square'\n/\n", ["shape = 'square'", "'circuit', 'urn'"]),
     "unknown engine": ("&run\n engine = 'steam'\n/\n", ["engine = 'steam'", "'excursion'"]),
+    "no time step": ("&run\n engine = 'timestep'\n/\n", ["&run time_step is missing", "above 0"]),
+    "time step too long": (
+        "&run\n engine = 'timestep'\n time_step = 0.5\n/\n",
+        ["line", "&run time_step = 0.5", "below 0.5"],
+    ),
     "transient too long": (
         "&run\n collisions = 10\n transient_collisions = 10\n/\n",
         ["transient_collisions = 10", "below collisions"],

@@ -58,6 +58,10 @@ module battery_engine
     type(table_type) :: table
     integer :: number = 0
     integer :: threshold = 0
+    !> Set before `start` or `restore_state`: the step of an engine that has one, and the seed, 0 to
+    !> 2**32 - 1, of one that draws random numbers.
+    real(wp) :: time_step = 0.0_wp
+    integer(int64) :: seed = 0
     !> Whether the engine sees each wall collision (then it fills `collision_spread_sum`).
     logical :: sees_collisions = .false.
   contains

@@ -5,6 +5,8 @@ module battery_engines
   use battery_excursion, only: excursion_type
   use battery_collision, only: collision_type
   use battery_synchronous, only: synchronous_type
+  use battery_timestep, only: timestep_type
+  use battery_reservoir, only: reservoir_type
   implicit none (type, external)
   private
   public :: new_engine
@@ -24,8 +26,12 @@ contains
       allocate (collision_type :: engine)
     case ('synchronous')
       allocate (synchronous_type :: engine)
+    case ('timestep')
+      allocate (timestep_type :: engine)
+    case ('reservoir')
+      allocate (reservoir_type :: engine)
     case default
-      call fatal_error(error, 'engine '''//name//''' is not there yet', exit_bad_input)
+      call fatal_error(error, 'engine '''//name//''' is not known', exit_bad_input)
     end select
   end subroutine new_engine
 

@@ -18,6 +18,7 @@ module battery_instant
   implicit none (type, external)
   private
   public :: scene_type, new_scene, board, meet, turns_back, count_reversal, order_events
+  public :: join, quit, count_hits
 
   !> Who is counted in a gate, in no order.
   type :: roster_type
@@ -87,10 +88,10 @@ contains
     select case (flight%next)
     case (meets_arc)
       call hit_arc(scene%walls, flight, wait)
-      call count_hit(scene, history)
+      call count_hits(scene, history, 1_int64)
     case (meets_wall)
       call hit_channel(scene%walls, flight, wait)
-      call count_hit(scene, history)
+      call count_hits(scene, history, 1_int64)
     case (meets_gate)
       call enter_channel(scene%walls, flight, wait)
       call join(scene, g, particle)
@@ -105,7 +106,7 @@ contains
       call quit(scene, g, particle)
       call record_crossing(history, since, merge(channel1_12, channel1_21, g == 1), particle)
       if (scene%walls%end_wall) then
-        call count_hit(scene, history)
+        call count_hits(scene, history, 1_int64)
       else
         scene%difference = scene%difference + merge(-2, 2, g == 1)
       end if
@@ -118,15 +119,16 @@ contains
     end select
   end subroutine meet
 
-  !> One wall collision, and the state right after it.
-  pure subroutine count_hit(scene, history)
+  !> `hits` wall collisions, and the state right after them.
+  pure subroutine count_hits(scene, history, hits)
     type(scene_type), intent(inout) :: scene
     type(history_type), intent(inout) :: history
+    integer(int64), intent(in) :: hits
 
-    scene%hits = scene%hits + 1
-    history%collision_spread_sum = history%collision_spread_sum + abs(scene%difference)
-    history%collisions_seen = history%collisions_seen + 1
-  end subroutine count_hit
+    scene%hits = scene%hits + hits
+    history%collision_spread_sum = history%collision_spread_sum + hits*abs(scene%difference)
+    history%collisions_seen = history%collisions_seen + hits
+  end subroutine count_hits
 
   !> Whether a gate turns back those it counts; asked when the instant is over.
   pure subroutine turns_back(scene, g, turns)
@@ -154,6 +156,7 @@ contains
     scene%gate(g)%count = 0
   end subroutine count_reversal
 
+  !> A gate counts a particle from now on.
   pure subroutine join(scene, g, particle)
     type(scene_type), intent(inout) :: scene
     integer, intent(in) :: g, particle
@@ -166,6 +169,7 @@ contains
     end associate
   end subroutine join
 
+  !> A gate does not count a particle any more.
   pure subroutine quit(scene, g, particle)
     type(scene_type), intent(inout) :: scene
     integer, intent(in) :: g, particle

@@ -78,7 +78,7 @@ contains
 
     keys = [ &
       key('run', 'engine', text_key, '''excursion''', 'how the particles are moved', &
-      choices='excursion collision synchronous'), &
+      choices='excursion collision synchronous timestep reservoir'), &
       key('run', 'collisions', integer_key, '100000000', 'wall collisions in all', least=1.0_wp), &
       key('run', 'transient_collisions', integer_key, 'none', &
       'those before the averages begin; else half', least=0.0_wp), &
@@ -87,7 +87,7 @@ contains
       key('run', 'transient_duration', real_key, '0', 'time before the averages begin', &
       least=0.0_wp), &
       key('run', 'start_time', real_key, '0', 'what the clock shows at the start', least=0.0_wp), &
-      key('run', 'time_step', real_key, '0.001', 'step of the engine timestep', above=0.0_wp)]
+      key('run', 'time_step', real_key, 'none', 'step of the engine timestep', above=0.0_wp)]
   end function run_keys
 
   function scan_keys() result(keys)

@@ -12,6 +12,7 @@ module battery_plan
   use battery_text, only: to_text
   use battery_table, only: table_type, new_table, shape_circuit, shape_urn
   use battery_simulation, only: setup_type
+  use battery_seeds, only: task_seed
   implicit none (type, external)
   private
   public :: plan_type, point_type, problem_type, complete_plan, point_of, table_of, setup_of
@@ -54,7 +55,9 @@ module battery_plan
     !> Negative: half of the collisions.
     integer(int64) :: transient_collisions = -1
     real(wp) :: duration = 0.0_wp, transient_duration = 0.0_wp
-    real(wp) :: start_time = 0.0_wp, time_step = 0.001_wp
+    real(wp) :: start_time = 0.0_wp
+    !> Step of the engine `timestep`; 0: not given.
+    real(wp) :: time_step = 0.0_wp
     !> Lists of the scan; empty: not scanned.
     integer, allocatable :: scan_threshold(:), scan_number(:)
     real(wp), allocatable :: scan_threshold_fraction(:), scan_channel1_width(:)
@@ -84,6 +87,7 @@ contains
     call check_given(plan, problems)
     call check_widths(plan, problems)
     call check_length(plan, problems)
+    call check_step(plan, problems)
     call check_output(plan, problems)
     plan%point_count = 0
     if (size(problems) > 0) return
@@ -197,6 +201,24 @@ contains
         'below collisions, which is '//to_text(plan%collisions))
     end if
   end subroutine check_length
+
+  !> The engine `timestep` needs a step, one that cannot jump over a gate or out of an urn.
+  pure subroutine check_step(plan, problems)
+    type(plan_type), intent(in) :: plan
+    type(problem_type), allocatable, intent(inout) :: problems(:)
+    real(wp) :: longest
+
+    if (plan%engine /= 'timestep') return
+    longest = min(plan%urn_radius, 0.5_wp*plan%channel1_length)
+    if (plan%shape /= 'urn') longest = min(longest, 0.5_wp*plan%channel2_length)
+    if (.not. plan%time_step > 0.0_wp) then
+      call add(problems, 'run', 'time_step', 'is missing', &
+        'one number above 0, since the engine is ''timestep''')
+    else if (plan%time_step >= longest) then
+      call add(problems, 'run', 'time_step', to_text(plan%time_step), 'below ' &
+        //to_text(longest)//', the least of urn_radius and half of each channel''s length')
+    end if
+  end subroutine check_step
 
   pure subroutine check_output(plan, problems)
     type(plan_type), intent(in) :: plan
@@ -361,44 +383,5 @@ contains
     setup%snapshot_times = plan%snapshot_times
     setup%event_log = plan%event_log
   end function setup_of
-
-  !> Seed of a task, 0 to 2**32 - 1, from the base seed, the point and the replica alone.
-  !>
-  !> Point and replica are paired to one number (Cantor), mixed, combined with the mixed base seed,
-  !> and mixed again. Each step but the pairing of numbers beyond 2**32 is one to one, so the
-  !> seeds of one run all differ as long as point + replica stays below 92 000.
-  pure function task_seed(base, point, replica) result(seed)
-    integer(int64), intent(in) :: base
-    integer, intent(in) :: point, replica
-    integer(int64) :: seed
-    integer(int64), parameter :: low = 4294967295_int64
-    integer(int64) :: sum, pair
-
-    sum = int(point, int64) + replica - 2
-    pair = iand(sum*(sum + 1)/2 + replica, low)
-    seed = mix(ieor(mix(pair), mix(ieor(iand(base, low), mix(shiftr(base, 32))))))
-  end function task_seed
-
-  !> Finaliser of MurmurHash3: one to one on 32 bits.
-  pure function mix(number) result(mixed)
-    integer(int64), intent(in) :: number
-    integer(int64) :: mixed
-
-    mixed = ieor(number, shiftr(number, 16))
-    mixed = times(mixed, 2246822507_int64)
-    mixed = ieor(mixed, shiftr(mixed, 13))
-    mixed = times(mixed, 3266489909_int64)
-    mixed = ieor(mixed, shiftr(mixed, 16))
-  end function mix
-
-  !> Product of two numbers of 32 bits, its low 32 bits, without overflow.
-  pure function times(one, other) result(product_low)
-    integer(int64), intent(in) :: one, other
-    integer(int64) :: product_low
-    integer(int64), parameter :: low = 4294967295_int64, half = 65535_int64
-
-    product_low = iand(one*iand(other, half) &
-      + shiftl(iand(one*shiftr(other, 16), half), 16), low)
-  end function times
 
 end module battery_plan

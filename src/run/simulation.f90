@@ -80,6 +80,8 @@ contains
     simulation%setup = setup
     call new_engine(setup%engine, simulation%engine, error)
     if (allocated(error)) return
+    simulation%engine%time_step = setup%time_step
+    simulation%engine%seed = setup%seed
     urn1_number = count(particles%x < 0.0_wp)
     simulation%observer = new_observer(size(particles%x), urn1_number, &
       setup%table%shape == shape_circuit, setup%series_interval)
@@ -326,6 +328,8 @@ contains
     simulation%setup = setup
     call new_engine(setup%engine, simulation%engine, error)
     if (allocated(error)) return
+    simulation%engine%time_step = setup%time_step
+    simulation%engine%seed = setup%seed
     call restore_observer(simulation%observer, observer)
     n = int(rest%integers(7))
     call simulation%engine%restore_state(setup%table, setup%threshold, n, engine)

@@ -1,0 +1,97 @@
+!> Random numbers that the physics draws itself: xoshiro256+, several generators side by side.
+!>
+!> D. Blackman, S. Vigna, "Scrambled linear pseudorandom number generators", ACM TOMS 47, 36 (2021),
+!> https://doi.org/10.1145/3460772; the states are filled by SplitMix64 as its authors recommend.
+!> The period is 2**256 - 1, so streams of different seeds, and the lanes of one, do not meet. Only
+!> shifts, sums and exclusive ors: the lanes become one vector register. Of the 64 bits of a number
+!> the lowest, which are weak, are not used.
+module battery_random
+  use battery_kinds, only: wp, int64
+  implicit none (type, external)
+  private
+  public :: random_type, lanes, new_random, draw_uniform, hashed_uniform
+
+  !> Generators side by side; numbers are drawn in multiples of this.
+  integer, parameter :: lanes = 8
+
+  !> Bits of a number: with half a step added it is exact in `wp`, and neither 0 nor 1.
+  integer, parameter :: bits = min(digits(1.0_wp), 53) - 1
+  real(wp), parameter :: step = 0.5_wp**bits
+
+  !> The odd number next to 2**64 over the golden ratio, as a signed integer.
+  integer(int64), parameter :: golden = -7046029254386353131_int64
+
+  type :: random_type
+    integer(int64) :: state(lanes, 4) = 0
+  end type random_type
+
+contains
+
+  pure function new_random(seed) result(random)
+    integer(int64), intent(in) :: seed
+    type(random_type) :: random
+    integer :: lane, word
+
+    do word = 1, 4
+      do lane = 1, lanes
+        random%state(lane, word) = mixed(mixed(seed) + golden*(4*lane + word))
+      end do
+    end do
+  end function new_random
+
+  !> Fills `numbers`, whose size is a multiple of `lanes`, with numbers uniform in (0, 1).
+  pure subroutine draw_uniform(random, n, numbers)
+    type(random_type), intent(inout) :: random
+    integer, intent(in) :: n
+    real(wp), intent(out) :: numbers(n)
+    integer(int64), dimension(lanes) :: s0, s1, s2, s3, shifted
+    integer :: first
+
+    s0 = random%state(:, 1)
+    s1 = random%state(:, 2)
+    s2 = random%state(:, 3)
+    s3 = random%state(:, 4)
+    do first = 1, n, lanes
+      numbers(first:first + lanes - 1) = uniform(s0 + s3)
+      shifted = shiftl(s1, 17)
+      s2 = ieor(s2, s0)
+      s3 = ieor(s3, s1)
+      s1 = ieor(s1, s2)
+      s0 = ieor(s0, s3)
+      s2 = ieor(s2, shifted)
+      s3 = ior(shiftl(s3, 45), shiftr(s3, 19))
+    end do
+    random%state(:, 1) = s0
+    random%state(:, 2) = s1
+    random%state(:, 3) = s2
+    random%state(:, 4) = s3
+  end subroutine draw_uniform
+
+  !> A number uniform in (0, 1) that belongs to two whole numbers, without a state.
+  elemental function hashed_uniform(key, count) result(number)
+    integer(int64), intent(in) :: key, count
+    real(wp) :: number
+
+    number = uniform(mixed(mixed(key) + golden*count))
+  end function hashed_uniform
+
+  !> The highest bits of a word as a number in (0, 1).
+  elemental function uniform(word) result(number)
+    integer(int64), intent(in) :: word
+    real(wp) :: number
+
+    number = (real(shiftr(word, 64 - bits), wp) + 0.5_wp)*step
+  end function uniform
+
+  !> SplitMix64 without its counter: one to one on 64 bits. Products wrap around.
+  elemental function mixed(word) result(z)
+    integer(int64), intent(in) :: word
+    integer(int64) :: z
+
+    z = word
+    z = ieor(z, shiftr(z, 30))*(-4658895280553007687_int64)
+    z = ieor(z, shiftr(z, 27))*(-7723592293110705685_int64)
+    z = ieor(z, shiftr(z, 31))
+  end function mixed
+
+end module battery_random
