@@ -1,0 +1,111 @@
+"""The tail of currents: circulations told from the rest, and how long a run must be."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from postproc.accuracy import tail
+from postproc.accuracy.events import Log, read_log, stories
+from postproc.accuracy.job import Job
+from postproc.results import Results
+from postproc.theory import Circuit
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CIRCUIT = Circuit(1000, 7)
+LATE = tail.TRANSIENT + 1.0
+
+
+def _round(start: float, flight: float) -> list[tuple[float, int, int, int]]:
+    """Crossing of channel 1, of channel 2, and entry into gate 1, all straight."""
+    return [
+        (start, 3, 12, 1),
+        (start + flight, 4, 21, 1),
+        (start + 2.0 * flight - 0.5, 1, 1, 1),
+    ]
+
+
+def _found(events: list[tuple[float, int, int, int]]) -> tail.Circulations:
+    time, kind, where, particle = np.array(events, float).T
+    log = Log(time, *(column.astype(int) for column in (kind, where, particle)))
+    return tail.circulations(stories(log), CIRCUIT)
+
+
+def test_rounds_are_counted_until_a_bounce_in_an_urn() -> None:
+    flight = tail.straight_time(CIRCUIT)
+    events = [one for k in range(3) for one in _round(LATE + 2.0 * k * flight, flight)]
+    found = _found(events)
+    assert found.rounds.tolist() == [1, 2, 3]
+    assert found.sign.tolist() == [1, 1, 1]
+    assert found.slope == pytest.approx(0.0, abs=1e-5)
+    late = _round(LATE + 6.0 * flight + 1.0, flight)  # a detour on the way to channel 1
+    assert _found(events + late).rounds.tolist() == [1, 2, 3, 1]
+
+
+def test_passage_after_a_detour_is_no_circulation() -> None:
+    flight = tail.straight_time(CIRCUIT)
+    detour = [(LATE, 3, 12, 1), (LATE + flight + 1.0, 4, 21, 1)]
+    assert _found(detour).rounds.tolist() == [0]
+    turned = [(LATE, 3, 21, 1), (LATE + flight, 4, 21, 1)]
+    assert _found(turned).rounds.tolist() == [0]
+
+
+@pytest.mark.parametrize("slope", [0.0, None])
+def test_program_keeps_a_particle_on_a_closed_orbit(tmp_path: Path, slope: float | None) -> None:
+    slope = tail._zigzag(CIRCUIT) if slope is None else slope
+    # from the middle of channel 1 to the right, at the wall if it is to be met there
+    height = 0.149999999 if slope else 0.0
+    (tmp_path / "one.txt").write_text(f"1e-12 {height} 1 {-slope!r}\n")
+    changes = {
+        "particles": {"number": 1, "urn1_number": None, "initial_file": "one.txt"},
+        "gate": {"threshold": 1},
+        "run": {"duration": tail.TRANSIENT + 100.0},
+    }
+    with Results(Job(tmp_path).battery("events", "one", changes, alone=True)) as results:
+        found = tail.circulations(stories(read_log(results)), results.circuit(0))
+    assert found.rounds.size > 10
+    assert (np.diff(found.rounds) == 1).all()
+    assert found.rounds[-1] > 150
+    assert found.slope == pytest.approx(slope, abs=1e-4)
+
+
+def test_number_inside_an_urn_is_its_share_of_a_free_circuit(tmp_path: Path) -> None:
+    number, end = 200, 21000.0
+    changes = {
+        "particles": {"number": number, "urn1_number": 100},
+        "gate": {"threshold": number},
+        "run": {"duration": end},
+    }
+    with Results(Job(tmp_path).battery("events", "free", changes, alone=True)) as results:
+        log, circuit = read_log(results), results.circuit(0)
+    inside = tail.urn2_number(log, stories(log), circuit, 100, end)
+    area = float(circuit.urn_area)
+    expected = number * area / (2.0 * area + 0.3 + 0.01)
+    # variance N/4, remembered for pi A/(w + w') / 2 on either side of a moment
+    memory = math.pi * area / 0.31
+    assert inside == pytest.approx(expected, abs=5.0 * math.sqrt(0.25 * number * memory / 2e4))
+
+
+def test_split_into_windows_keeps_the_sum() -> None:
+    time = tail.TRANSIENT + np.array([10.0, 700.0, 999.0, 1400.0])
+    counts = tail.in_windows(time, [1, 1, -1, 1], 500.0, tail.TRANSIENT + 1500.0)
+    assert counts * 500.0 == pytest.approx([1.0, 0.0, 1.0])
+
+
+def test_length_for_the_goal() -> None:
+    times = np.array([100.0, 400.0, 1600.0])
+    assert tail.length_for_goal(times, 0.2 / np.sqrt(times), 1.0) == pytest.approx(400.0)
+    assert tail.length_for_goal(times, 0.3 / np.sqrt(times), 1.0) == pytest.approx(900.0)
+    assert tail.length_for_goal(times, 1.0 / np.sqrt(times), 1.0) == pytest.approx(10000.0)
+    assert tail.length_for_goal(times, 0.01 / np.sqrt(times), 1.0) == 100.0
+
+
+def test_law_of_circulations_is_recovered() -> None:
+    law = tail._law(1e6 * tail.ROUNDS**-1.0, 1e8)
+    assert law["exponent"] == pytest.approx(1.0)
+    assert law["scale"] == pytest.approx(0.01)
