@@ -43,8 +43,9 @@ PROGRAM := build/bin/battery
 RANKS   := 2
 FULL    ?= 0
 
-# Runs behind the figures; quick ones have a tenth of the collisions.
-CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
+# Runs behind the figures; quick ones have a tenth of the collisions (lifetimes take their time).
+CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn \
+           lifetimes_one lifetimes_two lifetimes_long_gate
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 
@@ -90,6 +91,7 @@ figures: build ## every figure of the paper, quick; FULL=1: at the paper's own l
 	figure numris $(FIGURES)/phase_diagram.h5 $(FIGURES)/phase_diagram_polarised.h5
 	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
 	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
+	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate}.h5
 	echo "The figures are in $(FIGURES)"
 
 lint: install ## style of the Fortran and the Python sources

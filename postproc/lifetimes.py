@@ -118,6 +118,19 @@ def lifetimes(circuit: Circuit) -> Lifetimes:
     )
 
 
+def passage_times(circuit: Circuit, low: float, high: float) -> tuple[float, float]:
+    """Return the chain's mean times from chi = 0 until chi >= high, and from 1 until chi <= low.
+
+    Unlike `lifetimes` they are defined whether or not the theory has both states.
+    """
+    number = int(circuit.number)
+    up, down = folded(*log_rates(circuit))
+    offset, last = (number + 1) // 2, up.size - 1
+    above = int(np.clip(np.ceil(0.5 * number * (1.0 + high) - 1e-9) - offset, 1, last))
+    below = int(np.clip(np.floor(0.5 * number * (1.0 + low) + 1e-9) - offset, 0, last - 1))
+    return time_up(up, down, 0, above), time_up(down[::-1], up[::-1], 0, last - below)
+
+
 def first_passage(series: Series, number: int, barrier: float, below: bool) -> tuple[float, bool]:
     """Return when chi first gets below (or above) `barrier` in a series, and whether it does.
 

@@ -1,4 +1,10 @@
-"""Lifetimes of the homogeneous and the polarised state against N: measured, and of the chain."""
+"""Lifetimes of the homogeneous and the polarised state against N: measured, and of the chain.
+
+The homogeneous state lasts from chi = 0 until chi first reaches `HIGH`, the polarised one from
+chi = 1 until chi first falls to `LOW`: both lie far beyond the barrier on the other side, so that
+a state that is left is left for good. The chain's times are those of the same passages, which are
+defined even where a theory has no such state, only a place where the drift is slow.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +13,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
+from scipy import stats
 
 from postproc import style
+from postproc.cli import InputError
 from postproc.gates import WINDOW
-from postproc.lifetimes import first_passage, lifetimes
+from postproc.lifetimes import first_passage, passage_times
 from postproc.points import gather
 from postproc.renewal import RENEWAL
 
@@ -21,9 +30,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from postproc.results import Results
+    from postproc.theory import Circuit
 
-MIDDLE = 0.5  # chi that parts the states where theory has no unstable state
-LONGEST = 1e15  # longest time that is drawn, length/v
+LOW, HIGH = 0.2, 0.7  # chi at which the polarised, the homogeneous state has been left
+MIDDLE = 0.5  # starts with chi above this are polarised
+BOUND = 3.0  # the lifetime exceeds a third of the time in which nothing passed, at 95 %
+CONFIDENCE = 0.6827  # of the intervals drawn
+DRAWN = (3e2, 1e10)  # lifetimes that are drawn, length/v
+CHAINS = (
+    (":", "chain, paper's gate", {"gate": WINDOW}),
+    ("--", "chain, renewal gate", {"gate": RENEWAL}),
+    ("-", "chain, renewal gate, channels counted", {"gate": RENEWAL, "occupation": True}),
+)
 
 
 @dataclass(frozen=True)
@@ -32,17 +50,50 @@ class Lifetime:
 
     Attributes
     ----------
-    number, threshold : N and T.
+    circuit : the point's circuit, with the paper's gate.
     polarised : whether the runs began polarised.
-    time, error : total time before passages over their number, and its standard error; without a
-        passage the total time, a lower bound, and NaN.
+    passages, replicas : how many runs left the state, of how many.
+    time : total time before passages over their number (for exponential lifetimes the most likely
+        mean, with runs that end before they pass); without a passage a lower bound at 95 %.
+    low, high : its confidence interval at 68 %, NaN without a passage. If all runs passed, from
+        their scatter; else that of a Poisson number of passages in the total time.
     """
 
-    number: float
-    threshold: float
+    circuit: Circuit
     polarised: bool
+    passages: int
+    replicas: int
     time: float
-    error: float
+    low: float
+    high: float
+
+    @property
+    def number(self) -> float:
+        """N."""
+        return float(self.circuit.number)
+
+    def of_chain(self, changes: dict[str, object]) -> float:
+        """Return the time of the same passage by the chain of a theory."""
+        times = passage_times(replace(self.circuit, **changes), LOW, HIGH)
+        return times[int(self.polarised)]
+
+
+def estimate(times: Sequence[float], passed: Sequence[bool]) -> tuple[float, float, float]:
+    """Return mean lifetime and the ends of its interval (`Lifetime`) of runs, some not yet passed.
+
+    Those that did not pass enter with the time that they lasted, as it must be with lifetimes that
+    are censored: leaving them out would favour short ones.
+    """
+    total, count = float(np.sum(times)), int(np.count_nonzero(passed))
+    if count == 0:
+        return total / BOUND, math.nan, math.nan
+    mean = total / count
+    if count == len(times) > 1:
+        error = float(np.std(times, ddof=1)) / math.sqrt(count)
+        return mean, mean - error, mean + error
+    most = stats.chi2.ppf(0.5 + 0.5 * CONFIDENCE, 2 * count + 2)
+    least = stats.chi2.ppf(0.5 - 0.5 * CONFIDENCE, 2 * count)
+    return mean, 2.0 * total / float(most), 2.0 * total / float(least)
 
 
 def measured(files: Sequence[Results]) -> list[Lifetime]:
@@ -50,74 +101,93 @@ def measured(files: Sequence[Results]) -> list[Lifetime]:
     points, found = gather(files), []
     for at in range(points.number.size):
         results, point = files[points.file[at]], int(points.point[at])
-        circuit, polarised = results.circuit(point), bool(points.start[at] > MIDDLE)
-        barrier = lifetimes(circuit).barrier
-        barrier = MIDDLE if math.isnan(barrier) else barrier
+        polarised = bool(points.start[at] > MIDDLE)
+        number, level = int(points.number[at]), LOW if polarised else HIGH
         passages = [
-            first_passage(
-                results.series(point, int(replica)), int(points.number[at]), barrier, polarised
-            )
+            first_passage(results.series(point, int(replica)), number, level, polarised)
             for replica in np.flatnonzero(results.done[point])
         ]
-        if not passages:
-            continue
-        total, count = sum(time for time, _ in passages), sum(done for _, done in passages)
-        time = total / max(count, 1)
-        error = time / math.sqrt(count) if count else math.nan
-        found.append(Lifetime(points.number[at], points.threshold[at], polarised, time, error))
+        if passages:
+            times, passed = zip(*passages, strict=True)
+            count, total = int(np.count_nonzero(passed)), len(times)
+            estimated = estimate(times, passed)
+            found.append(Lifetime(results.circuit(point), polarised, count, total, *estimated))
     return found
 
 
+def table(found: Sequence[Lifetime]) -> str:
+    """Return the lifetimes and those of the chains as text, a line a point."""
+    head = f"{'T':>2s} {'l':>4s} {'N':>5s} {'from':>11s} {'left':>7s} {'lifetime':>9s} "
+    lines = [head + f"{'(68 %)':>20s} {'paper':>9s} {'renewal':>9s} {'+channels':>9s}"]
+    for one in found:
+        circuit = one.circuit
+        left = f"{one.passages}/{one.replicas}"
+        error = f"{one.low:9.3g} -{one.high:9.3g}" if one.passages else "(at least)"
+        chains = " ".join(f"{one.of_chain(changes):9.3g}" for _, _, changes in CHAINS)
+        lines.append(
+            f"{circuit.threshold:2d} {circuit.channel1_length:4g} {circuit.number:5d} "
+            f"{'polarised' if one.polarised else 'homogeneous':>11s} {left:>7s} "
+            f"{one.time:9.3g} {error:>20s} {chains}"
+        )
+    return "\n".join(lines)
+
+
 def figure_lifetimes(files: Sequence[Results]) -> Figure:
-    """Return lifetimes against N: marks measured (open arrows: lower bounds), lines the chain."""
+    """Return lifetimes against N, a panel for each T and l: marks measured, lines the chains."""
     found = measured(files)
-    made = style.figure(4.6, 3.6)
-    axes = made.subplots()
-    for polarised, mark, colour, name in (
-        (True, "o", style.VERMILION, "polarised"),
-        (False, "s", style.BLUE, "homogeneous"),
-    ):
-        group = sorted((one for one in found if one.polarised == polarised), key=_by_number)
-        if not group:
+    if not found:
+        raise InputError("figure lifetimes: no run is complete")
+    print(table(found))
+    panels: dict[tuple[int, float], list[Lifetime]] = {}
+    for one in found:
+        key = (int(one.circuit.threshold), float(one.circuit.channel1_length))
+        panels.setdefault(key, []).append(one)
+    made = style.figure(max(2.6 * len(panels), 4.6), 3.7)
+    axes = made.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    for one, (key, group) in zip(axes, sorted(panels.items()), strict=True):
+        _draw_panel(one, group)
+        one.set_title(f"$T = {key[0]}$, $l = {key[1]:g}$")
+        one.set_xlabel("$N$")
+        one.xaxis.set_major_locator(MaxNLocator(4, steps=(1, 2, 5, 10)))
+    axes[0].set_yscale("log")
+    axes[0].set_ylim(*DRAWN)
+    axes[0].set_ylabel("lifetime  (length / $v$)")
+    _explain(axes[0])
+    made.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return made
+
+
+def _draw_panel(axes: Axes, group: Sequence[Lifetime]) -> None:
+    for polarised, mark, colour in ((False, "s", style.BLUE), (True, "o", style.VERMILION)):
+        part = sorted((one for one in group if one.polarised == polarised), key=_by_number)
+        if not part:
             continue
-        left = [one for one in group if not math.isnan(one.error)]
-        stayed = [one for one in group if math.isnan(one.error)]
+        left = [one for one in part if one.passages]
+        stayed = [one for one in part if not one.passages]
         axes.errorbar(
             [one.number for one in left],
             [one.time for one in left],
-            [one.error for one in left],
+            np.abs([[one.time - one.low, one.high - one.time] for one in left]).reshape(-1, 2).T,
             fmt=mark,
             color=colour,
-            label=f"{name}, measured",
+            zorder=3,
         )
         axes.plot(
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
-        _draw_chain(axes, files, group, colour)
-    axes.plot([], [], "^", color=style.GREY, mfc="w", label="lower bound")
-    for dashes, label in (("--", "chain, paper's gate"), ("-", "chain, renewal gate")):
-        axes.plot([], [], color=style.GREY, ls=dashes, label=label)
-    axes.set_yscale("log")
-    axes.set_xlabel("$N$")
-    axes.set_ylabel("lifetime  (length / $v$)")
-    made.legend(loc="outside upper center", ncols=2)
-    return made
+        numbers = np.unique([one.number for one in part])
+        for dashes, _, changes in CHAINS:
+            times = [one.of_chain(changes) for one in part]
+            axes.plot(numbers, times, color=colour, ls=dashes, lw=0.9)
+
+
+def _explain(axes: Axes) -> None:
+    axes.plot([], [], "s", color=style.BLUE, label="homogeneous, measured")
+    axes.plot([], [], "o", color=style.VERMILION, label="polarised, measured")
+    axes.plot([], [], "^", color=style.GREY, mfc="w", label="lower bound (95 %)")
+    for dashes, label, _ in CHAINS:
+        axes.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=label)
 
 
 def _by_number(one: Lifetime) -> float:
     return one.number
-
-
-def _draw_chain(
-    axes: Axes, files: Sequence[Results], group: Sequence[Lifetime], colour: str
-) -> None:
-    base = files[0].circuit(0)
-    for gate, dashes in ((WINDOW, "--"), (RENEWAL, "-")):
-        times = []
-        for one in group:
-            own = replace(base, number=int(one.number), threshold=int(one.threshold), gate=gate)
-            chain = lifetimes(own)
-            times.append(chain.polarised if one.polarised else chain.homogeneous)
-        shown = np.array(times)
-        shown[~(shown < LONGEST) | (shown <= 0.0)] = np.nan
-        axes.plot([one.number for one in group], shown, color=colour, ls=dashes, lw=0.9)

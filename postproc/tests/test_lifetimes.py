@@ -55,6 +55,20 @@ def test_folding_keeps_the_time_to_leave_the_middle(number: int) -> None:
     assert lifetimes.time_up(*chain, 0, reach) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parametrize("number", [40, 41])
+def test_passage_times_solve_the_linear_equations(number: int) -> None:
+    circuit = Circuit(number, 2, channel1_length=8.0)
+    second = np.arange(number + 1)
+    spread = np.abs(2.0 * second - number) / number
+    right = (spread > 0.2) & (2 * second > number)
+    for inside, start, at in ((spread < 0.7, number // 2, 0), (right, number, 1)):
+        equations = _generator(circuit)[np.ix_(inside, inside)]
+        times = np.linalg.solve(equations, -np.ones(inside.sum()))
+        expected = times[np.flatnonzero(inside).tolist().index(start)]
+        found = lifetimes.passage_times(circuit, 0.2, 0.7)[at]
+        assert found == pytest.approx(expected, rel=1e-9)
+
+
 def test_states_that_are_not_there_or_never_left() -> None:
     free = lifetimes.lifetimes(Circuit(1000, 18))
     assert math.isinf(free.homogeneous)
