@@ -2,7 +2,8 @@
 
 The table with its particles; a gate flashes when it reverses (if the run kept an event log); chi
 and the net current of channel 2 run along below (the current if the run kept a series). Snapshots
-that lie close are joined by straight flight, others follow each other. MP4, or GIF with `--gif`.
+that lie within 0.6 of each other are joined by straight flight, others follow each other. MP4, or
+GIF with `--gif`.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ RATE = 25  # frames a second
 DOTS = 100  # dots per inch
 CLOSE = 0.6  # snapshots nearer than this in time are joined by straight flight
 FLASH = 6  # frames that a flash lasts
+LONGEST_FLASH = 0.5  # and in time at most
 
 
 @dataclass
@@ -83,7 +85,8 @@ def read_scenes(results: Results, point: int, replica: int) -> Scenes:
 def flown(table: Table, snapshot: Snapshot, after: float) -> tuple[Floats, Floats]:
     """Return where the particles are a short time after a snapshot, in straight flight.
 
-    In a channel y is folded between the walls; in an urn a flight stops at the wall.
+    In a channel y is folded between the walls; in an urn a flight stops at the wall. Who flies
+    across the periodic line comes in at the other end.
     """
     x, y = snapshot.x + snapshot.ux * after, snapshot.y + snapshot.uy * after
     narrow = np.abs(snapshot.x) <= 0.5 * table.channel1_length
@@ -99,16 +102,28 @@ def flown(table: Table, snapshot: Snapshot, after: float) -> tuple[Floats, Float
     mouth = np.where(inner, half1, half2)
     out = ~narrow & ~beyond & (away > table.urn_radius) & (np.abs(y) > mouth)
     shrink = np.where(out, table.urn_radius / np.where(away > 0.0, away, 1.0), 1.0)
-    return centre + (x - centre) * shrink, y * shrink
+    x = np.where(out, centre + (x - centre) * shrink, x)
+    if table.shape == "circuit":
+        x = np.mod(x + table.end, 2.0 * table.end) - table.end
+    return x, y * shrink
 
 
-def frame_times(scenes: Scenes, seconds: float) -> Floats:
-    """Return the time shown in each frame: evenly from the first snapshot to the last."""
-    times = scenes.times
-    steps = np.diff(times)
-    joined = bool(steps.size) and float(steps.max()) <= CLOSE
-    frames = int(seconds * RATE) if joined else min(int(seconds * RATE), 4 * times.size)
-    return np.linspace(times[0], times[-1], max(frames, 2))
+def joined(times: Floats) -> bool:
+    """Tell whether snapshots lie so close that particles fly from one to the next."""
+    return times.size > 1 and float(np.diff(times).max()) <= CLOSE
+
+
+def frame_times(times: Floats, seconds: float) -> Floats:
+    """Return the time shown in each frame of a film of snapshots at `times`.
+
+    Close snapshots: evenly from the first to the last. Others: each stands for equally many frames,
+    a second at most, so that no frame claims a time at which nobody knows where the particles are.
+    """
+    frames = max(int(seconds * RATE), 2)
+    if joined(times):
+        return np.linspace(times[0], times[-1], frames)
+    shown = times[np.linspace(0, times.size - 1, min(frames, times.size)).round().astype(int)]
+    return np.repeat(shown, min(max(frames // shown.size, 1), RATE))
 
 
 class Stage:
@@ -157,16 +172,18 @@ class Stage:
                 net = (flows["flow2_12"] - flows["flow2_21"])[inside]
                 middle, mean, _ = binned(times, net, 40)
                 right = below.twinx()
-                right.plot(middle, np.abs(mean), color=style.ORANGE, lw=0.9)
-                right.set_ylabel("net current, channel 2\n(per unit time)", color=style.ORANGE)
-                right.set_ylim(0.0, 1.1 * max(float(np.abs(mean).max()), 1e-9))
+                mean = mean * (np.sign(net[net.size // 2 :].mean()) or 1.0)
+                right.plot(middle, mean, color=style.ORANGE, lw=0.9)
+                right.set_ylabel("net current 2\n(per unit time)", color=style.ORANGE)
+                most = max(float(mean.max()), 1e-9)
+                right.set_ylim(min(0.0, 1.1 * float(mean.min())), 1.1 * most)
         below.plot(times, chi, color=style.BLUE, lw=1.1)
         below.set_ylabel(r"mass spread $\chi$", color=style.BLUE)
         below.set_ylim(0.0, 1.02)
         below.set_xlim(*shown)
         below.set_xlabel("time $t$  (length / $v$)")
 
-    def show(self, time: float, step: float) -> NDArray[np.uint8]:
+    def show(self, time: float, flash_time: float) -> NDArray[np.uint8]:
         """Return the frame at `time` as pixels, shape (height, width, 3)."""
         scenes = self.scenes
         index = int(np.searchsorted(scenes.times, time + 1e-12, side="right")) - 1
@@ -183,8 +200,8 @@ class Stage:
         when, gate = scenes.reversals
         for number, flash in enumerate(self.flashes, start=1):
             ago = time - when[(gate == number) & (when <= time)]
-            fresh = ago.size > 0 and float(ago.min()) < FLASH * step
-            flash.set_alpha(0.6 * (1.0 - float(ago.min()) / (FLASH * step)) if fresh else 0.0)
+            fade = 1.0 - float(ago.min(initial=np.inf)) / flash_time
+            flash.set_alpha(0.6 * max(fade, 0.0))
         first = int(np.count_nonzero(x < 0.0))
         self.title.set_text(
             f"$t = {time:.2f}$    $T = {scenes.threshold}$    "
@@ -201,10 +218,10 @@ class Stage:
 def frames(scenes: Scenes, seconds: float) -> Iterator[NDArray[np.uint8]]:
     """Yield the frames of a film of at most `seconds`."""
     stage = Stage(scenes)
-    times = frame_times(scenes, seconds)
-    step = float(times[1] - times[0])
+    times = frame_times(scenes.times, seconds)
+    flash_time = min(FLASH * float(np.diff(times).max()), LONGEST_FLASH)
     for time in times:
-        yield stage.show(float(time), step)
+        yield stage.show(float(time), flash_time)
 
 
 def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path) -> None:
@@ -253,6 +270,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with Results(given.file) as results:
         results.say_if_partial()
         scenes = read_scenes(results, given.point - 1, given.replica - 1)
+    if not joined(scenes.times):
+        print(
+            f"{given.file}: snapshots more than {CLOSE} apart follow each other without flight",
+            file=sys.stderr,
+        )
     folder = cli.output_folder(given.output)
     path = folder / ("film.gif" if given.gif else "film.mp4")
     (write_gif if given.gif else write_mp4)(frames(scenes, given.seconds), path)

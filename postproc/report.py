@@ -18,7 +18,9 @@ from matplotlib.colors import to_hex
 
 from postproc import cli, maps, style, theory
 from postproc.currents import figure_currents
+from postproc.gates import WINDOW
 from postproc.points import gather
+from postproc.renewal import RENEWAL
 from postproc.results import Results
 from postproc.scene import figure_scene, table_of
 from postproc.states import stable_state
@@ -30,12 +32,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from postproc.gates import Gate
     from postproc.points import Points
 
     Floats = NDArray[np.float64]
 
 PICTURES = 6  # most points of which pictures are put on the page
-CELL = 18  # size of the map's cells, CSS pixels
+WARNINGS = 12  # that are shown at once
+CELLS = (18, 44)  # least and greatest size of the map's cells, CSS pixels
+BROAD = 430  # width that a map should have if its cells may, CSS pixels
+BAR = (20, 100)  # steps of the bar of colours beside a map, and its height in CSS pixels
 HERE = Path(__file__).parent
 
 
@@ -77,7 +83,12 @@ def _run_section(results: Results) -> str:
 def _warning_section(found: Sequence[str]) -> str:
     if not found:
         return '<p class="good">None.</p>'
-    return "<ul>" + "".join(f"<li>{html.escape(text)}</li>" for text in found) + "</ul>"
+    items = [f"<li>{html.escape(text)}</li>" for text in found]
+    shown = f"<ul>{''.join(items[:WARNINGS])}</ul>"
+    if len(items) > WARNINGS:
+        summary = f"<summary>{len(items) - WARNINGS} more</summary>"
+        shown += f"<details>{summary}<ul>{''.join(items[WARNINGS:])}</ul></details>"
+    return shown
 
 
 def _pair(mean: float, error: float) -> str:
@@ -85,10 +96,15 @@ def _pair(mean: float, error: float) -> str:
 
 
 def _table_section(results: Results, points: Points) -> str:
-    head = ("T", "w'", "w", "N", "start chi", "chi", "net current", "theory chi", "theory current")
+    head = ("T", "w'", "w", "N", "start chi", "chi", "net current")
+    head += ("paper's chi", "current", "renewal gate's chi", "current")
     cells = []
     for at in range(points.number.size):
-        expected = _expected(results, at, points.chi[at])
+        expected = [
+            text
+            for gate in (WINDOW, RENEWAL)
+            for text in _expected(results, at, points.chi[at], gate)
+        ]
         cells.append(
             (
                 f"{points.threshold[at]:.0f}",
@@ -104,9 +120,9 @@ def _table_section(results: Results, points: Points) -> str:
     return _rows(cells, head)
 
 
-def _expected(results: Results, point: int, chi: float) -> tuple[str, str]:
-    """Return chi and net current of the theory's stable state nearer to the measured chi."""
-    circuit = results.circuit(point)
+def _expected(results: Results, point: int, chi: float, gate: Gate) -> tuple[str, str]:
+    """Return chi and net current of a theory's stable state nearer to the measured chi."""
+    circuit = results.circuit(point, gate)
     if results.shape != "circuit":
         current = theory.single_urn_current(
             circuit.number,
@@ -114,6 +130,7 @@ def _expected(results: Results, point: int, chi: float) -> tuple[str, str]:
             circuit.channel1_width,
             circuit.urn_radius,
             circuit.channel1_length,
+            gate,
         )
         return "-", f"{float(current):.4g}"
     state = stable_state(circuit)
@@ -129,33 +146,50 @@ def svg_map(points: Points, values: Floats, errors: Floats, name: str, colours: 
     _, _, spread = maps.grid(points, errors)
     top = np.nanmax(filled) if np.isfinite(filled).any() else 1.0
     most = max(float(top), 1.0 if name == "chi" else 1e-12)
+    cell = int(np.clip(BROAD // thresholds.size, *CELLS))
     left, bottom = 64, 40
-    width, height = left + CELL * thresholds.size + 8, CELL * widths.size + bottom + 8
+    width, height = left + cell * thresholds.size + 84, max(cell * widths.size, 110) + bottom + 8
     parts = [f'<svg width="{width}" height="{height}" role="img" aria-label="map of {name}">']
     for row, column in np.ndindex(filled.shape):
-        value, x = filled[row, column], left + CELL * column
-        y = 4 + CELL * (widths.size - 1 - row)
+        value, x = filled[row, column], left + cell * column
+        y = 4 + cell * (widths.size - 1 - row)
         colour = to_hex(mpl.colormaps[colours](value / most)) if np.isfinite(value) else "#d0d0d0"
         text = (
             f"T = {thresholds[column]:.0f}, w' = {widths[row]:.4g}: {name} "
             f"{_pair(value, spread[row, column])}"
         )
         parts.append(
-            f'<rect x="{x}" y="{y}" width="{CELL}" height="{CELL}" fill="{colour}" '
+            f'<rect x="{x}" y="{y}" width="{cell}" height="{cell}" fill="{colour}" '
             f'data-text="{html.escape(text)}"/>'
         )
-    base = 4 + CELL * widths.size
+    base = 4 + cell * widths.size
     every = max(1, -(-thresholds.size // 12))
     for column in range(0, thresholds.size, every):
-        x = left + CELL * (column + 0.5)
+        x = left + cell * (column + 0.5)
         parts.append(f'<text x="{x}" y="{base + 15}" class="mid">{thresholds[column]:.0f}</text>')
     every = max(1, -(-widths.size // 16))
     for row in range(0, widths.size, every):
-        y = 8 + CELL * (widths.size - 0.5 - row)
+        y = 8 + cell * (widths.size - 0.5 - row)
         parts.append(f'<text x="{left - 5}" y="{y}" class="end">{widths[row]:.3g}</text>')
-    middle = left + 0.5 * CELL * thresholds.size
+    middle = left + 0.5 * cell * thresholds.size
     parts.append(f'<text x="{middle}" y="{base + 33}" class="mid">T</text>')
-    parts.append(f'<text x="4" y="{4 + 0.5 * CELL * widths.size}">w\'</text></svg>')
+    parts.append(f'<text x="4" y="{4 + 0.5 * cell * widths.size}">w\'</text>')
+    parts.append(_colour_bar(left + cell * thresholds.size + 18, most, colours))
+    return "".join(parts) + "</svg>"
+
+
+def _colour_bar(x: float, most: float, colours: str) -> str:
+    """Return the bar beside a map, from 0 at the bottom to `most` at the top."""
+    steps, height = BAR
+    step = height / steps
+    parts = [
+        f'<rect x="{x}" y="{4 + step * (steps - 1 - at):.2f}" width="12" height="{step + 0.5}" '
+        f'fill="{to_hex(mpl.colormaps[colours]((at + 0.5) / steps))}"/>'
+        for at in range(steps)
+    ]
+    for share in (0.0, 0.5, 1.0):
+        y = 8 + height * (1.0 - share)
+        parts.append(f'<text x="{x + 16}" y="{y}">{share * most:.3g}</text>')
     return "".join(parts)
 
 
@@ -216,7 +250,7 @@ def page(results: Results) -> str:
     sections = {
         "What was run": _run_section(results),
         f"Warnings ({len(found)})": _warning_section(found),
-        "Map": '<p id="reading">Put the mouse on a cell.</p>' + _map_section(points),
+        "Map": '<p id="reading">Put the mouse on a cell of a map.</p>' + _map_section(points),
         "Pictures": _pictures(results),
         "Averages": _table_section(results, points),
     }

@@ -132,6 +132,10 @@ def test_flight_stays_on_the_table() -> None:
     moved = film.flown(table, Snapshot(0.0, x, y, np.cos(angle), np.sin(angle)), 0.5)
     still = np.abs(moved[0]) <= 0.5
     assert np.abs(moved[1][still]).max() <= 0.15 + 1e-12
+    line = Snapshot(
+        0.0, np.full(2, table.end - 0.1), np.zeros(2), np.array([1.0, -1.0]), np.zeros(2)
+    )
+    assert film.flown(table, line, 0.3)[0] == pytest.approx([0.2 - table.end, table.end - 0.4])
     at_rest = film.flown(table, Snapshot(0.0, x, y, np.cos(angle), np.sin(angle)), 0.0)
     assert at_rest[1] == pytest.approx(y)
 
@@ -146,6 +150,18 @@ def test_film_has_all_its_frames(kind: str, tmp_path: Path) -> None:
     if kind == "mp4":
         count, _ = imageio_ffmpeg.count_frames_and_secs(str(made))
         assert count == film.RATE
+
+
+def test_no_frame_shows_a_time_without_its_particles() -> None:
+    far = np.array([0.0, 2000.0])
+    assert np.unique(film.frame_times(far, 30.0)) == pytest.approx(far)
+    many = np.arange(3000.0)
+    shown = film.frame_times(many, 1.0)
+    assert shown.size == film.RATE
+    assert np.isin(shown, many).all()
+    close = film.frame_times(np.arange(0.0, 10.0, 0.5), 2.0)
+    assert close.size == 2 * film.RATE
+    assert np.diff(close) == pytest.approx(9.5 / (2 * film.RATE - 1))
 
 
 def test_film_needs_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
