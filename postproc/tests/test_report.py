@@ -59,7 +59,7 @@ def test_page_carries_everything(page: Path) -> None:
     assert re.findall(r'(?:src|href)="(?!data:)', text) == []
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", text)
     assert text.count("<img ") >= 2
-    assert text.count("<rect ") == 12
+    assert text.count("data-text=") == 12
     assert "1 of 12 tasks have no results" in text
 
 
