@@ -8,6 +8,7 @@ module battery_bench
   use battery_engines, only: new_engine
   use battery_initial_state, only: random_particles
   use battery_signals, only: wall_seconds
+  use battery_bench_board, only: bench_board
   implicit none (type, external)
   private
   public :: bench_main
@@ -44,13 +45,29 @@ contains
     select case (word)
     case ('single')
       call single(unit)
+    case ('board')
+      call bench_board(unit, board_items())
     case ('', '--json')
       call tables(unit, json_name())
     case default
       write (unit, '(a)') 'usage: bench [--json FILE]', &
-        '       bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS'
+        '       bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS', &
+        '       mpirun -n RANKS bench board [TASKS]'
     end select
   end subroutine bench_main
+
+  !> Tasks for the board of an ensemble.
+  function board_items() result(items)
+    integer :: items
+    character(len=32) :: word
+    integer :: status
+
+    call get_command_argument(2, word)
+    items = 100000
+    if (word == '') return
+    read (word, *, iostat=status) items
+    if (status /= 0 .or. items < 1) error stop 'bench board: TASKS is a whole number from 1 up'
+  end function board_items
 
   function json_name() result(name)
     character(len=:), allocatable :: name

@@ -20,7 +20,8 @@ module battery_ensemble
     take_task, add_to_board, read_board, share_error, share_integers, summary_of, tasks_finished, &
     tasks_failed, collisions_done, stop_wanted
   use battery_journal, only: journal_type, read_plan, begin_journal, join_journal, read_finished, &
-    write_finished, remove_journal, rank_files_in, belongs_to_another
+    write_finished, remove_journal, rank_files_in, belongs_to_another, &
+    settle_journal
   use battery_task, only: watch_type, run_task, seconds_between_looks
   use battery_task_result, only: task_result_type, task_failed
   use battery_screen, only: screen_type, new_screen, show_ensemble, end_progress
@@ -238,6 +239,7 @@ contains
       if (found%status == task_failed) call add_to_board(board, tasks_failed, 1_int64, before)
       call add_to_board(board, tasks_finished, 1_int64, before)
     end do
+    if (.not. allocated(error)) call settle_journal(journal, error)
     ! The others must not wait for a rank that has failed.
     if (allocated(error)) then
       call add_to_board(board, stop_wanted, 1_int64, before)

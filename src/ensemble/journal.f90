@@ -13,7 +13,9 @@ module battery_journal
   use battery_build_information, only: git_commit, program_version
   use battery_fingerprint, only: fingerprint_of
   use battery_text, only: string_type, to_text
-  use battery_files, only: make_folder, sync_file, remove_file, publish_file, is_folder, files_like
+  use battery_background_sync, only: sync_type, begin_sync, end_sync
+  use battery_files, only: make_folder, sync_file, remove_file, publish_file, is_folder, &
+    file_exists, files_like
   use battery_record_file, only: record_type, append_record, read_records, &
     write_single, read_single
   use battery_task_result, only: task_result_type, task_complete, to_record, &
@@ -23,7 +25,7 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_finished, read_rank_file
-  public :: rank_files_in, belongs_to_another
+  public :: rank_files_in, belongs_to_another, settle_journal
   public :: write_finished, write_state, read_state, remove_states, remove_journal
 
   type :: journal_type
@@ -37,6 +39,8 @@ module battery_journal
     integer(int64) :: written = 0
     !> Generation of the state written last.
     integer(int64) :: generation = 0
+    !> The rank file may be on its way to the disk.
+    type(sync_type) :: sync
   end type journal_type
 
 contains
@@ -188,21 +192,35 @@ contains
     end do
   end subroutine read_rank_file
 
-  !> A task is finished: its result goes to the disk at once, and its states are of no use any more.
+  !> A task is finished: its result is written at once, so that nothing that happens to the program
+  !> can spoil it, and is on its way to the disk. States are of no use any more when it is there.
   subroutine write_finished(journal, found, error)
     type(journal_type), intent(inout) :: journal
     type(task_result_type), intent(in) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: record
+    character(len=:), allocatable :: name
 
     record = to_record(found)
     record%owner = journal%owner
-    call append_record(file_of(journal, 'rank', journal%mine), record, journal%written, error)
+    name = file_of(journal, 'rank', journal%mine)
+    call append_record(name, record, journal%written, error)
     if (allocated(error)) return
-    call sync_file(file_of(journal, 'rank', journal%mine), error)
+    call begin_sync(journal%sync, name, error)
     if (allocated(error)) return
-    call remove_states(journal, found%task, error)
+    name = file_of(journal, 'task', found%task)
+    if (.not. (file_exists(name//'.a') .or. file_exists(name//'.b'))) return
+    call end_sync(journal%sync, error)
+    if (.not. allocated(error)) call remove_states(journal, found%task, error)
   end subroutine write_finished
+
+  !> Waits until all results of this rank are on the disk.
+  subroutine settle_journal(journal, error)
+    type(journal_type), intent(inout) :: journal
+    type(error_type), allocatable, intent(out) :: error
+
+    call end_sync(journal%sync, error)
+  end subroutine settle_journal
 
   subroutine remove_states(journal, task, error)
     type(journal_type), intent(in) :: journal

@@ -48,9 +48,12 @@ module battery_task
   integer, parameter :: windows_between_looks = 16, few_particles = 2000
 
   !> Seconds between two looks at the board: this long, or so long that all ranks together look this
-  !> often a second. Rank 0 lends a hand more often.
-  real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, &
-    help_interval = 1.0e-3_dp
+  !> often a second, or that looking takes this share of the time, but no longer than this.
+  real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, look_share = 0.005_dp, &
+    longest_interval = 5.0_dp
+
+  !> Seconds between two hands that rank 0 lends.
+  real(dp), parameter :: help_interval = 2.5e-4_dp
 
 contains
 
@@ -95,7 +98,7 @@ contains
         call help_board(board)
         watch%next_help = now + help_interval
       end if
-      if (now < watch%next_look) cycle
+      if (now < watch%next_look .and. .not. stop_requested()) cycle
       call look_around()
       call show_ensemble(screen, board, real(progress(simulation), dp))
       if (simulation%done) exit
@@ -122,15 +125,17 @@ contains
 
     !> Tells the board what was done, and hears whether to stop.
     subroutine look_around()
-      real(dp) :: now
+      real(dp) :: now, after
 
       now = wall_seconds()
-      watch%next_look = now + seconds_between_looks(board%ranks, look_interval)
       call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
       told = simulation%observer%collisions
       if (stop_requested() .or. now >= watch%stop_at) call add_to_board(board, stop_wanted, &
         1_int64, before)
       watch%stopping = read_board(board, stop_wanted) > 0
+      after = wall_seconds()
+      watch%next_look = after + min(longest_interval, max((after - now)/look_share, &
+        seconds_between_looks(board%ranks, look_interval)))
     end subroutine look_around
 
   end subroutine run_task

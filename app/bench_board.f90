@@ -1,0 +1,113 @@
+!> The board of an ensemble under load: `mpirun -n RANKS bench board [ITEMS]`.
+!>
+!> All ranks take tasks that take no time from the list of rank 0, as an ensemble does but for the
+!> work: so fast as here no ensemble ever asks. Rank 0 first only lends the network a hand now and
+!> then, as when it computes, then takes part. JSON with rates and latencies.
+module battery_bench_board
+  use battery_kinds, only: dp, int64
+  use battery_signals, only: wall_seconds
+  use battery_communicator, only: communicator_type, board_type, open_communicator, &
+    close_communicator, open_board, close_board, take_task, add_to_board, read_board, help_board, &
+    summary_of, wait_for_all, tasks_finished
+  implicit none (type, external)
+  private
+  public :: bench_board
+
+  !> Seconds between two hands that rank 0 lends while it computes.
+  real(dp), parameter :: help_interval = 1.0e-3_dp
+
+contains
+
+  subroutine bench_board(unit, items)
+    integer, intent(in) :: unit
+    !> Tasks on the list.
+    integer, intent(in) :: items
+    type(communicator_type) :: communicator
+    real(dp) :: began, start_seconds, aside(3), together(3)
+
+    began = wall_seconds()
+    call open_communicator(communicator)
+    start_seconds = wall_seconds() - began
+    call one_round(communicator, items, communicator%size > 1, aside)
+    call one_round(communicator, items, .false., together)
+    if (communicator%rank == 0) then
+      write (unit, '(a, i0, a, i0, a, f0.3, a)') '{"ranks": ', communicator%size, ', "tasks": ', &
+        items, ', "start_seconds": ', start_seconds, ','
+      call write_round('rank0_computes', aside, '},')
+      call write_round('rank0_takes_part', together, '}}')
+    end if
+    call close_communicator(communicator)
+
+  contains
+
+    subroutine write_round(name, found, end)
+      character(len=*), intent(in) :: name, end
+      real(dp), intent(in) :: found(3)
+
+      write (unit, '(3a, es10.3, a, es10.3, a, es10.3, a)') ' "', name, '": {"tasks_a_second":', &
+        found(1), ', "mean_latency":', found(2), ', "longest_latency":', found(3), end
+    end subroutine write_round
+
+  end subroutine bench_board
+
+  !> Tasks a second of all ranks together; mean and longest time of one operation, in seconds.
+  subroutine one_round(communicator, items, rank0_computes, found)
+    type(communicator_type), intent(in) :: communicator
+    integer, intent(in) :: items
+    logical, intent(in) :: rank0_computes
+    real(dp), intent(out) :: found(3)
+    type(board_type) :: board
+    real(dp) :: began, before, after, summary(3), longest, spent
+    integer :: task, k, operations
+    integer(int64) :: ignored
+
+    call open_board(board, communicator, [(k, k=1, items)])
+    longest = 0.0_dp
+    operations = 0
+    began = wall_seconds()
+    if (rank0_computes .and. communicator%rank == 0) then
+      call help_until_done()
+    else
+      after = began
+      do
+        before = after
+        call take_task(board, task)
+        if (task == 0) exit
+        call add_to_board(board, tasks_finished, 1_int64, ignored)
+        after = wall_seconds()
+        ! Three operations a task.
+        operations = operations + 3
+        longest = max(longest, (after - before)/3.0_dp)
+      end do
+    end if
+    spent = wall_seconds() - began
+    call wait_for_all(communicator)
+    summary = summary_of(communicator, wall_seconds() - began)
+    found(1) = items/summary(3)
+    summary = summary_of(communicator, merge(spent, 0.0_dp, operations > 0))
+    found(2) = summary(2)*communicator%size
+    summary = summary_of(communicator, real(operations, dp))
+    found(2) = found(2)/max(summary(2)*communicator%size, 1.0_dp)
+    summary = summary_of(communicator, longest)
+    found(3) = summary(3)
+    call close_board(board)
+
+  contains
+
+    !> Rank 0 is busy, and lends a hand at times.
+    subroutine help_until_done()
+      real(dp) :: next
+
+      do
+        next = wall_seconds() + help_interval
+        do while (wall_seconds() < next)
+          continue
+        end do
+        call help_board(board)
+        if (read_board(board, tasks_finished) >= items) exit
+      end do
+    end subroutine help_until_done
+
+  end subroutine one_round
+
+end module battery_bench_board
