@@ -3,8 +3,9 @@
 Every rank that is free goes to the board in the memory of rank 0: one atomic operation gives it the
 next place on the list, another reads the task there, others say that a task is done. The board
 serves one operation at a time (`service`), and each takes a while on the way (`latency`); while it
-runs, a task looks at the board every `look_interval`, but no more often than 10 000 times a second
-over all ranks. `mpirun -n RANKS build/bin/bench board` measures both numbers.
+runs, a task looks at the board every 0.1 s, or less often: so that looks are 10 000 a second over
+all ranks at most, and take half a percent of the time at most. `mpirun -n RANKS build/bin/bench
+board` measures both numbers.
 
 Prints, as JSON, what the ranks do with their time; with `--figure`, draws how the idle share hangs
 on the number of tasks, for three ways of sharing, and on the length of a task.
@@ -31,12 +32,15 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 # As in src/ensemble: operations on the board for one task and for one look, bytes on the list for
-# a task, seconds between two looks of a rank, and the most looks a second of all ranks.
+# a task, seconds between two looks of a rank, the most looks a second of all ranks, the share of
+# the time that looks may take, and the longest time between two.
 OPERATIONS_A_TASK = 5
 OPERATIONS_A_LOOK = 2
 BYTES_A_TASK = 8
 LOOK_INTERVAL = 0.1
 LOOKS_A_SECOND = 1.0e4
+LOOK_SHARE = 0.005
+LONGEST_INTERVAL = 5.0
 
 ORDERS = ("longest", "random", "static")
 
@@ -146,9 +150,9 @@ def simulate(lengths: Floats, ranks: int, network: Network) -> Outcome:
 
 def _slowed(lengths: Floats, ranks: int, network: Network) -> tuple[Floats, float, float]:
     """Return the lengths with the looks at the board, their time at the board, and their load."""
-    interval = max(LOOK_INTERVAL, ranks / LOOKS_A_SECOND)
-    looks = np.floor(lengths / interval)
     cost = OPERATIONS_A_LOOK * (network.latency + network.service)
+    interval = max(LOOK_INTERVAL, ranks / LOOKS_A_SECOND, cost / LOOK_SHARE)
+    looks = np.floor(lengths / min(interval, LONGEST_INTERVAL))
     board_time = float(looks.sum()) * OPERATIONS_A_LOOK * network.service
     seconds = float(lengths.sum()) / min(ranks, len(lengths))
     return lengths + cost * looks, board_time, min(board_time / seconds, 1.0)
@@ -163,7 +167,9 @@ def simulate_static(lengths: Floats, ranks: int) -> Outcome:
     return Outcome(last, idle, 0.0, idle, float(shares.min()) / last, 0.0, 0.0, 0)
 
 
-def run_order(lengths: Floats, ranks: int, network: Network, order: str, foresight: float) -> Outcome:
+def run_order(
+    lengths: Floats, ranks: int, network: Network, order: str, foresight: float
+) -> Outcome:
     """Share the tasks in one of the `ORDERS`."""
     if order == "static":
         return simulate_static(lengths, ranks)
@@ -187,7 +193,8 @@ def draw(
             run_order(task_lengths(n * ranks, mean, spread, 1), ranks, network, order, foresight)
             for n in numbers.tolist()
         ]
-        left.loglog(numbers, [s.idle_share for s in shares], "o-", color=colour, label=labels[order])
+        idle = [found.idle_share for found in shares]
+        left.loglog(numbers, idle, "o-", color=colour, label=labels[order])
     left.set_xlabel("tasks a rank")
     left.set_ylabel("share of time not in tasks")
     left.set_title(f"{ranks:,} ranks, tasks of {mean:g} s ± {100 * spread:.0f} %")
@@ -195,16 +202,17 @@ def draw(
     means = np.geomspace(1e-2, 1e2, 9)
     few = min(tasks, 20 * ranks)
     cases = (
-        (network, f"{1e6 * network.latency:g} µs on the way, {1e6 * network.service:g} µs at the board"),
+        (network, f"{1e6 * network.latency:g} µs + {1e6 * network.service:g} µs an operation"),
         (Network(20 * network.latency, 10 * network.service), "20 and 10 times as much"),
-        (Network(2.0e-3, network.service), "2 ms on the way: rank 0 must help"),
+        (Network(2.0e-3, network.service), "2 ms on the way (rank 0 must help)"),
     )
     for (slow, label), colour in zip(cases, style.CYCLE, strict=False):
         shares = [
             simulate(np.sort(task_lengths(few, m, spread, 1))[::-1], ranks, slow)
             for m in means.tolist()
         ]
-        right.loglog(means, [max(s.board_share, 1e-7) for s in shares], "o-", color=colour, label=label)
+        board = [max(found.board_share, 1e-7) for found in shares]
+        right.loglog(means, board, "o-", color=colour, label=label)
     right.axhline(0.01, color=style.GREY, linestyle=":", linewidth=0.8)
     right.set_xlabel("mean length of a task, s")
     right.set_ylabel("share of time at the board")

@@ -177,6 +177,22 @@ def test_signal_to_mpirun(tmp_path: Path, undisturbed: Path, what: signal.Signal
     complete(tmp_path, undisturbed, 2)
 
 
+def test_a_second_signal_leaves_at_once(tmp_path: Path, undisturbed: Path) -> None:
+    """A rank that cannot end cleanly, here since it waits for another, goes at the second signal."""
+    write(tmp_path)
+    process, numbers = under_way(tmp_path, 2)
+    first, second = numbers
+    send([second], signal.SIGSTOP)
+    send([first], signal.SIGTERM)
+    # A signal within half a second of the first counts as the first.
+    send([first], signal.SIGTERM)
+    time.sleep(0.8)
+    assert process.poll() is None
+    send([first], signal.SIGTERM)
+    assert finish(process).returncode == 128 + signal.SIGTERM
+    complete(tmp_path, undisturbed, 2)
+
+
 def test_stopped_again_and_again(tmp_path: Path, undisturbed: Path) -> None:
     """Every start gets further, and the bits stay the same."""
     write(tmp_path)
@@ -228,6 +244,28 @@ def test_killed(
     if not ranks:
         killed(tmp_path, 0, second, None)
     complete(tmp_path, undisturbed, ranks_after)
+
+
+def test_killed_in_the_middle_of_a_write(tmp_path: Path) -> None:
+    """A run that does little but save a large state survives any number of kills."""
+    changes: dict[str, dict[str, Any]] = {
+        "particles": {"number": 50_000},
+        "run": {"collisions": 30_000_000},
+        "scan": {"channel2_width": 0.1, "replicas": 1},
+        "output": {"series_interval": 1},
+        "limits": {"checkpoint_minutes": 1.0e-6},
+    }
+    write(tmp_path / "calm", **{**changes, "limits": {"checkpoint_minutes": 10}})
+    ended = run("case.nml", folder=tmp_path / "calm")
+    assert ended.returncode == 0, ended.stderr
+    folder = tmp_path / "rough"
+    write(folder, **changes)
+    for _ in range(10):
+        process, _ = under_way(folder)
+        time.sleep(KILLS.uniform(0.05, 0.5))
+        kill_all(process)
+        finish(process)
+    complete(folder, tmp_path / "calm/out.h5")
 
 
 @pytest.fixture(scope="module")
