@@ -4,7 +4,8 @@
 !> which the averages leave out. `step` goes on by one window, so that the caller can save the
 !> state, show the progress or stop between any two.
 module battery_simulation
-  use battery_kinds, only: wp, int32, int64
+  use battery_kinds, only: wp, int8, int32, int64
+  use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
   use battery_table, only: table_type, shape_circuit, region_at, outside
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type
@@ -85,12 +86,30 @@ contains
     urn1_number = count(particles%x < 0.0_wp)
     simulation%observer = new_observer(size(particles%x), urn1_number, &
       setup%table%shape == shape_circuit, setup%series_interval)
+    call check_room(size(particles%x), error)
+    if (allocated(error)) return
     call simulation%engine%start(setup%table, setup%threshold, particles, setup%start_time)
     simulation%history%logging = setup%event_log
     allocate (simulation%snapshot(size(setup%snapshot_times)))
     call set_target(simulation)
     call reach_stops(simulation)
   end subroutine begin_simulation
+
+  !> Whether the memory that an engine of so many particles takes beside them can be had; engines
+  !> allocate without asking, which would end the program.
+  subroutine check_room(number, error)
+    integer, intent(in) :: number
+    type(error_type), allocatable, intent(out) :: error
+    !> Bytes a particle, at most, of any engine (measured: 58 of `collision`).
+    integer(int64), parameter :: bytes = 80
+    !> Volatile, so that the compiler does not find the attempt useless.
+    integer(int8), allocatable, volatile :: room(:)
+    integer :: status
+
+    allocate (room(bytes*number), stat=status)
+    if (status /= 0) call fatal_error(error, 'no memory for the engine of '//to_text(number) &
+      //' particles')
+  end subroutine check_room
 
   !> Goes on by one window.
   subroutine step(simulation)
@@ -332,6 +351,8 @@ contains
     simulation%engine%seed = setup%seed
     call restore_observer(simulation%observer, observer)
     n = int(rest%integers(7))
+    call check_room(n, error)
+    if (allocated(error)) return
     call simulation%engine%restore_state(setup%table, setup%threshold, n, engine)
     simulation%history%logging = setup%event_log
     simulation%transient_collisions = rest%integers(1)
