@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from postproc import style
 from postproc.accuracy.events import CROSSING1, CROSSING2, ENTRY, outward_stays, read_log, stories
@@ -326,22 +326,28 @@ def _draw_widths(axes: Axes, ensemble: dict, split: dict) -> None:
     mean = ensemble["mean"]
     rows = [row for row in ensemble["lengths"] if row["runs"] >= 8]
     time = [row["time"] for row in rows]
-    for name, mark, label in (
-        ("deviation", "s", "standard deviation"), ("half_width", "o", "half of 68 %"),
-    ):  # fmt: skip
-        axes.plot(time, [100.0 * row[name] / mean for row in rows], f"{mark}-", label=label)
+    for name, mark, colour, label in (
+        ("deviation", "s", style.BLUE, "standard deviation"),
+        ("half_width", "o", style.VERMILION, "half of 68 %"),
+    ):
+        axes.plot(
+            time, [100.0 * row[name] / mean for row in rows], f"{mark}-", color=colour, label=label
+        )
     rest = [row for row in split["windows"] if row["rest"]["runs"] >= 8]
     axes.plot(
-        [row["time"] for row in rest], [100.0 * row["rest"]["half_width"] / mean for row in rest], "^-",
-        color=style.GREEN, label="half of 68 %,\nwithout circulation",
+        [row["time"] for row in rest],
+        [100.0 * row["rest"]["half_width"] / mean for row in rest],
+        "^-", color=style.GREEN, label="half of 68 %,\nwithout circulation",
     )  # fmt: skip
     axes.axhline(100.0 * GOAL, color=style.GREY, lw=0.9)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlabel("length of the run (length / $v$)")
+    axes.set_xlabel("run  (length / $v$)")
     axes.set_ylabel("scatter of the net current (%)")
     axes.set_ylim(bottom=0.15)
+    axes.yaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10]))
     axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_title("(c)")
     axes.legend(fontsize=6.5, loc="lower left")
 
