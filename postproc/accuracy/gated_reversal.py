@@ -54,7 +54,12 @@ APART = 60.0  # time between two turnings
 # x y ux uy; all fly along the channel, so that every event can be worked out in the head
 FROM_URN2 = ((0.7, 0.05, -1.0, 0.0), (0.8, -0.05, -1.0, 0.0))
 PASSER = (-0.1, 0.0, 1.0, 0.0)
-FROM_URN1 = ((0.1, 0.05, 1.0, 0.0), (0.2, -0.05, 1.0, 0.0))
+# one present: either 3 comes through and 1, 2 are turned back, or 1 comes through and 2, 3 are
+PASTS = (
+    ((1.6, 0.05, -1.0, 0.0), (1.8, -0.05, -1.0, 0.0), (-0.6, 0.0, 1.0, 0.0)),
+    ((-1.0, 0.05, 1.0, 0.0), (1.4, -0.05, -1.0, 0.0), (1.6, 0.0, -1.0, 0.0)),
+)
+PAST_TIME = 1.6
 EXAMPLE_TIME = 0.8
 
 
@@ -157,15 +162,17 @@ def _changes(number: int, threshold: int, duration: float, seed: int = 1) -> Cha
     }  # fmt: skip
 
 
-def _example(job: Job, name: str, states: Sequence[Sequence[float]]) -> dict[str, object]:
+def _example(
+    job: Job, name: str, states: Sequence[Sequence[float]], turn: float = EXAMPLE_TIME
+) -> dict[str, object]:
     """Run a few particles forth and back; return the events of both as rows, and the end."""
     changes = {
         "particles": {"number": len(states), "urn1_number": None},
         "gate": {"threshold": 1},
-        "run": {"duration": EXAMPLE_TIME},
+        "run": {"duration": turn},
     }
     columns = np.array(states).T
-    told = {}
+    told = {"turn": turn}
     for way, file in zip(
         ("forth", "back"), forth_and_back(job, name, changes, columns), strict=True
     ):
@@ -297,13 +304,14 @@ def run(job: Job) -> None:
     """Run forth and back, count, draw `reversal_gated`, keep the numbers."""
     job.folder.mkdir(parents=True, exist_ok=True)
     scan = _scan(job)
-    turned = [_backwards(job, *one, int(job.pick(16, 100))) for one in TURNED]
+    turned = [_backwards(job, *one, int(job.pick(10, 100))) for one in TURNED]
     examples = {
         "undone": _example(job, "example_undone", FROM_URN2),
         "not_undone": _example(job, "example_not_undone", (*FROM_URN2, PASSER)),
-        "other_past": _example(job, "example_other_past", FROM_URN1),
     }
-    one, other = (np.array(examples[name]["forth_end"]) for name in ("undone", "other_past"))
+    for at, past in enumerate(PASTS, 1):
+        examples[f"past{at}"] = _example(job, f"example_past{at}", past, PAST_TIME)
+    one, other = (np.array(examples[name]["forth_end"]) for name in ("past1", "past2"))
     job.keep(
         "gated_reversal",
         {

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMELISTS = ROOT / "namelists"
+DIFFERENT = 2  # exit code of the program for results of another input
 MPI = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
@@ -71,19 +72,22 @@ class Job:
     def run_text(self, text: str, name: str, *, alone: bool = False) -> Path:
         """Run a namelist whose results file is NAME.h5, as `battery` does."""
         path = output_folder(self.folder) / f"{name}.nml"
-        same = path.exists() and path.read_text(encoding="utf-8") == text and not self.afresh
         path.write_text(text, encoding="utf-8")
-        program = [str(self.program.resolve()), "--quiet", *([] if same else ["--overwrite"])]
-        launcher = [] if alone else ["mpirun", "-n", str(self.ranks)]
-        command = [*launcher, *program, path.name]
-        done = subprocess.run(
-            command, cwd=self.folder, env={**os.environ, **MPI}, check=False, text=True,
-            stdin=subprocess.DEVNULL, capture_output=True,
-        )  # fmt: skip
+        done = self._launch(path.name, alone, *(["--overwrite"] if self.afresh else []))
+        if done.returncode == DIFFERENT:  # of another input, or of another version
+            done = self._launch(path.name, alone, "--overwrite")
         if done.returncode:
             said = (done.stderr or done.stdout).strip().splitlines() or ["nothing was said"]
             raise InputError(f"{path}: exit {done.returncode}: {said[0]}")
         return path.with_suffix(".h5")
+
+    def _launch(self, name: str, alone: bool, *options: str) -> subprocess.CompletedProcess[str]:
+        launcher = [] if alone else ["mpirun", "-n", str(self.ranks)]
+        command = [*launcher, str(self.program.resolve()), "--quiet", *options, name]
+        return subprocess.run(
+            command, cwd=self.folder, env={**os.environ, **MPI}, check=False, text=True,
+            stdin=subprocess.DEVNULL, capture_output=True,
+        )  # fmt: skip
 
     def keep(self, part: str, numbers: Mapping[str, object]) -> Path:
         """Write the numbers of a part to `folder/PART.json` (NaN and infinity as null)."""

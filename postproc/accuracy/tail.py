@@ -23,6 +23,8 @@ from postproc.results import Results
 from postproc.theory import Circuit, flow2
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from postproc.accuracy.job import Job
 
     Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
 
 TRANSIENT = 1000.0  # time that is left out at the start of every run
 WINDOW = 500.0  # shortest window, length/v
@@ -50,12 +53,14 @@ class Circulations:
     sign : 1 from urn 2 to urn 1, the way of the net current, -1 the other.
     rounds : how many rounds the particle has made without a bounce in an urn; 0: not straight.
     slope : |u_y/u_x| of those that come straight from the middle of channel 1, NaN of the rest.
+    all_rounds : the rounds by the stories' events, shape (event,).
     """
 
     time: Floats
     sign: NDArray[np.int64]
     rounds: NDArray[np.int64]
     slope: Floats
+    all_rounds: NDArray[np.int64]
 
 
 def straight_time(circuit: Circuit) -> float:
@@ -99,31 +104,54 @@ def circulations(told: Stories, circuit: Circuit) -> Circulations:
     sign = np.where(told.where[passes] == 21, 1, -1)
     order = np.argsort(told.time[passes], kind="stable")
     order = order[told.time[passes[order]] > TRANSIENT]
-    found = Circulations(told.time[passes], sign, rounds[passes], slope)
-    return Circulations(
-        *(column[order] for column in (found.time, found.sign, found.rounds, found.slope))
-    )
+    columns = (told.time[passes], sign, rounds[passes], slope)
+    return Circulations(*(column[order] for column in columns), rounds)
 
 
-def urn2_number(log: Log, told: Stories, circuit: Circuit, at_start: int, end: float) -> float:
-    """Return the mean number of particles inside urn 2 after the transient (channels left out)."""
+def urn_numbers(
+    log: Log, told: Stories, circuit: Circuit, at_start: int, end: float
+) -> tuple[float, float]:
+    """Return the mean numbers inside urn 1 and urn 2 after the transient, channels left out.
+
+    `at_start` is how many began in half 2.
+    """
     crossed = (log.kind == CROSSING1) | (log.kind == CROSSING2)
     time = np.clip(log.time[crossed], TRANSIENT, end)
     number = at_start + np.cumsum(np.where(log.where[crossed] == 12, 1, -1))
     edges = np.concatenate([[TRANSIENT], time, [end]])
     duration = end - TRANSIENT
     half = np.concatenate([[at_start], number]) @ np.diff(edges) / duration
-    gate, start, stop = outward_stays(told)
-    out = (gate == 2) & (start > TRANSIENT)
-    outward = float((stop - start)[out].sum())
-    entry = np.flatnonzero((told.kind == ENTRY) & (told.where == 2) & (told.time > TRANSIENT))
-    leaves = np.where(
-        np.isfinite(told.turned[entry]), told.turned[entry], told.time[told.after[entry]]
-    )
-    inward = float(np.where(told.after[entry] >= 0, leaves - told.time[entry], 0.0).sum())
     through2 = np.count_nonzero((told.kind == CROSSING2) & (told.time > TRANSIENT))
     returning = through2 * 0.25 * math.pi * float(circuit.channel2_length)
-    return float(half - (outward + inward + returning) / duration)
+    gate, start, stop = outward_stays(told)
+    known = np.where(told.after >= 0, told.time[told.after], told.time)
+    leaves = np.where(np.isfinite(told.turned), told.turned, known)
+    held = []
+    for one in (1, 2):
+        outward = (stop - start)[(gate == one) & (start > TRANSIENT)].sum()
+        entry = (told.kind == ENTRY) & (told.where == one) & (told.time > TRANSIENT)
+        inward = (leaves - told.time)[entry].sum()
+        held.append(float(outward + inward + returning) / duration)
+    return float(circuit.number) - half - held[0], float(half - held[1])
+
+
+def fed_by_gate(told: Stories, found: Integers, least: int = 8) -> tuple[int, int]:
+    """Return how many circulations began with a reversal in gate 2, and how many there are.
+
+    Counted are those of `least` rounds and more. `found` are the rounds of every event of `told`,
+    0 of those that are no straight passage.
+    """
+    begun, total = 0, 0
+    for place in np.flatnonzero((found == least) & (told.where == 21)):
+        at = place
+        for _ in range(least):  # from the last passage to the one before the first straight one
+            at = told.before[told.before[told.before[at]]]
+            if at < 0:
+                break
+        total += 1
+        origin = told.before[at] if at >= 0 else -1
+        begun += origin >= 0 and bool(np.isfinite(told.turned[origin])) and told.where[origin] == 2
+    return begun, total
 
 
 def in_windows(time: Floats, weight: Floats, length: float, end: float) -> Floats:
@@ -161,13 +189,24 @@ def length_for_goal(times: Floats, widths: Floats, mean: float) -> float:
     return float(times[at] * (times[at + 1] / times[at]) ** share)
 
 
-def _ensemble(job: Job) -> dict[str, object]:
-    """Return how the net current of long runs, and of windows cut from them, scatters."""
+def long_runs(job: Job) -> Path:
+    """Make the long runs at T = 7, the reference of chart two as well; return their file."""
     changes = {
         "run": {"duration": job.pick(1.0e6, 8.0e6)},
         "scan": {"replicas": int(job.pick(24, 64))},
     }
-    with Results(job.battery("tail", "tail", changes)) as results:
+    return job.battery("tail", "tail", changes)
+
+
+def total_time(job: Job) -> float:
+    """Return the time that the long runs measured, all together."""
+    with Results(long_runs(job)) as results:
+        return float((results.value("time")[results.done] - TRANSIENT).sum())
+
+
+def _ensemble(job: Job) -> dict[str, object]:
+    """Return how the net current of long runs, and of windows cut from them, scatters."""
+    with Results(long_runs(job)) as results:
         end, interval = float(results.value("time").min()), WINDOW
         net = []
         for replica in range(results.replicas):
@@ -204,24 +243,26 @@ def _split(job: Job) -> dict[str, object]:
     """Return who carries the current, from event logs."""
     logs, end = int(job.pick(6, 24)), job.pick(1.0e5, 4.0e5)
     duration = end - TRANSIENT
-    found, parts, entries1, turned1, circuit = [], [], 0, 0, None
+    found, parts, entries1, turned1, fed, circuit = [], [], 0, 0, np.zeros(2, int), None
     for seed in range(1, logs + 1):
         changes = {"particles": {"seed": 1000 + seed}, "run": {"duration": end}}
         with Results(job.battery("events", f"events_{seed}", changes, alone=True)) as results:
             circuit, log = results.circuit(0), read_log(results)
             start = int(circuit.number) - int(results.value("urn1_number")[0])
         told = stories(log)
-        inside = urn2_number(log, told, circuit, start, end)
         one = circulations(told, circuit)
-        straight = one.rounds > 0
+        straight, down = one.rounds > 0, one.sign > 0
         gate1 = (told.kind == ENTRY) & (told.where == 1)
         entries1 += np.count_nonzero(gate1)
         turned1 += np.count_nonzero(np.isfinite(told.turned[gate1]))
+        fed += fed_by_gate(told, one.all_rounds)
         found.append(one)
-        ways = [one.sign[straight].sum(), one.sign[~straight].sum(), (one.sign > 0).sum(),
-                ((one.sign > 0) & ~straight).sum()]  # fmt: skip
-        parts.append([inside, *(way / duration for way in ways)])
-    inside, straight, rest, down, down_rest = np.array(parts).T
+        ways = [one.sign[straight].sum(), one.sign[~straight].sum(), down.sum(),
+                (down & ~straight).sum(), (~down).sum()]  # fmt: skip
+        parts.append(
+            [*urn_numbers(log, told, circuit, start, end), *(way / duration for way in ways)]
+        )
+    sparse, inside, straight, rest, down, down_rest, up = np.array(parts).T
     expected = inside * float(flow2(circuit, 1.0))
     reached = np.array(
         [sum(np.count_nonzero(one.rounds == m) for one in found) for m in ROUNDS], float
@@ -248,7 +289,12 @@ def _split(job: Job) -> dict[str, object]:
         "straight": _mean(straight), "rest": _mean(rest), "total": _mean(straight + rest),
         "down_over_theory": _mean(down / expected),
         "rest_over_theory": _mean(down_rest / expected),
-        "rounds": ROUNDS, "reached": reached, "law": _law(reached, logs * duration),
+        "urn1_number": sparse.mean(), "down": _mean(down), "down_rest": _mean(down_rest),
+        "down_expected": expected.mean(), "up": _mean(up),
+        "up_expected": float(sparse.mean() * flow2(circuit, 1.0)),
+        "fed_by_gate": fed[0], "fed_of": fed[1],
+        "round_time": 2.0 * straight_time(circuit), "rounds": ROUNDS,
+        "reached": reached, "law": _law(reached, logs * duration),
         "longest": max(int(one.rounds.max(initial=0)) for one in found),
         "rate_unit": logs * duration, "turned_gate1": turned1, "entries_gate1": entries1,
         "zigzag_slope": zigzag, "on_zigzag": float(np.mean(np.abs(slopes - zigzag) < 0.1 * zigzag)),

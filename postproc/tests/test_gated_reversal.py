@@ -82,11 +82,16 @@ def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
 
 def test_two_pasts_have_one_present(tmp_path: Path) -> None:
     job = Job(tmp_path)
-    ends = [
-        np.array(gated._example(job, name, states)["forth_end"])
-        for name, states in (("turned", gated.FROM_URN2), ("through", gated.FROM_URN1))
+    told = [
+        gated._example(job, f"past{at}", past, gated.PAST_TIME)
+        for at, past in enumerate(gated.PASTS)
     ]
+    ends = [np.array(one["forth_end"]) for one in told]
     assert ends[0] == pytest.approx(ends[1], abs=1e-14)
+    fired = [[time for time, text in one["forth"] if "turns back 2" in text] for one in told]
+    assert fired == [pytest.approx([1.3]), pytest.approx([1.1])]
+    starts = np.array(gated.PASTS)[:, :, 0]
+    assert (np.abs(starts) > 0.5).all()  # all begin in the urns
 
 
 def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:

@@ -83,12 +83,13 @@ def test_number_inside_an_urn_is_its_share_of_a_free_circuit(tmp_path: Path) -> 
     }
     with Results(Job(tmp_path).battery("events", "free", changes, alone=True)) as results:
         log, circuit = read_log(results), results.circuit(0)
-    inside = tail.urn2_number(log, stories(log), circuit, 100, end)
+    both = tail.urn_numbers(log, stories(log), circuit, 100, end)
     area = float(circuit.urn_area)
     expected = number * area / (2.0 * area + 0.3 + 0.01)
     # variance N/4, remembered for pi A/(w + w') / 2 on either side of a moment
     memory = math.pi * area / 0.31
-    assert inside == pytest.approx(expected, abs=5.0 * math.sqrt(0.25 * number * memory / 2e4))
+    for inside in both:
+        assert inside == pytest.approx(expected, abs=5.0 * math.sqrt(0.25 * number * memory / 2e4))
 
 
 def test_split_into_windows_keeps_the_sum() -> None:
@@ -109,3 +110,21 @@ def test_law_of_circulations_is_recovered() -> None:
     law = tail._law(1e6 * tail.ROUNDS**-1.0, 1e8)
     assert law["exponent"] == pytest.approx(1.0)
     assert law["scale"] == pytest.approx(0.01)
+
+
+def test_circulation_that_began_with_a_reversal_is_found() -> None:
+    flight = tail.straight_time(CIRCUIT)
+    rounds = [one for k in range(1, 9) for one in _round(LATE + 2.0 * k * flight, flight)]
+    passage = (LATE + flight, 4, 21, 1)  # the one before the first round
+    begin = LATE + flight - 3.0
+    reversal = (begin + 0.1, 2, 2, 1)
+    entry1 = (LATE + 2.0 * flight - 0.5, 1, 1, 1)
+    for before, expected in (
+        ([(begin, 1, 2, 1), reversal], (1, 1)),
+        ([(begin, 3, 12, 1)], (0, 1)),  # a detour on the way
+    ):
+        events = np.array([*before, passage, entry1, *rounds], float).T
+        told = stories(Log(events[0], *(column.astype(int) for column in events[1:])))
+        found = tail.circulations(told, CIRCUIT)
+        assert found.rounds.max() == 8
+        assert tail.fed_by_gate(told, found.all_rounds) == expected

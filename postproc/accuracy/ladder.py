@@ -1,0 +1,212 @@
+"""The ladder of models: its rungs, what each says of the battery, and what that costs."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc.gates import WINDOW
+from postproc.lifetimes import stationary_distribution
+from postproc.renewal import RENEWAL
+from postproc.results import Results
+from postproc.states import stable_state
+from postproc.theory import Circuit, eta, half2_number, net_current2
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from postproc.accuracy.job import Job
+
+    Floats = NDArray[np.float64]
+
+BATTERY = Circuit(1000, 7)
+THRESHOLDS = tuple(range(10, 26))  # at which a theory is asked for its transition
+SCANNED = (14, 15, 16, 17, 18)  # at which an engine is run for it
+HALFWAY = 0.3  # chi at the transition, between integer T on a straight line
+QUANTITIES = ("chi", "current", "transition")
+SHORTEST = 1000.0  # time that a run goes on at least, transient included
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A model that is run.
+
+    Attributes
+    ----------
+    name : what it is called in tables.
+    engine, step : as in the namelist; step 0: none.
+    seconds : CPU time of a unit of time at N = 1000, roughly, to share out CPU time by.
+    exact : whether it is the paper's model itself, event by event.
+    """
+
+    name: str
+    engine: str
+    seconds: float
+    step: float = 0.0
+    exact: bool = False
+
+
+RUNGS = (
+    Rung("excursion", "excursion", 2.6e-6, exact=True),
+    Rung("collision", "collision", 6.5e-5, exact=True),
+    Rung("synchronous", "synchronous", 3.5e-4, exact=True),
+    Rung("reservoir", "reservoir", 2.0e-6),
+    *(
+        Rung(f"timestep {step:g}", "timestep", 3.3e-6 / step + 3.0e-5, step)
+        for step in (0.1, 0.03, 0.01, 0.003)
+    ),
+)
+LONGER = (Rung("timestep 0.001", "timestep", 3.3e-3, 0.001),)  # if there is time
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a rung says of one quantity.
+
+    Attributes
+    ----------
+    value, error : mean over replicas and its standard error (0 for a theory).
+    seconds : CPU time spent, of all replicas.
+    """
+
+    value: float
+    error: float
+    seconds: float
+
+
+def transition(thresholds: ArrayLike, chi: ArrayLike) -> float:
+    """Return the T at which chi falls through `HALFWAY`, the last one; NaN if it does not."""
+    at, values = np.asarray(thresholds, float), np.asarray(chi, float)
+    falls = np.flatnonzero((values[:-1] >= HALFWAY) & (values[1:] < HALFWAY))
+    if falls.size == 0:
+        return math.nan
+    k = falls[-1]
+    share = (values[k] - HALFWAY) / (values[k] - values[k + 1])
+    return float(at[k] + share * (at[k + 1] - at[k]))
+
+
+def mean_field(circuit: Circuit) -> tuple[float, float]:
+    """Return chi and net current of the stable polarised state, zeros if there is none."""
+    state = stable_state(circuit)
+    return (state.mass_spread, state.net_current) if state else (0.0, 0.0)
+
+
+def chain(circuit: Circuit) -> tuple[float, float]:
+    """Return the means of chi and of the net current over the birth-death chain's distribution."""
+    weights = stationary_distribution(circuit)
+    share = np.arange(weights.size, dtype=float)
+    number = float(circuit.number)
+    chi = np.abs(2.0 * half2_number(circuit, share) - number) / number
+    return float(weights @ chi), float(weights @ np.abs(net_current2(circuit, share)))
+
+
+THEORIES: tuple[tuple[str, Circuit, Callable[[Circuit], tuple[float, float]]], ...] = (
+    ("eta of the paper", replace(BATTERY, gate=WINDOW), mean_field),
+    ("renewal gate", replace(BATTERY, gate=RENEWAL), mean_field),
+    ("renewal gate with channels", replace(BATTERY, gate=RENEWAL, occupation=True), mean_field),
+    ("renewal chain", replace(BATTERY, gate=RENEWAL, occupation=True), chain),
+)
+
+
+def theory_answers(
+    circuit: Circuit, ask: Callable[[Circuit], tuple[float, float]]
+) -> dict[str, Answer]:
+    """Return what a theory says, and its time (after a first call that reads and prepares)."""
+    ask(circuit)
+    began = time.process_time()
+    chi, current = ask(circuit)
+    single = time.process_time() - began
+    began = time.process_time()
+    spreads = [ask(replace(circuit, threshold=one))[0] for one in THRESHOLDS]
+    scan = time.process_time() - began
+    return {
+        "chi": Answer(chi, 0.0, single),
+        "current": Answer(current, 0.0, single),
+        "transition": Answer(transition(THRESHOLDS, spreads), 0.0, scan),
+    }
+
+
+def eta_seconds(circuit: Circuit = BATTERY, calls: int = 200) -> float:
+    """Return the time of one value of eta, in s."""
+    eta(circuit, 900.0)
+    began = time.process_time()
+    for _ in range(calls):
+        eta(circuit, 900.0)
+    return (time.process_time() - began) / calls
+
+
+def battery_answers(path: Path) -> dict[str, Answer]:
+    """Return chi and net current of a file with one point; errors from its replicas alone."""
+    with Results(path) as results:
+        done = results.done[0]
+        seconds = float(results.value("cpu_seconds")[0][done].sum())
+        values = {
+            "chi": results.value("chi")[0][done],
+            # signed: the run begins with urn 2 full, whose battery drives 1 -> 2 in channel 1
+            "current": results.value("current1")[0][done],
+        }
+    return {name: Answer(*_mean(value), seconds) for name, value in values.items()}
+
+
+def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
+    """Return the transition of a file with a scan of T, and chi there.
+
+    The error is that of replicas: one is left out at a time (jackknife).
+    """
+    with Results(path) as results:
+        threshold, chi = results.value("threshold"), results.value("chi")
+        seconds = float(results.value("cpu_seconds").sum())
+    count = chi.shape[1]
+    value = transition(threshold, chi.mean(axis=1))
+    without = np.array(
+        [transition(threshold, np.delete(chi, k, axis=1).mean(axis=1)) for k in range(count)]
+    )
+    error = math.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))
+    spread = chi.std(axis=1, ddof=1) / math.sqrt(count)
+    shown = {"threshold": threshold, "chi": chi.mean(axis=1), "chi_error": spread}
+    return Answer(value, error, seconds), {name: list(one) for name, one in shown.items()}
+
+
+def _mean(values: Floats) -> tuple[float, float]:
+    return float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size))
+
+
+def _stem(rung: Rung) -> str:
+    return rung.name.replace(" ", "_").replace(".", "p")
+
+
+def _engine(rung: Rung) -> dict[str, object]:
+    return {"engine": rung.engine, **({"time_step": rung.step} if rung.step else {})}
+
+
+def seconds_per_time(path: Path) -> float:
+    """Return the CPU time of a unit of time of a run, in s."""
+    with Results(path) as results:
+        return float(results.value("cpu_seconds").sum() / results.value("time").sum())
+
+
+def run_rung(job: Job, rung: Rung, seconds: float) -> tuple[dict[str, Answer], dict, float]:
+    """Run the battery and the transition, each as long as that much CPU time allows.
+
+    Returns the answers, chi across the transition, and the CPU time of a unit of time at T = 7.
+    """
+    replicas = 8
+    length = max(SHORTEST, seconds / (rung.seconds * replicas))
+    changes = {"run": {**_engine(rung), "duration": float(f"{length:.2g}")}}
+    battery = job.battery("battery", f"battery_{_stem(rung)}", changes)
+    answers = battery_answers(battery)
+    length = max(SHORTEST, 3.0 * seconds / (rung.seconds * replicas * len(SCANNED)))
+    changes = {
+        "run": {**_engine(rung), "duration": float(f"{length:.2g}")},
+        "scan": {"threshold": list(SCANNED)},
+    }
+    path = job.battery("transition", f"transition_{_stem(rung)}", changes)
+    answers["transition"], chi = transition_answer(path)
+    return answers, chi, seconds_per_time(battery)

@@ -1,0 +1,196 @@
+"""Chart two: the error of what the paper reports against its cost, for every rung of the ladder.
+
+Quantities: chi and the net current at T = 7, and the T of the upper transition, where chi falls
+through 0.3; N = 1000, w = 0.3, w' = 0.01, r = l = l' = 1. Every engine gets the same CPU time, in
+eight replicas, whose scatter is the statistical error. The bias is the difference to long runs of
+`excursion`. A theory has no statistical error; its cost is the time to solve it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc import style
+from postproc.accuracy import ladder, tail
+from postproc.accuracy.ladder import QUANTITIES, Answer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from postproc.accuracy.job import Job
+
+NAMES = {
+    "chi": r"$\chi$ at $T = 7$",
+    "current": "net current at $T = 7$",
+    "transition": "$T$ of the upper transition",
+}
+TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # relative
+
+
+def reference(job: Job) -> dict[str, Answer]:
+    """Return the quantities from long runs of `excursion`."""
+    found = ladder.battery_answers(tail.long_runs(job))
+    changes = {"run": {"duration": job.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
+    changes["particles"] = {"seed": 77}  # of its own: the rung itself must not be its own judge
+    path = job.battery("transition", "transition_reference", changes)
+    found["transition"], _ = ladder.transition_answer(path)
+    return found
+
+
+def row(name: str, kind: str, answers: dict[str, Answer], truth: dict[str, Answer]) -> dict:
+    """Return one rung's line: values, errors, costs, and biases relative to the reference.
+
+    `kind` is "theory", "exact" or "model".
+    """
+    line: dict[str, object] = {"name": name, "kind": kind}
+    for quantity in QUANTITIES:
+        one, true = answers[quantity], truth[quantity]
+        line[quantity] = {
+            "value": one.value, "error": one.error, "seconds": one.seconds,
+            "bias": one.value / true.value - 1.0,
+            "bias_error": math.hypot(one.error, true.error) / true.value,
+            "relative_error": one.error / true.value,
+        }  # fmt: skip
+    return line
+
+
+def cost(line: dict, quantity: str, tolerance: float) -> float:
+    """Return the CPU time a rung needs for a relative tolerance, infinite if it never gets there.
+
+    A model's bias, with its error, must be within the tolerance; what is left is for the
+    statistical error, which falls with the root of the time. The exact engines have no bias. No
+    run is shorter than `ladder.SHORTEST`.
+    """
+    one = line[quantity]
+    if not math.isfinite(one["bias"]):
+        return math.inf
+    bias = 0.0 if line["kind"] == "exact" else abs(one["bias"]) + one["bias_error"]
+    if bias > tolerance:
+        return math.inf
+    if line["kind"] == "theory":
+        return one["seconds"]
+    left = math.sqrt(tolerance**2 - bias**2)
+    if not left > 0.0:
+        return math.inf
+    return max(one["seconds"] * (one["relative_error"] / left) ** 2, least_cost(line, quantity))
+
+
+def least_cost(line: dict, quantity: str) -> float:
+    """Return the CPU time of one short run (of each T of the transition)."""
+    runs = len(ladder.SCANNED) if quantity == "transition" else 1
+    return line["per_time"] * ladder.SHORTEST * runs
+
+
+def cheapest(rows: Sequence[dict], quantity: str, tolerance: float) -> tuple[str, float]:
+    """Return which rung is the cheapest for a tolerance, and its cost in s; "none", NaN."""
+    costs = [cost(line, quantity, tolerance) for line in rows]
+    least = min(costs, default=math.inf)
+    if not math.isfinite(least):
+        return "none", math.nan
+    return rows[costs.index(least)]["name"], least
+
+
+def look(line: dict) -> tuple[str, str]:
+    """Return mark and colour of a rung."""
+    marks = {
+        "excursion": ("o", style.BLUE), "collision": ("s", style.SKY),
+        "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
+        "eta of the paper": ("P", style.VERMILION), "renewal gate": ("X", style.ORANGE),
+        "renewal gate with channels": ("*", style.ORANGE), "renewal chain": ("v", style.ORANGE),
+    }  # fmt: skip
+    return marks.get(line["name"], (">", style.PURPLE))
+
+
+def figure_observables(rows: Sequence[dict]) -> Figure:
+    """Return chart two: relative error against CPU time, a panel a quantity.
+
+    Filled marks: the bias, with its error; where that is not known to be above zero, its upper end
+    as an open mark with an arrow. Lines: what is to be expected of that rung for that time.
+    """
+    made = style.figure(style.PAGE, 3.9)
+    panels = made.subplots(1, len(QUANTITIES), sharey=True)
+    for axes, quantity in zip(panels, QUANTITIES, strict=True):
+        for line in rows:
+            _draw_rung(axes, line, quantity)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlim(5e-4, 5e3)
+        axes.set_ylim(5e-5, 2.0)
+        axes.set_xlabel("CPU time (s)")
+        axes.set_title(NAMES[quantity], fontsize=8.5)
+    panels[0].set_ylabel("relative error")
+    for line in rows:
+        mark, colour = look(line)
+        if not line["name"].startswith("timestep"):
+            panels[0].plot([], [], mark, color=colour, label=line["name"])
+    panels[0].plot([], [], ">", color=style.PURPLE, label="timestep, step beside it")
+    panels[0].plot([], [], "-", color=style.GREY, lw=0.9, label="error to be expected")
+    made.legend(loc="outside upper center", ncols=4, fontsize=7)
+    return made
+
+
+def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
+    one, (mark, colour) = line[quantity], look(line)
+    if one["bias"] is None or not math.isfinite(one["bias"]):
+        return
+    size, error, at = abs(one["bias"]), one["bias_error"], one["seconds"]
+    if size > 2.0 * error:
+        axes.errorbar([at], [size], [error], fmt=mark, color=colour, ms=5)
+    else:
+        top = size + error
+        axes.plot([at], [top], mark, color=colour, mfc="w", ms=5)
+        axes.annotate(
+            "", (at, top / 2.2), (at, top), arrowprops={"arrowstyle": "->", "color": colour}
+        )
+    if line["name"].startswith("timestep"):
+        axes.annotate(
+            line["name"].split()[1], (at, size if size > 2.0 * error else size + error),
+            (5, 3 if line["name"] != "timestep 0.03" else -7), textcoords="offset points",
+            fontsize=6, color=colour,
+        )  # fmt: skip
+    if line["kind"] == "theory":
+        return
+    times = np.geomspace(min(least_cost(line, quantity), at), 100.0 * at, 60)
+    bias = 0.0 if line["kind"] == "exact" else size
+    expected = np.hypot(bias, one["relative_error"] * np.sqrt(at / times))
+    axes.plot(times, expected, "-", color=colour, lw=0.8)
+
+
+def run(job: Job) -> None:
+    """Run every rung, draw `observables`, keep the numbers."""
+    truth = reference(job)
+    rows = [
+        row(name, "theory", ladder.theory_answers(circuit, ask), truth)
+        for name, circuit, ask in ladder.THEORIES
+    ]
+    spreads = {}
+    for rung in (*ladder.RUNGS, *(ladder.LONGER if job.full else ())):
+        answers, chi, per_time = ladder.run_rung(job, rung, job.pick(10.0, 200.0))
+        spreads[rung.name] = chi
+        line = row(rung.name, "exact" if rung.exact else "model", answers, truth)
+        rows.append({**line, "per_time": per_time})
+    choice = [
+        {
+            "tolerance": tolerance,
+            **{
+                quantity: dict(
+                    zip(("rung", "seconds"), cheapest(rows, quantity, tolerance), strict=True)
+                )
+                for quantity in QUANTITIES
+            },
+        }
+        for tolerance in TOLERANCES
+    ]
+    numbers = {
+        "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,
+        "reference_time": tail.total_time(job), "choice": choice,
+        "spreads": spreads, "eta_seconds": ladder.eta_seconds(),
+    }  # fmt: skip
+    job.keep("observables", numbers)
+    style.save(figure_observables(rows), job.folder, "observables")

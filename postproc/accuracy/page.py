@@ -1,0 +1,311 @@
+"""The page of the docs: a template, `page.md`, filled with the numbers that the parts have kept.
+
+A part whose numbers are there is shown by its `section(numbers)`, if it has one; the parts of this
+file's own are written out in the template. Nothing is run here.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import math
+import shutil
+import string
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from postproc.accuracy.ladder import QUANTITIES, SCANNED
+from postproc.cli import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from postproc.accuracy.job import Job
+
+TEMPLATE = Path(__file__).with_name("page.md")
+NOT_RUN = "_This part has not been run._"
+OTHERS = ("trajectories", "stability", "reversal")  # parts that bring their section along
+OWN = ("observables", "gated_reversal", "tail")
+FIGURES = ("observables", "reversal_gated", "tail")
+HEADS = {"chi": "chi, T = 7", "current": "net current, T = 7", "transition": "transition T"}
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits, large and small ones as 1.2e6."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0.0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return f"{value:.{places}f}"
+    base, exponent = f"{value:.{max(0, digits - 1)}e}".split("e")
+    return f"{base}e{int(exponent)}"
+
+
+def measured(value: float | None, error: float | None) -> str:
+    """Return value +- error, to two digits of the error."""
+    if value is None or error is None or not error > 0.0:
+        return number(value, 5)
+    places = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{places}f} +- {error:.{places}f}"
+
+
+def percent(value: float | None, digits: int = 2) -> str:
+    """Return a ratio in per cent."""
+    return "-" if value is None else f"{number(100.0 * value, digits)} %"
+
+
+def seconds(value: float | None) -> str:
+    """Return a time in the unit that fits: us, ms, s."""
+    if value is None:
+        return "-"
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if value >= size:
+            return f"{number(value / size, 2)} {unit}"
+    return f"{number(value / 1e-6, 2)} us"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _with_bias(one: dict) -> str:
+    if one["value"] is None:
+        return f"none from {SCANNED[0]} to {SCANNED[-1]}"
+    if one["error"]:
+        off = measured(100.0 * one["bias"], 100.0 * one["bias_error"])
+        return f"{measured(one['value'], one['error'])} ({off} %)"
+    return f"{number(one['value'], 4)} ({number(100.0 * one['bias'], 2)} %)"
+
+
+def fields_of_observables(numbers: dict) -> dict[str, str]:
+    """Return the template's fields that chart two gives."""
+    rows = {line["name"]: line for line in numbers["rows"]}
+    truth = numbers["reference"]
+    excursion, reservoir = rows["excursion"], rows["reservoir"]
+    channels, eta = rows["renewal gate with channels"], rows["eta of the paper"]
+    steps = [line for name, line in rows.items() if name.startswith("timestep")]
+    seen = [line for line in steps if line["current"]["value"] is not None]
+    finest = min(seen, key=lambda line: float(line["name"].split()[1]))
+    head = ["rung", "CPU time", *(f"{HEADS[name]} (bias)" for name in QUANTITIES)]
+    lines = [
+        [line["name"], seconds(line["chi"]["seconds"]), *(_with_bias(line[q]) for q in QUANTITIES)]
+        for line in numbers["rows"]
+    ]
+    chosen = [
+        [
+            percent(one["tolerance"], 1),
+            *(
+                "none" if one[q]["seconds"] is None
+                else f"{one[q]['rung']}, {seconds(one[q]['seconds'])}"
+                for q in QUANTITIES
+            ),
+        ]
+        for one in numbers["choice"]
+    ]  # fmt: skip
+
+    def price(line: dict) -> float:
+        return line["per_time"] / excursion["per_time"]
+
+    return {
+        "which": which(numbers["choice"]),
+        "reference_chi": measured(truth["chi"]["value"], truth["chi"]["error"]),
+        "reference_current": measured(truth["current"]["value"], truth["current"]["error"]),
+        "reference_transition": measured(
+            truth["transition"]["value"], truth["transition"]["error"]
+        ),
+        "reference_time": number(numbers["reference_time"], 2),
+        "rungs": table(head, lines),
+        "choice": table(["within", *(HEADS[name] for name in QUANTITIES)], chosen),
+        "eta_microseconds": number(1e6 * numbers["eta_seconds"], 2),
+        "mean_field_ms": number(1e3 * eta["chi"]["seconds"], 2),
+        "channels_chi_bias": percent(abs(channels["chi"]["bias"])),
+        "eta_chi_bias": percent(abs(eta["chi"]["bias"])),
+        "channels_chi": number(channels["chi"]["value"], 4),
+        "channels_current": number(channels["current"]["value"], 4),
+        "theory_current": number(channels["current"]["value"], 4),
+        "reservoir_chi": measured(reservoir["chi"]["value"], reservoir["chi"]["error"]),
+        "reservoir_current": measured(reservoir["current"]["value"], reservoir["current"]["error"]),
+        "reservoir_current_bias": percent(abs(reservoir["current"]["bias"])),
+        "reservoir_transition": number(reservoir["transition"]["value"], 4),
+        "reservoir_ratio": percent(price(reservoir)),
+        "step_current_bias": percent(abs(rows["timestep 0.01"]["current"]["bias"])),
+        "finest_step": finest["name"].split()[1],
+        "finest_current_bias": percent(abs(finest["current"]["bias"])),
+        "finest_ratio": number(price(finest), 2),
+        "collision_ratio": number(price(rows["collision"]), 2),
+        "synchronous_ratio": number(price(rows["synchronous"]), 2),
+    }
+
+
+def which(choice: Sequence[dict]) -> str:
+    """Return the one line that says which rung to take for which question."""
+    parts = []
+    for quantity, name in (("chi", "chi"), ("current", "the net current"), ("transition", "T")):
+        told = [
+            f"{percent(one['tolerance'], 1)} {one[quantity]['rung']}"
+            for one in choice
+            if one[quantity]["seconds"] is not None
+        ]
+        what = "the transition" if name == "T" else name
+        parts.append(f"{what} to {', '.join(told)}" if told else f"{what}: none")
+    return f"**In one line:** {'; '.join(parts)}; single events: `excursion`."
+
+
+def _events(example: dict) -> str:
+    """Return the events forth and back in the order of time, and where all ends."""
+    turn = example["turn"]
+    rows = [[number(time), text] for time, text in example["forth"]]
+    rows.append([f"**{number(turn)}**", "**all velocities are turned**"])
+    rows += [[number(turn + time), text] for time, text in example["back"]]
+    return table(["t", "event"], rows)
+
+
+def _pasts(one: dict, other: dict) -> str:
+    """Return the events of two histories side by side."""
+    times = sorted({round(time, 6) for past in (one, other) for time, _ in past["forth"]})
+    rows = []
+    for time in times:
+        both = [
+            ", ".join(text for at, text in past["forth"] if round(at, 6) == time)
+            for past in (one, other)
+        ]
+        rows.append([number(time), *both])
+    return table(["t", "one past", "the other"], rows)
+
+
+def fields_of_gated_reversal(numbers: dict) -> dict[str, str]:
+    """Return the template's fields that reversal with gates gives."""
+    scan = [
+        [
+            str(one["number"]), str(one["threshold"]), number(one["threshold"] / one["number"], 2),
+            number(one["per_time"], 2), measured(one["share"], one["error"]),
+        ]
+        for one in numbers["scan"]
+    ]  # fmt: skip
+    turned = [
+        [
+            str(one["number"]), str(one["threshold"]), str(one["reversals"]),
+            percent(one["undone"]), number(one["parting_median"], 2),
+        ]
+        for one in numbers["turned"]
+    ]  # fmt: skip
+    examples = numbers["examples"]
+    ends = [row[0] for row in examples["past1"]["forth_end"]]
+    head = ["N", "T", "reversals in the last 12", "undone", "histories part after (median)"]
+    return {
+        "turns": str(sum(one["turns"] for one in numbers["turned"])),
+        "agreed": str(sum(one["parting_as_told"] for one in numbers["turned"])),
+        "scan": table(["N", "T", "T/N", "reversals per unit time", "undone"], scan),
+        "turned": table(head, turned),
+        "turn": number(examples["undone"]["turn"], 2),
+        "example_undone": _events(examples["undone"]),
+        "example_not_undone": _events(examples["not_undone"]),
+        "example_return": number(examples["undone"]["returns_within"], 1),
+        "pasts": _pasts(examples["past1"], examples["past2"]),
+        "past_turn": number(examples["past1"]["turn"], 2),
+        "present": ", ".join(number(x, 2) for x in ends),
+        "two_pasts": number(numbers["two_pasts_differ_by"], 1),
+    }
+
+
+def fields_of_tail(numbers: dict) -> dict[str, str]:
+    """Return the template's fields that the tail of currents gives."""
+    many, split = numbers["ensemble"], numbers["split"]
+    per_time = many["collisions_per_time"]
+    excess = split["down"]["mean"] - split["down_expected"]
+    more = split["down_rest"]["mean"] - split["down_expected"]
+    lengths = {name: many[f"{name}_time"] for name in ("typical", "deviation")}
+    lengths["rest"] = split["rest_time"]
+    return {
+        "runs": str(many["replicas"]),
+        "run_time": number(many["duration"], 2),
+        "run_collisions": number(many["duration"] * per_time, 2),
+        "longest_run": number(many["duration"], 2),
+        "log_time": number(split["duration"], 2),
+        "logs": str(split["logs"]),
+        "least": number(min(many["currents"]), 4),
+        "greatest": number(max(many["currents"]), 4),
+        "mean": measured(many["mean"], many["error"]),
+        "straight": measured(split["straight"]["mean"], split["straight"]["error"]),
+        "total": measured(split["total"]["mean"], split["total"]["error"]),
+        "rest": measured(split["rest"]["mean"], split["rest"]["error"]),
+        "zigzag_share": percent(split["on_zigzag"]),
+        "axis_share": percent(split["on_axis"]),
+        "zigzag_slope": number(split["zigzag_slope"], 4),
+        "slope_low": number(split["slopes"][0], 4),
+        "slope_high": number(split["slopes"][2], 4),
+        "urn2": number(split["urn2_number"], 4),
+        "down": measured(split["down"]["mean"], split["down"]["error"]),
+        "down_expected": number(split["down_expected"], 4),
+        "down_more": number(more, 2),
+        "explained": percent(1.0 - more / excess),
+        "up": number(split["up"]["mean"], 3),
+        "up_expected": number(split["up_expected"], 3),
+        "urn1": number(split["urn1_number"], 3),
+        "fed": percent(split["fed_by_gate"] / split["fed_of"]),
+        "fed_of": str(split["fed_of"]),
+        "law_scale": number(split["law"]["scale"], 2),
+        "law_exponent": number(split["law"]["exponent"], 2),
+        "longest": str(split["longest"]),
+        "longest_time": number(split["longest"] * split["round_time"], 2),
+        "turned_gate1": str(split["turned_gate1"]),
+        "entries_gate1": number(split["entries_gate1"], 2),
+        "paper_time": number(many["paper_time"], 2),
+        "paper_deviation": percent(many["paper_deviation"] / many["mean"]),
+        "paper_half_width": percent(many["paper_half_width"] / many["mean"]),
+        **{f"{name}_time": number(value, 2) for name, value in lengths.items()},
+        **{
+            f"{name}_collisions": number(None if value is None else value * per_time, 2)
+            for name, value in lengths.items()
+        },
+    }
+
+
+FIELDS: dict[str, Callable[[dict], dict[str, str]]] = {
+    "observables": fields_of_observables,
+    "gated_reversal": fields_of_gated_reversal,
+    "tail": fields_of_tail,
+}
+
+
+def section(part: str, numbers: dict | None) -> str:
+    """Return what a part of its own shows of its numbers; a remark if it has not been run."""
+    name = f"postproc.accuracy.{part}"
+    if numbers is None or importlib.util.find_spec(name) is None:
+        return NOT_RUN
+    show = getattr(importlib.import_module(name), "section", None)
+    return NOT_RUN if show is None else show(numbers)
+
+
+def names_of(template: str) -> set[str]:
+    """Return the names of the fields of a template."""
+    return {name for _, name, _, _ in string.Formatter().parse(template) if name}
+
+
+def page(job: Job) -> str:
+    """Return the page; every part of this file's own must have been made."""
+    fields = {"kind": "full" if job.full else "quick", "made": ""}
+    for part in OWN:
+        numbers = job.kept(part)
+        if numbers is None:
+            raise InputError(f"{job.folder}: part {part} has not been made")
+        fields |= FIELDS[part](numbers)
+    fields |= {part: section(part, job.kept(part)) for part in OTHERS}
+    template = TEMPLATE.read_text(encoding="utf-8")
+    lacking = names_of(template) - fields.keys()
+    if lacking:
+        raise InputError(f"{TEMPLATE.name}: nothing to fill {sorted(lacking)[0]} with")
+    return template.format(**fields)
+
+
+def run(job: Job) -> None:
+    """Write accuracy.md into the folder, and every figure beside it under the name it has there."""
+    path = job.folder / "accuracy.md"
+    path.write_text(page(job), encoding="utf-8")
+    for name in FIGURES:
+        shutil.copyfile(job.folder / f"{name}.png", job.folder / f"accuracy_{name}.png")
+    print(path)

@@ -1,0 +1,141 @@
+"""The ladder of models: what its rungs say, and where each stands between theory and billiard."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from postproc.accuracy import ladder
+from postproc.accuracy.job import Job
+from postproc.accuracy.observables import cheapest, cost, figure_observables, row
+from postproc.theory import Circuit
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from postproc.accuracy.ladder import Answer
+
+SPREAD, CURRENT = 0.9290, 1.0196  # of the billiard at T = 7, by 24 runs of 1e6 time units
+
+
+def _battery(folder: Path, engine: str, duration: float, **more: float) -> dict[str, Answer]:
+    changes = {"run": {"engine": engine, "duration": duration, **more}}
+    return ladder.battery_answers(Job(folder).battery("battery", engine, changes))
+
+
+def _sigmas(one: Answer, other: Answer) -> float:
+    return (one.value - other.value) / math.hypot(one.error, other.error)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Answer]]:
+    folder = tmp_path_factory.mktemp("ladder")
+    found = {
+        "excursion": _battery(folder, "excursion", 8000.0),
+        "reservoir": _battery(folder, "reservoir", 8000.0),
+        "collision": _battery(folder, "collision", 1500.0),
+        "timestep": _battery(folder, "timestep", 1000.0, time_step=0.03),
+    }
+    found["synchronous"] = _battery(folder, "synchronous", 700.0)
+    return found
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+def test_exact_engines_find_the_billiard(runs: dict, engine: str) -> None:
+    chi, current = runs[engine]["chi"], runs[engine]["current"]
+    assert abs(chi.value - SPREAD) < 5.0 * chi.error
+    assert abs(current.value - CURRENT) < 5.0 * current.error + 0.02  # short runs: no long rounds
+
+
+def test_reservoir_is_the_theory_with_its_channels(runs: dict) -> None:
+    spread, flow = ladder.chain(ladder.THEORIES[-1][1])
+    chi, current = runs["reservoir"]["chi"], runs["reservoir"]["current"]
+    assert abs(chi.value - spread) < 5.0 * chi.error + 2e-4
+    assert abs(current.value - flow) < 5.0 * current.error + 1e-3
+
+
+def test_reservoir_lies_between_the_papers_theory_and_the_billiard(runs: dict) -> None:
+    paper, _ = ladder.mean_field(Circuit(1000, 7))
+    reservoir, billiard = runs["reservoir"]["chi"], runs["excursion"]["chi"]
+    assert reservoir.value + 5.0 * reservoir.error < paper
+    assert _sigmas(reservoir, billiard) > 5.0
+    assert _sigmas(runs["excursion"]["current"], runs["reservoir"]["current"]) > 4.0
+
+
+def test_fixed_step_is_far_below_all_others(runs: dict) -> None:
+    step = runs["timestep"]
+    for name in ("excursion", "reservoir"):
+        assert _sigmas(runs[name]["chi"], step["chi"]) > 5.0
+        assert _sigmas(runs[name]["current"], step["current"]) > 5.0
+
+
+def test_memory_of_the_urns_moves_the_transition(tmp_path: Path) -> None:
+    found = {}
+    for engine in ("excursion", "reservoir"):
+        changes = {
+            "run": {"engine": engine, "duration": 4000.0},
+            "scan": {"threshold": [15, 16, 17], "replicas": 6},
+        }
+        path = Job(tmp_path).battery("transition", engine, changes)
+        found[engine], _ = ladder.transition_answer(path)
+    assert _sigmas(found["excursion"], found["reservoir"]) > 5.0
+    assert abs(found["excursion"].value - 16.26) < 5.0 * found["excursion"].error
+    assert abs(found["reservoir"].value - 15.59) < 5.0 * found["reservoir"].error
+
+
+def test_transition_is_where_chi_falls_through() -> None:
+    assert ladder.transition([14, 15, 16], [0.5, 0.4, 0.2]) == pytest.approx(15.5)
+    assert ladder.transition([1, 2, 3, 4], [0.1, 0.9, 0.5, 0.1]) == pytest.approx(3.5)
+    assert math.isnan(ladder.transition([1, 2], [0.2, 0.1]))
+
+
+def test_chain_is_the_mean_field_but_for_fluctuations() -> None:
+    battery = ladder.THEORIES[2][1]
+    assert ladder.chain(battery) == pytest.approx(ladder.mean_field(battery), rel=1e-3)
+    homogeneous = replace(battery, threshold=1000)
+    assert ladder.mean_field(homogeneous) == (0.0, 0.0)
+    expected = math.sqrt(2.0 / (math.pi * 1000.0))
+    assert ladder.chain(homogeneous)[0] == pytest.approx(expected, rel=0.06)  # channels: 5 %
+
+
+def _line(kind: str, value: float, error: float, seconds: float) -> dict:
+    answers = {name: ladder.Answer(value, error, seconds) for name in ladder.QUANTITIES}
+    truth = {name: ladder.Answer(1.0, 0.0, 1.0) for name in ladder.QUANTITIES}
+    return {**row(kind, kind, answers, truth), "per_time": 1e-6}
+
+
+def test_cost_counts_the_bias_of_models_and_the_scatter_of_all() -> None:
+    assert cost(_line("theory", 0.95, 0.0, 1e-3), "chi", 0.06) == 1e-3
+    assert cost(_line("theory", 0.95, 0.0, 1e-3), "chi", 0.04) == math.inf
+    assert cost(_line("exact", 1.02, 0.02, 10.0), "chi", 0.01) == pytest.approx(40.0)
+    assert cost(_line("model", 1.02, 0.01, 10.0), "chi", 0.03) == math.inf
+    assert cost(_line("model", 1.02, 0.01, 10.0), "chi", 0.05) == pytest.approx(
+        10.0 * 0.01**2 / (0.05**2 - 0.03**2)
+    )
+    assert cost(_line("exact", 1.0, 1e-9, 10.0), "chi", 0.1) == 1e-6 * ladder.SHORTEST
+    assert cost(_line("model", math.nan, 0.01, 10.0), "chi", 0.05) == math.inf
+
+
+def test_cheapest_rung_for_a_tolerance() -> None:
+    rows = [_line("theory", 0.95, 0.0, 1e-3), _line("exact", 1.0, 0.02, 10.0)]
+    assert cheapest(rows, "chi", 0.06) == ("theory", 1e-3)
+    assert cheapest(rows, "chi", 0.02)[0] == "exact"
+    assert cheapest(rows[:1], "chi", 0.02)[0] == "none"
+
+
+def test_chart_two_draws_every_rung(tmp_path: Path) -> None:
+    rows = [
+        _line("theory", 0.95, 0.0, 1e-3), _line("exact", 1.001, 0.02, 10.0),
+        _line("model", math.nan, math.nan, 10.0),
+    ]  # fmt: skip
+    made = figure_observables(rows)
+    assert len(made.axes) == len(ladder.QUANTITIES)
+    made.savefig(tmp_path / "chart.png")
+    assert (tmp_path / "chart.png").stat().st_size > 10000
+    low, high = made.axes[0].get_ylim()
+    assert low > 0.0
+    assert np.isfinite(high)
