@@ -45,6 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options.add_argument("--full", action="store_true", help="long runs (hours)")
     options.add_argument("--afresh", action="store_true", help="discard the runs that are there")
+    options.add_argument(
+        "--publish", action="store_true", help="copy the page and its figures into docs"
+    )
     options.add_argument("--ranks", type=int, default=2, help="MPI ranks (default: 2)")
     options.add_argument(
         "--program", type=Path, default=ROOT / "build/bin/battery", help="the built program"
@@ -59,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not given.program.exists():
         raise cli.InputError(f"{given.program}: no such program (make build)")
     folder = given.output or ROOT / "build/accuracy" / ("full" if given.full else "quick")
-    job = Job(folder, given.full, given.program, given.ranks, given.afresh)
+    job = Job(folder, given.full, given.program, given.ranks, given.afresh, given.publish)
     style.figure()  # sets the look
     for part in given.parts or known:
         make(part, job)

@@ -40,6 +40,7 @@ class Job:
     program : the built program.
     ranks : MPI ranks of an ensemble.
     afresh : discard results that are there.
+    publish : copy the page and its figures into docs/.
     """
 
     folder: Path
@@ -47,6 +48,7 @@ class Job:
     program: Path = ROOT / "build/bin/battery"
     ranks: int = 2
     afresh: bool = False
+    publish: bool = False
 
     def pick(self, quick: float, full: float) -> float:
         """Return the one or the other, as the job is quick or full."""

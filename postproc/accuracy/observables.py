@@ -30,6 +30,12 @@ NAMES = {
     "current": "net current at $T = 7$",
     "transition": "$T$ of the upper transition",
 }
+# at which end of its line a step is written, and on which side
+STEP_LABELS = {
+    "timestep 0.1": (-1, "right", "bottom"), "timestep 0.03": (0, "left", "bottom"),
+    "timestep 0.01": (-1, "right", "top"), "timestep 0.003": (0, "left", "bottom"),
+    "timestep 0.001": (0, "left", "bottom"),
+}  # fmt: skip
 TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # relative
 
 
@@ -148,18 +154,18 @@ def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
         axes.annotate(
             "", (at, top / 2.2), (at, top), arrowprops={"arrowstyle": "->", "color": colour}
         )
-    if line["name"].startswith("timestep"):
-        axes.annotate(
-            line["name"].split()[1], (at, size if size > 2.0 * error else size + error),
-            (5, 3 if line["name"] != "timestep 0.03" else -7), textcoords="offset points",
-            fontsize=6, color=colour,
-        )  # fmt: skip
     if line["kind"] == "theory":
         return
     times = np.geomspace(min(least_cost(line, quantity), at), 100.0 * at, 60)
     bias = 0.0 if line["kind"] == "exact" else size
     expected = np.hypot(bias, one["relative_error"] * np.sqrt(at / times))
     axes.plot(times, expected, "-", color=colour, lw=0.8)
+    if line["name"] in STEP_LABELS:
+        end, across, along = STEP_LABELS[line["name"]]
+        axes.text(
+            times[end], expected[end], line["name"].split()[1], fontsize=6, color=colour,
+            ha=across, va=along,
+        )  # fmt: skip
 
 
 def run(job: Job) -> None:

@@ -1,7 +1,8 @@
 """The page of the docs: a template, `page.md`, filled with the numbers that the parts have kept.
 
-A part whose numbers are there is shown by its `section(numbers)`, if it has one; the parts of this
-file's own are written out in the template. Nothing is run here.
+A part whose numbers are there is shown by its `section(numbers)`, Markdown without a heading, if it
+has one; what the parts `OWN` found is written out in the template. A figure NAME.png of the job's
+folder is shown as ![what it is](accuracy_NAME.png). Nothing is run here.
 """
 
 from __future__ import annotations
@@ -9,13 +10,15 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import math
+import re
 import shutil
 import string
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from postproc.accuracy.job import ROOT
 from postproc.accuracy.ladder import QUANTITIES, SCANNED
-from postproc.cli import InputError
+from postproc.cli import InputError, output_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -26,7 +29,6 @@ TEMPLATE = Path(__file__).with_name("page.md")
 NOT_RUN = "_This part has not been run._"
 OTHERS = ("trajectories", "stability", "reversal")  # parts that bring their section along
 OWN = ("observables", "gated_reversal", "tail")
-FIGURES = ("observables", "reversal_gated", "tail")
 HEADS = {"chi": "chi, T = 7", "current": "net current, T = 7", "transition": "transition T"}
 
 
@@ -111,7 +113,8 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
         return line["per_time"] / excursion["per_time"]
 
     return {
-        "which": which(numbers["choice"]),
+        "eta_current_bias": percent(abs(eta["current"]["bias"])),
+        "eta_transition_bias": percent(abs(eta["transition"]["bias"])),
         "reference_chi": measured(truth["chi"]["value"], truth["chi"]["error"]),
         "reference_current": measured(truth["current"]["value"], truth["current"]["error"]),
         "reference_transition": measured(
@@ -139,20 +142,6 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
         "collision_ratio": number(price(rows["collision"]), 2),
         "synchronous_ratio": number(price(rows["synchronous"]), 2),
     }
-
-
-def which(choice: Sequence[dict]) -> str:
-    """Return the one line that says which rung to take for which question."""
-    parts = []
-    for quantity, name in (("chi", "chi"), ("current", "the net current"), ("transition", "T")):
-        told = [
-            f"{percent(one['tolerance'], 1)} {one[quantity]['rung']}"
-            for one in choice
-            if one[quantity]["seconds"] is not None
-        ]
-        what = "the transition" if name == "T" else name
-        parts.append(f"{what} to {', '.join(told)}" if told else f"{what}: none")
-    return f"**In one line:** {'; '.join(parts)}; single events: `excursion`."
 
 
 def _events(example: dict) -> str:
@@ -288,7 +277,7 @@ def names_of(template: str) -> set[str]:
 
 def page(job: Job) -> str:
     """Return the page; every part of this file's own must have been made."""
-    fields = {"kind": "full" if job.full else "quick", "made": ""}
+    fields = {"kind": "full" if job.full else "quick"}
     for part in OWN:
         numbers = job.kept(part)
         if numbers is None:
@@ -302,10 +291,27 @@ def page(job: Job) -> str:
     return template.format(**fields)
 
 
-def run(job: Job) -> None:
-    """Write accuracy.md into the folder, and every figure beside it under the name it has there."""
-    path = job.folder / "accuracy.md"
-    path.write_text(page(job), encoding="utf-8")
-    for name in FIGURES:
-        shutil.copyfile(job.folder / f"{name}.png", job.folder / f"accuracy_{name}.png")
+def figures_of(text: str) -> list[str]:
+    """Return the names of the figures that a page shows: NAME for accuracy_NAME.png."""
+    return re.findall(r"\]\(accuracy_(\w+)\.png\)", text)
+
+
+def publish(text: str, source: Path, folder: Path) -> Path:
+    """Write the page and its figures, NAME.png of `source` as accuracy_NAME.png, into a folder."""
+    path = output_folder(folder) / "accuracy.md"
+    for name in figures_of(text):
+        figure = source / f"{name}.png"
+        if not figure.exists():
+            raise InputError(f"{figure}: no such figure")
+        shutil.copyfile(figure, folder / f"accuracy_{name}.png")
+    path.write_text(text, encoding="utf-8")
     print(path)
+    return path
+
+
+def run(job: Job) -> None:
+    """Write the page into the job's folder, and into the docs if that is asked for."""
+    text = page(job)
+    publish(text, job.folder, job.folder)
+    if job.publish:
+        publish(text, job.folder, ROOT / "docs")

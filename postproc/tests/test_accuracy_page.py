@@ -1,0 +1,83 @@
+"""The page on accuracy: every field of its template is filled, from what the parts have kept."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from postproc import cli
+from postproc.accuracy import page
+from postproc.accuracy.job import ROOT, Job
+
+KEPT = Path(__file__).with_name("accuracy_numbers.json")  # of a quick run, long lists left out
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Job:
+    for part, numbers in json.loads(KEPT.read_text()).items():
+        (tmp_path / f"{part}.json").write_text(json.dumps(numbers))
+    return Job(tmp_path)
+
+
+def test_every_field_is_filled_and_every_number_used(job: Job) -> None:
+    names = page.names_of(page.TEMPLATE.read_text())
+    filled = {name for part, make in page.FIELDS.items() for name in make(job.kept(part))}
+    assert names - filled == {"kind", *page.OTHERS}
+    assert filled - names == set()
+    text = page.page(job)
+    assert not re.search(r"[{}]", text)
+    assert not re.search(r"\bNone\b|\bnan\b", text)
+
+
+def test_numbers_on_the_page_are_those_kept(job: Job) -> None:
+    many = job.kept("tail")["ensemble"]
+    text = page.page(job)
+    assert page.measured(many["mean"], many["error"]) in text
+    assert "timestep 0.003" in text
+    assert page.NOT_RUN in text
+
+
+def test_part_that_has_not_been_made_is_named(job: Job) -> None:
+    (job.folder / "tail.json").unlink()
+    with pytest.raises(cli.InputError, match="tail"):
+        page.page(job)
+
+
+def test_figures_are_copied_beside_the_page(job: Job, tmp_path: Path) -> None:
+    text = "![one](accuracy_one.png)"
+    with pytest.raises(cli.InputError, match=r"one\.png"):
+        page.publish(text, job.folder, tmp_path / "docs")
+    (job.folder / "one.png").write_bytes(b"picture")
+    path = page.publish(text, job.folder, tmp_path / "docs")
+    assert path.read_text() == text
+    assert (path.parent / "accuracy_one.png").read_bytes() == b"picture"
+
+
+def test_page_of_the_docs_is_whole() -> None:
+    text = (ROOT / "docs/accuracy.md").read_text()
+    assert not re.search(r"[{}]", text)
+    for name in page.figures_of(text):
+        assert (ROOT / f"docs/accuracy_{name}.png").exists()
+    heads = re.findall(r"^## .*", page.TEMPLATE.read_text(), re.MULTILINE)
+    assert heads == re.findall(r"^## .*", text, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "expected"),
+    [(0.0604567, 3, "0.0605"), (1.23e6, 2, "1.2e6"), (12.3456, 3, "12.3"), (7e-5, 2, "7.0e-5"),
+     (0.0, 3, "0"), (None, 3, "-"), (float("nan"), 3, "-"), (-0.5, 2, "-0.50")],
+)  # fmt: skip
+def test_numbers_in_words(value: float | None, digits: int, expected: str) -> None:
+    assert page.number(value, digits) == expected
+
+
+def test_measurements_in_words() -> None:
+    assert page.measured(1.01964, 0.00301) == "1.0196 +- 0.0030"
+    assert page.measured(0.5, 0.0) == "0.50000"
+    assert page.percent(0.0789) == "7.9 %"
+    assert [page.seconds(value) for value in (2.34, 0.0049, 8.4e-5, None)] == [
+        "2.3 s", "4.9 ms", "84 us", "-",
+    ]  # fmt: skip
