@@ -5,6 +5,10 @@ renewal gate with the occupation of the channels counted. A point counts as pola
 0.15; differences of chi and of the net current are taken where measurement and theory agree on that
 (of two stable states the theory may choose the nearer one). For the single urn only its current is
 compared, relative to theory, where that exceeds a hundredth of the free current.
+
+Then, to tell where the rest comes from, the four flows of polarised circuits, summed over points,
+relative to those of the theory at the measured spread: out of the dense and of the sparse urn,
+through channel 1 (where the gates' formula matters) and 2 (where only the mixing in the urns does).
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from postproc import cli, theory
 from postproc.gates import WINDOW
 from postproc.points import gather
 from postproc.renewal import RENEWAL
+from postproc.results import FLOWS as RESULT_FLOWS
 from postproc.results import Results
 from postproc.states import stationary_states
 
@@ -39,6 +44,9 @@ THEORIES = (
 )
 
 
+FLOWS = ("dense1", "sparse1", "dense2", "sparse2")
+
+
 @dataclass(frozen=True)
 class Comparison:
     """How far a theory is from runs; root mean squares over points.
@@ -52,6 +60,8 @@ class Comparison:
     current : root mean square of (theory - measured)/theory of the net current over them; for the
         single urn, of its current.
     measured_chi : root mean square of the standard errors of chi there, the least to be hoped for.
+    dense1, sparse1, dense2, sparse2 : measured flows over expected ones at the measured spread, of
+        the dense and the sparse urn through channels 1 and 2, summed over polarised points.
     """
 
     theory: str
@@ -60,6 +70,10 @@ class Comparison:
     chi: float
     current: float
     measured_chi: float
+    dense1: float = math.nan
+    sparse1: float = math.nan
+    dense2: float = math.nan
+    sparse2: float = math.nan
 
 
 def _expected(circuit: Circuit, chi: float) -> tuple[float, float]:
@@ -76,6 +90,31 @@ def _expected(circuit: Circuit, chi: float) -> tuple[float, float]:
 
 def _root_mean_square(values: Sequence[float]) -> float:
     return math.sqrt(np.mean(np.square(values))) if len(values) else math.nan
+
+
+def flow_ratios(files: Sequence[Results], changes: dict[str, object]) -> dict[str, float]:
+    """Return measured over expected flows (`Comparison`) of the polarised circuits of all files."""
+    measured, expected = np.zeros(4), np.zeros(4)
+    for results in files:
+        chi = results.value("chi")
+        flows = {name: results.value(name) for name in RESULT_FLOWS}
+        polarised = results.done & (chi > POLARISED)
+        for point in np.flatnonzero(polarised.any(axis=1)):
+            circuit = replace(results.circuit(int(point)), **changes)
+            spread = chi[point][polarised[point]]
+            one, other = (0.5 * float(circuit.number) * (1.0 + sign * spread) for sign in (1, -1))
+            expected += [
+                flow(circuit, number).sum()
+                for flow in (theory.flow1, theory.flow2)
+                for number in (one, other)
+            ]
+            there = [flows[name][point][polarised[point]] for name in RESULT_FLOWS]
+            first_dense = there[2] > there[3]
+            for at, (ahead, back) in enumerate((there[:2], there[2:])):
+                measured[2 * at] += np.where(first_dense, ahead, back).sum()
+                measured[2 * at + 1] += np.where(first_dense, back, ahead).sum()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return dict(zip(FLOWS, (measured / expected).tolist(), strict=True))
 
 
 def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, object]) -> Comparison:
@@ -96,6 +135,7 @@ def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, obje
         known.number.size,
         float(np.mean(right)),
         *(_root_mean_square(values) for values in (spreads, currents, errors)),
+        **flow_ratios(files, changes),
     )
 
 
@@ -150,6 +190,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"{one.theory:32s} {one.points:6d} {one.right_phase:7.3f} {one.chi:9.2e} "
             f"{one.current:9.2e} {one.measured_chi:9.1e}"
         )
+    if all(math.isnan(one.dense2) for one in found):
+        return 0
+    print("\nflows over those of the theory at the measured spread, polarised circuits")
+    print(f"{'':32s} {'channel 1':>17s} {'channel 2':>17s}")
+    print(f"{'theory':32s}" + 2 * f" {'dense':>8s} {'sparse':>8s}")
+    for one in found:
+        print(f"{one.theory:32s}" + "".join(f" {getattr(one, name):8.3f}" for name in FLOWS))
     return 0
 
 

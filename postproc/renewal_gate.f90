@@ -1,7 +1,7 @@
 !> Simulates the renewal gate alone: Poisson entries at rate nu, each inside for (l/2)/cos(theta),
 !> cosine law, all thrown out by an entry that finds T inside. Reads a seed, then lines
-!> `load threshold entries`, writes lines `load threshold cycles sum sum_of_squares`, the sums over the entries of a cycle.
-!> Lengths are in units of l/2, so tau = pi/2. Made for `renewal_fit.py`, which fits the results.
+!> `load threshold entries`, writes lines `load threshold cycles sum sum_of_squares`, the sums over
+!> the entries of a cycle. Lengths are in units of l/2, so tau = pi/2. Checks `renewal_closure.f90`.
 program renewal_gate
   use, intrinsic :: iso_fortran_env, only: int64, real64, input_unit, output_unit
   implicit none (type, external)
@@ -19,7 +19,8 @@ program renewal_gate
     read (input_unit, *, iostat=status) load, threshold, entries
     if (status /= 0) exit
     call simulate(load/half_pi, threshold, entries, cycles, total, squares)
-    write (output_unit, '(es24.16,1x,i0,1x,i0,2(1x,es24.16))') load, threshold, cycles, total, squares
+    write (output_unit, '(es24.16,1x,i0,1x,i0,2(1x,es24.16))') &
+      load, threshold, cycles, total, squares
     flush (output_unit)
   end do
 

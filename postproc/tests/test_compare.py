@@ -30,6 +30,11 @@ def test_runs_made_by_the_papers_theory_agree_with_it(
     assert paper["chi"] < 0.01
     assert renewal["chi"] > 3 * paper["chi"]
     assert counted["points"] == 4
+    for name in compare.FLOWS:
+        assert paper[name] == pytest.approx(1.0, abs=0.1)
+    assert renewal["dense2"] == paper["dense2"]
+    assert renewal["dense1"] < 0.3
+    assert renewal["sparse1"] == pytest.approx(1.0, abs=0.1)
 
 
 def test_single_urns_are_compared_by_their_current(tmp_path: Path) -> None:

@@ -8,13 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from postproc import theory
-from postproc.renewal import RENEWAL, exponential_share
+from postproc import renewal_fit, theory
+from postproc.renewal import RENEWAL, exponential_share, fluid_share
 from postproc.renewal_fit import share_of_one
 from postproc.states import stable_spread, stationary_states
 from postproc.theory import Circuit
 
-ACCURACY = 1.2e-4
+ACCURACY = 2e-5
 
 
 def simulated_share(load: float, threshold: int, gates: int, entries: int) -> tuple[float, float]:
@@ -50,6 +50,62 @@ def test_two_at_a_time_from_the_first_passage_equations() -> None:
 def test_share_agrees_with_a_simulation(load: float, threshold: int) -> None:
     share, error = simulated_share(load, threshold, gates=4000, entries=600)
     assert float(RENEWAL.share(threshold, load)) == pytest.approx(share, abs=4 * error + ACCURACY)
+
+
+@pytest.fixture(scope="module")
+def solved() -> dict[tuple[int, float, int, int], float]:
+    keys = [(1, 1.0, 2, 16), (2, 2.0, 2, 16), (2, 2.0, 2, 8), (4, 3.0, 2, 16), (7, 12.0, 2, 16)]
+    keys += [(18, 20.0, 2, 8), (3, 2.5, 3, 8), (3, 2.5, 2, 8), (30, 40.0, 2, 8)]
+    return dict(zip(keys, renewal_fit.solve(np.array(keys, float)).tolist(), strict=True))
+
+
+def test_equations_closed_at_pairs_are_exact_up_to_two_inside(
+    solved: dict[tuple[int, float, int, int], float],
+) -> None:
+    exact = float(share_of_one(np.array([1.0]))[0])
+    assert solved[1, 1.0, 2, 16] == pytest.approx(exact, abs=1e-4)
+    one, other = solved[2, 2.0, 2, 8], solved[2, 2.0, 2, 16]
+    assert other + (other - one) / (2.0**1.5 - 1.0) == pytest.approx(0.30931, abs=ACCURACY)
+
+
+def test_fit_agrees_with_the_equations(
+    solved: dict[tuple[int, float, int, int], float],
+) -> None:
+    # of these, what the cells' width and triples change is up to 1e-4
+    for (threshold, load, order, _), share in solved.items():
+        if (threshold, order) != (3, 2):
+            assert float(RENEWAL.share(threshold, load)) == pytest.approx(share, abs=1.2e-4)
+    assert 0.0 < abs(solved[3, 2.5, 3, 8] - solved[3, 2.5, 2, 8]) < 1e-4
+
+
+def test_fit_agrees_with_the_simulations_kept_with_it() -> None:
+    checks = RENEWAL.fit["checks"]
+    apart = [
+        (float(RENEWAL.share(one["threshold"], one["load"])) - one["share"]) / one["error"]
+        for one in checks
+    ]
+    assert max(map(abs, apart)) < 4.0
+    assert np.mean(np.square(apart)) < 2.5
+    assert RENEWAL.fit["largest_misfit"] < 1e-5
+
+
+def test_many_particles_fill_a_gate_as_a_fluid() -> None:
+    assert fluid_share(1.0) == 1.0
+    assert fluid_share(0.5 * np.pi) == 0.0
+    for ratio in (1.1, 1.25, 1.4):
+        expected = fluid_share(ratio)
+        apart = [abs(float(RENEWAL.share(t, ratio * t)) - expected) for t in (400, 10_000, 10**6)]
+        assert apart[0] > apart[1] > apart[2]
+        assert apart[2] < 2e-3
+    # solutions of the equations closed at pairs, 8 cells
+    for load, share in ((228.0, 0.42113), (271.5, 0.11750), (319.0, 0.00896)):
+        assert float(RENEWAL.share(200, load)) == pytest.approx(share, abs=1e-3)
+
+
+@pytest.mark.parametrize("load", [60.0, 90.0, 120.0, 150.0])
+def test_no_jump_where_the_fit_ends(load: float) -> None:
+    below, at, above = (float(RENEWAL.share(t, load)) for t in (99, 100, 101))
+    assert above - at == pytest.approx(at - below, abs=1e-3)
 
 
 def test_values_of_the_exact_description() -> None:
