@@ -1,6 +1,6 @@
 !> Words and numbers as the user reads and writes them.
 module battery_text
-  use, intrinsic :: iso_fortran_env, only: int32, int64, real64, real128
+  use, intrinsic :: iso_fortran_env, only: int32, int64, real32, real64, real128
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, closest_word, is_one_of
@@ -16,7 +16,8 @@ module battery_text
   !> A number (integer or real), or a logical, as short text; reals with as many digits as it takes
   !> to read the same number back.
   interface to_text
-    module procedure :: int32_text, int64_text, real64_text, real128_text, logical_text
+    module procedure :: int32_text, int64_text, real32_text, real64_text, real128_text, &
+      logical_text
   end interface to_text
 
 contains
@@ -36,6 +37,25 @@ contains
     write (buffer, '(i0)') number
     text = trim(buffer)
   end function int64_text
+
+  pure function real32_text(number) result(text)
+    real(real32), intent(in) :: number
+    character(len=:), allocatable :: text
+    character(len=40) :: buffer, layout
+    real(real32) :: again
+    integer :: digits
+    !> Beyond this, fewer digits could round to more than there is.
+    real(real32), parameter :: nearly_huge = 1.0e38_real32
+
+    do digits = merge(1, 9, abs(number) < nearly_huge), 9
+      write (layout, '(a, i0, a)') '(es40.', digits - 1, 'e3)'
+      write (buffer, layout) number
+      if (.not. abs(number) <= huge(number)) exit
+      read (buffer, *) again
+      if (.not. abs(again - number) > 0.0_real32) exit
+    end do
+    text = plain_notation(trim(adjustl(buffer)))
+  end function real32_text
 
   pure function real64_text(number) result(text)
     real(real64), intent(in) :: number
