@@ -49,7 +49,7 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 
-.PHONY: help demo test build bench accuracy figures lint clean install information
+.PHONY: help demo test build bench probes accuracy figures lint clean install information
 
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 16
@@ -75,7 +75,41 @@ build: install information ## only builds: the program is build/bin/battery
 bench: build ## the speed tables, as ratios measured in one run
 	@build/bin/bench
 
-accuracy: build ## the speed-accuracy charts and the stability tables; FULL=1: long runs
+# The physics in single, double and quadruple precision, and the program that asks it questions: a
+# package of its own, of the same sources. fpm keeps a build for each set of flags.
+define PROBE_PACKAGE
+name = "accuracy"
+version = "0.1.0"
+[build]
+auto-executables = false
+auto-tests = false
+auto-examples = false
+link = ["gsl", "gslcblas"]
+external-modules = ["hdf5", "h5ds", "mpi_f08"]
+[library]
+source-dir = "../../src"
+include-dir = "../generated"
+[[executable]]
+name = "accuracy"
+source-dir = "../../app"
+main = "accuracy.f90"
+endef
+export PROBE_PACKAGE
+PRECISIONS := real32 real64 real128
+
+probes: build $(PRECISIONS:%=build/bin/accuracy-%)
+
+.PHONY: $(PRECISIONS:%=build/bin/accuracy-%)
+$(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: install information
+	@mkdir -p build/probe/real$*
+	echo "$$PROBE_PACKAGE" > build/probe/fpm.toml
+	cd build/probe
+	export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto"
+	echo "Building the physics in real$*"
+	flock .lock ../venv/bin/fpm install --prefix real$* > real$*/log 2>&1 || { cat real$*/log; exit 1; }
+	install real$*/bin/accuracy ../bin/accuracy-real$*
+
+accuracy: build probes ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@$(PYTHON) -m postproc.accuracy --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 
 figures: build ## every figure of the paper, quick; FULL=1: at the paper's own length
@@ -151,6 +185,6 @@ information: build/stamps/packages
 	fi
 	processor=$$(gfortran -march=native -Q --help=target | sha256sum)
 	if [[ "$$processor" != "$$(cat build/stamps/processor 2> /dev/null)" ]]; then
-	  rm -rf build/mpifort_*
+	  rm -rf build/mpifort_* build/probe/build
 	  echo "$$processor" > build/stamps/processor
 	fi

@@ -1,0 +1,154 @@
+!> What the probes of the program `accuracy` share: arguments, JSON, an engine on its way.
+module battery_probe
+  use, intrinsic :: iso_fortran_env, only: output_unit
+  use battery_kinds, only: wp, dp, int64
+  use battery_error, only: error_type
+  use battery_text, only: to_text
+  use battery_table, only: table_type, new_table, shape_circuit
+  use battery_engine, only: engine_type, history_type, particles_type
+  use battery_engines, only: new_engine
+  implicit none (type, external)
+  private
+  public :: argument, real_argument, integer_argument, precision_name, paper_table, started
+  public :: run_for, list, say, stop_at, now_seconds
+
+contains
+
+  !> Word `k` of the command line.
+  function argument(k) result(word)
+    integer, intent(in) :: k
+    character(len=:), allocatable :: word
+    integer :: length
+
+    call get_command_argument(k, length=length)
+    allocate (character(len=length) :: word)
+    call get_command_argument(k, word)
+  end function argument
+
+  function real_argument(k) result(number)
+    integer, intent(in) :: k
+    real(wp) :: number
+    character(len=64) :: word
+    integer :: status
+
+    word = argument(k)
+    read (word, *, iostat=status) number
+    if (status /= 0) call stop_at('argument '//to_text(k)//' is not a number')
+  end function real_argument
+
+  function integer_argument(k) result(number)
+    integer, intent(in) :: k
+    integer(int64) :: number
+    character(len=64) :: word
+    integer :: status
+
+    word = argument(k)
+    read (word, *, iostat=status) number
+    if (status /= 0) call stop_at('argument '//to_text(k)//' is not a whole number')
+  end function integer_argument
+
+  function precision_name() result(name)
+    character(len=:), allocatable :: name
+
+    name = 'real'//to_text(storage_size(1.0_wp))
+  end function precision_name
+
+  !> The paper's table with these widths; they come rounded to the precision.
+  function paper_table(width1, width2) result(table)
+    real(wp), intent(in) :: width1, width2
+    type(table_type) :: table
+
+    table = new_table(shape_circuit, 1.0_wp, width1, 1.0_wp, width2, 1.0_wp)
+  end function paper_table
+
+  !> An engine started from a copy of the particles.
+  subroutine started(name, table, threshold, particles, step, engine, clock)
+    character(len=*), intent(in) :: name
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold
+    type(particles_type), intent(in) :: particles
+    real(wp), intent(in) :: step
+    class(engine_type), allocatable, intent(out) :: engine
+    real(wp), intent(in), optional :: clock
+    type(error_type), allocatable :: error
+    type(particles_type) :: given
+    real(wp) :: began
+
+    call new_engine(name, engine, error)
+    if (allocated(error)) call stop_at(error%message)
+    engine%time_step = step
+    engine%seed = 1
+    given = particles
+    began = 0.0_wp
+    if (present(clock)) began = clock
+    call engine%start(table, threshold, given, began)
+  end subroutine started
+
+  !> Goes on for `duration`; `history` is that of the last window.
+  subroutine run_for(engine, duration, history)
+    class(engine_type), intent(inout) :: engine
+    real(wp), intent(in) :: duration
+    type(history_type), intent(inout) :: history
+    real(wp) :: elapsed
+
+    elapsed = 0.0_wp
+    do while (duration - elapsed > 4.0_wp*epsilon(1.0_wp)*duration)
+      call engine%advance(duration - elapsed, history)
+      elapsed = elapsed + history%duration
+    end do
+  end subroutine run_for
+
+  !> Numbers as a JSON list.
+  function list(numbers) result(text)
+    real(wp), intent(in) :: numbers(:)
+    character(len=:), allocatable :: text, buffer
+    character(len=48) :: word
+    character(len=16) :: layout
+    integer :: k, digits, at
+
+    digits = precision(1.0_wp) + 3
+    write (layout, '(a, i0, a, i0, a)') '(es', digits + 9, '.', digits - 1, 'e4)'
+    allocate (character(len=size(numbers)*len(word) + 2) :: buffer)
+    buffer(1:1) = '['
+    at = 1
+    do k = 1, size(numbers)
+      write (word, layout) numbers(k)
+      if (.not. abs(numbers(k)) <= huge(1.0_wp)) word = 'null'
+      if (k > 1) call put(',')
+      call put(trim(adjustl(word)))
+    end do
+    call put(']')
+    text = buffer(:at)
+
+  contains
+
+    subroutine put(part)
+      character(len=*), intent(in) :: part
+
+      buffer(at + 1:at + len(part)) = part
+      at = at + len(part)
+    end subroutine put
+
+  end function list
+
+  subroutine say(text)
+    character(len=*), intent(in) :: text
+
+    write (output_unit, '(a)') text
+    flush (output_unit)
+  end subroutine say
+
+  subroutine stop_at(message)
+    character(len=*), intent(in) :: message
+
+    error stop 'accuracy: '//message
+  end subroutine stop_at
+
+  !> Processor time of this process.
+  function now_seconds() result(seconds)
+    real(dp) :: seconds
+
+    call cpu_time(seconds)
+  end function now_seconds
+
+end module battery_probe

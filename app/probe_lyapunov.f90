@@ -1,0 +1,157 @@
+!> The Lyapunov exponent of the free billiard, from its tangent map.
+!>
+!> A neighbouring path is (J, D): how far it is off, across the path, and how much its direction
+!> differs. Along a flight of the time t, J grows by t D. A reflection from a straight wall turns
+!> both over; one from the inside of a circle of radius r, at the incidence c = cos of the angle to
+!> the normal, makes D into -(D - 2 J/(r c)). The mean of log |(J, D)| per time is the exponent.
+!> N. Chernov, R. Markarian, "Chaotic billiards", AMS 2006, chapter 3.
+module battery_probe_lyapunov
+  use battery_kinds, only: wp, dp, int64, pi
+  use battery_text, only: to_text
+  use battery_table, only: table_type
+  use battery_random, only: hashed_uniform
+  use battery_bounce, only: walls_type, flight_type, new_walls, take_off, fly, hit_arc, &
+    hit_channel, enter_channel, leave_channel, cross_middle_line, cross_periodic_line, on_side_one, &
+    meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, meets_nothing
+  use battery_probe, only: real_argument, integer_argument, precision_name, paper_table, say
+  implicit none (type, external)
+  private
+  public :: lyapunov_main, tangent_type, fly_apart, bounce_apart
+
+  !> A neighbouring path, and the logarithm of how often it was made shorter.
+  type :: tangent_type
+    real(wp) :: off = 1.0_wp, turned = 0.0_wp
+    real(wp) :: grown = 0.0_wp
+  end type tangent_type
+
+contains
+
+  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME`: mean over so many random starts in the urns, each for so
+  !> long, with its standard error, and the mean over the second half of the time alone.
+  subroutine lyapunov_main()
+    type(table_type) :: table
+    type(flight_type) :: flight
+    real(wp) :: duration, rate, sums(2), late
+    integer :: number, i
+
+    table = paper_table(real_argument(2), real_argument(3))
+    number = int(integer_argument(4))
+    duration = real_argument(5)
+    sums = 0.0_wp
+    late = 0.0_wp
+    do i = 1, number
+      call place(table, i, flight)
+      call follow(table, flight, duration, rate, late)
+      sums = sums + [rate, rate**2]
+    end do
+    sums = sums/number
+    call say('{"precision": "'//precision_name()//'", "number": '//to_text(number)//', "time": ' &
+      //to_text(real(duration, dp))//', "lyapunov": '//to_text(real(sums(1), dp)) &
+      //', "error": '//to_text(real(sqrt((sums(2) - sums(1)**2)/max(number - 1, 1)), dp)) &
+      //', "second_half": '//to_text(real(late/number, dp))//'}')
+  end subroutine lyapunov_main
+
+  !> Particle number `i`, uniform in one of the urns.
+  subroutine place(table, i, flight)
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: i
+    type(flight_type), intent(out) :: flight
+    integer(int64) :: count
+    real(wp) :: x, y, angle
+
+    count = 0
+    do
+      x = 2.0_wp*hashed_uniform(int(i, int64), count) - 1.0_wp
+      y = 2.0_wp*hashed_uniform(int(i, int64), count + 1) - 1.0_wp
+      count = count + 2
+      if (x**2 + y**2 < 0.9_wp) exit
+    end do
+    angle = 2.0_wp*pi*hashed_uniform(int(i, int64), count)
+    flight = flight_type(x=sign(table%urn_centre, real(modulo(i, 2), wp) - 0.5_wp) + x, y=y, &
+      ux=cos(angle), uy=sin(angle))
+  end subroutine place
+
+  !> The growth rate along one path; `late` grows by that of the second half.
+  subroutine follow(table, flight, duration, rate, late)
+    type(table_type), intent(in) :: table
+    type(flight_type), intent(inout) :: flight
+    real(wp), intent(in) :: duration
+    real(wp), intent(out) :: rate
+    real(wp), intent(inout) :: late
+    type(walls_type) :: walls
+    type(tangent_type) :: tangent
+    real(wp) :: wait, time, half, half_time
+
+    walls = new_walls(table)
+    call take_off(table, walls, flight, wait)
+    time = 0.0_wp
+    half = 0.0_wp
+    half_time = 0.0_wp
+    do while (time < duration)
+      if (flight%next == meets_nothing) exit
+      call fly(flight, wait)
+      call fly_apart(tangent, wait)
+      time = time + wait
+      call pass(walls, flight, tangent, wait)
+      if (time < 0.5_wp*duration) then
+        half = tangent%grown
+        half_time = time
+      end if
+    end do
+    rate = tangent%grown/time
+    late = late + (tangent%grown - half)/(time - half_time)
+  end subroutine follow
+
+  !> What the particle meets, and what that does to its neighbour.
+  subroutine pass(walls, flight, tangent, wait)
+    type(walls_type), intent(in) :: walls
+    type(flight_type), intent(inout) :: flight
+    type(tangent_type), intent(inout) :: tangent
+    real(wp), intent(out) :: wait
+    real(wp) :: qx, side
+
+    select case (flight%next)
+    case (meets_arc)
+      side = merge(-1.0_wp, 1.0_wp, on_side_one(flight))
+      qx = side*flight%x - walls%centre
+      call bounce_apart(tangent, abs(qx*side*flight%ux + flight%y*flight%uy))
+      call hit_arc(walls, flight, wait)
+    case (meets_wall)
+      call bounce_apart(tangent)
+      call hit_channel(walls, flight, wait)
+    case (meets_gate, meets_return)
+      call enter_channel(walls, flight, wait)
+    case (meets_urn)
+      call leave_channel(walls, flight, wait)
+    case (meets_middle)
+      call cross_middle_line(walls, flight, wait)
+    case default
+      call cross_periodic_line(walls, flight, wait)
+    end select
+  end subroutine pass
+
+  !> Straight on for a while.
+  pure subroutine fly_apart(tangent, time)
+    type(tangent_type), intent(inout) :: tangent
+    real(wp), intent(in) :: time
+
+    tangent%off = tangent%off + time*tangent%turned
+  end subroutine fly_apart
+
+  !> A reflection: from a straight wall, or from the inside of a circle, where `depth` is r c. The
+  !> neighbour is brought back to the distance 1.
+  pure subroutine bounce_apart(tangent, depth)
+    type(tangent_type), intent(inout) :: tangent
+    real(wp), intent(in), optional :: depth
+    real(wp) :: length
+
+    if (present(depth)) tangent%turned = tangent%turned - 2.0_wp*tangent%off/depth
+    tangent%off = -tangent%off
+    tangent%turned = -tangent%turned
+    length = hypot(tangent%off, tangent%turned)
+    tangent%grown = tangent%grown + log(length)
+    tangent%off = tangent%off/length
+    tangent%turned = tangent%turned/length
+  end subroutine bounce_apart
+
+end module battery_probe_lyapunov

@@ -1,0 +1,475 @@
+!> Probe of the places where methods fail: for one engine, a line for each case, with a number.
+!>
+!> `value` is what the case is about; what it means, and against what it is held, is for the reader
+!> (`postproc/accuracy/stability.py`) to know. The rest is the same for all: how it ended
+!> (`done`; `stopped`: it took too long, `reached` is how far it got), particles lost or not a
+!> number, the greatest |u| - 1, how many are trapped, and wall hits.
+module battery_probe_stability
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_finite, ieee_value, ieee_quiet_nan
+  use battery_kinds, only: wp, dp, int64, pi
+  use battery_text, only: to_text
+  use battery_table, only: table_type, region_at, outside
+  use battery_random, only: hashed_uniform
+  use battery_engine, only: engine_type, history_type, particles_type, event_entry
+  use battery_signals, only: wall_seconds
+  use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
+    started, list, say
+  implicit none (type, external)
+  private
+  public :: stability_main
+
+  !> The clock is looked at after each window, which is as long as about so many wall hits take.
+  real(wp), parameter :: window_hits = 1.0e4_wp
+
+  !> A case on its way: what it was made of, and what became known of it.
+  type :: case_type
+    character(len=:), allocatable :: name
+    real(wp) :: parameter = 0.0_wp
+    type(table_type) :: table
+    integer :: threshold = 1000000, number = 0
+    class(engine_type), allocatable :: engine
+    real(wp) :: duration = 0.0_wp, reached = 0.0_wp
+    logical :: stopped = .false.
+    !> Events: time, kind, particle, in the order of time.
+    integer :: events = 0
+    real(wp), allocatable :: time(:)
+    integer, allocatable :: kind(:), particle(:)
+    !> Particles at the end.
+    type(particles_type) :: particles
+    integer(int64) :: crossings(2) = 0
+    real(dp) :: seconds = 0.0_dp
+  end type case_type
+
+  character(len=:), allocatable :: engine_name
+  real(wp), parameter :: step = 1.0e-3_wp
+  !> A case is given up after so many seconds.
+  real(dp) :: most_seconds = 0.3_dp
+
+contains
+
+  !> `stability ENGINE COLLISIONS SECONDS`: all cases, none but the long run longer than so many
+  !> seconds; the long run has so many collisions.
+  subroutine stability_main()
+    engine_name = argument(2)
+    most_seconds = real(real_argument(4), dp)
+    call whispering()
+    call corners()
+    call along_the_axis()
+    call across_a_channel()
+    call diameter()
+    call ties()
+    call extremes()
+    call late_clock()
+    call long_run(integer_argument(3))
+  end subroutine stability_main
+
+  !> A case with these particles; `hit_rate` is how often they hit walls at most.
+  subroutine live(one, name, parameter, table, threshold, particles, duration, hit_rate, clock)
+    type(case_type), intent(out) :: one
+    character(len=*), intent(in) :: name
+    real(wp), intent(in) :: parameter, duration, hit_rate
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold
+    type(particles_type), intent(in) :: particles
+    real(wp), intent(in), optional :: clock
+    type(history_type) :: history
+    real(wp) :: window
+    real(dp) :: began
+    integer :: n
+
+    one%name = name
+    one%parameter = parameter
+    one%table = table
+    one%threshold = threshold
+    one%number = size(particles%x)
+    one%duration = duration
+    allocate (one%time(0), one%kind(0), one%particle(0))
+    call started(engine_name, table, threshold, particles, step, one%engine, clock)
+    history%logging = .true.
+    window = huge(1.0_wp)
+    if (hit_rate > 0.0_wp .and. (engine_name == 'collision' .or. engine_name == 'synchronous')) &
+      window = window_hits/hit_rate
+    began = wall_seconds()
+    do while (duration - one%reached > 4.0_wp*epsilon(1.0_wp)*duration)
+      call one%engine%advance(min(duration - one%reached, window), history)
+      n = history%events
+      if (n > 0) then
+        one%time = [one%time, one%reached + history%event_time(:n)]
+        one%kind = [one%kind, int(history%event_kind(:n))]
+        one%particle = [one%particle, int(history%event_particle(:n))]
+      end if
+      one%events = one%events + n
+      one%crossings = one%crossings + [crossings(history, 1), crossings(history, 0)]
+      one%reached = one%reached + history%duration
+      one%stopped = wall_seconds() - began > most_seconds
+      if (one%stopped) exit
+    end do
+    one%seconds = wall_seconds() - began
+    call one%engine%particles(1, one%number, one%particles)
+  end subroutine live
+
+  !> Crossings of a window from half 1 to 2 (`odd` = 1) or back (0).
+  pure function crossings(history, odd) result(number)
+    type(history_type), intent(in) :: history
+    integer, intent(in) :: odd
+    integer(int64) :: number
+
+    number = count(modulo(int(history%crossing(:history%crossings)), 2) == odd)
+  end function crossings
+
+  !> The line of a case.
+  subroutine tell(one, value)
+    type(case_type), intent(in) :: one
+    real(wp), intent(in) :: value
+    integer :: i, lost, nan, first
+    real(wp) :: off
+
+    lost = 0
+    nan = 0
+    off = 0.0_wp
+    associate (p => one%particles)
+      do i = 1, one%number
+        if (.not. all(ieee_is_finite([p%x(i), p%y(i), p%ux(i), p%uy(i)]))) then
+          nan = nan + 1
+        else if (region_at(one%table, p%x(i), p%y(i), 1.0e4_wp*epsilon(1.0_wp)) == outside) then
+          lost = lost + 1
+        else
+          off = max(off, abs(hypot(p%ux(i), p%uy(i)) - 1.0_wp))
+        end if
+      end do
+      first = count(p%x < 0.0_wp)
+    end associate
+    call say('{"case": "'//one%name//'", "parameter": '//to_text(real(one%parameter, dp)) &
+      //', "precision": "'//precision_name()//'", "engine": "'//engine_name//'", "ended": "' &
+      //merge('stopped', 'done   ', one%stopped)//'", "reached": '//to_text(real(one%reached, dp)) &
+      //', "value": '//number_text(value)//', "lost": '//to_text(lost)//', "not_a_number": ' &
+      //to_text(nan)//', "speed_error": '//to_text(real(off, dp))//', "trapped": ' &
+      //to_text(one%engine%trapped())//', "hits": '//to_text(one%engine%collisions()) &
+      //', "seconds": '//to_text(one%seconds)//', "in_urn1": '//to_text(first)//'}')
+  end subroutine tell
+
+  !> All digits, or null.
+  function number_text(value) result(text)
+    real(wp), intent(in) :: value
+    character(len=:), allocatable :: text
+
+    text = list([value])
+    text = text(2:len(text) - 1)
+  end function number_text
+
+  function alone(x, y, ux, uy) result(particles)
+    real(wp), intent(in) :: x, y, ux, uy
+    type(particles_type) :: particles
+    real(wp) :: speed
+
+    speed = hypot(ux, uy)
+    particles = particles_type([x], [y], [ux/speed], [uy/speed])
+  end function alone
+
+  !> Time of the first event, NaN (null) if there is none.
+  function first_event(one) result(time)
+    type(case_type), intent(in) :: one
+    real(wp) :: time
+
+    time = ieee_value(1.0_wp, ieee_quiet_nan)
+    if (one%events > 0) time = one%time(1)
+  end function first_event
+
+  !> From the top of urn 2, along the wall towards channel 1, at an angle to the wall: when it enters
+  !> its gate.
+  subroutine whispering()
+    type(case_type) :: one
+    type(table_type) :: table
+    real(wp) :: angle
+    integer :: k
+
+    if (engine_name == 'reservoir') return
+    table = paper_table(0.3_wp, 0.01_wp)
+    do k = 3, 12
+      angle = 10.0_wp**(-k)
+      call live(one, 'whispering', angle, table, 10, alone(table%urn_centre, 1.0_wp, &
+        -cos(angle), -sin(angle)), 3.0_wp, 0.5_wp/angle)
+      call tell(one, first_event(one))
+    end do
+  end subroutine whispering
+
+  !> Shots from inside urn 2 at the corner of gate 2, and at 2**-k above and below: how many end on
+  !> the wrong side, and of those, at which distance the last did. Exactly at the corner nothing is
+  !> wrong but to be lost.
+  subroutine corners()
+    type(case_type) :: one
+    type(table_type) :: table
+    real(wp) :: corner(2), from(2), off, worst
+    integer :: k, shot, side, wrong
+    logical :: entered
+
+    if (engine_name == 'reservoir') return
+    table = paper_table(0.3_wp, 0.01_wp)
+    corner = [0.5_wp, 0.5_wp*table%channel1_width]
+    wrong = 0
+    worst = 0.0_wp
+    do shot = 1, 10
+      from = [1.0_wp + 0.05_wp*shot, 0.6_wp - 0.1_wp*shot]
+      do k = 4, 60
+        off = 0.5_wp**k
+        if (k == 60) off = 0.0_wp
+        do side = -1, 1, 2
+          call live(one, 'corner', off, table, 10, alone(from(1), from(2), corner(1) - from(1), &
+            corner(2) + side*off - from(2)), 1.5_wp, 10.0_wp)
+          entered = .false.
+          if (one%events > 0) entered = one%kind(1) == event_entry
+          if (k < 60 .and. (entered .neqv. side < 0)) then
+            wrong = wrong + 1
+            worst = max(worst, off)
+          end if
+          if (k == 60 .and. shot == 10 .and. side == 1) then
+            one%name = 'corner exactly'
+            call tell(one, merge(1.0_wp, 0.0_wp, entered))
+          end if
+        end do
+      end do
+    end do
+    one%name = 'corner shots on the wrong side'
+    call tell(one, real(wrong, wp))
+    one%name = 'corner farthest wrong shot'
+    call tell(one, worst)
+  end subroutine corners
+
+  !> Round and round through both channels: height after 100 time units.
+  subroutine along_the_axis()
+    type(case_type) :: one
+    type(table_type) :: table
+    real(wp) :: slope
+    integer :: k
+
+    if (engine_name == 'reservoir') return
+    table = paper_table(0.3_wp, 0.01_wp)
+    do k = 3, 16
+      slope = 10.0_wp**(-k)
+      if (k == 16) slope = 0.0_wp
+      call live(one, 'along the axis', slope, table, 10, alone(table%urn_centre, 0.0_wp, 1.0_wp, &
+        slope), 100.0_wp, 10.0_wp)
+      call tell(one, one%particles%y(1))
+    end do
+  end subroutine along_the_axis
+
+  !> Across channel 1, drifting to its middle: when it crosses that, over the exact time.
+  subroutine across_a_channel()
+    type(case_type) :: one
+    type(table_type) :: table
+    real(wp) :: drift, exact
+    integer :: k
+
+    table = paper_table(0.3_wp, 0.01_wp)
+    do k = 3, 16
+      drift = 10.0_wp**(-k)
+      if (k == 16) drift = 0.0_wp
+      exact = 100.0_wp
+      if (drift > 0.0_wp) exact = 0.25_wp*sqrt(1.0_wp + drift**2)/drift
+      call live(one, 'across a channel', drift, table, 10, alone(-0.25_wp, 0.0_wp, drift, 1.0_wp), &
+        1.001_wp*exact, 4.0_wp)
+      call tell(one, first_event(one)/exact - 1.0_wp)
+    end do
+  end subroutine across_a_channel
+
+  !> To and fro on a diameter of urn 2 that meets no opening: how far it is off after 2000.
+  subroutine diameter()
+    type(case_type) :: one
+    type(table_type) :: table
+
+    if (engine_name == 'reservoir') return
+    table = paper_table(0.3_wp, 0.01_wp)
+    call live(one, 'upright diameter', 0.0_wp, table, 10, alone(table%urn_centre, 0.0_wp, 0.0_wp, &
+      1.0_wp), 2000.0_wp, 10.0_wp)
+    call tell(one, abs(one%particles%x(1) - table%urn_centre))
+    call live(one, 'slanted diameter', 1.0_wp, table, 10, alone(table%urn_centre, 0.0_wp, 0.6_wp, &
+      0.8_wp), 2000.0_wp, 10.0_wp)
+    call tell(one, abs(0.8_wp*(one%particles%x(1) - table%urn_centre) - 0.6_wp*one%particles%y(1)))
+  end subroutine diameter
+
+  !> Four particles enter gate 2 at one time, two by two exactly; T = 0, 1, 2 and 3. In how many of the
+  !> 24 orders in memory does any of them fare otherwise than in the first?
+  subroutine ties()
+    type(case_type) :: one, first
+    type(table_type) :: table
+    type(particles_type) :: particles
+    real(wp), parameter :: heights(4) = [0.125_wp, -0.125_wp, 0.0625_wp, 0.0_wp]
+    integer :: order(4), first_order(4), threshold, code, differ
+    logical :: untried
+
+    if (engine_name == 'reservoir') return
+    table = paper_table(0.3_wp, 0.01_wp)
+    do threshold = 0, 3
+      differ = 0
+      untried = .true.
+      do code = 0, 255
+        order = 1 + modulo(code/[1, 4, 16, 64], 4)
+        if (any([count(order == 1), count(order == 2), count(order == 3)] /= 1)) cycle
+        if (count(order == 4) /= 1) cycle
+        particles = particles_type(spread(1.0_wp, 1, 4), heights(order), spread(-1.0_wp, 1, 4), &
+          spread(0.0_wp, 1, 4))
+        call live(one, 'ties', real(threshold, wp), table, threshold, particles, 1.75_wp, 10.0_wp)
+        if (untried) then
+          first = one
+          first_order = order
+        end if
+        untried = .false.
+        if (.not. same_fates(one, order, first, first_order)) differ = differ + 1
+      end do
+      call tell(one, real(differ, wp))
+    end do
+  end subroutine ties
+
+  !> Whether each particle, whatever its number, has the same events at the same times and is at the
+  !> same place at the end.
+  pure function same_fates(one, order, other, other_order) result(same)
+    type(case_type), intent(in) :: one, other
+    integer, intent(in) :: order(4), other_order(4)
+    logical :: same
+    integer :: who, i, j
+
+    same = one%events == other%events
+    do who = 1, 4
+      if (.not. same) return
+      i = findloc(order, who, 1)
+      j = findloc(other_order, who, 1)
+      associate (mine => one%particle(:one%events) == i .and. one%kind == event_entry, &
+        theirs => other%particle(:other%events) == j .and. other%kind == event_entry)
+        same = count(mine) == count(theirs)
+        if (same) same = all(abs(pack(one%time, mine) - pack(other%time, theirs)) <= 0.0_wp)
+      end associate
+      same = same .and. abs(one%particles%x(i) - other%particles%x(j)) <= 0.0_wp &
+        .and. abs(one%particles%y(i) - other%particles%y(j)) <= 0.0_wp
+    end do
+  end function same_fates
+
+  !> Tables and numbers at the edge of what is allowed, from random starts.
+  subroutine extremes()
+    call extreme('N = 1', 1, 7, 0.3_wp, 0.01_wp)
+    call extreme('T = 0', 100, 0, 0.3_wp, 0.01_wp)
+    call extreme('w'' = 0', 100, 3, 0.3_wp, 0.0_wp)
+    call extreme('w near 2r', 100, 3, nearest(2.0_wp, -1.0_wp), 0.01_wp)
+    call extreme('w and w'' near 2r', 100, 3, 1.9999_wp, 1.9999_wp)
+    call extreme('openings of 1e-9', 100, 3, 1.0e-9_wp, 1.0e-9_wp)
+  end subroutine extremes
+
+  !> `value`: how many more or fewer are in half 1 than the crossings say.
+  subroutine extreme(name, number, threshold, width1, width2)
+    character(len=*), intent(in) :: name
+    integer, intent(in) :: number, threshold
+    real(wp), intent(in) :: width1, width2
+    type(case_type) :: one
+    type(table_type) :: table
+    type(particles_type) :: particles
+    integer :: first
+
+    table = paper_table(width1, width2)
+    particles = scattered(table, number)
+    first = count(particles%x < 0.0_wp)
+    call live(one, name, 0.0_wp, table, threshold, particles, 300.0_wp, 2.0_wp*number)
+    call tell(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
+      - one%crossings(2)), wp))
+  end subroutine extreme
+
+  !> Particles uniform on the discs, inside of both chords, of all directions.
+  function scattered(table, number) result(particles)
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: number
+    type(particles_type) :: particles
+    real(wp) :: x, y, angle
+    integer(int64) :: count
+    integer :: i
+
+    allocate (particles%x(number), particles%y(number), particles%ux(number), particles%uy(number))
+    do i = 1, number
+      count = 0
+      do
+        x = 2.0_wp*hashed_uniform(int(i, int64), count) - 1.0_wp
+        y = 2.0_wp*hashed_uniform(int(i, int64), count + 1) - 1.0_wp
+        count = count + 2
+        if (x**2 + y**2 < 1.0_wp .and. -x < table%chord1_distance .and. x &
+          < table%chord2_distance) exit
+      end do
+      angle = 2.0_wp*pi*hashed_uniform(int(i, int64), count)
+      particles%x(i) = (table%urn_centre + x)*merge(1.0_wp, -1.0_wp, modulo(i, 2) == 0)
+      particles%y(i) = y
+      particles%ux(i) = cos(angle)
+      particles%uy(i) = sin(angle)
+    end do
+  end function scattered
+
+  !> The same run from the clock 0 and from 1e12: greatest difference of an event's time since the
+  !> start, -1 if the events themselves differ.
+  subroutine late_clock()
+    type(case_type) :: early, late
+    type(table_type) :: table
+    type(particles_type) :: particles
+    real(wp) :: apart
+
+    table = paper_table(0.3_wp, 0.01_wp)
+    particles = scattered(table, 50)
+    call live(early, 'clock at 1e12', 0.0_wp, table, 3, particles, 50.0_wp, 100.0_wp)
+    call live(late, 'clock at 1e12', 1.0e12_wp, table, 3, particles, 50.0_wp, 100.0_wp, 1.0e12_wp)
+    apart = -1.0_wp
+    if (early%events == late%events) apart = maxval(abs(early%time - late%time))
+    call tell(late, apart)
+  end subroutine late_clock
+
+  !> One long run, N = 1000, T = 7: how far beyond a wall anybody is at its end; and how many more or
+  !> fewer are in half 1 than the crossings say.
+  subroutine long_run(collisions)
+    integer(int64), intent(in) :: collisions
+    type(case_type) :: one
+    type(table_type) :: table
+    type(particles_type) :: particles
+    type(history_type) :: history
+    integer(int64) :: known
+    real(dp) :: began
+    integer :: first
+
+    table = paper_table(0.3_wp, 0.01_wp)
+    particles = scattered(table, 1000)
+    first = count(particles%x < 0.0_wp)
+    one%name = 'long run'
+    one%parameter = real(collisions, wp)
+    one%table = table
+    one%number = 1000
+    call started(engine_name, table, 7, particles, step, one%engine)
+    known = 0
+    began = wall_seconds()
+    do while (known < collisions)
+      call one%engine%advance(huge(1.0_wp), history)
+      known = known + history%collisions
+      one%reached = one%reached + history%duration
+      one%crossings = one%crossings + [crossings(history, 1), crossings(history, 0)]
+    end do
+    one%seconds = wall_seconds() - began
+    call one%engine%particles(1, 1000, one%particles)
+    call tell(one, beyond(table, one%particles))
+    one%name = 'long run, count of half 1'
+    call tell(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
+      - one%crossings(2)), wp))
+  end subroutine long_run
+
+  !> Greatest distance beyond the walls of the region somebody is in.
+  pure function beyond(table, particles) result(far)
+    type(table_type), intent(in) :: table
+    type(particles_type), intent(in) :: particles
+    real(wp) :: far
+    real(wp) :: qx
+    integer :: i
+
+    far = 0.0_wp
+    do i = 1, size(particles%x)
+      qx = abs(particles%x(i)) - table%urn_centre
+      if (qx <= -table%chord1_distance) then
+        far = max(far, abs(particles%y(i)) - 0.5_wp*table%channel1_width)
+      else if (qx >= table%chord2_distance) then
+        far = max(far, abs(particles%y(i)) - 0.5_wp*table%channel2_width)
+      else
+        far = max(far, hypot(qx, particles%y(i)) - table%urn_radius)
+      end if
+    end do
+  end function beyond
+
+end module battery_probe_stability

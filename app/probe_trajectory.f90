@@ -1,0 +1,155 @@
+!> Probes of trajectories: where the particles are at given times and what it cost, and where they
+!> come back to when all velocities are turned.
+module battery_probe_trajectory
+  use battery_kinds, only: wp, dp, int64
+  use battery_error, only: error_type
+  use battery_text, only: to_text
+  use battery_table, only: table_type
+  use battery_engine, only: engine_type, history_type, particles_type
+  use battery_initial_state, only: read_particles
+  use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
+    started, run_for, list, say, stop_at, now_seconds
+  implicit none (type, external)
+  private
+  public :: trajectory_main, reversal_main
+
+  !> The cost is measured over at least so many seconds, unless one run takes longer.
+  real(dp), parameter :: least_seconds = 0.1_dp
+
+  !> A case: from where, by which engine, how far.
+  type :: case_type
+    character(len=:), allocatable :: engine
+    real(wp) :: step = 0.0_wp
+    type(table_type) :: table
+    type(particles_type) :: particles
+    integer :: threshold = 0
+    real(wp), allocatable :: times(:)
+  end type case_type
+
+  !> The events of a run.
+  type :: log_type
+    real(wp), allocatable :: time(:)
+    integer, allocatable :: kind(:), where(:), particle(:)
+  end type log_type
+
+contains
+
+  !> `trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...`: a line for each time, one with
+  !> the cost, and one with all events.
+  subroutine trajectory_main()
+    type(case_type) :: one
+    class(engine_type), allocatable :: engine
+    type(history_type) :: history
+    type(particles_type) :: found
+    type(log_type) :: log
+    real(wp) :: elapsed
+    real(dp) :: began, spent
+    integer :: k
+
+    call read_case(one, 7)
+    one%threshold = int(integer_argument(6))
+    call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+    history%logging = .true.
+    allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
+    elapsed = 0.0_wp
+    spent = 0.0_dp
+    do k = 1, size(one%times)
+      began = now_seconds()
+      do while (one%times(k) - elapsed > 4.0_wp*epsilon(1.0_wp)*one%times(k))
+        call engine%advance(one%times(k) - elapsed, history)
+        call append(log, history, elapsed)
+        elapsed = elapsed + history%duration
+      end do
+      spent = spent + (now_seconds() - began)
+      call engine%particles(1, engine%number, found)
+      call say('{"time": '//to_text(real(one%times(k), dp))//', "x": '//list(found%x)//', "y": ' &
+        //list(found%y)//'}')
+    end do
+    spent = spent/(elapsed*engine%number)
+    if (spent*elapsed*engine%number < least_seconds) spent = cost(one)
+    call say('{"precision": "'//precision_name()//'", "engine": "'//one%engine//'", "step": ' &
+      //to_text(real(one%step, dp))//', "threshold": '//to_text(one%threshold) &
+      //', "seconds_per_particle_time": '//to_text(spent)//', "trapped": ' &
+      //to_text(engine%trapped())//'}')
+    call say('{"event_time": '//list(log%time)//', "kind": '//list(real(log%kind, wp)) &
+      //', "where": '//list(real(log%where, wp))//', "particle": '//list(real(log%particle, wp)) &
+      //'}')
+  end subroutine trajectory_main
+
+  !> `reversal ENGINE STEP FILE NUMBER TIME ...`: for each time, the distance of each particle of
+  !> the free circuit from its start after going there and back.
+  subroutine reversal_main()
+    type(case_type) :: one
+    class(engine_type), allocatable :: engine
+    type(history_type) :: history
+    type(particles_type) :: found
+    integer :: k
+
+    call read_case(one, 6)
+    one%threshold = size(one%particles%x)
+    do k = 1, size(one%times)
+      call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+      call run_for(engine, one%times(k), history)
+      call engine%particles(1, engine%number, found)
+      found%ux = -found%ux
+      found%uy = -found%uy
+      call started(one%engine, one%table, one%threshold, found, one%step, engine)
+      call run_for(engine, one%times(k), history)
+      call engine%particles(1, engine%number, found)
+      call say('{"precision": "'//precision_name()//'", "engine": "'//one%engine//'", "time": ' &
+        //to_text(real(one%times(k), dp))//', "error": '//list(hypot(found%x - one%particles%x, &
+        found%y - one%particles%y))//'}')
+    end do
+  end subroutine reversal_main
+
+  !> What the command line says; times begin at word `first`.
+  subroutine read_case(one, first)
+    type(case_type), intent(out) :: one
+    integer, intent(in) :: first
+    type(error_type), allocatable :: error
+    integer :: k
+
+    one%engine = argument(2)
+    one%step = real_argument(3)
+    one%table = paper_table(0.3_wp, 0.01_wp)
+    call read_particles(argument(4), one%table, int(integer_argument(5)), one%particles, error)
+    if (allocated(error)) call stop_at(error%message)
+    one%times = [(real_argument(k), k=first, command_argument_count())]
+  end subroutine read_case
+
+  !> Processor seconds per particle and time unit.
+  function cost(one) result(seconds)
+    type(case_type), intent(in) :: one
+    real(dp) :: seconds
+    class(engine_type), allocatable :: engine
+    type(history_type) :: history
+    real(dp) :: began, spent, time
+
+    spent = 0.0_dp
+    time = 0.0_dp
+    do
+      call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+      began = now_seconds()
+      call run_for(engine, one%times(size(one%times)), history)
+      spent = spent + (now_seconds() - began)
+      time = time + real(one%times(size(one%times)), dp)
+      if (spent > least_seconds) exit
+    end do
+    seconds = spent/(time*size(one%particles%x))
+  end function cost
+
+  subroutine append(log, history, since)
+    type(log_type), intent(inout) :: log
+    type(history_type), intent(in) :: history
+    real(wp), intent(in) :: since
+    integer :: n
+
+    n = history%events
+    if (n == 0) return
+    log%time = [log%time, since + history%event_time(:n)]
+    log%kind = [log%kind, int(history%event_kind(:n))]
+    log%where = [log%where, int(history%event_where(:n))]
+    log%particle = [log%particle, int(history%event_particle(:n))]
+  end subroutine append
+
+end module battery_probe_trajectory

@@ -1,0 +1,241 @@
+!> Probe of single visits to an urn: many random ones in one precision, held against another.
+!>
+!> A visit is known by its way in, and its way out depends on that the more the longer it is. To
+!> first order, a change of the way in by eps turns the way out by K_u eps and moves it along the
+!> opening by K_y eps, and changes its length by K_l eps, with n the wall hits, s and c the sine and
+!> cosine of the incidence, q and u place and direction at the way out:
+!>   K_u = 1 + 2 n/c,  K_y = (|q.u| K_u + r)/|u_x|,  K_l = 2 r (n |s|/c + 1) + r K_u + |u_y| K_y.
+!> The error of a visit over these is what is held against the precision. Visits that end at
+!> another wall hit than the reference are told apart: those that come so close to a corner that
+!> the way in, known to `corner_tolerance`, cannot say on which side, and those that are wrong.
+module battery_probe_visits
+  use, intrinsic :: iso_fortran_env, only: real32
+  use battery_kinds, only: wp, dp, int64
+  use battery_text, only: to_text
+  use battery_table, only: table_type
+  use battery_random, only: hashed_uniform
+  use battery_urn, only: urn_type, visits_type, new_urn, reserve_visits, cross_urns
+  use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
+    say, stop_at, now_seconds
+  implicit none (type, external)
+  private
+  public :: visits_main
+
+  integer, parameter :: chunk = 4096
+  !> Numbers of a visit in the file: opening, y, |u_x|, u_y, length, wall hits.
+  integer, parameter :: numbers = 6
+  !> A tie at a corner, in units of the change of the way in.
+  real(wp), parameter :: corner_tolerance = 8.0_wp
+  !> Errors are counted by their decimal logarithm, in tenths, from 10**-40 to 1.
+  integer, parameter :: bins = 400
+
+  !> What the comparison found.
+  type :: finding_type
+    integer(int64) :: same = 0, corner = 0, wrong = 0
+    !> Greatest error over its condition, and greatest and mean log10 of the condition itself.
+    real(wp) :: worst = 0.0_wp, condition = 0.0_wp
+    !> The same by place, direction and time.
+    real(wp) :: worst_of(3) = 0.0_wp
+    integer(int64) :: histogram(bins) = 0
+  end type finding_type
+
+contains
+
+  !> `visits WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]`: computes visits whose ways in have so
+  !> many bits and writes them to FILE; with OTHER, the FILE of the same visits in another
+  !> precision, tells how far the two are apart.
+  subroutine visits_main()
+    type(table_type) :: table
+    type(finding_type) :: finding
+    real(dp), allocatable :: mine(:, :), other(:, :)
+    real(dp) :: began, spent
+    real(wp) :: unit_error
+    integer(int64) :: count, first
+    integer :: bits, n, file, other_file
+    logical :: comparing
+
+    bits = int(integer_argument(5))
+    table = paper_table(given_width(real_argument(2), bits), given_width(real_argument(3), bits))
+    count = integer_argument(4)
+    open (newunit=file, file=argument(6), access='stream', form='unformatted', status='replace')
+    comparing = argument(7) /= ''
+    if (comparing) open (newunit=other_file, file=argument(7), access='stream', &
+      form='unformatted', status='old', action='read')
+    unit_error = 0.5_wp**(bits + 1)
+    spent = 0.0_dp
+    do first = 0, count - 1, chunk
+      n = int(min(int(chunk, int64), count - first))
+      allocate (mine(numbers, n), other(numbers, n))
+      began = now_seconds()
+      call visit(table, first, n, bits, mine)
+      spent = spent + (now_seconds() - began)
+      write (file) mine
+      if (comparing) then
+        read (other_file) other
+        call compare(table, n, unit_error, mine, other, finding)
+      end if
+      deallocate (mine, other)
+    end do
+    close (file)
+    call tell(finding, count, bits, table, spent, comparing)
+  end subroutine visits_main
+
+  !> A width as a number of so many bits.
+  pure function given_width(width, bits) result(rounded)
+    real(wp), intent(in) :: width
+    integer, intent(in) :: bits
+    real(wp) :: rounded
+
+    rounded = real(real(width, dp), wp)
+    if (bits < 24) rounded = real(real(width, real32), wp)
+  end function given_width
+
+  !> The visits `first` + 1 ... `first` + n.
+  subroutine visit(table, first, n, bits, found)
+    type(table_type), intent(in) :: table
+    integer(int64), intent(in) :: first
+    integer, intent(in) :: n, bits
+    real(dp), intent(out) :: found(numbers, n)
+    type(urn_type) :: urn
+    type(visits_type) :: visits
+    real(wp) :: place, sine, width1, width2
+    integer :: j
+
+    urn = new_urn(table)
+    width1 = table%channel1_width
+    width2 = table%channel2_width
+    call reserve_visits(visits, n)
+    visits%count = n
+    do j = 1, n
+      place = (width1 + width2)*drawn(first + j, 1_int64, bits)
+      sine = 2.0_wp*drawn(first + j, 2_int64, bits) - 1.0_wp
+      visits%particle(j) = j
+      visits%urn(j) = 1
+      visits%time(j) = 0.0_wp
+      visits%passage(j) = 0.0_wp
+      visits%hits(j) = 0.0_wp
+      visits%opening(j) = merge(1.0_wp, -1.0_wp, place < width1)
+      visits%y(j) = merge(place - 0.5_wp*width1, place - width1 - 0.5_wp*width2, place < width1)
+      visits%x(j) = merge(table%chord1_distance, -table%chord2_distance, place < width1)
+      visits%along(j) = -visits%opening(j)*sqrt((1.0_wp - sine)*(1.0_wp + sine))
+      visits%across(j) = sine
+    end do
+    call cross_urns(urn, visits)
+    do j = 1, n
+      found(:, j) = real([visits%opening(j), visits%y(j), visits%along(j), visits%across(j), &
+        visits%length(j), visits%hits(j)], dp)
+    end do
+  end subroutine visit
+
+  !> A number in (0, 1) of so many bits: the same in each precision that has them.
+  elemental function drawn(visit, what, bits) result(number)
+    integer(int64), intent(in) :: visit, what
+    integer, intent(in) :: bits
+    real(wp) :: number
+
+    number = (aint(hashed_uniform(visit, what)*2.0_wp**bits) + 0.5_wp)*0.5_wp**bits
+  end function drawn
+
+  !> How far `other` is from `mine`, the reference.
+  subroutine compare(table, n, unit_error, mine, other, finding)
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: n
+    real(wp), intent(in) :: unit_error
+    real(dp), intent(in) :: mine(numbers, n), other(numbers, n)
+    type(finding_type), intent(inout) :: finding
+    real(wp) :: k(3), error(3), room
+    integer :: j, bin
+    logical :: same
+
+    do j = 1, n
+      same = nint(mine(1, j)) == nint(other(1, j)) &
+        .and. nint(mine(6, j), int64) == nint(other(6, j), int64)
+      if (same) then
+        k = conditions(table, mine(:, j))
+        error = abs([real(mine(2, j), wp) - other(2, j), hypot(real(mine(3, j), wp) - other(3, j), &
+          real(mine(4, j), wp) - other(4, j)), real(mine(5, j), wp) - other(5, j)])/k
+        if (.not. all(error < 1.0_wp)) call stop_at('a visit is not a number, or wrong at all')
+        finding%same = finding%same + 1
+        finding%worst_of = max(finding%worst_of, error)
+        finding%worst = max(finding%worst, maxval(error))
+        finding%condition = max(finding%condition, maxval(k))
+        bin = bins + floor(10.0_wp*log10(max(maxval(error), 1.0e-37_wp)))
+        finding%histogram(max(bin, 1)) = finding%histogram(max(bin, 1)) + 1
+      else
+        room = least_room(table, mine(:, j), other(:, j), k)
+        if (room <= corner_tolerance*unit_error*k(2)) then
+          finding%corner = finding%corner + 1
+        else
+          finding%wrong = finding%wrong + 1
+        end if
+      end if
+    end do
+  end subroutine compare
+
+  !> Condition of the place, the direction and the length of a visit.
+  function conditions(table, visit) result(k)
+    type(table_type), intent(in) :: table
+    real(dp), intent(in) :: visit(numbers)
+    real(wp) :: k(3)
+    real(wp) :: x, y, ux, uy, s, c, n, radius
+
+    radius = table%urn_radius
+    x = merge(table%chord1_distance, -table%chord2_distance, visit(1) > 0.0_dp)
+    y = visit(2)
+    ux = visit(1)*visit(3)
+    uy = visit(4)
+    n = visit(6)
+    s = (x*uy - y*ux)/radius
+    c = max(sqrt(max((1.0_wp - s)*(1.0_wp + s), 0.0_wp)), epsilon(1.0_wp))
+    k(2) = 1.0_wp + 2.0_wp*n/c
+    k(1) = (abs(x*ux + y*uy)*k(2) + radius)/abs(ux)
+    k(3) = 2.0_wp*radius*(n*abs(s)/c + 1.0_wp) + radius*k(2) + abs(uy)*k(1)
+  end function conditions
+
+  !> Distance from the corner of whichever of the two left first, and its conditions.
+  function least_room(table, mine, other, k) result(room)
+    type(table_type), intent(in) :: table
+    real(dp), intent(in) :: mine(numbers), other(numbers)
+    real(wp), intent(out) :: k(3)
+    real(wp) :: room
+    real(dp) :: first(numbers)
+
+    first = mine
+    if (other(6) < mine(6)) first = other
+    k = conditions(table, first)
+    k(2) = k(1)
+    room = 0.5_wp*merge(table%channel1_width, table%channel2_width, first(1) > 0.0_dp) &
+      - abs(first(2))
+  end function least_room
+
+  subroutine tell(finding, count, bits, table, spent, comparing)
+    type(finding_type), intent(in) :: finding
+    integer(int64), intent(in) :: count
+    integer, intent(in) :: bits
+    type(table_type), intent(in) :: table
+    real(dp), intent(in) :: spent
+    logical, intent(in) :: comparing
+    character(len=:), allocatable :: text
+    integer :: k
+
+    text = '{"precision": "'//precision_name()//'", "visits": '//to_text(count)// &
+      ', "input_bits": '//to_text(bits)//', "channel1_width": ' &
+      //to_text(real(table%channel1_width, dp))//', "channel2_width": ' &
+      //to_text(real(table%channel2_width, dp))//', "seconds_per_visit": '//to_text(spent/count)
+    if (comparing) then
+      text = text//', "same": '//to_text(finding%same)//', "corner": '//to_text(finding%corner) &
+        //', "wrong": '//to_text(finding%wrong)//', "worst": '//to_text(real(finding%worst, dp)) &
+        //', "worst_place": '//to_text(real(finding%worst_of(1), dp))//', "worst_direction": ' &
+        //to_text(real(finding%worst_of(2), dp))//', "worst_time": ' &
+        //to_text(real(finding%worst_of(3), dp))//', "greatest_condition": ' &
+        //to_text(real(finding%condition, dp))//', "histogram": ['
+      do k = 1, bins
+        if (k > 1) text = text//','
+        text = text//to_text(finding%histogram(k))
+      end do
+      text = text//']'
+    end if
+    call say(text//'}')
+  end subroutine tell
+
+end module battery_probe_visits
