@@ -25,7 +25,7 @@ program accuracy
   case default
     print '(a)', 'usage: accuracy trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...', &
       '       accuracy reversal ENGINE STEP FILE NUMBER TIME ...', &
-      '       accuracy lyapunov WIDTH1 WIDTH2 NUMBER TIME', &
+      '       accuracy lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]', &
       '       accuracy visits WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]', &
       '       accuracy stability ENGINE COLLISIONS SECONDS'
   end select

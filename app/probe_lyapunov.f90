@@ -11,9 +11,13 @@ module battery_probe_lyapunov
   use battery_table, only: table_type
   use battery_random, only: hashed_uniform
   use battery_bounce, only: walls_type, flight_type, new_walls, take_off, fly, hit_arc, &
-    hit_channel, enter_channel, leave_channel, cross_middle_line, cross_periodic_line, on_side_one, &
-    meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, meets_nothing
-  use battery_probe, only: real_argument, integer_argument, precision_name, paper_table, say
+    hit_channel, enter_channel, leave_channel, cross_middle_line, cross_periodic_line, &
+    on_side_one, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, meets_nothing
+  use battery_engine, only: particles_type
+  use battery_error, only: error_type
+  use battery_initial_state, only: read_particles
+  use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
+    say, stop_at
   implicit none (type, external)
   private
   public :: lyapunov_main, tangent_type, fly_apart, bounce_apart
@@ -26,11 +30,14 @@ module battery_probe_lyapunov
 
 contains
 
-  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME`: mean over so many random starts in the urns, each for so
-  !> long, with its standard error, and the mean over the second half of the time alone.
+  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]`: mean over so many starts, at random in the urns or
+  !> from an initial file, each for so long, with its standard error, and the mean over the second
+  !> half of the time alone.
   subroutine lyapunov_main()
     type(table_type) :: table
     type(flight_type) :: flight
+    type(particles_type) :: particles
+    type(error_type), allocatable :: error
     real(wp) :: duration, rate, sums(2), late
     integer :: number, i
 
@@ -39,8 +46,14 @@ contains
     duration = real_argument(5)
     sums = 0.0_wp
     late = 0.0_wp
+    if (argument(6) /= '') then
+      call read_particles(argument(6), table, number, particles, error)
+      if (allocated(error)) call stop_at(error%message)
+    end if
     do i = 1, number
       call place(table, i, flight)
+      if (allocated(particles%x)) flight = flight_type(x=particles%x(i), y=particles%y(i), &
+        ux=particles%ux(i), uy=particles%uy(i))
       call follow(table, flight, duration, rate, late)
       sums = sums + [rate, rate**2]
     end do

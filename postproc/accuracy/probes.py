@@ -1,4 +1,4 @@
-"""Questions to the probe `accuracy-realNN`, the physics in one precision; answers are kept as files.
+"""Questions to the probe `accuracy-realNN`, the physics in one precision; answers are kept.
 
 A question is a command line; its answer is JSON, one object a line, kept in `folder/probes`. It is
 asked again only if the question has changed. Numbers come as Decimals, with all their digits.

@@ -1,0 +1,262 @@
+"""What happens where methods fail: for each engine and precision a number, not an opinion."""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from postproc import style
+from postproc.accuracy.probes import EPSILON, PRECISIONS, Answer, Question, ask
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from matplotlib.figure import Figure
+
+    from postproc.accuracy.job import Job
+
+    Row = dict[str, Any]
+
+ENGINES = ("excursion", "collision", "synchronous", "timestep", "reservoir")
+# wall collisions of the long run: quick, and how many times as many if full
+COLLISIONS = {
+    ("excursion", "real32"): 1e8, ("excursion", "real64"): 1e8, ("excursion", "real128"): 1e7,
+    ("collision", "real32"): 1e8, ("collision", "real64"): 1e8, ("collision", "real128"): 5e6,
+    ("synchronous", "real32"): 1e6, ("synchronous", "real64"): 1e6, ("synchronous", "real128"): 2e4,
+    ("timestep", "real32"): 1e6, ("timestep", "real64"): 1e6, ("timestep", "real128"): 2e4,
+    ("reservoir", "real32"): 1e8, ("reservoir", "real64"): 1e8, ("reservoir", "real128"): 1e7,
+}  # fmt: skip
+FULL = 100
+VISITS = ((0.3, 0.01), (1e-6, 1e-6))  # w, w'
+BITS = {"real32": 23, "real64": 52}  # of the ways in
+REQUIRED = 1e-12  # what a visit in real64 must reach, over its own condition number
+
+
+def pick(answer: Answer, case: str) -> list[Row]:
+    """Return the lines of a case."""
+    return [line for line in answer if line["case"] == case]
+
+
+def number(value: object) -> float:
+    """Return a value of the probe as a float; null is NaN."""
+    return math.nan if value is None else float(value)  # type: ignore[arg-type]
+
+
+def short(value: float) -> str:
+    """Write a number with two digits, a whole one without a point."""
+    if math.isnan(value):
+        return "none"
+    if value == round(value) and abs(value) < 1e4:
+        return str(round(value))
+    mantissa, power = f"{value:.1e}".split("e")
+    return f"{mantissa}e{int(power)}"
+
+
+def whispering(answer: Answer, truth: Answer) -> str:
+    """Tell the error of the time at which the gate is entered, worst and up to which angle."""
+    worst, least = 0.0, math.inf
+    sticks = stopped = 0
+    for mine, exact in zip(pick(answer, "whispering"), pick(truth, "whispering"), strict=False):
+        if mine["value"] is None:
+            stopped += mine["ended"].strip() == "stopped"
+            sticks += mine["trapped"]
+            continue
+        worst = max(worst, abs(float(Decimal(mine["value"]) - Decimal(exact["value"]))))
+        least = min(least, float(mine["parameter"]))
+    if not math.isfinite(least):
+        return "-"
+    notes = [f"{sticks} stick" if sticks else "", f"{stopped} too slow" if stopped else ""]
+    tail = ", ".join(note for note in notes if note)
+    return f"{short(worst)} down to {short(least)}" + (f"; {tail}" if tail else "")
+
+
+def corners(answer: Answer, _: Answer) -> str:
+    """Tell how many shots beside the corner went wrong, and how far beside the farthest was."""
+    wrong = pick(answer, "corner shots on the wrong side")
+    if not wrong:
+        return "-"
+    far = number(pick(answer, "corner farthest wrong shot")[0]["value"])
+    return f"{short(number(wrong[0]['value']))}, within {short(far)}"
+
+
+def axial(answer: Answer, truth: Answer) -> str:
+    """Tell the error of the height after 100 time units, worst of all slopes, and at slope 0."""
+    lines = pick(answer, "along the axis")
+    if not lines:
+        return "-"
+    error = [abs(float(Decimal(mine["value"]) - Decimal(exact["value"])))
+             for mine, exact in zip(lines, pick(truth, "along the axis"), strict=True)]  # fmt: skip
+    return f"{short(max(error[2:-1]))}; slope 0: {short(error[-1])}"
+
+
+def across(answer: Answer, _: Answer) -> str:
+    """Tell the relative error of the crossing's time, worst, and the slowest that was seen."""
+    lines = pick(answer, "across a channel")
+    seen = [line for line in lines[:-1] if line["value"] is not None]
+    if not seen:
+        return "-"
+    worst = max(abs(number(line["value"])) for line in seen)
+    slowest = min(float(line["parameter"]) for line in seen)
+    return f"{short(worst)} down to {short(slowest)}; u_x = 0: {lines[-1]['trapped']} trapped"
+
+
+def diameters(answer: Answer, _: Answer) -> str:
+    """Tell how far off a diameter is after 2000 time units, and whether it is seen as trapped."""
+    lines = pick(answer, "upright diameter") + pick(answer, "slanted diameter")
+    if not lines:
+        return "-"
+    off = max(number(line["value"]) for line in lines)
+    return f"{short(off)}; {sum(line['trapped'] for line in lines)} of 2 trapped"
+
+
+def ties(answer: Answer, _: Answer) -> str:
+    """Tell how many orders in memory, of 4 x 24, change somebody's fate."""
+    lines = pick(answer, "ties")
+    return short(sum(number(line["value"]) for line in lines)) if lines else "-"
+
+
+def extreme(name: str) -> Callable[[Answer, Answer], str]:
+    """Return what tells how many are lost, not a number or in the wrong half in an extreme case."""
+
+    def tell(answer: Answer, _: Answer) -> str:
+        line = pick(answer, name)[0]
+        text = short(line["lost"] + line["not_a_number"] + abs(number(line["value"])))
+        return text + (f"; stopped at t = {short(number(line['reached']))}"
+                       if line["ended"].strip() == "stopped" else "")  # fmt: skip
+
+    return tell
+
+
+def late_clock(answer: Answer, _: Answer) -> str:
+    """Tell the greatest difference of an event's time since the start."""
+    value = number(pick(answer, "clock at 1e12")[0]["value"])
+    return "other events" if value < 0 else short(value)
+
+
+def long_run(answer: Answer, _: Answer) -> str:
+    """Tell the hits, who was lost, the drift of the speed and the distance beyond a wall."""
+    line = pick(answer, "long run")[0]
+    wrong = abs(number(pick(answer, "long run, count of half 1")[0]["value"]))
+    lost = line["lost"] + line["not_a_number"] + int(wrong)
+    return (f"{short(float(line['hits']))} hits: {lost} lost, "
+            f"{short(number(line['speed_error']))}, {short(number(line['value']))}")  # fmt: skip
+
+
+TELLERS: dict[str, Callable[[Answer, Answer], str]] = {
+    "whispering, 1e-3 ... 1e-12: error of the exit time": whispering,
+    "beside a corner, 2^-4 ... 2^-59: shots of 1120 on the wrong side": corners,
+    "along the axis, slope 1e-5 ... 1e-15: error of y at t = 100": axial,
+    "across a channel, u_x = 1e-3 ... 1e-15: relative error of the crossing's time": across,
+    "two diameters: how far off at t = 2000": diameters,
+    "four entries at one time: orders in memory of 96 that matter": ties,
+    "N = 1: lost": extreme("N = 1"),
+    "T = 0: lost": extreme("T = 0"),
+    "w' = 0: lost": extreme("w' = 0"),
+    "w one digit below 2r: lost": extreme("w near 2r"),
+    "w = w' = 1.9999: lost": extreme("w and w' near 2r"),
+    "w = w' = 1e-9: lost": extreme("openings of 1e-9"),
+    "clock at 1e12: event times differ by": late_clock,
+    "long run: lost, off the speed, beyond a wall": long_run,
+}
+
+
+def table(answers: dict[tuple[str, str], Answer]) -> list[Row]:
+    """Return the rows: a case, an engine, and what each precision says."""
+    truth = answers["excursion", "real128"]
+    return [
+        {"case": case, "engine": engine,
+         **{precision: tell(answers[engine, precision], truth) for precision in PRECISIONS}}
+        for case, tell in TELLERS.items() for engine in ENGINES
+    ]  # fmt: skip
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """Write the table for the page; engines without a trajectory leave out what needs one."""
+    lines = ["| case | engine | real32 | real64 | real128 |", "| --- | --- | --- | --- | --- |"]
+    last = ""
+    for row in rows:
+        cells = [row[precision] for precision in PRECISIONS]
+        if all(cell == "-" for cell in cells):
+            continue
+        case = row["case"] if row["case"] != last else ""
+        last = row["case"]
+        lines.append("| " + " | ".join([case, f"`{row['engine']}`", *cells]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def summary(answers: dict[tuple[str, str], Answer]) -> dict[str, Any]:
+    """Return the sums that must be zero, by engine, and the trapped."""
+    made: dict[str, Any] = {}
+    for (engine, precision), answer in answers.items():
+        made[f"{engine} {precision}"] = {
+            "cases": len(answer),
+            "lost": sum(line["lost"] for line in answer),
+            "not_a_number": sum(line["not_a_number"] for line in answer),
+            "greatest_speed_error": max(float(line["speed_error"]) for line in answer),
+            "trapped": sum(line["trapped"] for line in answer),
+            "stopped": sum(line["ended"].strip() == "stopped" for line in answer),
+            "hits": sum(line["hits"] for line in answer),
+        }
+    return made
+
+
+def visit_questions(job: Job) -> list[Question]:
+    """Return the visits in real32 and real64, then the comparisons in real128."""
+    own, compared = [], []
+    for precision, bits in BITS.items():
+        for width1, width2 in VISITS:
+            name = f"visits-{precision}-{width1:g}"
+            words = ("visits", str(width1), str(width2), str(int(job.pick(1e6, 1e7))), str(bits))
+            own.append(Question(name, precision, (*words, f"{name}.bin"), 3600))
+            reference = f"visits-real128-for-{precision}-{width1:g}"
+            words = (*words, f"{reference}.bin", f"{name}.bin")
+            compared.append(Question(reference, "real128", words, 36000))
+    return own + compared
+
+
+def figure_visits(rows: Sequence[Row]) -> Figure:
+    """Draw the errors of single visits over their condition, in units of the precision."""
+    made = style.figure(style.COLUMN * 1.4, 3.0)
+    axes = made.subplots()
+    for row, colour in zip(rows, style.CYCLE, strict=False):
+        counts = np.array(row["histogram"], float)
+        edge = 10.0 ** (np.arange(-len(counts), 0) / 10)
+        use = (counts > 0) & (edge > 1e-22)
+        axes.loglog(edge[use], counts[use] / counts.sum(), ".-", color=colour,
+                    label=f"{row['input']}, w = {row['channel1_width']:.2g}")  # fmt: skip
+    axes.axvline(REQUIRED, color=style.GREY, ls="--", lw=0.8)
+    axes.set_xlabel("error of a visit over its condition number")
+    axes.set_ylabel("share of visits")
+    axes.legend(fontsize=7)
+    return made
+
+
+def run(job: Job) -> None:
+    """Ask every engine in every precision; keep the table, draw `visits`."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    seconds = str(job.pick(0.3, 5.0))
+    pairs = [(engine, precision) for engine in ENGINES for precision in reversed(PRECISIONS)]
+    questions = [
+        Question(f"stability-{engine}-{precision}", precision,
+                 ("stability", engine, str(int(COLLISIONS[engine, precision]
+                                               * job.pick(1, FULL))), seconds),
+                 job.pick(900, 90000))
+        for engine, precision in pairs
+    ]  # fmt: skip
+    visits = visit_questions(job)
+    half = len(visits) // 2
+    ask(job, visits[:half], exact=False)
+    told = ask(job, visits[half:], exact=False)
+    answers = dict(zip(pairs, ask(job, questions), strict=True))
+    rows = table(answers)
+    compared = [{**lines[0], "input": precision, "unit": EPSILON[precision]}
+                for lines, precision in zip(told, np.repeat(list(BITS), len(VISITS)), strict=True)]
+    text = markdown(rows)
+    (job.folder / "stability.md").write_text(text, encoding="utf-8")
+    kept = {"table": rows, "markdown": text, "summary": summary(answers), "visits": compared}
+    job.keep("stability", kept)
+    style.save(figure_visits([row for row in compared if row["same"] > row["visits"] / 2]),
+               job.folder, "visits")  # fmt: skip
