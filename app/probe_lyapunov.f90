@@ -12,7 +12,8 @@ module battery_probe_lyapunov
   use battery_random, only: hashed_uniform
   use battery_bounce, only: walls_type, flight_type, new_walls, take_off, fly, hit_arc, &
     hit_channel, enter_channel, leave_channel, cross_middle_line, cross_periodic_line, &
-    on_side_one, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, meets_nothing
+    on_side_one, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, &
+    meets_nothing
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_initial_state, only: read_particles
