@@ -101,7 +101,8 @@ def run(program: Path, text: str, ranks: int, *, watch: bool = False) -> Cost:
         wall = time.perf_counter() - began
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         if process.returncode:
-            raise cli.InputError(f"{' '.join(command)}: {said.decode(errors='replace')[-300:]}")
+            text = said.decode(errors="replace")[:600].strip()
+            raise cli.InputError(f"{' '.join(command)}: {text}")
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return Cost(wall, spent, max(memory, default=0.0))
 

@@ -8,7 +8,7 @@ module battery_outlook
   use battery_initial_state, only: random_particles, read_particles
   use battery_plan, only: plan_type, point_type, point_of
   use battery_screen, only: duration_text, rate_text
-  use battery_signals, only: wall_seconds
+  use battery_signals, only: cpu_seconds
   use battery_simulation, only: simulation_type, begin_simulation, step
   use battery_task, only: task_type
   use battery_tasks, only: task_count, task_of
@@ -37,7 +37,8 @@ contains
     write (output_unit, '(a)') 'time:       about '//duration_text(seconds*max(1.0_dp, &
       real(ceiling(real(task_count(plan), dp)/ranks), dp)))//' on '//counted(ranks, 'rank')
     write (output_unit, '(a)') 'memory:     about ' &
-      //to_text(int(bytes_per_particle()*greatest_number(plan)/1.0e6_dp) + 30)//' MB a rank'
+      //megabytes(bytes_per_particle()*greatest_number(plan) + 30.0e6_dp) &
+      //' a rank; rank 0 about '//megabytes(result_bytes(plan))//' more at the end'
     write (output_unit, '(a)') 'results:    '//plan%file, 'nothing was written'
   end subroutine print_outlook
 
@@ -47,6 +48,27 @@ contains
 
     bytes = 120.0_dp
   end function bytes_per_particle
+
+  !> Bytes of all results, which rank 0 brings together, with the arrays of the results file.
+  pure function result_bytes(plan) result(bytes)
+    type(plan_type), intent(in) :: plan
+    real(dp) :: bytes
+    !> Bytes a task, and a particle's state.
+    real(dp), parameter :: bytes_a_task = 400.0_dp, bytes_a_state = 32.0_dp
+    integer :: states
+
+    states = size(plan%snapshot_times) + merge(1, 0, plan%final_state)
+    bytes = task_count(plan)*(bytes_a_task + 2.0_dp*states*bytes_a_state*greatest_number(plan))
+    if (plan%series_interval > 0.0_wp .and. plan%duration > 0.0_wp) bytes = bytes &
+      + task_count(plan)*80.0_dp*plan%duration/plan%series_interval
+  end function result_bytes
+
+  pure function megabytes(bytes) result(text)
+    real(dp), intent(in) :: bytes
+    character(len=:), allocatable :: text
+
+    text = to_text(ceiling(bytes/1.0e6_dp, int64))//' MB'
+  end function megabytes
 
   !> Particles of the largest system.
   pure function greatest_number(plan) result(number)
@@ -146,7 +168,8 @@ contains
     end do
   end subroutine calibrate
 
-  !> Runs a task for a short while.
+  !> Runs a task for a short while. Its time is that of a processor, so that other work on the
+  !> machine does not count.
   subroutine try(task, seconds, rate, error)
     type(task_type), intent(in) :: task
     real(dp), intent(out) :: seconds, rate
@@ -165,12 +188,12 @@ contains
     if (allocated(error)) return
     call begin_simulation(simulation, task%setup, particles, error)
     if (allocated(error)) return
-    began = wall_seconds()
+    began = cpu_seconds()
     before = simulation%engine%collisions()
     elapsed = real(simulation%elapsed, dp)
     do
       call step(simulation)
-      spent = wall_seconds() - began
+      spent = cpu_seconds() - began
       if (spent > try_seconds .or. simulation%done) exit
     end do
     rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)

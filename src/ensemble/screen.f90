@@ -23,6 +23,9 @@ module battery_screen
   !> Seconds between two lines: on a terminal, in a log.
   real(dp), parameter :: terminal_interval = 0.2_dp, log_interval = 60.0_dp
 
+  !> Columns of the progress line: one that wraps cannot be written over.
+  integer, parameter :: screen_width = 79
+
 contains
 
   !> A screen that speaks or not.
@@ -66,35 +69,49 @@ contains
     integer, intent(in) :: finished, tasks
     integer(int64), intent(in) :: collisions
     real(dp) :: now, spent, left
-    character(len=160) :: line
-    integer, parameter :: bar = 24
-    integer :: filled
+    character(len=:), allocatable :: line
+    character(len=160) :: buffer
 
     now = wall_seconds()
     screen%next = now + merge(terminal_interval, log_interval, screen%terminal)
     spent = now - screen%began
     left = 0.0_dp
     if (share > share_before) left = spent*(1.0_dp - share)/(share - share_before)
-    filled = max(0, min(bar, int(share*bar)))
-    write (line, '(a, i0, a, i0, a, f5.1, a)') repeat('#', filled)//repeat('.', bar - filled) &
-      //'  ', finished, ' of ', tasks, ' tasks  ', 100.0_dp*share, ' %  ' &
-      //rate_text(real(collisions, dp)/max(spent, 1.0e-9_dp))//' collisions/s  ' &
+    write (buffer, '(i0, a, i0, a, f5.1, a)') finished, ' of ', tasks, ' tasks ', 100.0_dp*share, &
+      ' %  '//rate_text(real(collisions, dp)/max(spent, 1.0e-9_dp))//' collisions/s  ' &
       //duration_text(left)//' left'
+    line = bar_of(share, screen_width - len_trim(buffer) - 2)//trim(buffer)
     if (screen%terminal) then
-      write (output_unit, '(a)', advance='no') achar(13)//line(:100)
+      write (output_unit, '(a)', advance='no') achar(13)//line//repeat(' ', max(0, screen_width &
+        - len(line)))
       screen%line_open = .true.
     else
-      write (output_unit, '(a)') trim(line)
+      write (output_unit, '(a)') line
     end if
     flush (output_unit)
   end subroutine show_progress
+
+  !> A bar as wide as there is room for, within reason, with two blanks behind it.
+  pure function bar_of(share, room) result(text)
+    real(dp), intent(in) :: share
+    integer, intent(in) :: room
+    character(len=:), allocatable :: text
+    integer, parameter :: widest = 24, narrowest = 4
+    integer :: width, filled
+
+    text = ''
+    width = min(room, widest)
+    if (width < narrowest) return
+    filled = max(0, min(width, int(share*width)))
+    text = repeat('#', filled)//repeat('.', width - filled)//'  '
+  end function bar_of
 
   !> Clears the progress line.
   subroutine end_progress(screen)
     type(screen_type), intent(inout) :: screen
 
     if (screen%line_open) write (output_unit, '(a)', advance='no') &
-      achar(13)//repeat(' ', 100)//achar(13)
+      achar(13)//repeat(' ', screen_width)//achar(13)
     screen%line_open = .false.
   end subroutine end_progress
 
@@ -106,7 +123,9 @@ contains
     integer(int64) :: whole
 
     whole = nint(min(max(seconds, 0.0_dp), 1.0e12_dp), int64)
-    if (seconds < 9.95_dp) then
+    if (seconds < 0.095_dp) then
+      write (buffer, '(f5.3, a)') max(seconds, 0.0_dp), ' s'
+    else if (seconds < 9.95_dp) then
       write (buffer, '(f3.1, a)') max(seconds, 0.0_dp), ' s'
     else if (whole < 60) then
       write (buffer, '(i0, a)') whole, ' s'

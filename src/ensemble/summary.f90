@@ -6,7 +6,7 @@ module battery_summary
   use battery_tasks, only: task_count
   use battery_results, only: results_type, task_complete
   use battery_screen, only: duration_text, rate_text
-  use battery_text, only: string_type
+  use battery_text, only: string_type, to_text
   implicit none (type, external)
   private
   public :: print_summary
@@ -51,8 +51,7 @@ contains
       nint(100.0_dp*busy(2)), ' / ', nint(100.0_dp*busy(3)), ' % (least, mean, greatest)'
     write (output_unit, '(a)') rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp)) &
       //' collisions/s in '//duration_text(seconds)
-    if (done > 0) write (output_unit, '(a)') 'slowest task: ' &
-      //duration_text(maxval(results%cpu_seconds, mask=results%task_status == task_complete))
+    if (done > 0) call print_slowest(results)
     if (sum(results%trapped, mask=results%task_status == task_complete) > 0) &
       write (output_unit, &
       '(a)') 'some particles are on orbits that never leave: see the dataset trapped'
@@ -60,6 +59,20 @@ contains
       '(a)') 'stopped early, the state is saved: the same command goes on'
     write (output_unit, '(a)') 'results: '//plan%file
   end subroutine print_summary
+
+  !> The task that took the most time of a processor.
+  subroutine print_slowest(results)
+    type(results_type), intent(in) :: results
+    integer :: at(2)
+
+    at = maxloc(results%cpu_seconds, mask=results%task_status == task_complete)
+    associate (r => at(1), p => at(2))
+      write (output_unit, '(a, i0, a, i0, a)') 'slowest task: ' &
+        //duration_text(results%cpu_seconds(r, p))//' of a processor, N = ', results%number(p), &
+        ', T = ', results%threshold(p), ', w = '//to_text(results%channel1_width(p)) &
+        //', w'' = '//to_text(results%channel2_width(p))//', replica '//to_text(r)
+    end associate
+  end subroutine print_slowest
 
   subroutine print_row(results, p, r)
     type(results_type), intent(in) :: results
