@@ -71,7 +71,7 @@ BAD = {
         "&table\n urn_radius = 1\n urn_radius = 2\n/\n",
         ["line 9", "&table urn_radius = 2", "once"],
     ),
-    "key of another group": ("&run\n number = 5\n/\n", ["&run number = 5", "belongs to &"]),
+    "key of another group": ("&run\n number = 5\n/\n", ["&run number = 5", "belongs to &particles"]),
     "no end": ("&table\n urn_radius = 1\n", ["&table", "/", "missing"]),
     "text for a number": (
         "&table\n urn_radius = 'wide'\n/\n",
@@ -262,6 +262,14 @@ def test_problems_of_initial_file_and_namelist_together(tmp_path: Path) -> None:
     assert any("&run speed = 2" in line for line in lines)
     assert any("line 1" in line and "outside" in line for line in lines)
     assert any("line 2" in line and "speed 0" in line for line in lines)
+
+
+def test_folder_where_nothing_can_be_made(tmp_path: Path) -> None:
+    """Where even the superuser cannot write, the output file is refused like any bad input."""
+    write(tmp_path, output={"file": "'/proc/out.h5'"})
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    assert "/proc/out.h5" in ended.stderr
 
 
 def test_folder_without_rights(tmp_path: Path) -> None:

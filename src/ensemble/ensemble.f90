@@ -136,6 +136,7 @@ contains
       pending = longest_first(plan, finished)
       if ((found .or. any(finished)) .and. .not. quiet) write (output_unit, '(a, i0, a, i0, a)') &
         'going on: ', count(finished), ' of ', size(finished), ' tasks are finished'
+      flush (output_unit)
     end subroutine look_for_results
 
     !> Results must be of this input.

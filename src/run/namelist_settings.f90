@@ -108,6 +108,7 @@ contains
     names = keys_of_group(keys, entry%group)
     elsewhere = ''
     do at = 1, size(keys)
+      if (elsewhere /= '') exit
       if (keys(at)%name == entry%key) elsewhere = ' (it belongs to &'//keys(at)%group//')'
     end do
     if (elsewhere == '') elsewhere = suggestion('', entry%key, names)
