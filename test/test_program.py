@@ -71,7 +71,10 @@ BAD = {
         "&table\n urn_radius = 1\n urn_radius = 2\n/\n",
         ["line 9", "&table urn_radius = 2", "once"],
     ),
-    "key of another group": ("&run\n number = 5\n/\n", ["&run number = 5", "belongs to &particles"]),
+    "key of another group": (
+        "&run\n number = 5\n/\n",
+        ["&run number = 5", "belongs to &particles"],
+    ),
     "no end": ("&table\n urn_radius = 1\n", ["&table", "/", "missing"]),
     "text for a number": (
         "&table\n urn_radius = 'wide'\n/\n",
