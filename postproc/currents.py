@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from postproc import cli, style, theory
 from postproc.results import Results
@@ -136,6 +137,7 @@ def _frame(axes: Axes, series: Series) -> None:
     lowest = min(axes.get_ylim()[0], 0.0)
     axes.set_ylim(lowest, max(1.08 * highest, 2.6 * late, 1e-12))
     axes.set_xlim(0.0, series.time[-1])
+    axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.set_xlabel("time $t$  (length / $v$)")
     axes.set_ylabel("particles per unit time")
 
