@@ -14,7 +14,7 @@ module battery_bench_board
   public :: bench_board
 
   !> Seconds between two hands that rank 0 lends while it computes.
-  real(dp), parameter :: help_interval = 1.0e-3_dp
+  real(dp), parameter :: help_interval = 2.5e-4_dp
 
 contains
 

@@ -89,8 +89,9 @@ def run(program: Path, text: str, ranks: int, *, watch: bool = False) -> Cost:
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "scan.nml").write_text(text)
         command = [str(program), "--quiet", "scan.nml"]
-        # One rank is started by mpirun, too: starting takes its time.
-        command = ["mpirun", "-n", str(ranks), *command]
+        # One rank is started by mpirun, too: starting takes its time. Ranks bound to a processor
+        # could not step aside for what else runs there.
+        command = ["mpirun", "--bind-to", "none", "-n", str(ranks), *command]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         began = time.perf_counter()
         process = subprocess.Popen(
@@ -216,7 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--program", type=Path, default=Path("build/bin/battery"), metavar="FILE")
     options.add_argument("--ranks", type=int, nargs="+", default=[2], help="default: 2")
     options.add_argument("--points", type=int, default=50, help="of the scan (50)")
-    options.add_argument("--collisions", type=int, default=40_000_000, help="a point (40000000)")
+    options.add_argument("--collisions", type=int, default=100_000_000, help="a point (100000000)")
     options.add_argument("--tasks", type=int, default=2000, help="with next to no work (2000)")
     options.add_argument("--rounds", type=int, default=5, help="default: 5")
     chosen = options.parse_args(arguments)
