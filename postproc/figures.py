@@ -169,6 +169,8 @@ FIGURES: dict[str, Drawing] = {
     "lifetimes": figure_lifetimes,
 }
 
+SHAPES = dict.fromkeys(("app2", "app3", "app4"), "urn")
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write NAME.png and NAME.pdf."""
@@ -183,6 +185,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         files = [stack.enter_context(Results(path)) for path in given.files]
         for results in files:
             results.say_if_partial()
+            if given.name != "model" and results.shape != SHAPES.get(given.name, "circuit"):
+                raise cli.InputError(
+                    f"{results.path}: a run of shape '{results.shape}', not of figure {given.name}"
+                )
         made = FIGURES[given.name](files)
         remarks = [results.remark for results in files if results.remark]
         if remarks:

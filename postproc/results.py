@@ -195,6 +195,7 @@ class Results:
         if "series/time" not in self._file:
             raise InputError(f"{self.path}: has no series (set series_interval in &output)")
         self._check_task(point, replica)
+        self._need("series", ("urn1_number", *FLOWS))
         group = self._file["series"]
         time, number = np.asarray(group["time"][()], float), group["urn1_number"][point, replica]
         flows = {name: np.asarray(group[name][point, replica], float) for name in FLOWS}
@@ -219,6 +220,7 @@ class Results:
             raise InputError(f"{self.path}: has {times.size} snapshots, there is no such one")
         self._check_task(point, replica)
         index %= times.size
+        self._need("snapshots", ("x", "y", "ux", "uy"))
         group, count = self._file["snapshots"], int(self._file["number"][point])
         state = [group[name][point, replica, index][:count] for name in ("x", "y", "ux", "uy")]
         if not np.isfinite(state[0]).all():
@@ -232,6 +234,11 @@ class Results:
         return {
             name: self.value(f"events/{name}") for name in ("time", "kind", "where", "particle")
         }
+
+    def _need(self, group: str, names: tuple[str, ...]) -> None:
+        missing = [name for name in names if f"{group}/{name}" not in self._file]
+        if missing:
+            raise InputError(f"{self.path}: has no {group}/{missing[0]}")
 
     def _check_task(self, point: int, replica: int) -> None:
         for what, index, count in (

@@ -71,6 +71,15 @@ def test_a_figure_without_its_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.parametrize(("name", "file"), [("app2", "slices.h5"), ("comp01", "urn.h5")])
+def test_a_run_of_the_other_shape(
+    name: str, file: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(figures.main, [name, str(folder / file), "--output", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
 def test_points_of_several_files_stand_side_by_side(folder: Path) -> None:
     with Results(folder / "homogeneous.h5") as one, Results(folder / "polarised.h5") as other:
         gathered = points.gather([one, other])

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from postproc import cli, currents, scene
+from postproc import cli, compare, currents, figures, film, report, scene
 from postproc.results import Results, Snapshot, mean_and_error
 from postproc.tests.fabricate import fabricate
 from postproc.theory import Circuit
@@ -19,7 +19,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+
+def _lifetimes(arguments: list[str]) -> int:
+    return figures.main(["lifetimes", *arguments])
+
+
+def _map(arguments: list[str]) -> int:
+    return figures.main(["numris", *arguments])
+
+
 SCRIPTS = [currents.main, scene.main]
+READERS = [*SCRIPTS, film.main, report.main, compare.main, _lifetimes, _map]
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +55,14 @@ def _one_line(main: Callable[..., int], path: Path, capsys: pytest.CaptureFixtur
     return error
 
 
-@pytest.mark.parametrize("main", SCRIPTS)
+@pytest.mark.parametrize("main", READERS)
 def test_no_such_file(
     main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert "no such file" in _one_line(main, tmp_path / "none.h5", capsys)
 
 
-@pytest.mark.parametrize("main", SCRIPTS)
+@pytest.mark.parametrize("main", READERS)
 def test_not_hdf5(
     main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -67,7 +77,7 @@ def test_damaged_file(run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert "damaged" in _one_line(currents.main, path, capsys)
 
 
-@pytest.mark.parametrize("main", SCRIPTS)
+@pytest.mark.parametrize("main", READERS)
 def test_another_programs_hdf5(
     main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -85,6 +95,19 @@ def test_missing_series_and_snapshots(tmp_path: Path, capsys: pytest.CaptureFixt
     path = fabricate(tmp_path / "bare.h5", [{}], interval=0.0, snapshots=0)
     assert "has no series" in _one_line(currents.main, path, capsys)
     assert "has no snapshots" in _one_line(scene.main, path, capsys)
+    assert "has no snapshots" in _one_line(film.main, path, capsys)
+    assert "has no series" in _one_line(_lifetimes, path, capsys)
+
+
+def test_a_series_without_one_of_its_flows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = fabricate(tmp_path / "run.h5", [{}], duration=100.0)
+    with h5py.File(path, "r+") as file:
+        del file["series/flow2_12"]
+        del file["snapshots/uy"]
+    assert "has no series/flow2_12" in _one_line(currents.main, path, capsys)
+    assert "has no snapshots/uy" in _one_line(scene.main, path, capsys)
 
 
 def test_no_such_task(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
