@@ -160,13 +160,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Write currents.png and currents.pdf."""
     options = cli.parser("currents", __doc__)
     options.add_argument("file", metavar="FILE.h5", type=Path)
-    options.add_argument("--point", type=int, default=1, help="parameter point, from 1")
-    options.add_argument("--replica", type=int, default=1, help="replica, from 1")
+    options.add_argument(
+        "--point", type=int, help="parameter point, from 1 (default: the first done)"
+    )
+    options.add_argument("--replica", type=int, help="replica, from 1 (default: the first done)")
     cli.add_output(options)
     given = options.parse_args(arguments)
     with Results(given.file) as results:
+        made = figure_currents(results, *results.task(given.point, given.replica))
         results.say_if_partial()
-        made = figure_currents(results, given.point - 1, given.replica - 1)
     style.save(made, given.output, "currents")
     return 0
 

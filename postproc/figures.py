@@ -45,18 +45,30 @@ if TYPE_CHECKING:
 
 MARKS = ("o", "s", "^", "D", "v", "P")
 TIME_COLOURS = (style.BLUE, style.VERMILION, style.BLACK, style.GREEN, style.PURPLE, style.ORANGE)
+MOST = 6  # points in a figure against time
 STEPS = 400  # places along the time axis of comp06
+
+
+def _with_tasks(files: Sequence[Results]) -> Points:
+    """Return the points with a complete task, by T, six at most."""
+    points = gather(files)
+    done = [
+        files[file].done[point].any() for file, point in zip(points.file, points.point, strict=True)
+    ]
+    points = points.where(np.array(done)).sorted_by_threshold()
+    return points.where(np.arange(points.number.size) < MOST)
 
 
 def figure_comp05(files: Sequence[Results]) -> Figure:
     """Return flows and net currents against time, one panel a point, by increasing T."""
-    points = gather(files).sorted_by_threshold()
+    points = _with_tasks(files)
     count = points.number.size
     made = style.figure(max(3.1 * count, 4.6), 3.6)
     panels = made.subplots(1, count, squeeze=False)[0]
     for at, axes in enumerate(panels):
         results, point = files[points.file[at]], int(points.point[at])
-        draw_currents(axes, results.circuit(point), results.series(point, 0), legend=False)
+        replica = int(np.flatnonzero(results.done[point])[0])
+        draw_currents(axes, results.circuit(point), results.series(point, replica), legend=False)
         axes.set_title(f"({chr(97 + at)})  $T = {points.threshold[at]:.0f}$")
     for axes in panels[1:]:
         axes.set_ylabel("")
@@ -67,7 +79,7 @@ def figure_comp05(files: Sequence[Results]) -> Figure:
 
 def figure_comp06(files: Sequence[Results]) -> Figure:
     """Return chi, and below it the net current through channel 2, against time, a colour a T."""
-    points = gather(files).sorted_by_threshold()
+    points = _with_tasks(files)
     made = style.figure(4.6, 4.8)
     spread, current = made.subplots(2, 1, sharex=True)
     last = 0.0
@@ -184,7 +196,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with ExitStack() as stack:
         files = [stack.enter_context(Results(path)) for path in given.files]
         for results in files:
-            results.say_if_partial()
             if given.name != "model" and results.shape != SHAPES.get(given.name, "circuit"):
                 raise cli.InputError(
                     f"{results.path}: a run of shape '{results.shape}', not of figure {given.name}"
@@ -193,6 +204,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         remarks = [results.remark for results in files if results.remark]
         if remarks:
             style.note(made.axes[0], "; ".join(remarks))
+        for results in files:
+            results.say_if_partial()
     style.save(made, given.output, given.name)
     return 0
 

@@ -259,8 +259,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Write film.mp4 or film.gif."""
     options = cli.parser("film", __doc__)
     options.add_argument("file", metavar="FILE.h5", type=Path)
-    options.add_argument("--point", type=int, default=1, help="parameter point, from 1")
-    options.add_argument("--replica", type=int, default=1, help="replica, from 1")
+    options.add_argument(
+        "--point", type=int, help="parameter point, from 1 (default: the first done)"
+    )
+    options.add_argument("--replica", type=int, help="replica, from 1 (default: the first done)")
     options.add_argument("--seconds", type=float, default=SECONDS, help="length (default: 30)")
     options.add_argument("--gif", action="store_true", help="write a GIF, not an MP4")
     cli.add_output(options)
@@ -268,8 +270,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not 0.0 < given.seconds <= 3600.0:
         raise cli.InputError(f"--seconds {given.seconds} must lie above 0 and up to 3600")
     with Results(given.file) as results:
+        scenes = read_scenes(results, *results.task(given.point, given.replica))
         results.say_if_partial()
-        scenes = read_scenes(results, given.point - 1, given.replica - 1)
     if not joined(scenes.times):
         print(
             f"{given.file}: snapshots more than {CLOSE} apart follow each other without flight",

@@ -151,6 +151,21 @@ class Results:
         if not self.done.any():
             raise InputError(f"{self.path}: no task is complete yet")
 
+    def task(self, point: int | None, replica: int | None) -> tuple[int, int]:
+        """Return which task is meant, from 0, where points and replicas are given from 1.
+
+        What is not given is the first for which there is a complete task.
+        """
+        self.need_tasks()
+        if point is None:
+            point = 1 + int(np.flatnonzero(self.done.any(axis=1))[0])
+        self._check_task(point - 1, 0)
+        done = np.flatnonzero(self.done[point - 1])
+        if replica is None:
+            replica = 1 + int(done[0]) if done.size else 1
+        self._check_task(point - 1, replica - 1)
+        return point - 1, replica - 1
+
     def table_value(self, key: str, default: float = 1.0) -> float:
         """Return a length of the namelist's group `table`."""
         return float(self.namelist.get("table", {}).get(key, default))

@@ -234,21 +234,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Write scene.png and scene.pdf."""
     options = cli.parser("scene", __doc__)
     options.add_argument("file", metavar="FILE.h5", type=Path)
-    options.add_argument("--point", type=int, default=1, help="parameter point, from 1")
-    options.add_argument("--replica", type=int, default=1, help="replica, from 1")
+    options.add_argument(
+        "--point", type=int, help="parameter point, from 1 (default: the first done)"
+    )
+    options.add_argument("--replica", type=int, help="replica, from 1 (default: the first done)")
     options.add_argument("--snapshot", type=int, help="which snapshot, from 1 (default: the last)")
     cli.add_output(options)
     given = options.parse_args(arguments)
     with Results(given.file) as results:
-        results.say_if_partial()
         index = -1 if given.snapshot is None else given.snapshot - 1
         if given.snapshot is not None and given.snapshot < 1:
             raise cli.InputError(f"--snapshot {given.snapshot} must be at least 1")
-        point = given.point - 1
-        snapshot = results.snapshot(point, given.replica - 1, index)
+        point, replica = results.task(given.point, given.replica)
+        snapshot = results.snapshot(point, replica, index)
         table, threshold = table_of(results, point), int(results.circuit(point).threshold)
         made = figure_scene(table, snapshot, threshold)
         style.note(made.axes[0], results.remark)
+        results.say_if_partial()
     style.save(made, given.output, "scene")
     return 0
 

@@ -136,6 +136,29 @@ def test_a_partial_run_is_drawn_and_says_so(
         assert np.all(error > 0)
 
 
+def test_of_a_partial_run_a_task_that_is_done_is_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = fabricate(tmp_path / "part.h5", [{}, {"threshold": 18}], duration=200.0)
+    with h5py.File(path, "r+") as file:  # the first point is not done, nor the second's first
+        for name in ("task_status", "current1", "chi"):
+            file[name][0] = 2 if name == "task_status" else np.nan
+            file[name][1, 0] = 2 if name == "task_status" else np.nan
+        for name in ("series/urn1_number", "snapshots/x"):
+            file[name][0], file[name][1, 0] = np.nan, np.nan
+    with Results(path) as results:
+        assert results.task(None, None) == (1, 1)
+        assert results.task(2, None) == (1, 1)
+        assert results.task(1, 2) == (0, 1)
+    for main in (currents.main, scene.main, film.main):
+        assert cli.run(main, [str(path), "--output", str(tmp_path)]) == 0
+        assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
+    for name in ("comp05", "comp06"):
+        assert cli.run(figures.main, [name, str(path), "--output", str(tmp_path)]) == 0
+    assert cli.run(currents.main, [str(path), "--point", "1", "--output", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
+
+
 def test_error_of_replicas_covers_their_spread() -> None:
     random = np.random.default_rng(3)
     values = random.normal(1.0, 0.1, (500, 8))
