@@ -44,27 +44,24 @@ contains
     type(random_type), intent(inout) :: random
     integer, intent(in) :: n
     real(wp), intent(out) :: numbers(n)
-    integer(int64), dimension(lanes) :: s0, s1, s2, s3, shifted
-    integer :: first
+    integer(int64) :: state(lanes, 4), s0, s1, s2, s3
+    integer :: first, lane
 
-    s0 = random%state(:, 1)
-    s1 = random%state(:, 2)
-    s2 = random%state(:, 3)
-    s3 = random%state(:, 4)
-    do first = 1, n, lanes
-      numbers(first:first + lanes - 1) = uniform(s0 + s3)
-      shifted = shiftl(s1, 17)
-      s2 = ieor(s2, s0)
-      s3 = ieor(s3, s1)
-      s1 = ieor(s1, s2)
-      s0 = ieor(s0, s3)
-      s2 = ieor(s2, shifted)
-      s3 = ior(shiftl(s3, 45), shiftr(s3, 19))
+    state = random%state
+    do first = 0, n - lanes, lanes
+      do lane = 1, lanes
+        s0 = state(lane, 1)
+        s1 = state(lane, 2)
+        s2 = ieor(state(lane, 3), s0)
+        s3 = ieor(state(lane, 4), s1)
+        numbers(first + lane) = uniform(s0 + state(lane, 4))
+        state(lane, 1) = ieor(s0, s3)
+        state(lane, 2) = ieor(s1, s2)
+        state(lane, 3) = ieor(s2, shiftl(s1, 17))
+        state(lane, 4) = ior(shiftl(s3, 45), shiftr(s3, 19))
+      end do
     end do
-    random%state(:, 1) = s0
-    random%state(:, 2) = s1
-    random%state(:, 3) = s2
-    random%state(:, 4) = s3
+    random%state = state
   end subroutine draw_uniform
 
   !> A number uniform in (0, 1) that belongs to two whole numbers, without a state.
