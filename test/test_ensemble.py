@@ -358,6 +358,21 @@ def test_lost_part(tmp_path: Path, interrupted: Path, undisturbed: Path) -> None
     complete(folder, undisturbed)
 
 
+def test_part_lost_while_running(tmp_path: Path, undisturbed: Path) -> None:
+    """Results that do not come back at the end are missed, not called complete."""
+    write(tmp_path)
+    process, _ = under_way(tmp_path)
+    part = tmp_path / "out.h5.tasks/rank_0"
+    assert wait_for(lambda: part.exists() and part.stat().st_size > 0, process)
+    part.unlink()
+    ended = finish(process)
+    assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr)
+    assert "cannot be read back" in ended.stderr
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert np.asarray(file.attrs["status"]).item() in ("partial", b"partial")
+    complete(tmp_path, undisturbed)
+
+
 def test_damaged_plan(tmp_path: Path, interrupted: Path, undisturbed: Path) -> None:
     """If the plan of the journal is damaged, all is computed again."""
     folder = copy_of(interrupted, tmp_path)
