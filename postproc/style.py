@@ -77,9 +77,9 @@ def label_fraction(axes: Axes) -> None:
 
 
 def note(axes: Axes, text: str) -> None:
-    """Write a small remark under the axes' lower right corner, e.g. that a run is partial."""
+    """Write a small remark below the axes, on the right, e.g. that a run is partial."""
     if text:
-        axes.figure.text(0.995, 0.005, text, ha="right", va="bottom", fontsize=6.5, color=GREY)
+        axes.figure.supxlabel(text, x=0.995, ha="right", fontsize=6.5, color=GREY)
 
 
 def save(made: Figure, folder: Path, name: str) -> list[Path]:
