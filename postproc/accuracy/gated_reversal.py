@@ -90,11 +90,11 @@ def reversals_of(log: Log, threshold: int, end: float = math.inf) -> Reversals:
     time, where = log.time[fired], log.where[fired]
     alone, parting = np.ones(fired.size, bool), -math.inf
     for one in (1, 2):
-        mine = (gate == one) & (stop > start)  # who made it reverse is out at once
+        mine = gate == one
         begins, ends = np.sort(start[mine]), np.sort(stop[mine])
         here = where == one
         came, left = (np.searchsorted(x, time[here], "left") for x in (begins, ends))
-        alone[here] = came == left
+        alone[here] = came == left  # who made it reverse is out at once
         # who heads out when one of them leaves, that one too
         together = np.searchsorted(begins, ends, "left") - np.arange(ends.size)
         early = ends[(together > threshold) & (ends < end)]

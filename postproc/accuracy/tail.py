@@ -241,7 +241,7 @@ def _ensemble(job: Job) -> dict[str, object]:
 
 def _split(job: Job) -> dict[str, object]:
     """Return who carries the current, from event logs."""
-    logs, end = int(job.pick(6, 24)), job.pick(1.0e5, 4.0e5)
+    logs, end = int(job.pick(6, 48)), job.pick(1.0e5, 2.0e5)
     duration = end - TRANSIENT
     found, parts, entries1, turned1, fed, circuit = [], [], 0, 0, np.zeros(2, int), None
     for seed in range(1, logs + 1):

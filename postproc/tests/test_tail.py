@@ -92,6 +92,18 @@ def test_number_inside_an_urn_is_its_share_of_a_free_circuit(tmp_path: Path) -> 
         assert inside == pytest.approx(expected, abs=5.0 * math.sqrt(0.25 * number * memory / 2e4))
 
 
+def test_numbers_inside_follow_the_crossings() -> None:
+    begin = tail.TRANSIENT
+    events = [(begin + 25.0, 4, 12, 1), (begin + 50.0, 1, 2, 1), (begin + 50.2, 2, 2, 1)]
+    time, kind, where, particle = np.array(events).T
+    log = Log(time, *(column.astype(int) for column in (kind, where, particle)))
+    one = Circuit(1, 0)
+    first, second = tail.urn_numbers(log, stories(log), one, 0, begin + 100.0)
+    in_channel2 = 0.25 * math.pi / 100.0
+    assert first == pytest.approx(0.25 - in_channel2)
+    assert second == pytest.approx(0.75 - in_channel2 - 0.4 / 100.0)  # 0.2 in, and 0.2 out
+
+
 def test_split_into_windows_keeps_the_sum() -> None:
     time = tail.TRANSIENT + np.array([10.0, 700.0, 999.0, 1400.0])
     counts = tail.in_windows(time, [1, 1, -1, 1], 500.0, tail.TRANSIENT + 1500.0)
