@@ -60,6 +60,8 @@ PASTS = (
     ((-1.0, 0.05, 1.0, 0.0), (1.4, -0.05, -1.0, 0.0), (1.6, 0.0, -1.0, 0.0)),
 )
 PAST_TIME = 1.6
+GATE_CHORD = 0.5  # x of the chord of gate 2
+NEARBY = 0.01  # how far starts nearby are, in every coordinate
 EXAMPLE_TIME = 0.8
 
 
@@ -190,6 +192,31 @@ def _example(
     return told
 
 
+def other_past(end: Floats) -> Floats:
+    """Return the start of the other past of an end of the first of `PASTS`, or of one near it.
+
+    1 has flown straight all the time; 2 and 3 were turned when 3 was at the chord of gate 2.
+    """
+    x, y, ux, uy = end.T
+    turned = PAST_TIME - (x[2] - GATE_CHORD) / ux[2]
+    start = np.column_stack([x - PAST_TIME * ux, y - PAST_TIME * uy, ux, uy])
+    at_turn = x[1:] - (PAST_TIME - turned) * ux[1:]
+    start[1:, 0] = at_turn + turned * ux[1:]
+    start[1:, 2] = -ux[1:]
+    return start
+
+
+def _pasts_nearby(job: Job, tries: int) -> dict[str, object]:
+    """Return how closely starts near the one past and their other pasts meet."""
+    random, worst = np.random.default_rng(6), 0.0
+    for at in range(tries):
+        start = np.array(PASTS[0]) + random.uniform(-NEARBY, NEARBY, (3, 4))
+        one = np.array(_example(job, f"nearby_{at}_one", start, PAST_TIME)["forth_end"])
+        other = _example(job, f"nearby_{at}_other", other_past(one), PAST_TIME)
+        worst = max(worst, float(np.abs(one - np.array(other["forth_end"])).max()))
+    return {"tries": tries, "within": NEARBY, "differ_by": worst}
+
+
 def words(kind: int, where: int, particle: int) -> str:
     """Return an event in words."""
     urns = "from urn 1 to urn 2" if where == 12 else "from urn 2 to urn 1"
@@ -317,6 +344,7 @@ def run(job: Job) -> None:
         {
             "scan": scan, "turned": turned, "examples": examples,
             "two_pasts_differ_by": float(np.abs(one - other).max()),
+            "nearby": _pasts_nearby(job, int(job.pick(5, 50))),
         },
     )  # fmt: skip
     style.save(figure_reversal(scan, turned), job.folder, "reversal_gated")

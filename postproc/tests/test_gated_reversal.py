@@ -94,6 +94,12 @@ def test_two_pasts_have_one_present(tmp_path: Path) -> None:
     assert (np.abs(starts) > 0.5).all()  # all begin in the urns
 
 
+def test_pasts_nearby_meet_too(tmp_path: Path) -> None:
+    worked_out = gated.other_past(np.array([[0.6, 0.05, 1, 0], [0.8, -0.05, 1, 0], [1, 0, 1, 0]]))
+    assert worked_out == pytest.approx(np.array(gated.PASTS[1]))
+    assert gated._pasts_nearby(Job(tmp_path), 2)["differ_by"] < 1e-12
+
+
 def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:
     found = gated._backwards(Job(tmp_path), 100, 1, 12.0, turns=3)
     assert found["parting_as_told"] == found["turns"] == 3
