@@ -8,9 +8,9 @@
 !>
 !> **Ticks.** Exponential times forget, so nobody's end of stay has to be known ahead. Each of the n
 !> particles that are in an urn or on the way into one ticks at the rate 1/mean; together they tick
-!> at n/mean, and who it is, is drawn among them. One that is in its urn leaves it with the tick; one
-!> that is still on its way does not heed it. That is exact, and there is no calendar to keep. Ticks
-!> belong to the order of events and to the seed alone, not to the windows.
+!> at n/mean, and who it is, is drawn among them. One that is in its urn leaves it with the tick;
+!> one that is still on its way does not heed it. That is exact, and there is no calendar to keep.
+!> Ticks belong to the order of events and to the seed alone, not to the windows.
 !>
 !> **What is not there.** There are no walls in an urn. `collisions` takes the mean for them,
 !> (arc left)/(pi A) hits per time spent in an urn, and the true hits in the channels: so a
@@ -100,6 +100,8 @@ contains
           call stand_in(self, periodic, stay%time + self%half2/stay%along, i)
         case (from_gate, from_return)
           call join(self, i)
+        case default
+          continue
         end select
         if (stay%heading == in_gate .or. stay%heading == to_return) &
           self%known_hits = self%known_hits + int(stay%hits, int64) - passed_walls(table, stay, &
@@ -189,8 +191,8 @@ contains
     self%pages = self%pages + 1
   end subroutine turn_page
 
-  !> All events before `ends`, in the order of time. Crossings come before a tick at one time; no two
-  !> ticks are at one time.
+  !> All events before `ends`, in the order of time. Crossings come before a tick at one time; no
+  !> two ticks are at one time.
   subroutine walk(self, began, ends, history)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: began, ends

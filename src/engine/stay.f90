@@ -31,8 +31,8 @@ module battery_stay
   end type stay_type
 
   !> Numbers drawn ahead: times between ticks (mean 1), which particle ticks (0 to 1), and where and
-  !> how an urn is left: height, |u_x|, 1 over it, u_y, the wall hits of the whole channel, and which
-  !> channel (positive: channel 1).
+  !> how an urn is left: height, |u_x|, 1 over it, u_y, the wall hits of the whole channel, and
+  !> which channel (positive: channel 1).
   type :: draws_type
     type(random_type) :: random
     integer :: next_tick = block_length + 1, next_exit = block_length + 1
