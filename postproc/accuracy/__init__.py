@@ -3,6 +3,5 @@
 `python -m postproc.accuracy` makes it all (`make accuracy` calls it). Each part is a module of this
 package with `run(job)`: it does its runs (`job.battery`), draws its figures into `job.folder` and
 keeps its numbers with `job.keep(part, numbers)`. The page of the docs is written from these numbers
-alone, by the template `page.md`; a part may have `section(numbers)`, which returns its part of the
-page in Markdown, with figures as ![what it is](accuracy_NAME.png) for NAME.png of the folder.
+alone, by `page`, its template `page.md` and `sections`.
 """

@@ -1,15 +1,12 @@
 """The page of the docs: a template, `page.md`, filled with the numbers that the parts have kept.
 
-A part whose numbers are there is shown by its `section(numbers)`, Markdown without a heading, if it
-has one; what the parts `OWN` found is written out in the template. A figure NAME.png of the job's
-folder is shown as ![what it is](accuracy_NAME.png). Nothing is run here.
+What the parts `OWN` found is written out in the template; what the others found, if they have been
+made, by `sections`. A figure NAME.png of the job's folder is shown as ![what it
+is](accuracy_NAME.png). Nothing is run here.
 """
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import math
 import re
 import shutil
 import string
@@ -18,60 +15,19 @@ from typing import TYPE_CHECKING
 
 from postproc.accuracy.job import ROOT
 from postproc.accuracy.ladder import QUANTITIES, SCANNED
+from postproc.accuracy.sections import SECTIONS
+from postproc.accuracy.text import measured, number, percent, seconds, table
 from postproc.cli import InputError, output_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable
 
     from postproc.accuracy.job import Job
 
 TEMPLATE = Path(__file__).with_name("page.md")
 NOT_RUN = "_This part has not been run._"
-OTHERS = ("trajectories", "stability", "reversal")  # parts that bring their section along
 OWN = ("observables", "gated_reversal", "tail")
 HEADS = {"chi": "chi, T = 7", "current": "net current, T = 7", "transition": "transition T"}
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits, large and small ones as 1.2e6."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    if value == 0.0:
-        return "0"
-    if 1e-3 <= abs(value) < 1e5:
-        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        return f"{value:.{places}f}"
-    base, exponent = f"{value:.{max(0, digits - 1)}e}".split("e")
-    return f"{base}e{int(exponent)}"
-
-
-def measured(value: float | None, error: float | None) -> str:
-    """Return value +- error, to two digits of the error."""
-    if value is None or error is None or not error > 0.0:
-        return number(value, 5)
-    places = max(0, 1 - math.floor(math.log10(error)))
-    return f"{value:.{places}f} +- {error:.{places}f}"
-
-
-def percent(value: float | None, digits: int = 2) -> str:
-    """Return a ratio in per cent."""
-    return "-" if value is None else f"{number(100.0 * value, digits)} %"
-
-
-def seconds(value: float | None) -> str:
-    """Return a time in the unit that fits: us, ms, s."""
-    if value is None:
-        return "-"
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if value >= size:
-            return f"{number(value / size, 2)} {unit}"
-    return f"{number(value / 1e-6, 2)} us"
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _with_bias(one: dict) -> str:
@@ -264,15 +220,6 @@ FIELDS: dict[str, Callable[[dict], dict[str, str]]] = {
 }
 
 
-def section(part: str, numbers: dict | None) -> str:
-    """Return what a part of its own shows of its numbers; a remark if it has not been run."""
-    name = f"postproc.accuracy.{part}"
-    if numbers is None or importlib.util.find_spec(name) is None:
-        return NOT_RUN
-    show = getattr(importlib.import_module(name), "section", None)
-    return NOT_RUN if show is None else show(numbers)
-
-
 def names_of(template: str) -> set[str]:
     """Return the names of the fields of a template."""
     return {name for _, name, _, _ in string.Formatter().parse(template) if name}
@@ -286,7 +233,9 @@ def page(job: Job) -> str:
         if numbers is None:
             raise InputError(f"{job.folder}: part {part} has not been made")
         fields |= FIELDS[part](numbers)
-    fields |= {part: section(part, job.kept(part)) for part in OTHERS}
+    for part, show in SECTIONS.items():
+        numbers = job.kept(part)
+        fields[part] = NOT_RUN if numbers is None else show(numbers)
     template = TEMPLATE.read_text(encoding="utf-8")
     lacking = names_of(template) - fields.keys()
     if lacking:

@@ -277,8 +277,10 @@ def run(job: Job) -> None:
     told = ask(job, visits[half:], exact=False)
     answers = dict(zip(pairs, ask(job, questions), strict=True))
     rows = table(answers)
-    compared = [{**lines[0], "input": precision, "unit": EPSILON[precision]}
-                for lines, precision in zip(told, np.repeat(list(BITS), len(VISITS)), strict=True)]
+    compared = [
+        {**lines[0], "input": precision, "unit": EPSILON[precision]}
+        for lines, precision in zip(told, np.repeat(list(BITS), len(VISITS)), strict=True)
+    ]
     text = markdown(rows)
     (job.folder / "stability.md").write_text(text, encoding="utf-8")
     kept = {"table": rows, "markdown": text, "summary": summary(answers), "visits": compared}

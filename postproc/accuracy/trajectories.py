@@ -243,9 +243,7 @@ def figure_cost(rows: Sequence[dict[str, Any]]) -> Figure:
     return made
 
 
-def figure_growth(
-    rows: Sequence[dict[str, Any]], rate: float, found: dict[str, Any]
-) -> Figure:
+def figure_growth(rows: Sequence[dict[str, Any]], rate: float, found: dict[str, Any]) -> Figure:
     """Draw how errors grow in time, and how those of `timestep` shrink with the step."""
     made = style.figure(style.PAGE, 3.4)
     left, right = made.subplots(1, 2)

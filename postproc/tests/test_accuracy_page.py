@@ -25,7 +25,7 @@ def job(tmp_path: Path) -> Job:
 def test_every_field_is_filled_and_every_number_used(job: Job) -> None:
     names = page.names_of(page.TEMPLATE.read_text())
     filled = {name for part, make in page.FIELDS.items() for name in make(job.kept(part))}
-    assert names - filled == {"kind", *page.OTHERS}
+    assert names - filled == {"kind", *page.SECTIONS}
     assert filled - names == set()
     text = page.page(job)
     assert not re.search(r"[{}]", text)
@@ -37,7 +37,15 @@ def test_numbers_on_the_page_are_those_kept(job: Job) -> None:
     text = page.page(job)
     assert page.measured(many["mean"], many["error"]) in text
     assert "timestep 0.003" in text
-    assert page.NOT_RUN in text
+    assert page.NOT_RUN not in text
+
+
+def test_other_parts_may_be_missing(job: Job) -> None:
+    for part in page.SECTIONS:
+        assert page.NOT_RUN not in page.page(job)
+        (job.folder / f"{part}.json").rename(job.folder / "away.json")
+        assert page.page(job).count(page.NOT_RUN) == 1
+        (job.folder / "away.json").rename(job.folder / f"{part}.json")
 
 
 def test_part_that_has_not_been_made_is_named(job: Job) -> None:

@@ -1,0 +1,111 @@
+"""What the page says of the parts that follow single trajectories, from their kept numbers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from postproc.accuracy.text import measured, number, table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+AT = 10.0  # time at which trajectories are compared
+EXACT = ("excursion", "collision", "synchronous")
+
+
+def trajectories(numbers: dict) -> str:
+    """Return chart one in words: cost and error of a trajectory, growth of errors, horizons."""
+    lines = []
+    for row in numbers["rows"]:
+        if row["gate"] != "free" or row["engine"] not in EXACT:
+            continue
+        name = f"{row['engine']} {row['precision']}"
+        error = row["median"][row["time"].index(AT)]
+        lines.append(
+            [
+                f"`{row['engine']}`", row["precision"],
+                number(row["seconds_per_particle_time"], 2),
+                "reference" if name == "collision real128" else number(error, 2),
+                number(numbers["fitted"].get(name), 3), number(numbers["horizon"].get(name), 3),
+                number(numbers["horizon_gated"].get(name), 3),
+            ]
+        )  # fmt: skip
+    head = [
+        "engine", "precision", "seconds per particle and time unit", "median error at t = 10",
+        "lambda", "horizon, free", "horizon, T = 7",
+    ]  # fmt: skip
+    order = numbers["order"]["free"]
+    predicted = ", ".join(
+        f"{number(time, 3)} ({precision})"
+        for precision, time in numbers["predicted_horizon"].items()
+    )
+    growth = measured(numbers["lyapunov"], numbers["lyapunov_error"])
+    return f"""{numbers["number"]} particles fly from one file; their places and the times of their events are held against `collision` in quadruple precision.
+
+![Error of places and of event times against cost](accuracy_trajectory_cost.png)
+
+{table(head, lines)}
+
+- **A fixed step** is of first order: {number(order["place"], 3)} in places, {number(order["event_time"], 3)} in event times. Halving it costs twice as much and gains one bit; the exact engines have all bits for less than its coarsest step. Some particles it sends astray
+  altogether, past a corner on the wrong side; their share falls as the step to the power {number(order["worst"], 2)}. In single precision small steps make it worse: their rounding adds up.
+- **Errors grow** as exp(lambda t). The tangent map of the free billiard gives lambda = {growth} directly ({number(numbers["lyapunov_same_start"], 3)} over the time that these particles fly); the column lambda is fitted to the errors themselves.
+- **The horizon** of a precision is where the median error reaches the size of the table; predicted are {predicted}. With gates it is nearer, since one particle that goes astray makes a gate fire, or not, for all the others.
+
+![Growth of errors, and order of the fixed step](accuracy_trajectory_growth.png)
+"""  # noqa: E501 (a paragraph is a line)
+
+
+def stability(numbers: dict) -> str:
+    """Return the stability table with what it sums up to."""
+    good = {name: row for name, row in numbers["summary"].items() if not name.endswith("real32")}
+    single = {name: row for name, row in numbers["summary"].items() if name.endswith("real32")}
+    lost, odd = (sum(row[key] for row in good.values()) for key in ("lost", "not_a_number"))
+    lost_single = sum(row["lost"] for row in single.values())
+    trapped = sum(row["trapped"] for row in good.values())
+    visits = table(
+        ["`excursion`", "w", "visits", "worst error over condition", "other side of a corner"],
+        [
+            [
+                row["input"], number(row["channel1_width"], 1), number(row["visits"], 2),
+                number(row["worst"], 2), number(row["corner"], 3),
+            ]
+            for row in numbers["visits"]
+        ],
+    )  # fmt: skip
+    return f"""One particle or a few are sent where methods fail. In double and quadruple precision {lost} particles were lost and {odd} were not a number ({lost_single} lost in single precision); {trapped} orbits that never end were counted as trapped, in place of hanging the run.
+"Too slow" or "stopped" is an engine that ran out of the time the table gives it, "stick" one whose angle is rounded to zero, so that it takes the orbit for endless.
+
+{numbers["markdown"].strip()}
+
+Single visits to an urn, against quadruple precision from the same way in; the error of place, direction and time is divided by the visit's own condition number. Where the opening is as
+small as the rounding of a place on the wall, some visits end on the other side of a corner: no precision of that size could tell.
+
+{visits}
+
+![Errors of single visits over their condition number](accuracy_visits.png)
+"""  # noqa: E501 (a paragraph is a line)
+
+
+def reversal(numbers: dict) -> str:
+    """Return how far the free circuit finds the way back."""
+    lines = []
+    for name, time in numbers["horizon"].items():
+        engine, precision = name.split()
+        predicted = "-" if engine == "timestep" else number(
+            numbers["predicted_horizon"][precision], 3
+        )  # fmt: skip
+        lines.append([f"`{engine}`", precision, predicted, number(time, 3)])
+    return f"""Run for a time t, turn all velocities, run as long again: without gates everyone arrives where he began, until rounding, grown by exp(lambda t), has become as large as the table
+(predicted from the tangent map's lambda = {number(numbers["lyapunov"], 3)}: the time in which half a unit in the last place grows to 1). A fixed step is lost much sooner, since its errors are not rounding.
+
+{table(["engine", "precision", "predicted", "half are astray after"], lines)}
+
+![Distance from the start against the time of the turn](accuracy_reversal_free.png)
+"""  # noqa: E501 (a paragraph is a line)
+
+
+SECTIONS: dict[str, Callable[[dict], str]] = {
+    "trajectories": trajectories,
+    "stability": stability,
+    "reversal": reversal,
+}
