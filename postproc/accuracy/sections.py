@@ -46,7 +46,7 @@ def trajectories(numbers: dict) -> str:
 
 {table(head, lines)}
 
-- **A fixed step** is of first order: {number(order["place"], 3)} in places, {number(order["event_time"], 3)} in event times. Halving it costs twice as much and gains one bit; the exact engines have all bits for less than its coarsest step. Some particles it sends astray
+- **A fixed step** is of first order: {number(order["place"], 3)} in places, {number(order["event_time"], 3)} in event times. Halving it costs twice as much and gains one bit; `excursion` has all bits for less than its coarsest step. Some particles it sends astray
   altogether, past a corner on the wrong side; their share falls as the step to the power {number(order["worst"], 2)}. In single precision small steps make it worse: their rounding adds up.
 - **Errors grow** as exp(lambda t). The tangent map of the free billiard gives lambda = {growth} directly ({number(numbers["lyapunov_same_start"], 3)} over the time that these particles fly); the column lambda is fitted to the errors themselves.
 - **The horizon** of a precision is where the median error reaches the size of the table; predicted are {predicted}. With gates it is nearer, since one particle that goes astray makes a gate fire, or not, for all the others.
@@ -67,7 +67,7 @@ def stability(numbers: dict) -> str:
         [
             [
                 row["input"], number(row["channel1_width"], 1), number(row["visits"], 2),
-                number(row["worst"], 2), number(row["corner"], 3),
+                number(row["worst"], 2), str(row["corner"]),
             ]
             for row in numbers["visits"]
         ],
