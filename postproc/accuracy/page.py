@@ -194,7 +194,7 @@ def fields_of_tail(numbers: dict) -> dict[str, str]:
         "up": number(split["up"]["mean"], 3),
         "up_expected": number(split["up_expected"], 3),
         "urn1": number(split["urn1_number"], 3),
-        "fed": percent(split["fed_by_gate"] / split["fed_of"]),
+        "fed": str(split["fed_by_gate"]),
         "fed_of": str(split["fed_of"]),
         "law_scale": number(split["law"]["scale"], 2),
         "law_exponent": number(split["law"]["exponent"], 2),

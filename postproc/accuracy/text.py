@@ -16,8 +16,8 @@ def number(value: float | None, digits: int = 3) -> str:
     if value == 0.0:
         return "0"
     if 1e-3 <= abs(value) < 1e5:
-        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        return f"{value:.{places}f}"
+        places = digits - 1 - math.floor(math.log10(abs(value)))
+        return f"{round(value, places):.{max(0, places)}f}"
     base, exponent = f"{value:.{max(0, digits - 1)}e}".split("e")
     return f"{base}e{int(exponent)}"
 

@@ -76,7 +76,8 @@ def test_page_of_the_docs_is_whole() -> None:
 @pytest.mark.parametrize(
     ("value", "digits", "expected"),
     [(0.0604567, 3, "0.0605"), (1.23e6, 2, "1.2e6"), (12.3456, 3, "12.3"), (7e-5, 2, "7.0e-5"),
-     (0.0, 3, "0"), (None, 3, "-"), (float("nan"), 3, "-"), (-0.5, 2, "-0.50")],
+     (0.0, 3, "0"), (15414.0, 2, "15000"),
+     (None, 3, "-"), (float("nan"), 3, "-"), (-0.5, 2, "-0.50")],
 )  # fmt: skip
 def test_numbers_in_words(value: float | None, digits: int, expected: str) -> None:
     assert page.number(value, digits) == expected
