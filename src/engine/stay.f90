@@ -21,8 +21,6 @@ module battery_stay
     !> When it entered the channel it is or was last in, at which height, with |u_x| and u_y.
     !> `parked`: time, y, x, u_y.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
-    !> When it enters the urn, if it is not on its way into a channel.
-    real(wp) :: entered = 0.0_wp
     !> Wall hits of the whole way through the channel it is in.
     real(wp) :: hits = 0.0_wp
     integer(int32) :: heading = from_gate
@@ -86,11 +84,12 @@ contains
   end subroutine draw_exits
 
   !> From a position and velocity at the time 0. A particle in a channel that heads for its far end
-  !> is dated back to where it would have entered.
-  pure subroutine take_over(table, x, y, ux, uy, stay)
+  !> is dated back to where it would have entered; `entered` is when any other enters its urn.
+  pure subroutine take_over(table, x, y, ux, uy, stay, entered)
     type(table_type), intent(in) :: table
     real(wp), intent(in) :: x, y, ux, uy
     type(stay_type), intent(out) :: stay
+    real(wp), intent(out) :: entered
     integer :: region, urn
     real(wp) :: outward, depth, width, length, turned, hits
     logical :: in_channel2
@@ -100,6 +99,7 @@ contains
 
     region = region_at(table, x, y, huge(1.0_wp))
     urn = merge(1, 2, x < 0.0_wp)
+    entered = 0.0_wp
     stay = stay_type(y=y, along=abs(ux), across=uy, urn=int(urn, int32))
     if (region == urn_one .or. region == urn_two) return
     in_channel2 = region == return_one .or. region == return_two
@@ -120,8 +120,8 @@ contains
       stay%hits = real(passed_walls(table, stay, length/outward), wp)
     else
       stay%heading = int(merge(from_return, from_gate, in_channel2), int32)
-      stay%entered = -depth/outward
-      stay%hits = real(passed_walls(table, stay, stay%entered), wp)
+      entered = -depth/outward
+      stay%hits = real(passed_walls(table, stay, entered), wp)
     end if
   end subroutine take_over
 
@@ -150,10 +150,10 @@ contains
   end function width_of
 
   !> x, y, u_x, u_y of a particle. In an urn they are drawn, for this key and count alone.
-  pure function whereabouts(table, stay, now, key, count) result(place)
+  pure function whereabouts(table, stay, entered, now, key, count) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
-    real(wp), intent(in) :: now
+    real(wp), intent(in) :: entered, now
     integer(int64), intent(in) :: key, count
     real(wp) :: place(4)
     real(wp) :: side, gone, left, begins
@@ -161,7 +161,7 @@ contains
     side = merge(-1.0_wp, 1.0_wp, stay%urn == 1)
     begins = table%urn_centre + table%chord2_distance
     gone = stay%along*(now - stay%time)
-    left = stay%along*(stay%entered - now)
+    left = stay%along*(entered - now)
     select case (stay%heading)
     case (parked)
       place = in_channel(stay%along, 0.0_wp)
@@ -171,7 +171,7 @@ contains
     case (to_return)
       place = in_channel(begins + gone, 1.0_wp)
     case default
-      if (now >= stay%entered) then
+      if (now >= entered) then
         place = in_urn(table, key, count)
       else if (stay%heading == from_gate) then
         place = in_channel(0.5_wp*table%channel1_length - left, 1.0_wp)
