@@ -1,0 +1,184 @@
+!> A case of the stability table: how it is run, and the line that tells of it.
+module battery_probe_case
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_finite, ieee_value, ieee_quiet_nan
+  use battery_kinds, only: wp, dp, int64, pi
+  use battery_text, only: to_text
+  use battery_table, only: table_type, region_at, outside
+  use battery_random, only: hashed_uniform
+  use battery_engine, only: engine_type, history_type, particles_type
+  use battery_signals, only: wall_seconds
+  use battery_probe, only: precision_name, started, list, say
+  implicit none (type, external)
+  private
+  public :: case_type, live, tell, crossings, alone, first_event, scattered
+  public :: engine_name, step, most_seconds
+
+  !> The clock is looked at after each window, which is as long as about so many wall hits take.
+  real(wp), parameter :: window_hits = 1.0e4_wp
+
+  !> A case on its way: what it was made of, and what became known of it.
+  type :: case_type
+    character(len=:), allocatable :: name
+    real(wp) :: parameter = 0.0_wp
+    type(table_type) :: table
+    integer :: threshold = 1000000, number = 0
+    class(engine_type), allocatable :: engine
+    real(wp) :: duration = 0.0_wp, reached = 0.0_wp
+    logical :: stopped = .false.
+    !> Events: time, kind, particle, in the order of time.
+    integer :: events = 0
+    real(wp), allocatable :: time(:)
+    integer, allocatable :: kind(:), particle(:)
+    !> Particles at the end.
+    type(particles_type) :: particles
+    integer(int64) :: crossings(2) = 0
+    real(dp) :: seconds = 0.0_dp
+  end type case_type
+
+  character(len=:), allocatable :: engine_name
+  real(wp), parameter :: step = 1.0e-3_wp
+  !> A case is given up after so many seconds.
+  real(dp) :: most_seconds = 0.3_dp
+
+contains
+
+  !> A case with these particles; `hit_rate` is how often they hit walls at most.
+  subroutine live(one, name, parameter, table, threshold, particles, duration, hit_rate, clock)
+    type(case_type), intent(out) :: one
+    character(len=*), intent(in) :: name
+    real(wp), intent(in) :: parameter, duration, hit_rate
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold
+    type(particles_type), intent(in) :: particles
+    real(wp), intent(in), optional :: clock
+    type(history_type) :: history
+    real(wp) :: window
+    real(dp) :: began
+    integer :: n
+
+    one%name = name
+    one%parameter = parameter
+    one%table = table
+    one%threshold = threshold
+    one%number = size(particles%x)
+    one%duration = duration
+    allocate (one%time(0), one%kind(0), one%particle(0))
+    call started(engine_name, table, threshold, particles, step, one%engine, clock)
+    history%logging = .true.
+    window = huge(1.0_wp)
+    if (hit_rate > 0.0_wp .and. (engine_name == 'collision' .or. engine_name == 'synchronous')) &
+      window = window_hits/hit_rate
+    began = wall_seconds()
+    do while (duration - one%reached > 4.0_wp*epsilon(1.0_wp)*duration)
+      call one%engine%advance(min(duration - one%reached, window), history)
+      n = history%events
+      if (n > 0) then
+        one%time = [one%time, one%reached + history%event_time(:n)]
+        one%kind = [one%kind, int(history%event_kind(:n))]
+        one%particle = [one%particle, int(history%event_particle(:n))]
+      end if
+      one%events = one%events + n
+      one%crossings = one%crossings + [crossings(history, 1), crossings(history, 0)]
+      one%reached = one%reached + history%duration
+      one%stopped = wall_seconds() - began > most_seconds
+      if (one%stopped) exit
+    end do
+    one%seconds = wall_seconds() - began
+    call one%engine%particles(1, one%number, one%particles)
+  end subroutine live
+
+  !> Crossings of a window from half 1 to 2 (`odd` = 1) or back (0).
+  pure function crossings(history, odd) result(number)
+    type(history_type), intent(in) :: history
+    integer, intent(in) :: odd
+    integer(int64) :: number
+
+    number = count(modulo(int(history%crossing(:history%crossings)), 2) == odd)
+  end function crossings
+
+  !> The line of a case.
+  subroutine tell(one, value)
+    type(case_type), intent(in) :: one
+    real(wp), intent(in) :: value
+    integer :: i, lost, nan, first
+    real(wp) :: off
+
+    lost = 0
+    nan = 0
+    off = 0.0_wp
+    associate (p => one%particles)
+      do i = 1, one%number
+        if (.not. all(ieee_is_finite([p%x(i), p%y(i), p%ux(i), p%uy(i)]))) then
+          nan = nan + 1
+        else if (region_at(one%table, p%x(i), p%y(i), 1.0e4_wp*epsilon(1.0_wp)) == outside) then
+          lost = lost + 1
+        else
+          off = max(off, abs(hypot(p%ux(i), p%uy(i)) - 1.0_wp))
+        end if
+      end do
+      first = count(p%x < 0.0_wp)
+    end associate
+    call say('{"case": "'//one%name//'", "parameter": '//to_text(real(one%parameter, dp)) &
+      //', "precision": "'//precision_name()//'", "engine": "'//engine_name//'", "ended": "' &
+      //merge('stopped', 'done   ', one%stopped)//'", "reached": '//to_text(real(one%reached, dp)) &
+      //', "value": '//number_text(value)//', "lost": '//to_text(lost)//', "not_a_number": ' &
+      //to_text(nan)//', "speed_error": '//to_text(real(off, dp))//', "trapped": ' &
+      //to_text(one%engine%trapped())//', "hits": '//to_text(one%engine%collisions()) &
+      //', "seconds": '//to_text(one%seconds)//', "in_urn1": '//to_text(first)//'}')
+  end subroutine tell
+
+  !> All digits, or null.
+  function number_text(value) result(text)
+    real(wp), intent(in) :: value
+    character(len=:), allocatable :: text
+
+    text = list([value])
+    text = text(2:len(text) - 1)
+  end function number_text
+
+  function alone(x, y, ux, uy) result(particles)
+    real(wp), intent(in) :: x, y, ux, uy
+    type(particles_type) :: particles
+    real(wp) :: speed
+
+    speed = hypot(ux, uy)
+    particles = particles_type([x], [y], [ux/speed], [uy/speed])
+  end function alone
+
+  !> Time of the first event, NaN (null) if there is none.
+  function first_event(one) result(time)
+    type(case_type), intent(in) :: one
+    real(wp) :: time
+
+    time = ieee_value(1.0_wp, ieee_quiet_nan)
+    if (one%events > 0) time = one%time(1)
+  end function first_event
+
+  !> Particles uniform on the discs, inside of both chords, of all directions.
+  function scattered(table, number) result(particles)
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: number
+    type(particles_type) :: particles
+    real(wp) :: x, y, angle
+    integer(int64) :: count
+    integer :: i
+
+    allocate (particles%x(number), particles%y(number), particles%ux(number), particles%uy(number))
+    do i = 1, number
+      count = 0
+      do
+        x = 2.0_wp*hashed_uniform(int(i, int64), count) - 1.0_wp
+        y = 2.0_wp*hashed_uniform(int(i, int64), count + 1) - 1.0_wp
+        count = count + 2
+        if (x**2 + y**2 < 1.0_wp .and. -x < table%chord1_distance .and. x &
+          < table%chord2_distance) exit
+      end do
+      angle = 2.0_wp*pi*hashed_uniform(int(i, int64), count)
+      particles%x(i) = (table%urn_centre + x)*merge(1.0_wp, -1.0_wp, modulo(i, 2) == 0)
+      particles%y(i) = y
+      particles%ux(i) = cos(angle)
+      particles%uy(i) = sin(angle)
+    end do
+  end function scattered
+
+end module battery_probe_case
