@@ -25,10 +25,18 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 LEAST = 1e-3  # currents of theory below this (per unit time) are left out of relative differences
+PAPER, COUNTED = "paper", "channel counted"
+VARIANTS = (  # look, name, (gate, occupation)
+    ({"fillstyle": "full"}, PAPER, (WINDOW, False)),
+    ({"fillstyle": "none"}, "renewal gate", (RENEWAL, False)),
+    ({"fillstyle": "left", "markerfacecoloralt": "white", "ls": ":"}, COUNTED, (RENEWAL, True)),
+)
 MARKS = {0: ("s", style.BLUE), 1: ("o", style.VERMILION), 2: ("^", style.GREEN)}
 
 
-def _theory(results: Results, group: Points, thresholds: Floats, gate: Gate) -> Floats:
+def _theory(
+    results: Results, group: Points, thresholds: Floats, gate: Gate, occupation: bool = False
+) -> Floats:
     """Return the theory's current at other thresholds of a group of one N and w."""
     return theory.single_urn_current(
         group.number[0],
@@ -37,6 +45,7 @@ def _theory(results: Results, group: Points, thresholds: Floats, gate: Gate) -> 
         results.table_value("urn_radius"),
         results.table_value("channel1_length"),
         gate,
+        occupation,
     )
 
 
@@ -106,31 +115,37 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
 
 
 def figure_app3(files: Sequence[Results]) -> Figure:
-    """Return the relative difference of theory and measured current, paper and renewal gate."""
+    """Return the relative difference of theory and measured current.
+
+    Above, of the paper's theory, as in the paper, and of the renewal gate; below, on a scale of its
+    own, of the renewal gate without and with those in the channel counted.
+    """
     points = gather(files)
-    made, panels = _panels(points, 3.5)
+    count = np.unique(points.number).size
+    made = style.figure(style.PAGE if count > 1 else 4.4, 5.2)
+    panels = made.subplots(2, count, squeeze=False, sharex=True, sharey="row")
     for row, column, group in _groups(points):
         mark, colour = _look(column)
-        for gate, face, name in ((WINDOW, colour, "paper"), (RENEWAL, "white", "renewal gate")):
-            expected = _theory(files[group.file[0]], group, group.threshold, gate)
+        results, fraction = files[group.file[0]], group.threshold / group.number
+        for look, name, theory_of in VARIANTS:
+            expected = _theory(results, group, group.threshold, *theory_of)
             difference, error = relative_difference(group.current, group.current_error, expected)
-            panels[row].errorbar(
-                group.threshold / group.number,
-                difference,
-                error,
-                fmt=f"{mark}-",
-                color=colour,
-                mfc=face,
-                lw=0.6,
-                ms=3.6,
-                label=f"$w = {group.width1[0]:g}$, {name}" if row == 0 else None,
-            )
-    for axes in panels:
+            lines = {"color": colour, "lw": 0.7, "ms": 4.4, "marker": mark, **look}
+            label = f"$w = {group.width1[0]:g}$, {name}" if row == 0 else None
+            if name != COUNTED:
+                panels[0, row].errorbar(fraction, difference, error, **lines)
+            if name != PAPER:
+                panels[1, row].errorbar(fraction, difference, error, **lines)
+            panels[0, row].plot([], [], label=label, **lines)
+    for number, column in zip(np.unique(points.number), panels.T, strict=True):
+        column[0].set_title(f"$N = {number:.0f}$")
+        style.label_fraction(column[1])
+    for axes in panels.flat:
         axes.axhline(0.0, color=style.BLACK, lw=0.6)
-    panels[0].set_ylabel("(theory $-$ measured) / theory")
-    low, high = panels[0].get_ylim()
-    panels[0].set_ylim(max(low, -1.5), min(high, 1.06))
-    made.legend(loc="outside upper center", ncols=3)
+    low, high = panels[0, 0].get_ylim()
+    panels[0, 0].set_ylim(max(low, -1.5), min(high, 1.06))
+    made.supylabel("(theory $-$ measured) / theory", fontsize=9)
+    made.legend(loc="outside upper center", ncols=3, fontsize=7.5)
     return made
 
 

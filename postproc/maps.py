@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.gates import Gate
     from postproc.points import Points
     from postproc.results import Results
     from postproc.theory import Circuit
@@ -28,7 +27,11 @@ if TYPE_CHECKING:
     Line = tuple[Floats, Floats, str, str]
 
 POLARISED = 0.5  # starts with chi above this are called polarised
-GATES = ((WINDOW, "--", "transition, paper"), (RENEWAL, "-", "transition, renewal gate"))
+LINES = (
+    ("--", "transition, paper", {"gate": WINDOW}),
+    ("-", "transition, renewal gate", {"gate": RENEWAL}),
+    (":", "transition, renewal gate, channels counted", {"gate": RENEWAL, "occupation": True}),
+)
 
 
 def grid(points: Points, values: Floats) -> tuple[Floats, Floats, Floats]:
@@ -49,13 +52,10 @@ def edges(centres: Floats) -> Floats:
     return np.concatenate([[first], middle, [last]])
 
 
-def transition_line(circuit: Circuit, thresholds: Floats, gate: Gate) -> Floats:
+def transition_line(circuit: Circuit, thresholds: Floats) -> Floats:
     """Return w' of the transition line, eq. (transition), for each T; NaN where there is none."""
     return np.array(
-        [
-            theory.transition_width(replace(circuit, threshold=int(one), gate=gate))
-            for one in thresholds
-        ]
+        [theory.transition_width(replace(circuit, threshold=int(one))) for one in thresholds]
     )
 
 
@@ -78,12 +78,12 @@ def _draw(axes: Axes, points: Points, values: Floats, look: dict[str, object]) -
 
 
 def transition_lines(points: Points, circuit: Circuit) -> list[Line]:
-    """Return (T/N, w', dashes, label) of the transition lines of both gates."""
+    """Return (T/N, w', dashes, label) of the transition lines of all theories."""
     thresholds = np.arange(1.0, points.threshold.max() + 1.0)
     fraction = thresholds / float(circuit.number)
     return [
-        (fraction, transition_line(circuit, thresholds, gate), dashes, label)
-        for gate, dashes, label in GATES
+        (fraction, transition_line(replace(circuit, **changes), thresholds), dashes, label)
+        for dashes, label, changes in LINES
     ]
 
 
@@ -124,7 +124,7 @@ def figure_numris(files: Sequence[Results]) -> Figure:
     for axes in panels[:, 0]:
         axes.set_ylabel("$w'$")
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    legend = made.legend(handles, labels, loc="outside upper center", ncols=2)
+    legend = made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=7.5)
     for handle in legend.get_lines():
         handle.set_color(style.BLACK)
     return made

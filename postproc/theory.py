@@ -254,12 +254,17 @@ def single_urn_current(
     urn_radius: ArrayLike = 1.0,
     channel1_length: ArrayLike = 1.0,
     gate: Gate = WINDOW,
+    occupation: bool = False,
 ) -> Floats:
     """Return the current of the appendix's single urn, eq. (eqapp5): hits on the end wall.
 
-    Per unit time, with all `number` particles counted as in the urn; the gate is l/2 long.
+    Per unit time; the gate is l/2 long. With all `number` particles counted as in the urn, unless
+    `occupation` tells those in the channel: what hits the wall comes back through the gate, so it
+    is there for 2 tau, as in the circuit what gets through is in either gate.
     """
-    urn = Circuit(number, threshold, channel1_width, 0.0, urn_radius, channel1_length, gate=gate)
+    urn = Circuit(
+        number, threshold, channel1_width, 0.0, urn_radius, channel1_length, 1.0, gate, occupation
+    )
     return flow1(urn, number)
 
 

@@ -97,7 +97,7 @@ def test_map_has_each_value_in_its_cell(folder: Path) -> None:
 
 
 def test_drawn_transition_line_is_where_stability_changes() -> None:
-    (width,) = maps.transition_line(Circuit(1000, 7), np.array([7.0]), Circuit(1, 1).gate)
+    (width,) = maps.transition_line(Circuit(1000, 7), np.array([7.0]))
     below, above = (Circuit(1000, 7, channel2_width=width * factor) for factor in (0.999, 1.001))
     assert homogeneous_kind(below) == "unstable"
     assert homogeneous_kind(above) == "stable"
