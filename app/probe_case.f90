@@ -52,7 +52,7 @@ contains
     type(particles_type), intent(in) :: particles
     real(wp), intent(in), optional :: clock
     type(history_type) :: history
-    real(wp) :: window
+    real(wp) :: window, added, sum_after, rounded_off
     real(dp) :: began
     integer :: n
 
@@ -68,6 +68,7 @@ contains
     window = huge(1.0_wp)
     if (hit_rate > 0.0_wp .and. (engine_name == 'collision' .or. engine_name == 'synchronous')) &
       window = window_hits/hit_rate
+    rounded_off = 0.0_wp
     began = wall_seconds()
     do while (duration - one%reached > 4.0_wp*epsilon(1.0_wp)*duration)
       call one%engine%advance(min(duration - one%reached, window), history)
@@ -79,7 +80,11 @@ contains
       end if
       one%events = one%events + n
       one%crossings = one%crossings + [crossings(history, 1), crossings(history, 0)]
-      one%reached = one%reached + history%duration
+      ! Millions of windows are added up: what is rounded off is kept (Kahan).
+      added = history%duration - rounded_off
+      sum_after = one%reached + added
+      rounded_off = (sum_after - one%reached) - added
+      one%reached = sum_after
       one%stopped = wall_seconds() - began > most_seconds
       if (one%stopped) exit
     end do
