@@ -4,10 +4,10 @@
 !> (`-DBATTERY_REAL32`, `-DBATTERY_REAL128`; otherwise real64). Files and messages between ranks
 !> stay in real64 (`dp`).
 module battery_kinds
-  use, intrinsic :: iso_fortran_env, only: int8, int32, int64, real32, real64, real128
+  use, intrinsic :: iso_fortran_env, only: int8, int16, int32, int64, real32, real64, real128
   implicit none (type, external)
   private
-  public :: wp, dp, int8, int32, int64, angle_kind, pi
+  public :: wp, dp, int8, int16, int32, int64, angle_kind, pi
 
 #if defined(BATTERY_REAL32)
   integer, parameter :: wp = real32

@@ -9,16 +9,15 @@
 !> What is known of a particle (`flight_type`) is how it will enter its next channel; where it is
 !> until then follows by going back from there.
 module battery_excursion
-  use battery_kinds, only: wp, int8, int64, pi
-  use battery_table, only: table_type, shape_circuit, area_of_urn, shortest_excursion, region_at, &
-    urn_one, urn_two, gate_one, return_one, return_two
-  use battery_flight, only: flight_type, land, gather, locate, to_gate, to_return, in_gate, &
+  use battery_kinds, only: wp, int8, int16, int64, pi
+  use battery_table, only: table_type, shape_circuit, area_of_urn, shortest_excursion
+  use battery_flight, only: look_up, gather, land, locate, straight, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
+  use battery_launch, only: launch
   use battery_urn, only: urn_type, visits_type, new_urn, reserve_visits, leave_channels, &
     cross_urns
-  use battery_channel, only: fold
   use battery_gate, only: gate_type, empty_gate, fill_gate, enter_gate, cross_middle, shift_gate
-  use battery_calendar, only: calendar_type, new_calendar, schedule, schedule_all, open_until, &
+  use battery_calendar, only: calendar_type, flight_type, new_calendar, schedule, schedule_all, open_until, &
     next_due, drop_done, turn_page
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type, &
     reserve_history, record_crossing, record_event, channel1_12, channel1_21, channel2_12, &
@@ -39,6 +38,9 @@ module battery_excursion
     type(gate_type) :: gate(2)
     type(calendar_type) :: calendar
     type(visits_type) :: visits
+    !> Of the sorted events of the calendar: heading, urn, when an entrant would cross the middle.
+    integer, allocatable :: heading(:), urn_left(:)
+    real(wp), allocatable :: middle(:)
     !> Time since the page of the calendar was turned, and how often it was.
     real(wp) :: now = 0.0_wp
     integer(int64) :: pages = 0
@@ -79,8 +81,8 @@ contains
       do first = 1, self%number, start_chunk
         call reserve_visits(self%visits, start_chunk)
         do i = first, min(first + start_chunk - 1, self%number)
-          call take_over(self, i, particles%x(i), particles%y(i), particles%ux(i), &
-            particles%uy(i), from_channels)
+          call launch(self%table, i, particles%x(i), particles%y(i), particles%ux(i), &
+            particles%uy(i), from_channels, self%flight(i), self%visits, self%known_hits)
         end do
         if (from_channels) call leave_channels(self%urn, self%visits)
         call finish_visits(self)
@@ -103,12 +105,14 @@ contains
   subroutine write_down(self, i)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: i
+    real(wp) :: due
 
     associate (flight => self%flight(i))
-      if (flight%heading == to_gate) call schedule(self%calendar, i, flight%time)
-      if (flight%heading == to_return) &
-        call schedule(self%calendar, i, flight%time + self%half2/flight%along)
+      if (flight%heading /= to_gate .and. flight%heading /= to_return) return
+      due = flight%time
+      if (flight%heading == to_return) due = due + 0.5_wp*flight%through
     end associate
+    call schedule(self%calendar, self%flight, i, due)
   end subroutine write_down
 
   !> Counts those that are inside a gate when the run starts.
@@ -127,7 +131,7 @@ contains
       inside(members) = i
     end do
     call fill_gate(self%gate(urn), self%flight(inside)%time &
-      + self%half1/self%flight(inside)%along, inside)
+      + 0.5_wp*self%flight(inside)%through, inside)
   end subroutine fill_at_start
 
   !> Sizes and lengths that follow from the table and the number of particles.
@@ -147,8 +151,8 @@ contains
       + 0.25_wp*pi*table%channel1_length
     self%lookahead = shortest_excursion(table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(number, wp))
-    if (allocated(self%flight)) deallocate (self%flight)
-    allocate (self%flight(number))
+    if (allocated(self%flight)) deallocate (self%flight, self%heading, self%urn_left, self%middle)
+    allocate (self%flight(number), self%heading(number), self%urn_left(number), self%middle(number))
     do g = 1, 2
       call empty_gate(self%gate(g))
     end do
@@ -158,78 +162,6 @@ contains
     self%told_hits = 0
   end subroutine prepare
 
-  !> Turns a position and velocity into a flight, or into a visit that will be one. A particle in a
-  !> channel that heads for its far end is dated back to where it would have entered. Those in the
-  !> channels are left out, or only they are taken.
-  subroutine take_over(self, i, x, y, ux, uy, from_channels)
-    type(excursion_type), intent(inout) :: self
-    integer, intent(in) :: i
-    real(wp), intent(in) :: x, y, ux, uy
-    logical, intent(in) :: from_channels
-    integer :: region, urn, count
-    real(wp) :: outward, depth, width, length, opening, turned, hits, height
-    logical :: in_channel2
-    !> Slower passages, longer than any run, and those with more wall hits than an integer can
-    !> count, are taken for endless.
-    real(wp), parameter :: longest_passage = 1.0e15_wp, most_hits = 4.0e18_wp
-
-    region = region_at(self%table, x, y, huge(1.0_wp))
-    urn = merge(1, 2, x < 0.0_wp)
-    if (from_channels .eqv. (region == urn_one .or. region == urn_two)) return
-    if (.not. from_channels) then
-      call reserve_place()
-      self%visits%hits(count) = 0.0_wp
-      self%visits%x(count) = self%table%urn_centre - abs(x)
-      self%visits%along(count) = merge(ux, -ux, urn == 1)
-      return
-    end if
-    in_channel2 = region == return_one .or. region == return_two
-    opening = merge(-1.0_wp, 1.0_wp, in_channel2)
-    width = merge(self%table%channel2_width, self%table%channel1_width, in_channel2)
-    depth = merge(abs(x) - self%table%urn_centre - self%table%chord2_distance, self%half1 &
-      - abs(x), in_channel2)
-    outward = opening*merge(ux, -ux, urn == 1)
-    self%flight(i)%urn = urn
-    length = merge(self%table%channel2_length, self%table%channel1_length, in_channel2)
-    if (.not. abs(ux)*min(longest_passage, most_hits*width) > length) then
-      self%flight(i)%heading = parked_in_channel
-      self%flight(i)%y = y
-      self%flight(i)%along = x
-      self%flight(i)%across = uy
-    else if (outward > 0.0_wp) then
-      call fold(y - uy*depth/outward, width, height, turned, hits)
-      self%flight(i)%time = -depth/outward
-      self%flight(i)%y = height
-      self%flight(i)%along = outward
-      self%flight(i)%across = turned*uy
-      self%known_hits = self%known_hits - int(hits, int64)
-      if (in_channel2) then
-        self%flight(i)%heading = to_return
-      else
-        self%flight(i)%heading = in_gate
-      end if
-    else
-      call reserve_place()
-      self%visits%opening(count) = opening
-      self%visits%passage(count) = -depth/outward
-      self%visits%along(count) = abs(ux)
-    end if
-
-  contains
-
-    subroutine reserve_place()
-      count = self%visits%count + 1
-      self%visits%count = count
-      self%visits%particle(count) = i
-      self%visits%urn(count) = urn
-      self%visits%time(count) = 0.0_wp
-      self%visits%passage(count) = 0.0_wp
-      self%visits%y(count) = y
-      self%visits%across(count) = uy
-    end subroutine reserve_place
-
-  end subroutine take_over
-
   !> Visits of the batch: from the urn's entrance to its exit, into flights.
   subroutine finish_visits(self)
     type(excursion_type), intent(inout) :: self
@@ -238,9 +170,9 @@ contains
     call cross_urns(self%urn, self%visits)
     n = self%visits%count
     associate (v => self%visits)
-      self%known_hits = self%known_hits + int(sum(v%hits(:n)), int64)
-      call land(self%number, self%flight, n, self%half2, v%particle, v%urn, v%opening, v%time, &
-        v%length, v%y, v%along, v%across)
+      self%known_hits = self%known_hits + v%all_hits
+      call land(self%number, self%flight, n, v%particle, v%urn, v%opening, v%time, v%length, v%y, &
+        v%along, v%across, v%passage)
     end associate
   end subroutine finish_visits
 
@@ -249,22 +181,30 @@ contains
     real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
     real(wp) :: began, limit, ends, due
+    integer :: done
 
     if (self%now >= self%calendar%page) call turn(self)
     began = self%now
     limit = min(self%now + duration, self%calendar%page)
-    call next_due(self%calendar, min(limit, self%gate(1)%next_crossing, &
+    call next_due(self%calendar, self%flight, min(limit, self%gate(1)%next_crossing, &
       self%gate(2)%next_crossing), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
-    call open_until(self%calendar, ends)
+    call open_until(self%calendar, self%flight, ends)
     call reserve_visits(self%visits, self%calendar%sorted + self%gate(1)%count + self%gate(2)%count)
     call reserve_history(history, self%calendar%sorted, 0)
-    call walk(self, began, ends, history)
+    call look_up(self%number, self%flight, self%calendar%sorted, self%calendar%particle, &
+      self%calendar%due_time, self%heading, self%urn_left, self%middle)
+    call walk(self, began, ends, self%calendar%sorted, self%calendar%due_time, &
+      self%calendar%particle, self%heading, self%urn_left, self%middle, self%number, self%flight, &
+      history, done)
+    call drop_done(self%calendar, done)
     call gather(self%number, self%flight, self%visits%count, self%visits%particle, &
-      self%visits%time, self%visits%y, self%visits%along, self%visits%across)
+      self%visits%urn, self%visits%opening, self%visits%passage, self%visits%time, &
+      self%visits%y, self%visits%along, self%visits%across)
     call leave_channels(self%urn, self%visits)
     call finish_visits(self)
-    call schedule_all(self%calendar, self%visits%count, self%visits%particle, self%visits%time)
+    call schedule_all(self%calendar, self%flight, self%visits%count, &
+      self%visits%particle, self%visits%time)
     self%visits%count = 0
     self%now = ends
     history%duration = ends - began
@@ -277,7 +217,7 @@ contains
     type(excursion_type), intent(inout) :: self
     integer :: g
 
-    call turn_page(self%calendar)
+    call turn_page(self%calendar, self%flight)
     do g = 1, 2
       call shift_gate(self%gate(g), self%calendar%page)
     end do
@@ -287,61 +227,63 @@ contains
     self%pages = self%pages + 1
   end subroutine turn
 
-  !> All events before `ends`, in the order of time; gathers the visits that begin with them.
-  subroutine walk(self, began, ends, history)
+  !> All events before `ends`, in the order of time; gathers the visits that begin with them. `done`
+  !> of the `last` sorted ones were.
+  subroutine walk(self, began, ends, last, due_time, particle, heading, urn_left, middle, number, &
+    flight, history, done)
     type(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: began, ends
+    integer, intent(in) :: last, particle(last), heading(last), urn_left(last)
+    real(wp), intent(in) :: due_time(last), middle(last)
+    integer, intent(in) :: number
+    type(flight_type), intent(inout) :: flight(number)
     type(history_type), intent(inout) :: history
+    integer, intent(out) :: done
     real(wp) :: time
-    integer :: at, i, urn, last, threshold
-    real(wp) :: half1
+    integer :: at, i, urn, threshold
     logical :: logging
 
     ! Copies, which the compiler may keep in registers while it writes to `self`.
     threshold = self%threshold
-    half1 = self%half1
     logging = history%logging
-    at = 1
-    last = self%calendar%sorted
-    do while (at <= last)
-      time = self%calendar%due_time(at)
+    do at = 1, last
+      time = due_time(at)
       if (time >= ends) exit
-      i = self%calendar%particle(at)
+      i = particle(at)
       do while (min(self%gate(1)%next_crossing, self%gate(2)%next_crossing) <= time)
         call cross_channel1(self, began, history)
       end do
-      urn = self%flight(i)%urn
-      if (self%flight(i)%heading == to_gate) then
-        self%flight(i)%heading = in_gate
-        call enter_gate(self%gate(urn), time + half1/self%flight(i)%along, i)
+      urn = urn_left(at)
+      if (heading(at) == to_gate) then
+        flight(i)%heading = in_gate
+        call enter_gate(self%gate(urn), middle(at), i)
         if (logging) call record_event(history, time - began, event_entry, urn, i)
         if (self%gate(urn)%count > threshold) then
-          if (.not. more_enter_now(self, urn, at, last)) call reverse(self, urn, time, began, &
-            history)
+          if (.not. more_enter_now(last, due_time, heading, urn_left, at)) &
+            call reverse(self, urn, time, began, history)
         end if
       else
-        call cross_periodic_line(self, i, time, began, history)
+        call record_crossing(history, time - began, merge(channel2_12, channel2_21, urn == 1), i)
+        call send(self, i, urn - 3)
       end if
-      at = at + 1
     end do
-    call drop_done(self%calendar, at - 1)
+    done = at - 1
     do while (min(self%gate(1)%next_crossing, self%gate(2)%next_crossing) < ends)
       call cross_channel1(self, began, history)
     end do
   end subroutine walk
 
-  !> Whether another particle enters the same gate at the very same time.
-  pure function more_enter_now(self, urn, at, last) result(more)
-    type(excursion_type), intent(in) :: self
-    integer, intent(in) :: urn, at, last
+  !> Whether another particle enters the same gate at the very same time as the event `at`.
+  pure function more_enter_now(last, due_time, heading, urn_left, at) result(more)
+    integer, intent(in) :: last, heading(last), urn_left(last), at
+    real(wp), intent(in) :: due_time(last)
     logical :: more
-    integer :: other, i
+    integer :: other
 
     more = .false.
     do other = at + 1, last
-      if (self%calendar%due_time(other) > self%calendar%due_time(at)) exit
-      i = self%calendar%particle(other)
-      more = self%flight(i)%heading == to_gate .and. self%flight(i)%urn == urn
+      if (due_time(other) > due_time(at)) exit
+      more = heading(other) == to_gate .and. urn_left(other) == urn_left(at)
       if (more) exit
     end do
   end function more_enter_now
@@ -352,16 +294,18 @@ contains
     integer, intent(in) :: urn
     real(wp), intent(in) :: time, began
     type(history_type), intent(inout) :: history
-    integer :: member, i
+    integer :: counted, before
 
     if (history%logging) &
       call record_event(history, time - began, event_reversal, urn, self%gate(urn)%count)
-    do member = 1, self%gate(urn)%count
-      i = self%gate(urn)%particle(member)
-      call send(self, i, urn, 1.0_wp, 2.0_wp*(time - self%flight(i)%time))
-    end do
+    counted = self%gate(urn)%count
+    before = self%visits%count
+    self%visits%count = before + counted
+    self%visits%particle(before + 1:before + counted) = self%gate(urn)%particle(:counted)
+    self%visits%urn(before + 1:before + counted) = urn
+    self%visits%passage(before + 1:before + counted) = time
     history%reversals = history%reversals + 1
-    history%bounce_backs = history%bounce_backs + self%gate(urn)%count
+    history%bounce_backs = history%bounce_backs + counted
     call empty_gate(self%gate(urn))
   end subroutine reverse
 
@@ -382,35 +326,21 @@ contains
       beyond = urn
       self%known_hits = self%known_hits + 1
     end if
-    call send(self, i, beyond, 1.0_wp, 2.0_wp*self%half1/self%flight(i)%along)
+    call send(self, i, beyond)
   end subroutine cross_channel1
 
-  subroutine cross_periodic_line(self, i, time, began, history)
-    type(excursion_type), intent(inout) :: self
-    integer, intent(in) :: i
-    real(wp), intent(in) :: time, began
-    type(history_type), intent(inout) :: history
-    integer :: urn
-
-    urn = self%flight(i)%urn
-    call record_crossing(history, time - began, merge(channel2_12, channel2_21, urn == 1), i)
-    call send(self, i, 3 - urn, -1.0_wp, 2.0_wp*self%half2/self%flight(i)%along)
-  end subroutine cross_periodic_line
-
-  !> Puts a particle into the batch: it leaves channel 1 (opening 1) or 2 (-1) for an urn after a
-  !> passage counted from its entry.
-  subroutine send(self, i, urn, opening, passage)
+  !> Puts a particle into the batch: it goes to `urn` through channel 1, or to -`urn` through channel
+  !> 2, straight.
+  subroutine send(self, i, urn)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: i, urn
-    real(wp), intent(in) :: opening, passage
     integer :: count
 
     count = self%visits%count + 1
     self%visits%count = count
     self%visits%particle(count) = i
     self%visits%urn(count) = urn
-    self%visits%opening(count) = opening
-    self%visits%passage(count) = passage
+    self%visits%passage(count) = straight
   end subroutine send
 
   subroutine all_particles(self, first, last, particles)
@@ -477,7 +407,7 @@ contains
       int(self%gate(1)%particle(:counted(1)), int64), int(self%gate(2)%particle(:counted(2)), &
       int64)]
     state%reals = [self%now, self%clock_start, self%flight%time, self%flight%y, self%flight%along, &
-      self%flight%across, self%flight%entered, self%calendar%entry%due, &
+      self%flight%across, self%flight%entered, self%flight%due, &
       self%gate(1)%time(:counted(1)), self%gate(2)%time(:counted(2))]
     state%bytes = int(2*self%flight%heading + self%flight%urn, int8)
   end subroutine save_state
@@ -503,8 +433,12 @@ contains
     self%flight%entered = state%reals(4*number + 3:5*number + 2)
     call new_calendar(self%calendar, number, self%interval)
     due = state%reals(5*number + 3:6*number + 2)
-    self%flight%heading = (state%bytes - 1)/2
-    self%flight%urn = state%bytes - 2*self%flight%heading
+    self%flight%heading = int((state%bytes - 1)/2, int16)
+    self%flight%urn = int(state%bytes, int16) - 2_int16*self%flight%heading
+    do i = 1, number
+      if (self%flight(i)%along > 0.0_wp) self%flight(i)%through = merge(table%channel2_length, &
+        2.0_wp*self%half1, self%flight(i)%heading == to_return)/self%flight(i)%along
+    end do
     at = 0
     do g = 1, 2
       counted = int(state%integers(3 + g))
@@ -514,7 +448,7 @@ contains
     end do
     do i = 1, number
       if (self%flight(i)%heading == to_gate .or. self%flight(i)%heading == to_return) &
-        call schedule(self%calendar, i, due(i))
+        call schedule(self%calendar, self%flight, i, due(i))
     end do
   end subroutine restore_state
 

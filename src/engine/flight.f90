@@ -3,41 +3,79 @@
 !> A flight says how a particle will enter its next channel, or entered the one it is in. Where it
 !> is until then follows by going back from there; so a flight is all the state there is.
 module battery_flight
-  use battery_kinds, only: wp, int64, pi
+  use battery_kinds, only: wp, int16, int64, pi
+  use battery_calendar, only: flight_type
   use battery_urn, only: urn_type, position_before
   use battery_channel, only: fold
   implicit none (type, external)
   private
-  public :: flight_type, land, gather, locate
+  public :: look_up, gather, land, locate, straight
   public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel
 
-  !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere.
-  integer, parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
+  !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
+  !> flight holds time and angle of an impact, cosine and sine of the incidence.
+  !> `parked_in_channel`: time, y, x, u_y.
+  integer(int16), parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
     parked_in_channel = 5
 
-  type :: flight_type
-    !> When it enters the channel (entered it, for `in_gate` and those on their way to the periodic
-    !> line), at which height, with |u_x| and u_y.
-    !> `parked_in_urn`: time and angle of an impact, cosine and sine of the incidence.
-    !> `parked_in_channel`: time, y, x, u_y.
-    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
-    !> When it enters the urn before that.
-    real(wp) :: entered = 0.0_wp
-    integer :: heading = 0
-    !> Urn it leaves, 1 or 2.
-    integer :: urn = 0
-  end type flight_type
+  !> In place of the time of a reversal: nothing turned the particle back.
+  real(wp), parameter :: straight = 0.25_wp*huge(1.0_wp)
 
 contains
 
+  !> What a window needs to know of the particles whose events are due: which event, where, and when
+  !> an entrant would cross the middle of channel 1. Without branches: with many particles each
+  !> flight is a line of memory, and many are to be on their way at a time.
+  pure subroutine look_up(number, flight, n, particle, due, heading, urn, middle)
+    integer, intent(in) :: number, n
+    type(flight_type), intent(in) :: flight(number)
+    integer, intent(in) :: particle(n)
+    real(wp), intent(in) :: due(n)
+    integer, intent(out) :: heading(n), urn(n)
+    real(wp), intent(out) :: middle(n)
+    integer :: k, i
+
+    do k = 1, n
+      i = particle(k)
+      heading(k) = flight(i)%heading
+      urn(k) = flight(i)%urn
+      middle(k) = due(k) + 0.5_wp*flight(i)%through
+    end do
+  end subroutine look_up
+
+  !> Takes what a batch needs to know of its particles from their flights. `passage` is the time at
+  !> which a gate reversed the particle, or `straight`; it becomes the time in the channel. `urn` is
+  !> where it goes, negative through channel 2; the sign becomes that of `opening`.
+  pure subroutine gather(number, flight, n, particle, urn, opening, passage, time, y, along, across)
+    integer, intent(in) :: number, n
+    type(flight_type), intent(in) :: flight(number)
+    integer, intent(in) :: particle(n)
+    integer, intent(inout) :: urn(n)
+    real(wp), intent(inout) :: passage(n)
+    real(wp), intent(out) :: opening(n), time(n), y(n), along(n), across(n)
+    integer :: j, i
+
+    do j = 1, n
+      i = particle(j)
+      time(j) = flight(i)%time
+      y(j) = flight(i)%y
+      along(j) = flight(i)%along
+      across(j) = flight(i)%across
+      passage(j) = merge(2.0_wp*(passage(j) - time(j)), flight(i)%through, passage(j) < straight)
+    end do
+    do j = 1, n
+      opening(j) = real(sign(1, urn(j)), wp)
+      urn(j) = abs(urn(j))
+    end do
+  end subroutine gather
+
   !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
-  pure subroutine land(number, flight, n, half2, particle, urn, opening, time, length, y, along, &
-    across)
+  pure subroutine land(number, flight, n, particle, urn, opening, time, length, y, along, across, &
+    through)
     integer, intent(in) :: number, n
     type(flight_type), intent(inout) :: flight(number)
-    real(wp), intent(in) :: half2
     integer, intent(in) :: particle(n), urn(n)
-    real(wp), intent(in) :: opening(n), length(n), y(n), along(n), across(n)
+    real(wp), intent(in) :: opening(n), length(n), y(n), along(n), across(n), through(n)
     real(wp), intent(inout) :: time(n)
     integer :: j, i
     real(wp) :: leaves
@@ -50,32 +88,16 @@ contains
       flight(i)%y = y(j)
       flight(i)%along = along(j)
       flight(i)%across = across(j)
-      flight(i)%urn = urn(j)
+      flight(i)%through = through(j)
+      flight(i)%urn = int(urn(j), int16)
       flight(i)%heading = to_gate
       time(j) = leaves
       if (.not. opening(j) > 0.0_wp) then
         flight(i)%heading = merge(to_return, parked_in_urn, opening(j) < 0.0_wp)
-        time(j) = merge(leaves + half2/along(j), huge(1.0_wp), opening(j) < 0.0_wp)
+        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), opening(j) < 0.0_wp)
       end if
     end do
   end subroutine land
-
-  !> Takes what a batch needs to know of its particles from their flights.
-  pure subroutine gather(number, flight, n, particle, time, y, along, across)
-    integer, intent(in) :: number, n
-    type(flight_type), intent(in) :: flight(number)
-    integer, intent(in) :: particle(n)
-    real(wp), intent(out) :: time(n), y(n), along(n), across(n)
-    integer :: j, i
-
-    do j = 1, n
-      i = particle(j)
-      time(j) = flight(i)%time
-      y(j) = flight(i)%y
-      along(j) = flight(i)%along
-      across(j) = flight(i)%across
-    end do
-  end subroutine gather
 
   !> Where a particle is now, in the local frame of its urn (`parked_in_channel`: of the table), and
   !> by how many wall hits `known_hits` is short for it (negative: so many are still to come).

@@ -2,29 +2,43 @@
 !>
 !> A calendar of narrow buckets of equal width covers one page of time; a bucket is a list of about
 !> one particle. Buckets are opened one after the other and their particles sorted into `due_time`.
-!> What lies beyond the page waits in one list until the page is turned: then the clock is set back
-!> by the length of the page, a power of two, so that future times stay exact and resolve the same
-!> however long the run has been.
+!> What lies beyond the page waits until the page is turned: then the clock is set back by the
+!> length of the page, a power of two, so that future times stay exact and resolve the same however
+!> long the run has been.
+!>
+!> The flights, one a particle, belong to the caller.
 module battery_calendar
-  use battery_kinds, only: wp, int32
+  use battery_kinds, only: wp, int16, int32
   implicit none (type, external)
   private
-  public :: calendar_type, new_calendar, entry_type, schedule, schedule_all, &
+  public :: calendar_type, new_calendar, flight_type, schedule, schedule_all, &
     open_until, next_due, drop_done, turn_page
 
-  type :: entry_type
+  !> A particle between two of its events. The calendar knows `due` and `next` only; the rest is its
+  !> owner's. A record fills a line of the cache: with many particles the time is that of reading one
+  !> line of memory a particle.
+  type :: flight_type
     real(wp) :: due = 0.0_wp
     !> Next particle in the same bucket, 0 at the end.
     integer(int32) :: next = 0
-  end type entry_type
+    !> Heading, and the urn it leaves, 1 or 2.
+    integer(int16) :: heading = 0, urn = 0
+    !> When it enters the channel (entered it, for those that are inside), at which height, with
+    !> |u_x| and u_y.
+    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
+    !> How long it is in the channel if nothing turns it back, and when it enters the urn before.
+    real(wp) :: through = 0.0_wp, entered = 0.0_wp
+  end type flight_type
+
+  !> So many buckets are looked at together.
+  integer, parameter :: chunk = 64
 
   type :: calendar_type
     !> Length of a page and width of a bucket, powers of two.
     real(wp) :: page = 0.0_wp, width = 0.0_wp, per_width = 0.0_wp
     integer :: buckets = 0
-    !> First particle of each bucket; the last entry is the list of those beyond the page.
+    !> First particle of each bucket.
     integer(int32), allocatable :: head(:)
-    type(entry_type), allocatable :: entry(:)
     !> How many buckets are open; all that is due before `opened_until` is sorted or done.
     integer :: opened = 0
     real(wp) :: opened_until = 0.0_wp
@@ -51,98 +65,131 @@ contains
     calendar%page = 2.0_wp**ceiling(log(4.0_wp*interval)/log(2.0_wp))
     calendar%width = calendar%page/real(calendar%buckets, wp)
     calendar%per_width = 1.0_wp/calendar%width
-    allocate (calendar%head(calendar%buckets + 1), source=0_int32)
-    allocate (calendar%entry(number))
+    allocate (calendar%head(calendar%buckets), source=0_int32)
     allocate (calendar%due_time(number), calendar%particle(number))
   end subroutine new_calendar
 
   !> Writes down that the event of `particle` is due at `time`.
-  pure subroutine schedule(calendar, particle, time)
+  pure subroutine schedule(calendar, flight, particle, time)
     type(calendar_type), intent(inout) :: calendar
+    type(flight_type), intent(inout) :: flight(:)
     integer, intent(in) :: particle
     real(wp), intent(in) :: time
     integer :: bucket
 
+    flight(particle)%due = time
     if (time < calendar%opened_until) then
-      calendar%entry(particle)%due = time
-      call insert(size(calendar%entry), calendar%due_time, calendar%particle, calendar%sorted, &
+      call insert(size(calendar%particle), calendar%due_time, calendar%particle, calendar%sorted, &
         time, particle)
-    else
-      bucket = calendar%buckets + 1
-      if (time < calendar%page) bucket = 1 + int(time*calendar%per_width)
-      call push(size(calendar%entry), calendar%buckets, calendar%head, calendar%entry, particle, &
-        time, bucket)
+    else if (time < calendar%page) then
+      bucket = 1 + int(time*calendar%per_width)
+      flight(particle)%next = calendar%head(bucket)
+      calendar%head(bucket) = int(particle, int32)
     end if
   end subroutine schedule
 
-  !> Puts a particle into a bucket.
-  pure subroutine push(number, buckets, head, entry, particle, time, bucket)
-    integer, intent(in) :: number, buckets, particle, bucket
-    integer(int32), intent(inout) :: head(buckets + 1)
-    type(entry_type), intent(inout) :: entry(number)
-    real(wp), intent(in) :: time
-
-    entry(particle)%due = time
-    entry(particle)%next = head(bucket)
-    head(bucket) = int(particle, int32)
-  end subroutine push
-
-  !> Writes down many events at once: of `particle(:count)` at `time(:count)`; those whose time is
-  !> huge never come.
-  pure subroutine schedule_all(calendar, count, particle, time)
+  !> Writes down many events at once: of `particle(:count)` at `time(:count)`; one whose time is huge
+  !> never comes.
+  pure subroutine schedule_all(calendar, flight, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
+    type(flight_type), intent(inout) :: flight(:)
     integer, intent(in) :: count
     integer, intent(in) :: particle(count)
     real(wp), intent(in) :: time(count)
     integer :: k
 
+    call fill_buckets(size(calendar%particle), calendar%buckets, count, particle, time, &
+      calendar%per_width, calendar%opened_until, calendar%page, calendar%head, flight)
+    if (.not. any(time < calendar%opened_until)) return
     do k = 1, count
-      if (time(k) < calendar%opened_until .or. time(k) >= calendar%page) then
-        if (time(k) < huge(time)) call schedule(calendar, particle(k), time(k))
-      else
-        call push(size(calendar%entry), calendar%buckets, calendar%head, calendar%entry, &
-          particle(k), time(k), 1 + int(time(k)*calendar%per_width))
-      end if
+      if (time(k) < calendar%opened_until) call schedule(calendar, flight, particle(k), time(k))
     end do
   end subroutine schedule_all
 
+  !> The part of it that is not due at once.
+  pure subroutine fill_buckets(number, buckets, count, particle, time, per_width, opened_until, &
+    page, head, flight)
+    integer, intent(in) :: number, buckets, count, particle(count)
+    real(wp), intent(in) :: time(count), per_width, opened_until, page
+    integer(int32), intent(inout) :: head(buckets)
+    type(flight_type), intent(inout) :: flight(number)
+    integer :: k, i, bucket
+
+    do k = 1, count
+      i = particle(k)
+      flight(i)%due = time(k)
+      if (time(k) < opened_until .or. time(k) >= page) cycle
+      bucket = 1 + int(time(k)*per_width)
+      flight(i)%next = head(bucket)
+      head(bucket) = int(i, int32)
+    end do
+  end subroutine fill_buckets
+
   !> Opens buckets until all that is due before `time` is sorted.
-  pure subroutine open_until(calendar, time)
+  pure subroutine open_until(calendar, flight, time)
     type(calendar_type), intent(inout) :: calendar
+    type(flight_type), intent(in) :: flight(:)
     real(wp), intent(in) :: time
-    integer :: target
+    integer :: target, first, last
 
     if (calendar%opened_until >= time .or. calendar%opened == calendar%buckets) return
     target = calendar%buckets
     if (time < calendar%page) target = min(target, ceiling(time*calendar%per_width))
-    call open_buckets(size(calendar%entry), calendar%buckets, calendar%opened + 1, target, &
-      calendar%head, calendar%entry, calendar%sorted, calendar%due_time, calendar%particle)
+    do first = calendar%opened + 1, target, chunk
+      last = min(first + chunk - 1, target)
+      call open_buckets(size(calendar%particle), last - first + 1, calendar%head(first:last), &
+        flight, calendar%sorted, calendar%due_time, calendar%particle)
+    end do
     calendar%opened = target
     calendar%opened_until = real(target, wp)*calendar%width
   end subroutine open_until
 
-  !> Empties the buckets `first` ... `last` into the sorted events. A bucket holds about one
-  !> particle and all that was sorted before is due earlier, so insertion is the fastest sort there
-  !> is.
-  pure subroutine open_buckets(number, buckets, first, last, head, entry, sorted, due_time, &
-    particle)
-    integer, intent(in) :: number, buckets, first, last
-    integer(int32), intent(inout) :: head(buckets + 1)
-    type(entry_type), intent(inout) :: entry(number)
+  !> Empties some buckets, at most `chunk`, into the sorted events. All that was sorted before is due
+  !> earlier and a bucket holds about one particle, so few have to be put in their place. The loops
+  !> over `first` and `second` particles of the buckets have no branches, so that many flights are on
+  !> their way from memory at a time.
+  pure subroutine open_buckets(number, buckets, head, flight, sorted, due_time, particle)
+    integer, intent(in) :: number, buckets
+    integer(int32), intent(inout) :: head(buckets)
+    type(flight_type), intent(in) :: flight(:)
     integer, intent(inout) :: sorted
     real(wp), intent(inout) :: due_time(number)
     integer, intent(inout) :: particle(number)
-    integer :: bucket, i, at
-    real(wp) :: time
+    integer :: first(chunk + 1), following(chunk + 1), second(chunk + 1), third(chunk)
+    real(wp) :: due(chunk + 1), second_due(chunk)
+    integer :: k, kept, seconds, i, some, at
 
+    kept = 0
+    seconds = 0
+    do k = 1, buckets
+      i = head(k)
+      head(k) = 0
+      ! An empty bucket writes what the next one overwrites.
+      some = max(i, 1)
+      first(kept + 1) = i
+      due(kept + 1) = flight(some)%due
+      following(kept + 1) = flight(some)%next
+      second(seconds + 1) = following(kept + 1)
+      seconds = seconds + merge(1, 0, i > 0 .and. following(kept + 1) > 0)
+      kept = kept + merge(1, 0, i > 0)
+    end do
+    do k = 1, seconds
+      second_due(k) = flight(second(k))%due
+      third(k) = flight(second(k))%next
+    end do
     at = sorted
-    do bucket = first, last
-      i = head(bucket)
-      head(bucket) = 0
+    seconds = 0
+    do k = 1, kept
+      at = at + 1
+      due_time(at) = due(k)
+      particle(at) = first(k)
+      if (following(k) == 0) cycle
+      seconds = seconds + 1
+      call insert(number, due_time, particle, at, second_due(seconds), second(seconds))
+      i = third(seconds)
       do while (i > 0)
-        time = entry(i)%due
-        call insert(number, due_time, particle, at, time, i)
-        i = entry(i)%next
+        call insert(number, due_time, particle, at, flight(i)%due, i)
+        i = flight(i)%next
       end do
     end do
     sorted = at
@@ -171,15 +218,19 @@ contains
   end subroutine insert
 
   !> When the next event is due; opens buckets as needed; not beyond `horizon`, nor beyond the page.
-  pure subroutine next_due(calendar, horizon, time)
+  pure subroutine next_due(calendar, flight, horizon, time)
     type(calendar_type), intent(inout) :: calendar
+    type(flight_type), intent(in) :: flight(:)
     real(wp), intent(in) :: horizon
     real(wp), intent(out) :: time
+    integer :: bucket
 
-    do while (calendar%sorted == 0 .and. calendar%opened < calendar%buckets &
-        .and. calendar%opened_until < horizon)
-      call open_until(calendar, calendar%opened_until + calendar%width)
-    end do
+    if (calendar%sorted == 0 .and. calendar%opened_until < horizon) then
+      do bucket = calendar%opened + 1, calendar%buckets
+        if (calendar%head(bucket) > 0) exit
+      end do
+      call open_until(calendar, flight, min(horizon, real(bucket, wp)*calendar%width))
+    end if
     time = min(horizon, calendar%page)
     if (calendar%sorted > 0) time = min(time, calendar%due_time(1))
   end subroutine next_due
@@ -198,21 +249,18 @@ contains
   end subroutine drop_done
 
   !> The page is done: sets all times back by its length and writes down what is due on the next.
-  pure subroutine turn_page(calendar)
+  !> What is over, or waits for no event, is due before the new page.
+  pure subroutine turn_page(calendar, flight)
     type(calendar_type), intent(inout) :: calendar
-    integer :: particle
-    integer(int32) :: following
+    type(flight_type), intent(inout) :: flight(:)
+    integer :: i
 
-    calendar%entry%due = calendar%entry%due - calendar%page
     calendar%due_time(:calendar%sorted) = calendar%due_time(:calendar%sorted) - calendar%page
     calendar%opened = 0
     calendar%opened_until = 0.0_wp
-    particle = calendar%head(calendar%buckets + 1)
-    calendar%head(calendar%buckets + 1) = 0
-    do while (particle > 0)
-      following = calendar%entry(particle)%next
-      call schedule(calendar, particle, calendar%entry(particle)%due)
-      particle = following
+    do i = 1, size(calendar%particle)
+      flight(i)%due = flight(i)%due - calendar%page
+      if (flight(i)%due >= 0.0_wp) call schedule(calendar, flight, i, flight(i)%due)
     end do
   end subroutine turn_page
 

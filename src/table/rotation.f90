@@ -11,7 +11,7 @@ module battery_rotation
   use battery_kinds, only: wp, angle_kind, pi
   implicit none (type, external)
   private
-  public :: full_turn, to_turn, from_turn, first_entry
+  public :: full_turn, to_turn, turn_of, from_turn, unit_vector, first_entry
 
   !> One turn; two bits are kept free so that sums of two angles do not overflow.
   integer(angle_kind), parameter :: full_turn = 2_angle_kind**(bit_size(1_angle_kind) - 4)
@@ -22,10 +22,44 @@ contains
   elemental function to_turn(angle) result(turn)
     real(wp), intent(in) :: angle
     integer(angle_kind) :: turn
+    real(wp), parameter :: per_radian = real(full_turn, wp)/(2.0_wp*pi)
 
-    turn = nint(angle/(2.0_wp*pi)*real(full_turn, wp), angle_kind)
-    turn = modulo(turn, full_turn)
+    turn = modulo(int(angle*per_radian, angle_kind), full_turn)
   end function to_turn
+
+  !> The direction of the unit vector (x, y) in [0, full_turn): near each axis the rest of the
+  !> quarter turns is what counts, to all its digits.
+  elemental function turn_of(x, y) result(turn)
+    real(wp), intent(in) :: x, y
+    integer(angle_kind) :: turn, rest
+    integer(angle_kind), parameter :: quarter = full_turn/4
+    logical :: level
+
+    level = abs(y) <= abs(x)
+    rest = to_turn(asin(min(abs(x), abs(y))))
+    turn = merge(rest, quarter - rest, level)
+    turn = merge(turn, 2*quarter - turn, x >= 0.0_wp)
+    turn = modulo(merge(turn, -turn, y >= 0.0_wp), full_turn)
+  end function turn_of
+
+  !> Cosine and sine of an integer angle in (-full_turn, full_turn).
+  elemental subroutine unit_vector(turn, x, y)
+    integer(angle_kind), intent(in) :: turn
+    real(wp), intent(out) :: x, y
+    real(wp) :: angle, square
+    !> Below it the terms written here are all that count.
+    real(wp), parameter :: small = (720.0_wp*epsilon(1.0_wp))**(1.0_wp/6.0_wp)
+
+    angle = from_turn(turn)
+    if (abs(angle) < small) then
+      square = angle**2
+      x = 1.0_wp - square*(0.5_wp - square/24.0_wp)
+      y = angle*(1.0_wp - square*(1.0_wp/6.0_wp - square/120.0_wp))
+    else
+      x = cos(angle)
+      y = sin(angle)
+    end if
+  end subroutine unit_vector
 
   !> An integer angle in (-full_turn, full_turn), in radians.
   elemental function from_turn(turn) result(angle)
@@ -44,7 +78,8 @@ contains
     integer(angle_kind), intent(out) :: steps, landing
     logical, intent(out) :: found
     integer(angle_kind), intent(in), optional :: circle
-    integer(angle_kind) :: x, up, down, up_cost, down_cost, moves
+    integer(angle_kind) :: x, up, down, up_cost, down_cost, moves, quotient
+    logical :: above
 
     x = start
     steps = 0
@@ -55,47 +90,55 @@ contains
     down_cost = 1
     found = .true.
     do while (x > width)
-      if (up == 0 .or. down == 0) then
-        found = .false.
+      if (width >= min(up, down)) then
+        call last_moves(up, down, up_cost, down_cost, width, x, steps, found)
         exit
-      else if (width >= down) then
-        moves = (x - width + down - 1)/down
+      end if
+      ! Euclid's step and the move of the point are two divisions that do not wait for each other,
+      ! and there is no branch to guess: this loop is what a visit between tiny openings costs.
+      if (up > down) then
+        quotient = up/down
+        moves = max(0_angle_kind, quotient - (up - x + down - 1)/down)
         x = x - moves*down
         steps = steps + moves*down_cost
-      else if (width >= up) then
-        if (x < down) then
-          moves = (down - x + up - 1)/up
-          x = x + moves*up
-          steps = steps + moves*up_cost
-        end if
-        x = x - down
-        steps = steps + down_cost
-      else if (up > down) then
-        moves = up/down
-        up = up - moves*down
-        up_cost = up_cost + moves*down_cost
-        if (x >= up + down) then
-          moves = (x - up)/down
-          x = x - moves*down
-          steps = steps + moves*down_cost
-        end if
+        up = up - quotient*down
+        up_cost = up_cost + quotient*down_cost
       else
         ! A point above the shortened interval comes down by the first of the lengths
         ! down, down - up, down - 2 up, ... that is not longer than its own height.
-        moves = down/up
-        if (x >= down - (moves - 1)*up) then
-          block
-            integer(angle_kind) :: shortened
-            shortened = max(0_angle_kind, (down - x + up - 1)/up)
-            x = x - (down - shortened*up)
-            steps = steps + down_cost + shortened*up_cost
-          end block
-        end if
-        down = down - moves*up
-        down_cost = down_cost + moves*up_cost
+        quotient = down/up
+        moves = (down - x + up - 1)/up
+        above = moves < quotient
+        x = x - merge(down - moves*up, 0_angle_kind, above)
+        steps = steps + merge(down_cost + moves*up_cost, 0_angle_kind, above)
+        down = down - quotient*up
+        down_cost = down_cost + quotient*up_cost
       end if
     end do
     landing = x
   end subroutine first_entry
+
+  !> One of the lengths that the point moves by fits into the target: from here it goes straight.
+  pure subroutine last_moves(up, down, up_cost, down_cost, width, x, steps, found)
+    integer(angle_kind), intent(in) :: up, down, up_cost, down_cost, width
+    integer(angle_kind), intent(inout) :: x, steps
+    logical, intent(inout) :: found
+    integer(angle_kind) :: moves
+
+    if (up == 0 .or. down == 0) then
+      found = .false.
+      return
+    end if
+    if (width < down) then
+      ! Only the way up fits: up to above `down`, from where the point falls into the target.
+      moves = (max(down - x, 0_angle_kind) + up - 1)/up
+      x = x + moves*up - down
+      steps = steps + moves*up_cost + down_cost
+    end if
+    if (x <= width) return
+    moves = (x - width + down - 1)/down
+    x = x - moves*down
+    steps = steps + moves*down_cost
+  end subroutine last_moves
 
 end module battery_rotation

@@ -15,7 +15,7 @@
 module battery_urn
   use battery_kinds, only: wp, int64, angle_kind, pi
   use battery_table, only: table_type
-  use battery_rotation, only: to_turn, from_turn, full_turn, first_entry
+  use battery_rotation, only: to_turn, turn_of, unit_vector, full_turn, first_entry
   use battery_channel, only: fold
   implicit none (type, external)
   private
@@ -33,7 +33,7 @@ module battery_urn
 
   !> What a visit needs to know of the table.
   type :: urn_type
-    real(wp) :: radius, chord1, chord2, width1, width2
+    real(wp) :: radius, chord1, chord2, width1, width2, length1, length2
     !> Half widths of the openings in units of the radius, and half their angles.
     real(wp) :: half1, half2
     integer(angle_kind) :: angle1, angle2
@@ -47,6 +47,7 @@ module battery_urn
     integer, allocatable :: particle(:), urn(:)
     !> In: when the particle entered the channel it comes from, and how long it has been in it.
     !> Out of `leave_channels`: when it enters the urn; the passage is then unchanged.
+    !> Out of `cross_urns`: how long it would be in the channel it enters, from end to end.
     real(wp), allocatable :: time(:), passage(:)
     !> 1 for channel 1, -1 for channel 2, 0 for a particle that never leaves.
     !> In: where it comes from; out of `cross_urns`: where it goes.
@@ -63,6 +64,8 @@ module battery_urn
     real(wp), allocatable :: length(:)
     !> Wall hits in the channel and in the urn, whole numbers.
     real(wp), allocatable :: hits(:)
+    !> Out of `cross_urns`: the sum of them.
+    integer(int64) :: all_hits = 0
     !> Work space of the kernel: impact, rotation, steps, and whose they are.
     real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)
     integer, allocatable :: slot(:)
@@ -84,6 +87,8 @@ contains
     urn%chord2 = table%chord2_distance
     urn%width1 = table%channel1_width
     urn%width2 = table%channel2_width
+    urn%length1 = table%channel1_length
+    urn%length2 = table%channel2_length
     urn%half1 = 0.5_wp*urn%width1/urn%radius
     urn%half2 = 0.5_wp*urn%width2/urn%radius
     urn%angle1 = to_turn(asin(urn%half1))
@@ -177,9 +182,10 @@ contains
   subroutine cross_urns(urn, visits)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
-    integer :: n, j, active, round
+    integer :: n, n_active, j, active, round
 
     n = lanes*((visits%count + lanes - 1)/lanes)
+    visits%all_hits = 0
     if (n == 0) return
     call enter(n, 1.0_wp/urn%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
       visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first)
@@ -188,15 +194,14 @@ contains
     end do
     active = visits%count
     if (urn%step_first) then
+      visits%px(active + 1:n) = 1.0_wp
+      visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
-        do j = active + 1, lanes*((active + lanes - 1)/lanes)
-          visits%px(j) = 1.0_wp
-          visits%py(j) = 0.0_wp
-        end do
-        call march(urn%half1, urn%half2, lanes*((active + lanes - 1)/lanes), visits%px, visits%py, &
-          visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call march(urn%half1, urn%half2, lanes*((active + lanes &
-          - 1)/lanes), visits%px, visits%py, visits%zx, visits%zy, visits%steps)
+        n_active = lanes*((active + lanes - 1)/lanes)
+        call march(urn%half1, urn%half2, n_active, visits%px, visits%py, visits%zx, visits%zy, &
+          visits%steps)
+        if (round <= early_rounds) call march(urn%half1, urn%half2, n_active, visits%px, &
+          visits%py, visits%zx, visits%zy, visits%steps)
         call close_ranks(urn%half1, urn%half2, active, visits%slot, visits%px, visits%py, &
           visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, visits%impacts)
         if (active == 0) exit
@@ -207,14 +212,15 @@ contains
         visits%zy(j), visits%steps(j))
     end do
     call find_exits(n, urn, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
-      visits%first, visits%opening, visits%x, visits%y, visits%along, visits%across, visits%length)
+      visits%first, visits%opening, visits%x, visits%y, visits%along, visits%across, visits%length, &
+      visits%passage)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
         if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(urn, visits, &
           j)
       end do
     end if
-    call add(n, visits%hits, visits%impacts)
+    call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
   end subroutine cross_urns
 
   !> Whether all visits ended in an opening with a velocity that leads out.
@@ -222,23 +228,34 @@ contains
     integer, intent(in) :: n
     real(wp), intent(in) :: along(n), impacts(n)
     logical :: all_left
-    real(wp) :: least
-    integer :: j
+    integer :: j, left
 
-    least = 1.0_wp
+    left = 0
     do j = 1, n
-      least = min(least, merge(along(j), -1.0_wp, impacts(j) >= 0.0_wp))
+      left = left + merge(1, 0, along(j) > 0.0_wp .and. impacts(j) >= 0.0_wp)
     end do
-    all_left = least > 0.0_wp
+    all_left = left == n
   end function all_left
 
-  pure subroutine add(n, hits, impacts)
-    integer, intent(in) :: n
+  !> Adds the impacts to the wall hits, and all of them up: `lanes` sums, which make vectors.
+  pure subroutine sum_hits(n, count, hits, impacts, all_hits)
+    integer, intent(in) :: n, count
     real(wp), intent(inout) :: hits(n)
     real(wp), intent(in) :: impacts(n)
+    integer(int64), intent(out) :: all_hits
+    real(wp) :: total(lanes)
+    integer :: j, lane
 
     hits = hits + impacts
-  end subroutine add
+    hits(count + 1:) = 0.0_wp
+    total = 0.0_wp
+    do j = 1, n, lanes
+      do lane = 1, lanes
+        total(lane) = total(lane) + hits(j + lane - 1)
+      end do
+    end do
+    all_hits = int(sum(total), int64)
+  end subroutine sum_hits
 
   !> Incidence, first impact, rotation from impact to impact, and the length until the first.
   pure subroutine enter(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, first)
@@ -328,6 +345,11 @@ contains
       kept = kept + merge(1, 0, abs(y) >= merge(h1, h2, x > 0.0_wp))
     end do
     active = kept
+    ! Whoever fills up the last group stands in an opening.
+    do j = kept + 1, kept + lanes - 1
+      px(j) = 1.0_wp
+      py(j) = 0.0_wp
+    end do
   end subroutine close_ranks
 
   !> First impact in an opening, from the impact (px, py) on, by search in the integer circle. The
@@ -344,14 +366,11 @@ contains
     integer(angle_kind) :: start, step, moves, total, landing, widest, place
     integer :: misses
     logical :: found, first_side
+    real(wp) :: x, y
 
-    start = to_turn(atan2(py, px))
-    ! Near a diameter the step is near half a turn; the rest is what counts, to all its digits.
-    if (zx < 0.0_wp) then
-      step = modulo(half_turn + to_turn(atan2(-zy, -zx)), full_turn)
-    else
-      step = to_turn(atan2(zy, zx))
-    end if
+    step = turn_of(zx, zy)
+    ! From the impact before, which lies in the opening if the particle has just come through it.
+    start = modulo(turn_of(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
     first_side = .false.
     widest = max(urn%angle1, urn%angle2)
     place = start
@@ -373,8 +392,9 @@ contains
     if (.not. found .and. misses > most_misses) &
       call search_each(urn, start, step, total, landing, first_side, found)
     if (found) then
-      visits%hit_x(mine) = merge(1.0_wp, -1.0_wp, first_side)*cos(from_turn(landing))
-      visits%hit_y(mine) = merge(1.0_wp, -1.0_wp, first_side)*sin(from_turn(landing))
+      call unit_vector(landing, x, y)
+      visits%hit_x(mine) = merge(x, -x, first_side)
+      visits%hit_y(mine) = merge(y, -y, first_side)
       visits%impacts(mine) = steps + real(total, wp)
     else
       visits%hit_x(mine) = px
@@ -421,13 +441,13 @@ contains
 
   !> From the impact in an opening back to the chord.
   pure subroutine find_exits(n, urn, c, s, hit_x, hit_y, impacts, first, opening, x, y, along, &
-    across, length)
+    across, length, through)
     integer, intent(in) :: n
     type(urn_type), intent(in) :: urn
     real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
-    real(wp), intent(out) :: opening(n), x(n), y(n), along(n), across(n), length(n)
-    real(wp) :: norm, qx, qy, ux, uy, back, half, chord, side, height
-    real(wp) :: radius, half1, half2, chord1, chord2
+    real(wp), intent(out) :: opening(n), x(n), y(n), along(n), across(n), length(n), through(n)
+    real(wp) :: norm, qx, qy, ux, uy, back, half, chord, side, height, forward
+    real(wp) :: radius, half1, half2, chord1, chord2, length1, length2
     integer :: j
 
     radius = urn%radius
@@ -435,6 +455,8 @@ contains
     half2 = urn%half2
     chord1 = urn%chord1
     chord2 = urn%chord2
+    length1 = urn%length1
+    length2 = urn%length2
     do j = 1, n
       norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
       qx = hit_x(j)*norm
@@ -444,9 +466,11 @@ contains
       chord = merge(chord1, chord2, qx > 0.0_wp)
       ux = (c(j)*qx - s(j)*qy)*side
       uy = c(j)*qy + s(j)*qx
+      forward = merge(ux, 1.0_wp, ux > 0.0_wp)
       ! This is |qx| r - chord over u_x, without the cancellation that tiny openings would suffer.
       back = (half - abs(qy))*(half + abs(qy))*radius**2 &
-        /((abs(qx)*radius + chord)*merge(ux, 1.0_wp, ux > 0.0_wp))
+        /((abs(qx)*radius + chord)*forward)
+      through(j) = merge(length1, length2, qx > 0.0_wp)/forward
       opening(j) = side
       x(j) = side*chord
       height = radius*qy - back*uy
@@ -476,7 +500,7 @@ contains
       call search(urn, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
       call find_exits(1, urn, visits%c(j:j), visits%s(j:j), visits%hit_x(j:j), visits%hit_y(j:j), &
         visits%impacts(j:j), visits%first(j:j), visits%opening(j:j), visits%x(j:j), visits%y(j:j), &
-        visits%along(j:j), visits%across(j:j), visits%length(j:j))
+        visits%along(j:j), visits%across(j:j), visits%length(j:j), visits%passage(j:j))
     end do
     if (visits%impacts(j) >= 0.0_wp .and. visits%along(j) > 0.0_wp) return
     if (visits%impacts(j) < 0.0_wp) visits%impacts(j) = -1.0_wp - visits%impacts(j)
