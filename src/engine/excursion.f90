@@ -14,11 +14,11 @@ module battery_excursion
   use battery_flight, only: look_up, gather, land, locate, straight, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
-  use battery_urn, only: urn_type, visits_type, new_urn, reserve_visits, leave_channels, &
-    cross_urns
+  use battery_urn, only: urn_type, new_urn, leave_channels, cross_urns
+  use battery_visits, only: visits_type, reserve_visits
   use battery_gate, only: gate_type, empty_gate, fill_gate, enter_gate, cross_middle, shift_gate
-  use battery_calendar, only: calendar_type, flight_type, new_calendar, schedule, schedule_all, open_until, &
-    next_due, drop_done, turn_page
+  use battery_calendar, only: calendar_type, flight_type, new_calendar, schedule, schedule_all, &
+    open_until, next_due, drop_done, turn_page
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type, &
     reserve_history, record_crossing, record_event, channel1_12, channel1_21, channel2_12, &
     channel2_21, event_entry, event_reversal
@@ -38,8 +38,7 @@ module battery_excursion
     type(gate_type) :: gate(2)
     type(calendar_type) :: calendar
     type(visits_type) :: visits
-    !> Of the sorted events of the calendar: heading, urn, when an entrant would cross the middle.
-    integer, allocatable :: heading(:), urn_left(:)
+    !> Of the sorted events of the calendar: when an entrant would cross the middle.
     real(wp), allocatable :: middle(:)
     !> Time since the page of the calendar was turned, and how often it was.
     real(wp) :: now = 0.0_wp
@@ -151,8 +150,8 @@ contains
       + 0.25_wp*pi*table%channel1_length
     self%lookahead = shortest_excursion(table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(number, wp))
-    if (allocated(self%flight)) deallocate (self%flight, self%heading, self%urn_left, self%middle)
-    allocate (self%flight(number), self%heading(number), self%urn_left(number), self%middle(number))
+    if (allocated(self%flight)) deallocate (self%flight, self%middle)
+    allocate (self%flight(number), self%middle(number))
     do g = 1, 2
       call empty_gate(self%gate(g))
     end do
@@ -193,10 +192,9 @@ contains
     call reserve_visits(self%visits, self%calendar%sorted + self%gate(1)%count + self%gate(2)%count)
     call reserve_history(history, self%calendar%sorted, 0)
     call look_up(self%number, self%flight, self%calendar%sorted, self%calendar%particle, &
-      self%calendar%due_time, self%heading, self%urn_left, self%middle)
+      self%calendar%due_time, self%middle)
     call walk(self, began, ends, self%calendar%sorted, self%calendar%due_time, &
-      self%calendar%particle, self%heading, self%urn_left, self%middle, self%number, self%flight, &
-      history, done)
+      self%calendar%particle, self%middle, self%number, self%flight, history, done)
     call drop_done(self%calendar, done)
     call gather(self%number, self%flight, self%visits%count, self%visits%particle, &
       self%visits%urn, self%visits%opening, self%visits%passage, self%visits%time, &
@@ -222,18 +220,17 @@ contains
       call shift_gate(self%gate(g), self%calendar%page)
     end do
     self%flight%time = self%flight%time - self%calendar%page
-    self%flight%entered = self%flight%entered - self%calendar%page
     self%now = self%now - self%calendar%page
     self%pages = self%pages + 1
   end subroutine turn
 
   !> All events before `ends`, in the order of time; gathers the visits that begin with them. `done`
   !> of the `last` sorted ones were.
-  subroutine walk(self, began, ends, last, due_time, particle, heading, urn_left, middle, number, &
-    flight, history, done)
+  subroutine walk(self, began, ends, last, due_time, particle, middle, number, flight, history, &
+    done)
     type(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: began, ends
-    integer, intent(in) :: last, particle(last), heading(last), urn_left(last)
+    integer, intent(in) :: last, particle(last)
     real(wp), intent(in) :: due_time(last), middle(last)
     integer, intent(in) :: number
     type(flight_type), intent(inout) :: flight(number)
@@ -253,13 +250,13 @@ contains
       do while (min(self%gate(1)%next_crossing, self%gate(2)%next_crossing) <= time)
         call cross_channel1(self, began, history)
       end do
-      urn = urn_left(at)
-      if (heading(at) == to_gate) then
+      urn = flight(i)%urn
+      if (flight(i)%heading == to_gate) then
         flight(i)%heading = in_gate
         call enter_gate(self%gate(urn), middle(at), i)
         if (logging) call record_event(history, time - began, event_entry, urn, i)
         if (self%gate(urn)%count > threshold) then
-          if (.not. more_enter_now(last, due_time, heading, urn_left, at)) &
+          if (.not. more_enter_now(last, due_time, particle, number, flight, at)) &
             call reverse(self, urn, time, began, history)
         end if
       else
@@ -274,16 +271,18 @@ contains
   end subroutine walk
 
   !> Whether another particle enters the same gate at the very same time as the event `at`.
-  pure function more_enter_now(last, due_time, heading, urn_left, at) result(more)
-    integer, intent(in) :: last, heading(last), urn_left(last), at
+  pure function more_enter_now(last, due_time, particle, number, flight, at) result(more)
+    integer, intent(in) :: last, particle(last), number, at
     real(wp), intent(in) :: due_time(last)
+    type(flight_type), intent(in) :: flight(number)
     logical :: more
-    integer :: other
+    integer :: other, i
 
     more = .false.
     do other = at + 1, last
       if (due_time(other) > due_time(at)) exit
-      more = heading(other) == to_gate .and. urn_left(other) == urn_left(at)
+      i = particle(other)
+      more = flight(i)%heading == to_gate .and. flight(i)%urn == flight(particle(at))%urn
       if (more) exit
     end do
   end function more_enter_now
@@ -329,8 +328,8 @@ contains
     call send(self, i, beyond)
   end subroutine cross_channel1
 
-  !> Puts a particle into the batch: it goes to `urn` through channel 1, or to -`urn` through channel
-  !> 2, straight.
+  !> Puts a particle into the batch: it goes to `urn` through channel 1, or to -`urn` through
+  !> channel 2, straight.
   subroutine send(self, i, urn)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: i, urn
@@ -407,7 +406,7 @@ contains
       int(self%gate(1)%particle(:counted(1)), int64), int(self%gate(2)%particle(:counted(2)), &
       int64)]
     state%reals = [self%now, self%clock_start, self%flight%time, self%flight%y, self%flight%along, &
-      self%flight%across, self%flight%entered, self%flight%due, &
+      self%flight%across, self%flight%length, self%flight%due, &
       self%gate(1)%time(:counted(1)), self%gate(2)%time(:counted(2))]
     state%bytes = int(2*self%flight%heading + self%flight%urn, int8)
   end subroutine save_state
@@ -430,7 +429,7 @@ contains
     self%flight%y = state%reals(number + 3:2*number + 2)
     self%flight%along = state%reals(2*number + 3:3*number + 2)
     self%flight%across = state%reals(3*number + 3:4*number + 2)
-    self%flight%entered = state%reals(4*number + 3:5*number + 2)
+    self%flight%length = state%reals(4*number + 3:5*number + 2)
     call new_calendar(self%calendar, number, self%interval)
     due = state%reals(5*number + 3:6*number + 2)
     self%flight%heading = int((state%bytes - 1)/2, int16)

@@ -23,23 +23,19 @@ module battery_flight
 
 contains
 
-  !> What a window needs to know of the particles whose events are due: which event, where, and when
-  !> an entrant would cross the middle of channel 1. Without branches: with many particles each
-  !> flight is a line of memory, and many are to be on their way at a time.
-  pure subroutine look_up(number, flight, n, particle, due, heading, urn, middle)
+  !> When each of the particles whose events are due would cross the middle of channel 1, if it is
+  !> to enter a gate. Without branches: with many particles each flight is a line of memory, and
+  !> many of them are to be on their way at a time, before the events are walked through one by one.
+  pure subroutine look_up(number, flight, n, particle, due, middle)
     integer, intent(in) :: number, n
     type(flight_type), intent(in) :: flight(number)
     integer, intent(in) :: particle(n)
     real(wp), intent(in) :: due(n)
-    integer, intent(out) :: heading(n), urn(n)
     real(wp), intent(out) :: middle(n)
-    integer :: k, i
+    integer :: k
 
     do k = 1, n
-      i = particle(k)
-      heading(k) = flight(i)%heading
-      urn(k) = flight(i)%urn
-      middle(k) = due(k) + 0.5_wp*flight(i)%through
+      middle(k) = due(k) + 0.5_wp*flight(particle(k))%through
     end do
   end subroutine look_up
 
@@ -83,7 +79,7 @@ contains
     do j = 1, n
       i = particle(j)
       leaves = time(j) + length(j)
-      flight(i)%entered = time(j)
+      flight(i)%length = length(j)
       flight(i)%time = leaves
       flight(i)%y = y(j)
       flight(i)%along = along(j)
@@ -162,15 +158,16 @@ contains
     real(wp) :: before, side, turned, passed, width, height
 
     call position_before(urn, opening, flight%y, flight%along, flight%across, &
-      flight%time - max(now, flight%entered), position, velocity, hits)
+      min(flight%time - now, flight%length), position, velocity, hits)
     hits = -hits
-    before = flight%entered - now
+    before = flight%time - now - flight%length
     if (before <= 0.0_wp) return
     side = merge(1.0_wp, -1.0_wp, position(1) > 0.0_wp)
     width = merge(urn%width1, urn%width2, side > 0.0_wp)
     call fold(position(2) - velocity(2)*before, width, height, turned, passed)
+    ! It is in this urn's half of the channel, even if it is so slow that rounding moves it far.
     position(1) = side*(merge(urn%chord1, urn%chord2, side > 0.0_wp) &
-      + abs(velocity(1))*before)
+      + min(abs(velocity(1))*before, 0.5_wp*merge(urn%length1, urn%length2, side > 0.0_wp)))
     position(2) = height
     velocity(2) = turned*velocity(2)
     hits = hits - int(passed, int64)

@@ -1,11 +1,11 @@
-!> How a particle starts in the engine `excursion`: from a position and a velocity to a flight, or to
-!> a visit that will be one.
+!> How a particle starts in the engine `excursion`: from a position and a velocity to a flight, or
+!> to a visit that will be one.
 module battery_launch
   use battery_kinds, only: wp, int16, int64
   use battery_table, only: table_type, region_at, urn_one, urn_two, return_one, return_two
   use battery_calendar, only: flight_type
   use battery_flight, only: to_return, in_gate, parked_in_channel
-  use battery_urn, only: visits_type
+  use battery_visits, only: visits_type
   use battery_channel, only: fold
   implicit none (type, external)
   private

@@ -14,9 +14,9 @@ module battery_calendar
   public :: calendar_type, new_calendar, flight_type, schedule, schedule_all, &
     open_until, next_due, drop_done, turn_page
 
-  !> A particle between two of its events. The calendar knows `due` and `next` only; the rest is its
-  !> owner's. A record fills a line of the cache: with many particles the time is that of reading one
-  !> line of memory a particle.
+  !> A particle between two of its events. The calendar knows `due` and `next` only; the rest is
+  !> its owner's. A record fills a line of the cache: with many particles the time is that of
+  !> reading one line of memory a particle.
   type :: flight_type
     real(wp) :: due = 0.0_wp
     !> Next particle in the same bucket, 0 at the end.
@@ -26,8 +26,8 @@ module battery_calendar
     !> When it enters the channel (entered it, for those that are inside), at which height, with
     !> |u_x| and u_y.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
-    !> How long it is in the channel if nothing turns it back, and when it enters the urn before.
-    real(wp) :: through = 0.0_wp, entered = 0.0_wp
+    !> How long it is in the channel if nothing turns it back, and in the urn before.
+    real(wp) :: through = 0.0_wp, length = 0.0_wp
   end type flight_type
 
   !> So many buckets are looked at together.
@@ -88,8 +88,8 @@ contains
     end if
   end subroutine schedule
 
-  !> Writes down many events at once: of `particle(:count)` at `time(:count)`; one whose time is huge
-  !> never comes.
+  !> Writes down many events at once: of `particle(:count)` at `time(:count)`; one whose time is
+  !> huge never comes.
   pure subroutine schedule_all(calendar, flight, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)
@@ -97,28 +97,35 @@ contains
     integer, intent(in) :: particle(count)
     real(wp), intent(in) :: time(count)
     integer :: k
+    logical :: some_at_once
 
     call fill_buckets(size(calendar%particle), calendar%buckets, count, particle, time, &
-      calendar%per_width, calendar%opened_until, calendar%page, calendar%head, flight)
-    if (.not. any(time < calendar%opened_until)) return
+      calendar%per_width, calendar%opened_until, calendar%page, calendar%head, flight, some_at_once)
+    if (.not. some_at_once) return
     do k = 1, count
       if (time(k) < calendar%opened_until) call schedule(calendar, flight, particle(k), time(k))
     end do
   end subroutine schedule_all
 
-  !> The part of it that is not due at once.
+  !> The part of it that is not due before `opened_until`; tells whether there are others.
   pure subroutine fill_buckets(number, buckets, count, particle, time, per_width, opened_until, &
-    page, head, flight)
+    page, head, flight, some_at_once)
     integer, intent(in) :: number, buckets, count, particle(count)
     real(wp), intent(in) :: time(count), per_width, opened_until, page
     integer(int32), intent(inout) :: head(buckets)
     type(flight_type), intent(inout) :: flight(number)
+    logical, intent(out) :: some_at_once
     integer :: k, i, bucket
 
+    some_at_once = .false.
     do k = 1, count
       i = particle(k)
       flight(i)%due = time(k)
-      if (time(k) < opened_until .or. time(k) >= page) cycle
+      if (time(k) >= page) cycle
+      if (time(k) < opened_until) then
+        some_at_once = .true.
+        cycle
+      end if
       bucket = 1 + int(time(k)*per_width)
       flight(i)%next = head(bucket)
       head(bucket) = int(i, int32)
@@ -144,10 +151,10 @@ contains
     calendar%opened_until = real(target, wp)*calendar%width
   end subroutine open_until
 
-  !> Empties some buckets, at most `chunk`, into the sorted events. All that was sorted before is due
-  !> earlier and a bucket holds about one particle, so few have to be put in their place. The loops
-  !> over `first` and `second` particles of the buckets have no branches, so that many flights are on
-  !> their way from memory at a time.
+  !> Empties some buckets, at most `chunk`, into the sorted events. All that was sorted before is
+  !> due earlier and a bucket holds about one particle, so few have to be put in their place. The
+  !> loops over `first` and `second` particles of the buckets have no branches, so that many flights
+  !> are on their way from memory at a time.
   pure subroutine open_buckets(number, buckets, head, flight, sorted, due_time, particle)
     integer, intent(in) :: number, buckets
     integer(int32), intent(inout) :: head(buckets)

@@ -122,7 +122,8 @@ contains
       ! A signal may end the wait; then it begins again.
       status = c_aio_suspend([c_loc(sync%control)], 1_c_int, c_null_ptr)
     end do
-    if (status /= 0 .or. c_aio_return(c_loc(sync%control)) /= 0) then
+    if (status == 0) status = int(c_aio_return(c_loc(sync%control)), c_int)
+    if (status /= 0) then
       call failed(sync, error)
       return
     end if

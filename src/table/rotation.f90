@@ -24,7 +24,7 @@ contains
     integer(angle_kind) :: turn
     real(wp), parameter :: per_radian = real(full_turn, wp)/(2.0_wp*pi)
 
-    turn = modulo(int(angle*per_radian, angle_kind), full_turn)
+    turn = modulo(int(angle*per_radian + sign(0.5_wp, angle), angle_kind), full_turn)
   end function to_turn
 
   !> The direction of the unit vector (x, y) in [0, full_turn): near each axis the rest of the

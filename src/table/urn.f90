@@ -11,19 +11,20 @@
 !> The kernel `march` steps `lanes` particles at once, `march_steps` impacts without a test that
 !> branches: who has found an opening stands still. Between two marches the particles that still
 !> bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are tiny,
-!> are sent to `first_entry`, which needs O(log) operations for any number of impacts.
+!> are sent to `find_opening`, which needs O(log) operations for any number of impacts.
 module battery_urn
   use battery_kinds, only: wp, int64, angle_kind, pi
   use battery_table, only: table_type
-  use battery_rotation, only: to_turn, turn_of, unit_vector, full_turn, first_entry
+  use battery_rotation, only: to_turn, turn_of, unit_vector, full_turn
+  use battery_opening_search, only: find_opening
+  use battery_visits, only: visits_type, lanes
   use battery_channel, only: fold
   implicit none (type, external)
   private
-  public :: urn_type, visits_type, new_urn, reserve_visits, leave_channels, cross_urns, &
-    position_before
+  public :: urn_type, new_urn, leave_channels, cross_urns, position_before
 
-  !> Particles that the kernel steps together, and impacts it steps them without closing ranks.
-  integer, parameter :: lanes = 4, march_steps = 8
+  !> Impacts that the kernel steps `lanes` particles without closing ranks.
+  integer, parameter :: march_steps = 8
   !> After so many marches a particle is searched for instead.
   integer, parameter :: march_rounds = 12
   !> In the first rounds so many still bounce that ranks are closed after every second march only.
@@ -39,42 +40,6 @@ module battery_urn
     integer(angle_kind) :: angle1, angle2
     logical :: step_first
   end type urn_type
-
-  !> A batch of visits, one entry a particle; arrays have room for whole groups of `lanes`.
-  type :: visits_type
-    integer :: count = 0
-    !> Who, and in which urn (1 or 2) the visit is.
-    integer, allocatable :: particle(:), urn(:)
-    !> In: when the particle entered the channel it comes from, and how long it has been in it.
-    !> Out of `leave_channels`: when it enters the urn; the passage is then unchanged.
-    !> Out of `cross_urns`: how long it would be in the channel it enters, from end to end.
-    real(wp), allocatable :: time(:), passage(:)
-    !> 1 for channel 1, -1 for channel 2, 0 for a particle that never leaves.
-    !> In: where it comes from; out of `cross_urns`: where it goes.
-    real(wp), allocatable :: opening(:)
-    !> Position in the local frame. In: y at the channel's entrance; out of `leave_channels` at the
-    !> chord where the urn begins; out of `cross_urns` on the chord where the urn ends.
-    real(wp), allocatable :: x(:), y(:)
-    !> Velocity. In: |u_x| and u_y in the channel; out of `leave_channels` in the local frame; out
-    !> of `cross_urns` again |u_x| and u_y in the channel that is entered. For a particle that never
-    !> leaves: cosine and sine of the incidence, and y is the angle of an impact.
-    real(wp), allocatable :: along(:), across(:)
-    !> Out of `cross_urns`: length of the way through the urn; for one that never leaves, until the
-    !> impact at angle y, before which it had `impacts` of them.
-    real(wp), allocatable :: length(:)
-    !> Wall hits in the channel and in the urn, whole numbers.
-    real(wp), allocatable :: hits(:)
-    !> Out of `cross_urns`: the sum of them.
-    integer(int64) :: all_hits = 0
-    !> Work space of the kernel: impact, rotation, steps, and whose they are.
-    real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)
-    integer, allocatable :: slot(:)
-    !> Cosine and sine of the incidence, impact in the opening, impacts before it; a particle that
-    !> never leaves has -1 less the impacts after which that was found out.
-    real(wp), allocatable :: c(:), s(:), hit_x(:), hit_y(:), impacts(:)
-    !> Length until the first impact.
-    real(wp), allocatable :: first(:)
-  end type visits_type
 
 contains
 
@@ -95,51 +60,6 @@ contains
     urn%angle2 = to_turn(asin(urn%half2))
     urn%step_first = urn%half1 + urn%half2 > march_worthwhile*pi
   end function new_urn
-
-  !> Makes room for `room` visits and empties the batch.
-  subroutine reserve_visits(visits, room)
-    type(visits_type), intent(inout) :: visits
-    integer, intent(in) :: room
-    integer :: n
-
-    visits%count = 0
-    if (allocated(visits%particle)) then
-      if (size(visits%particle) >= room) return
-    end if
-    n = lanes*((max(room, 64) + max(room, 64)/2)/lanes + 1)
-    call renew(visits%time)
-    call renew(visits%passage)
-    call renew(visits%opening)
-    call renew(visits%x)
-    call renew(visits%y)
-    call renew(visits%along)
-    call renew(visits%across)
-    call renew(visits%length)
-    call renew(visits%px)
-    call renew(visits%py)
-    call renew(visits%zx)
-    call renew(visits%zy)
-    call renew(visits%steps)
-    call renew(visits%c)
-    call renew(visits%s)
-    call renew(visits%hit_x)
-    call renew(visits%hit_y)
-    call renew(visits%impacts)
-    call renew(visits%first)
-    call renew(visits%hits)
-    if (allocated(visits%particle)) deallocate (visits%particle, visits%urn, visits%slot)
-    allocate (visits%particle(n), visits%urn(n), visits%slot(n), source=0)
-
-  contains
-
-    subroutine renew(array)
-      real(wp), allocatable, intent(inout) :: array(:)
-
-      if (allocated(array)) deallocate (array)
-      allocate (array(n), source=0.5_wp)
-    end subroutine renew
-
-  end subroutine reserve_visits
 
   !> From the entrance of a channel to its exit into an urn.
   subroutine leave_channels(urn, visits)
@@ -178,7 +98,7 @@ contains
   end subroutine leave_channels
 
   !> From the point (x, y) with velocity (along, across) in the local frame through the urn. `hits`
-  !> grows by the wall hits.
+  !> grows by the wall hits; `all_hits` is their sum.
   subroutine cross_urns(urn, visits)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
@@ -212,8 +132,8 @@ contains
         visits%zy(j), visits%steps(j))
     end do
     call find_exits(n, urn, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
-      visits%first, visits%opening, visits%x, visits%y, visits%along, visits%across, visits%length, &
-      visits%passage)
+      visits%first, visits%opening, visits%x, visits%y, visits%along, visits%across, &
+      visits%length, visits%passage)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
         if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(urn, visits, &
@@ -352,45 +272,20 @@ contains
     end do
   end subroutine close_ranks
 
-  !> First impact in an opening, from the impact (px, py) on, by search in the integer circle. The
-  !> openings lie opposite to each other, so half a turn is searched for the wider of them; an
-  !> impact that misses the narrower one is passed by.
+  !> First impact in an opening, from the impact (px, py) on, without stepping.
   pure subroutine search(urn, visits, mine, px, py, zx, zy, steps)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: mine
     real(wp), intent(in) :: px, py, zx, zy, steps
-    integer(angle_kind), parameter :: half_turn = full_turn/2
-    !> An orbit that misses the narrower opening so often is searched for each opening alone.
-    integer, parameter :: most_misses = 100
-    integer(angle_kind) :: start, step, moves, total, landing, widest, place
-    integer :: misses
+    integer(angle_kind) :: start, step, total, landing
     logical :: found, first_side
     real(wp) :: x, y
 
     step = turn_of(zx, zy)
     ! From the impact before, which lies in the opening if the particle has just come through it.
     start = modulo(turn_of(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
-    first_side = .false.
-    widest = max(urn%angle1, urn%angle2)
-    place = start
-    total = 0
-    do misses = 1, most_misses
-      call first_entry(modulo(place + widest - 1, half_turn), modulo(step, half_turn), 2*widest &
-        - 2, moves, landing, found, half_turn)
-      if (.not. found) exit
-      ! The product may wrap around the integers, a multiple of the full turn.
-      place = modulo(place + moves*step, full_turn)
-      total = total + moves
-      landing = landing - widest + 1
-      first_side = modulo(place + half_turn/2, full_turn) < half_turn
-      found = abs(landing) < merge(urn%angle1, urn%angle2, first_side)
-      if (found) exit
-      place = modulo(place + step, full_turn)
-      total = total + 1
-    end do
-    if (.not. found .and. misses > most_misses) &
-      call search_each(urn, start, step, total, landing, first_side, found)
+    call find_opening(urn%angle1, urn%angle2, start, step, total, landing, first_side, found)
     if (found) then
       call unit_vector(landing, x, y)
       visits%hit_x(mine) = merge(x, -x, first_side)
@@ -402,42 +297,6 @@ contains
       visits%impacts(mine) = -1.0_wp - steps
     end if
   end subroutine search
-
-  !> The same, one opening after the other; `landing` is counted from the middle of the opening.
-  pure subroutine search_each(urn, start, step, total, landing, first_side, found)
-    type(urn_type), intent(in) :: urn
-    integer(angle_kind), intent(in) :: start, step
-    integer(angle_kind), intent(out) :: total, landing
-    logical, intent(out) :: first_side, found
-    integer(angle_kind) :: other_total, other_landing
-    logical :: other_found
-
-    call enter_arc(urn%angle1, 0_angle_kind, total, landing, found)
-    call enter_arc(urn%angle2, full_turn/2, other_total, other_landing, other_found)
-    first_side = found .and. (.not. other_found .or. total <= other_total)
-    found = found .or. other_found
-    if (first_side) return
-    total = other_total
-    landing = other_landing
-
-  contains
-
-    !> The open arc `middle` +- `half`.
-    pure subroutine enter_arc(half, middle, steps, landing, found)
-      integer(angle_kind), intent(in) :: half, middle
-      integer(angle_kind), intent(out) :: steps, landing
-      logical, intent(out) :: found
-
-      found = .false.
-      steps = 0
-      landing = 0
-      if (half == 0) return
-      call first_entry(modulo(start - middle + half - 1, full_turn), step, 2*half - 2, steps, &
-        landing, found)
-      landing = landing - half + 1
-    end subroutine enter_arc
-
-  end subroutine search_each
 
   !> From the impact in an opening back to the chord.
   pure subroutine find_exits(n, urn, c, s, hit_x, hit_y, impacts, first, opening, x, y, along, &

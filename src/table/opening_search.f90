@@ -1,0 +1,85 @@
+!> The first of the impacts on a circle that lies in one of two openings, in O(log) operations.
+!>
+!> The openings lie opposite to each other, so half a turn is searched for the wider of them; an
+!> impact that misses the narrower one is passed by.
+module battery_opening_search
+  use battery_kinds, only: angle_kind
+  use battery_rotation, only: full_turn, first_entry
+  implicit none (type, external)
+  private
+  public :: find_opening
+
+contains
+
+  !> Impacts lie at start, start + step, ... (integer angles, see `battery_rotation`); the openings
+  !> are the open arcs `angle1` to both sides of 0 and `angle2` to both sides of half a turn.
+  !> `total` is how many impacts come before the first in an opening, `landing` where it lies,
+  !> counted from the middle of its opening: of the first, or of the second one. `found` is false if
+  !> the orbit is periodic and never gets there.
+  pure subroutine find_opening(angle1, angle2, start, step, total, landing, first_side, found)
+    integer(angle_kind), intent(in) :: angle1, angle2, start, step
+    integer(angle_kind), intent(out) :: total, landing
+    logical, intent(out) :: first_side, found
+    integer(angle_kind), parameter :: half_turn = full_turn/2
+    !> An orbit that misses the narrower opening so often is searched for each opening alone.
+    integer, parameter :: most_misses = 100
+    integer(angle_kind) :: moves, widest, place
+    integer :: misses
+
+    first_side = .false.
+    widest = max(angle1, angle2)
+    place = start
+    total = 0
+    do misses = 1, most_misses
+      call first_entry(modulo(place + widest - 1, half_turn), modulo(step, half_turn), 2*widest &
+        - 2, moves, landing, found, half_turn)
+      if (.not. found) return
+      ! The product may wrap around the integers, a multiple of the full turn.
+      place = modulo(place + moves*step, full_turn)
+      total = total + moves
+      landing = landing - widest + 1
+      first_side = modulo(place + half_turn/2, full_turn) < half_turn
+      found = abs(landing) < merge(angle1, angle2, first_side)
+      if (found) return
+      place = modulo(place + step, full_turn)
+      total = total + 1
+    end do
+    call search_each(angle1, angle2, start, step, total, landing, first_side, found)
+  end subroutine find_opening
+
+  !> The same, one opening after the other.
+  pure subroutine search_each(angle1, angle2, start, step, total, landing, first_side, found)
+    integer(angle_kind), intent(in) :: angle1, angle2, start, step
+    integer(angle_kind), intent(out) :: total, landing
+    logical, intent(out) :: first_side, found
+    integer(angle_kind) :: other_total, other_landing
+    logical :: other_found
+
+    call enter_arc(angle1, 0_angle_kind, total, landing, found)
+    call enter_arc(angle2, full_turn/2, other_total, other_landing, other_found)
+    first_side = found .and. (.not. other_found .or. total <= other_total)
+    found = found .or. other_found
+    if (first_side) return
+    total = other_total
+    landing = other_landing
+
+  contains
+
+    !> The open arc `middle` +- `half`.
+    pure subroutine enter_arc(half, middle, steps, landing, found)
+      integer(angle_kind), intent(in) :: half, middle
+      integer(angle_kind), intent(out) :: steps, landing
+      logical, intent(out) :: found
+
+      found = .false.
+      steps = 0
+      landing = 0
+      if (half == 0) return
+      call first_entry(modulo(start - middle + half - 1, full_turn), step, 2*half - 2, steps, &
+        landing, found)
+      landing = landing - half + 1
+    end subroutine enter_arc
+
+  end subroutine search_each
+
+end module battery_opening_search
