@@ -209,7 +209,9 @@ contains
     call begin_sync(journal%sync, name, error)
     if (allocated(error)) return
     name = file_of(journal, 'task', found%task)
-    if (.not. (file_exists(name//'.a') .or. file_exists(name//'.b'))) return
+    if (.not. file_exists(name//'.a')) then
+      if (.not. file_exists(name//'.b')) return
+    end if
     call end_sync(journal%sync, error)
     if (.not. allocated(error)) call remove_states(journal, found%task, error)
   end subroutine write_finished
