@@ -118,13 +118,25 @@ def lifetimes(circuit: Circuit) -> Lifetimes:
     )
 
 
-def passage_times(circuit: Circuit, low: float, high: float) -> tuple[float, float]:
+def passage_times(
+    circuit: Circuit, low: float, high: float, sparse: tuple[float, float] = (1.0, 1.0)
+) -> tuple[float, float]:
     """Return the chain's mean times from chi = 0 until chi >= high, and from 1 until chi <= low.
 
-    Unlike `lifetimes` they are defined whether or not the theory has both states.
+    Unlike `lifetimes` they are defined whether or not the theory has both states. `sparse` are
+    factors of what the sparser urn sends through channels 1 and 2.
     """
     number = int(circuit.number)
     up, down = folded(*log_rates(circuit))
+    if sparse != (1.0, 1.0):
+        fewer = number // 2 - np.arange(up.size)  # how many the sparser urn of each state has
+        apart = (fewer > 0) & (2 * fewer < number)
+        through1, through2 = (
+            theory.flow1(circuit, fewer[apart]),
+            theory.flow2(circuit, fewer[apart]),
+        )
+        kept = (sparse[0] * through1 + sparse[1] * through2) / (through1 + through2)
+        up[apart] += np.log(kept)
     offset, last = (number + 1) // 2, up.size - 1
     above = int(np.clip(np.ceil(0.5 * number * (1.0 + high) - 1e-9) - offset, 1, last))
     below = int(np.clip(np.floor(0.5 * number * (1.0 + low) + 1e-9) - offset, 0, last - 1))
