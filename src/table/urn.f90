@@ -395,7 +395,9 @@ contains
     else
       hits = 0
     end if
+    ! Within its chord even where the length is so great that rounding is longer than a chord.
     rest = before + ahead - 2.0_wp*urn%radius*c*real(hits, wp)
+    rest = min(max(rest, 0.0_wp), 2.0_wp*urn%radius*c)
     turn = atan2(2.0_wp*s*c, (s - c)*(s + c))
     turn = -modulo(real(hits, wp)*turn, 2.0_wp*pi)
     impact = impact*cmplx(cos(turn), sin(turn), wp)
