@@ -47,6 +47,11 @@ MARKS = ("o", "s", "^", "D", "v", "P")
 TIME_COLOURS = (style.BLUE, style.VERMILION, style.BLACK, style.GREEN, style.PURPLE, style.ORANGE)
 MOST = 6  # points in a figure against time
 STEPS = 400  # places along the time axis of comp06
+THEORIES = (  # of comp01
+    ("--", "theory, paper", {}),
+    ("-", "theory, renewal gate", {"gate": RENEWAL}),
+    (":", "the same, channels counted", {"gate": RENEWAL, "occupation": True}),
+)
 
 
 def _with_tasks(files: Sequence[Results]) -> Points:
@@ -137,16 +142,19 @@ def figure_comp01(files: Sequence[Results]) -> Figure:
         label = f"$w' = {width:.4g}$"
         left.errorbar(fraction, group.current, group.current_error, label=label, **look)
         right.errorbar(group.chi, group.current, group.current_error, group.chi_error, **look)
-        for gate, dashes in ((None, "--"), (RENEWAL, "-")):
-            _draw_branch(left, right, files, group, gate, {"color": colour, "ls": dashes})
-    for dashes, label in (("--", "theory, paper"), ("-", "theory, renewal gate")):
+        for dashes, _, changes in THEORIES:
+            _draw_branch(left, right, files, group, changes, {"color": colour, "ls": dashes})
+    for dashes, label, _ in THEORIES:
         left.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=label)
     style.label_fraction(left)
     left.set_ylabel("net current (per unit time)")
     right.set_xlabel(r"mass spread $\chi$")
     right.set_xlim(0.0, 1.0)
     left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
-    made.legend(loc="outside upper center", ncols=6, fontsize=7.5, columnspacing=1.2)
+    handles, labels = left.get_legend_handles_labels()  # lines come first
+    entries = list(zip(handles, labels, strict=True))
+    handles, labels = zip(*entries[len(THEORIES) :], *entries[: len(THEORIES)], strict=True)
+    made.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=7.5)
     return made
 
 
@@ -155,11 +163,11 @@ def _draw_branch(
     right: Axes,
     files: Sequence[Results],
     group: Points,
-    gate: object,
+    changes: dict[str, object],
     look: dict[str, str],
 ) -> None:
     """Draw the theory's stable polarised state through the thresholds of a group."""
-    base = files[group.file[0]].circuit(int(group.point[0]), gate)
+    base = replace(files[group.file[0]].circuit(int(group.point[0])), **changes)
     lowest, highest = int(group.threshold.min()), int(group.threshold.max())
     thresholds = np.arange(max(lowest, 1), highest + 1)
     states = [stable_state(replace(base, threshold=int(one))) for one in thresholds]
