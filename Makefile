@@ -72,8 +72,19 @@ build: install information ## only builds: the program is build/bin/battery
 	@export FPM_FFLAGS="$(RELEASE_FLAGS) $(HDF5_INCLUDE)" FPM_LDFLAGS="-flto $(LINK_FLAGS)"
 	flock build/.lock $(VENV)/bin/fpm install --prefix build
 
-bench: build ## the speed tables, as ratios measured in one run
-	@build/bin/bench
+bench: build ## the speed tables, and what must be reached; JSON in build/bench
+	@if command -v valgrind > /dev/null; then $(MAKE) build/counted/bin/bench; fi
+	$(PYTHON) -m postproc.benchmarks run
+
+# For callgrind, which knows no AVX-512: fpm keeps a build for each set of flags.
+.PHONY: build/counted/bin/bench
+build/counted/bin/bench: install information
+	@export FPM_FFLAGS="$(subst -march=native,-march=x86-64-v3,$(RELEASE_FLAGS)) $(HDF5_INCLUDE)"
+	export FPM_LDFLAGS="-flto $(LINK_FLAGS)"
+	mkdir -p build/counted
+	echo "Building for x86-64-v3, to count instructions"
+	flock build/.lock $(VENV)/bin/fpm install --prefix build/counted > build/counted/log 2>&1 || \
+	  { cat build/counted/log; exit 1; }
 
 # The physics in single, double and quadruple precision, and the program that asks it questions: a
 # package of its own, of the same sources. fpm keeps a build for each set of flags.

@@ -9,23 +9,12 @@ module battery_bench
   use battery_initial_state, only: random_particles
   use battery_signals, only: wall_seconds
   use battery_bench_board, only: bench_board
+  use battery_bench_rows, only: case_type, rate_type, cost_of_collision, cost_of_visit, &
+    cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor, &
+    peak_memory
   implicit none (type, external)
   private
   public :: bench_main
-
-  type :: case_type
-    character(len=12) :: engine = 'excursion'
-    integer :: number = 1000, threshold = 7
-    real(wp) :: width1 = 0.3_wp, width2 = 0.01_wp
-    !> Seconds a round lasts; warm-up in time units (particle time) before the first.
-    real(dp) :: seconds = 0.5_dp
-    real(wp) :: warm_up = 50.0_wp
-  end type case_type
-
-  !> What one round showed: rates a second.
-  type :: rate_type
-    real(dp) :: collisions = 0.0_dp, visits = 0.0_dp, particle_time = 0.0_dp
-  end type rate_type
 
   !> An engine that has been warmed up and goes on from round to round.
   type :: runner_type
@@ -191,143 +180,64 @@ contains
     end do
   end subroutine compare
 
-  !> Least, median and greatest.
-  pure function spread_of(values) result(three)
-    real(dp), intent(in) :: values(:)
-    real(dp) :: three(3)
-    real(dp) :: sorted(size(values))
-    integer :: k, at
-
-    do k = 1, size(values)
-      at = k
-      do while (at > 1)
-        if (sorted(at - 1) <= values(k)) exit
-        sorted(at) = sorted(at - 1)
-        at = at - 1
-      end do
-      sorted(at) = values(k)
-    end do
-    three = [sorted(1), sorted((size(values) + 1)/2), sorted(size(values))]
-  end function spread_of
-
   !> All tables, and the same as JSON if `json` is not empty.
   subroutine tables(unit, json)
     integer, intent(in) :: unit
     character(len=*), intent(in) :: json
-    integer :: file
+    integer :: file, status, k
 
     file = 0
     if (json /= '') then
-      open (newunit=file, file=json, status='replace', action='write')
-      write (file, '(a)') '{"compiler": "'//compiler_version()//'", "processor": "'//processor() &
-        //'", "cases": ['
+      open (newunit=file, file=json, status='replace', action='write', iostat=status)
+      if (status /= 0) error stop 'bench: cannot write '//json
+      call begin_json(file)
     end if
-    write (unit, '(a)') 'processor: '//processor(), 'compiler:  '//compiler_version()
-    call table(unit, file, 'Engines at N = 1000, T = 7, w = 0.3, w'' = 0.01; ratios to the first', &
-      [case_type('excursion'), case_type('collision'), case_type('synchronous'), &
-      case_type('reservoir'), case_type('timestep')])
-    call table(unit, file, 'Number of particles, T/N = 0.007', &
-      [case_type('excursion', 1000, 7, warm_up=1000.0_wp), case_type('excursion', 100, 1), &
-      case_type('excursion', 10000, 70), case_type('excursion', 100000, 700), &
-      case_type('excursion', 1000000, 7000, seconds=1.0_dp)])
-    call table(unit, file, 'Threshold, N = 1000', &
-      [case_type('excursion'), case_type('excursion', threshold=2), &
-      case_type('excursion', threshold=15), case_type('excursion', threshold=1000)])
-    call table(unit, file, 'Openings, N = 1000, T = 7, w = w''', &
-      [case_type('excursion', width1=0.3_wp, width2=0.3_wp), &
-      case_type('excursion', width1=0.1_wp, width2=0.1_wp), &
-      case_type('excursion', width1=1.0e-2_wp, width2=1.0e-2_wp), &
-      case_type('excursion', width1=1.0e-3_wp, width2=1.0e-3_wp), &
-      case_type('excursion', width1=1.0e-4_wp, width2=1.0e-4_wp), &
-      case_type('excursion', width1=1.0e-6_wp, width2=1.0e-6_wp)])
-    call table(unit, file, 'Collision engine', [case_type('collision'), &
-      case_type('collision', 100, 1), case_type('collision', 10000, 70), &
-      case_type('collision', 100000, 700)])
+    write (unit, '(a)') 'processor: '//processor(), 'compiler:  '//compiler_version(), &
+      'Medians of rounds in which the rows of a table run in turn; +- half of least to most.'
+    call table(unit, file, 'engines', 'Engines, N = 1000, T = 7, w = 0.3, w'' = 0.01', &
+      cost_of_collision, [case_type('excursion'), case_type('collision'), &
+      case_type('synchronous'), case_type('reservoir'), case_type('timestep')])
+    call table(unit, file, 'number', 'Number of particles, T/N = 0.007', cost_of_time, &
+      [case_type(number=1000, threshold=7, warm_up=1000.0_wp), case_type(number=100, threshold=1), &
+      case_type(number=10000, threshold=70), case_type(number=100000, threshold=700), &
+      case_type(number=1000000, threshold=7000, seconds=1.0_dp)])
+    call table(unit, file, 'threshold', &
+      'Threshold, N = 1000: small, the working point, at the transition, N (no gate)', &
+      cost_of_visit, [case_type(), case_type(threshold=1), case_type(threshold=2), &
+      case_type(threshold=15), case_type(threshold=16), case_type(threshold=17), &
+      case_type(threshold=1000)])
+    call table(unit, file, 'openings', 'Openings, N = 1000, T = 7, w = w''', cost_of_visit, &
+      [case_type(width1=0.3_wp, width2=0.3_wp), (case_type(width1=10.0_wp**(-k), &
+      width2=10.0_wp**(-k)), k=1, 6)])
+    call table(unit, file, 'collision', 'Engine collision: number of particles', cost_of_time, &
+      [case_type('collision'), case_type('collision', 100, 1), case_type('collision', 10000, 70), &
+      case_type('collision', 100000, 700), &
+      case_type('collision', 1000000, 7000, seconds=1.0_dp, warm_up=5.0_wp)])
+    call table(unit, file, 'map', 'Map of Fig. numris: 25 of its points, as its five by five '// &
+      'parts have them in the middle', cost_of_collision, [(case_type(threshold=3 + 5*(k/5), &
+      width2=0.002_wp + 0.098_wp*(0.1_wp + 0.2_wp*modulo(k, 5)), seconds=0.15_dp), k=0, 24)])
     write (unit, '(/, a, i0, a)') 'peak memory of this run: ', peak_memory(), ' kB'
     if (file /= 0) then
-      write (file, '(a, i0, a)') '], "peak_memory_kilobytes": ', peak_memory(), '}'
+      call end_json(file)
       close (file)
     end if
   end subroutine tables
 
   !> One table; its rows are compared with the first.
-  subroutine table(unit, file, title, cases)
-    integer, intent(in) :: unit, file
-    character(len=*), intent(in) :: title
+  subroutine table(unit, file, key, title, cost, cases)
+    integer, intent(in) :: unit, file, cost
+    character(len=*), intent(in) :: key, title
     type(case_type), intent(in) :: cases(:)
     type(rate_type) :: rates(rounds, size(cases))
-    real(dp) :: collisions(3), visits(3), time(3), ratio(3)
     integer :: k
-    logical, save :: first = .true.
-    character(len=*), parameter :: row = '(a12, i8, i8, 2es10.2, es14.3, a, es9.2, a, es9.2, a, ' &
-      // 'es10.2, f10.1, f8.3, a, f5.3, a, f5.3, a)'
 
     call compare(cases, rates)
-    write (unit, '(/, a)') title
-    write (unit, '(a)') 'engine            N       T         w        w''  collisions/s' &
-      //' (least ... most)       visits/s  ns/visit  ratio of visits'
+    call write_title(unit, title, cost)
     do k = 1, size(cases)
-      collisions = spread_of(rates(:, k)%collisions)
-      visits = spread_of(rates(:, k)%visits)
-      time = spread_of(rates(:, k)%particle_time)
-      ratio = spread_of(rates(:, k)%visits/rates(:, 1)%visits)
-      write (unit, row) cases(k)%engine, cases(k)%number, cases(k)%threshold, cases(k)%width1, &
-        cases(k)%width2, collisions(2), ' (', collisions(1), ' ... ', collisions(3), ')', &
-        visits(2), 1.0e9_dp/visits(2), ratio(2), ' (', ratio(1), ' ... ', ratio(3), ')'
-      if (file /= 0) then
-        if (.not. first) write (file, '(a)') ','
-        first = .false.
-        write (file, &
-          '(a, i0, a, i0, a, es12.5, a, es12.5, a, 3(es12.5, a), es12.5, a, es12.5, a)') &
-          '{"engine": "'//trim(cases(k)%engine)//'", "number": ', cases(k)%number, &
-          ', "threshold": ', &
-          cases(k)%threshold, ', "channel1_width": ', cases(k)%width1, ', "channel2_width": ', &
-          cases(k)%width2, ', "collisions_per_second": [', collisions(1), ', ', collisions(2), &
-          ', ', &
-          collisions(3), '], "visits_per_second": ', visits(2), ', "particle_time_per_second": ', &
-          time(2), '}'
-      end if
+      call write_row(unit, cases(k), rates(:, k), rates(:, 1), cost)
+      if (file /= 0) call write_json_row(file, key, cases(k), rates(:, k), &
+        key == 'engines' .and. k == 1)
     end do
-    flush (unit)
   end subroutine table
-
-  !> Name of the processor, as Linux gives it.
-  function processor() result(name)
-    character(len=:), allocatable :: name
-
-    name = line_of('/proc/cpuinfo', 'model name')
-  end function processor
-
-  !> Most memory this process had, in kB, as Linux gives it; 0 if it does not.
-  function peak_memory() result(kilobytes)
-    integer(int64) :: kilobytes
-    character(len=:), allocatable :: text
-    integer :: status
-
-    text = line_of('/proc/self/status', 'VmHWM')
-    kilobytes = 0
-    read (text, *, iostat=status) kilobytes
-    if (status /= 0) kilobytes = 0
-  end function peak_memory
-
-  !> What stands after the colon in the line of a file that begins with `key`.
-  function line_of(file, key) result(value)
-    character(len=*), intent(in) :: file, key
-    character(len=:), allocatable :: value
-    character(len=512) :: line
-    integer :: unit, status
-
-    value = 'unknown'
-    open (newunit=unit, file=file, action='read', status='old', iostat=status)
-    if (status /= 0) return
-    do
-      read (unit, '(a)', iostat=status) line
-      if (status /= 0) exit
-      if (index(line, key) /= 1) cycle
-      value = trim(adjustl(line(index(line, ':') + 1:)))
-      exit
-    end do
-    close (unit)
-  end function line_of
 
 end module battery_bench

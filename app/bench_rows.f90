@@ -1,0 +1,180 @@
+!> Rows of the speed tables: a case, what its rounds showed, and how both are written.
+module battery_bench_rows
+  use, intrinsic :: iso_fortran_env, only: compiler_version
+  use battery_kinds, only: wp, dp, int64
+  use battery_build_information, only: program_version, git_commit
+  implicit none (type, external)
+  private
+  public :: case_type, rate_type, cost_of_collision, cost_of_visit, cost_of_time, write_title, &
+    write_row, begin_json, write_json_row, end_json, processor, peak_memory
+
+  type :: case_type
+    character(len=12) :: engine = 'excursion'
+    integer :: number = 1000, threshold = 7
+    real(wp) :: width1 = 0.3_wp, width2 = 0.01_wp
+    !> Seconds a round lasts; warm-up in time units (particle time) before the first.
+    real(dp) :: seconds = 0.5_dp
+    real(wp) :: warm_up = 50.0_wp
+  end type case_type
+
+  !> What one round showed: rates a second.
+  type :: rate_type
+    real(dp) :: collisions = 0.0_dp, visits = 0.0_dp, particle_time = 0.0_dp
+  end type rate_type
+
+  ! Of what a table gives the cost, relative to its first row.
+  integer, parameter :: cost_of_collision = 1, cost_of_visit = 2, cost_of_time = 3
+  character(len=*), parameter :: cost_names(3) = [character(len=9) :: 'collision', 'visit', 'time']
+
+contains
+
+  !> What every JSON file says first. The list of rows follows.
+  subroutine begin_json(file)
+    integer, intent(in) :: file
+
+    write (file, '(a)') '{"version": "'//program_version//'", "commit": "'//git_commit//'",', &
+      ' "compiler": "'//compiler_version()//'", "processor": "'//processor()//'", "rows": ['
+  end subroutine begin_json
+
+  subroutine end_json(file)
+    integer, intent(in) :: file
+
+    write (file, '(a, i0, a)') '], "peak_memory_kilobytes": ', peak_memory(), '}'
+  end subroutine end_json
+
+  !> One row, an object with a list of rounds for each rate; a comma before all but the first.
+  subroutine write_json_row(file, key, one, rates, first)
+    integer, intent(in) :: file
+    !> Name of the table.
+    character(len=*), intent(in) :: key
+    type(case_type), intent(in) :: one
+    type(rate_type), intent(in) :: rates(:)
+    logical, intent(in) :: first
+
+    write (file, '(5a, i0, a, i0, a, es12.5, a, es12.5, a)') merge(' ', ',', first), &
+      '{"table": "', key, '", "engine": "'//trim(one%engine), '", "number": ', one%number, &
+      ', "threshold": ', one%threshold, ', "channel1_width": ', one%width1, &
+      ', "channel2_width": ', one%width2, ','
+    call write_list('collisions_per_second', rates%collisions, ',')
+    call write_list('visits_per_second', rates%visits, ',')
+    call write_list('particle_time_per_second', rates%particle_time, '}')
+
+  contains
+
+    subroutine write_list(name, values, end)
+      character(len=*), intent(in) :: name, end
+      real(dp), intent(in) :: values(:)
+
+      write (file, '(3a, *(es12.5, :, ", "))', advance='no') '  "', name, '": [', values
+      write (file, '(2a)') ']', end
+    end subroutine write_list
+
+  end subroutine write_json_row
+
+  !> Title and head of a table.
+  subroutine write_title(unit, title, cost)
+    integer, intent(in) :: unit, cost
+
+    character(len=*), intent(in) :: title
+    character(len=*), parameter :: units(3) = [character(len=19) :: 'cost of a collision', &
+      'cost of a visit', 'cost of a time unit']
+
+    write (unit, '(/, a)') title
+    write (unit, '(t66, a, t81, a19)') 'ns / time unit', adjustr(units(cost))
+    write (unit, '(a)') 'engine            N      T       w      w'' collisions/s        visits/s' &
+      //'   and particle     over the first'
+  end subroutine write_title
+
+  !> One row: medians of the rounds, and half of the distance from least to most after +-.
+  subroutine write_row(unit, one, rates, reference, cost)
+    integer, intent(in) :: unit, cost
+    type(case_type), intent(in) :: one
+    !> Rounds of this row, and of the first row of the table.
+    type(rate_type), intent(in) :: rates(:), reference(:)
+    real(dp) :: collisions(3), visits(3), time(3), ratio(3)
+
+    collisions = spread_of(rates%collisions)
+    visits = spread_of(rates%visits)
+    time = spread_of(1.0e9_dp/rates%particle_time)
+    select case (cost)
+    case (cost_of_collision)
+      ratio = spread_of(reference%collisions/rates%collisions)
+    case (cost_of_visit)
+      ratio = spread_of(reference%visits/rates%visits)
+    case default
+      ratio = spread_of(reference%particle_time/rates%particle_time)
+    end select
+    write (unit, '(a11, i8, i7, 2es8.1, es10.2, a, f4.1, a, es10.2, es11.3, f10.2, a, f4.1, a)') &
+      one%engine, one%number, one%threshold, one%width1, one%width2, collisions(2), &
+      ' +-', percents(collisions), '%', visits(2), &
+      time(2), ratio(2), ' +-', percents(ratio), '%'
+    flush (unit)
+  end subroutine write_row
+
+  !> Half of the distance from least to greatest, in per cent of the median, up to what is shown.
+  pure function percents(three) result(half)
+    real(dp), intent(in) :: three(3)
+    real(dp) :: half
+
+    half = min(50.0_dp*(three(3) - three(1))/three(2), 99.9_dp)
+  end function percents
+
+  !> Least, median and greatest.
+  pure function spread_of(values) result(three)
+    real(dp), intent(in) :: values(:)
+    real(dp) :: three(3)
+    real(dp) :: sorted(size(values))
+    integer :: k, at
+
+    do k = 1, size(values)
+      at = k
+      do while (at > 1)
+        if (sorted(at - 1) <= values(k)) exit
+        sorted(at) = sorted(at - 1)
+        at = at - 1
+      end do
+      sorted(at) = values(k)
+    end do
+    three = [sorted(1), sorted((size(values) + 1)/2), sorted(size(values))]
+  end function spread_of
+
+  !> Name of the processor, as Linux gives it.
+  function processor() result(name)
+    character(len=:), allocatable :: name
+
+    name = line_of('/proc/cpuinfo', 'model name')
+  end function processor
+
+  !> Most memory this process had, in kB, as Linux gives it; 0 if it does not.
+  function peak_memory() result(kilobytes)
+    integer(int64) :: kilobytes
+    character(len=:), allocatable :: text
+    integer :: status
+
+    text = line_of('/proc/self/status', 'VmHWM')
+    kilobytes = 0
+    read (text, *, iostat=status) kilobytes
+    if (status /= 0) kilobytes = 0
+  end function peak_memory
+
+  !> What stands after the colon in the line of a file that begins with `key`.
+  function line_of(file, key) result(value)
+    character(len=*), intent(in) :: file, key
+    character(len=:), allocatable :: value
+    character(len=512) :: line
+    integer :: unit, status
+
+    value = 'unknown'
+    open (newunit=unit, file=file, action='read', status='old', iostat=status)
+    if (status /= 0) return
+    do
+      read (unit, '(a)', iostat=status) line
+      if (status /= 0) exit
+      if (index(line, key) /= 1) cycle
+      value = trim(adjustl(line(index(line, ':') + 1:)))
+      exit
+    end do
+    close (unit)
+  end function line_of
+
+end module battery_bench_rows

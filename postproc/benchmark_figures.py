@@ -1,0 +1,182 @@
+"""Figures of a benchmark: the rows of its tables, and what must be reached, beside the bounds."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.table import Table
+
+from postproc import cli
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+FORMAT = "battery-bench-1"
+RATES = {
+    "collisions": "collisions_per_second",
+    "visits": "visits_per_second",
+    "time": "particle_time_per_second",
+}
+# which cost a table is about
+SUBJECTS = {
+    "engines": "collisions",
+    "number": "time",
+    "threshold": "visits",
+    "openings": "visits",
+    "collision": "time",
+    "map": "collisions",
+}
+CASE = ("engine", "number", "threshold", "channel1_width", "channel2_width")
+
+MAP_POINTS, MAP_COLLISIONS = 25 * 25, 1e8
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure that must be reached.
+
+    Attributes
+    ----------
+    name : what it is.
+    values : what was seen, one value a round; empty if it could not be measured.
+    bound : what it must be at least, or at most.
+    at_least : whether larger is better.
+    aim : what is hoped for beyond the bound.
+    note : why there is no value, or how it was found.
+    """
+
+    name: str
+    values: tuple[float, ...]
+    bound: float
+    at_least: bool = False
+    aim: float | None = None
+    note: str = ""
+
+    @property
+    def reached(self) -> bool | None:
+        """Tell whether the median keeps to the bound; None if there is none."""
+        if not self.values:
+            return None
+        median = statistics.median(self.values)
+        return median >= self.bound if self.at_least else median <= self.bound
+
+
+Key = tuple[Any, ...]
+
+
+class Rows:
+    """The rows of all tables of one run."""
+
+    def __init__(self, rows: Sequence[dict[str, Any]]) -> None:
+        self._rows: dict[Key, dict[str, Any]] = {}
+        self._first: dict[str, Key] = {}
+        for row in rows:
+            key = (row["table"], *(row[name] for name in CASE))
+            self._rows[key] = row
+            self._first.setdefault(row["table"], key)
+
+    def __iter__(self) -> Iterator[Key]:
+        """Go through the keys: table, engine, number, threshold, widths."""
+        return iter(self._rows)
+
+    def __contains__(self, key: Key) -> bool:
+        """Tell whether there is such a row."""
+        return key in self._rows
+
+    def rates(self, key: Key, rate: str) -> tuple[float, ...]:
+        """Return a rate (of `RATES`) of a row, one value a round."""
+        return tuple(self._rows[key][RATES[rate]])
+
+    def costs(self, key: Key, reference: Key | None = None) -> tuple[float, ...]:
+        """Return what the table is about, relative to its first or another row, a value a round."""
+        rate = SUBJECTS.get(key[0], "collisions")
+        base = self.rates(reference or self._first[key[0]], rate)
+        return tuple(one / other for one, other in zip(base, self.rates(key, rate), strict=True))
+
+    def is_first(self, key: Key) -> bool:
+        """Tell whether the costs of the row's table are relative to this row."""
+        return self._first[key[0]] == key
+
+    def find(self, table: str, **wanted: Any) -> Key:  # noqa: ANN401 (strings and numbers)
+        """Return the one row of a table whose case has these values."""
+        places = {name: 1 + CASE.index(name) for name in wanted}
+        found = [
+            key
+            for key in self._rows
+            if key[0] == table and all(_same(key[at], wanted[name]) for name, at in places.items())
+        ]
+        if len(found) != 1:
+            raise cli.InputError(f"{len(found)} rows of table {table} have {wanted}")
+        return found[0]
+
+
+def _same(one: Any, other: Any) -> bool:  # noqa: ANN401 (strings and numbers)
+    if isinstance(other, float):
+        return math.isclose(one, other, rel_tol=1e-4)
+    return one == other
+
+
+def figures(
+    rows: Rows, memory: Sequence[float], instructions: Sequence[float], no_count: str = ""
+) -> list[Figure]:
+    """Return what must be reached.
+
+    Parameters
+    ----------
+    rows : all tables.
+    memory : bytes a particle at the peak of a run of 1e7.
+    instructions : those of a wall collision; empty if they were not counted.
+    no_count : why they were not.
+    """
+    excursion = rows.find("engines", engine="excursion")
+    others = [rows.find("engines", engine=name) for name in ("collision", "synchronous")]
+    wide, tiny = (rows.find("openings", channel1_width=width) for width in (0.3, 1e-6))
+    few, many = (rows.find("number", number=number) for number in (1000, 1_000_000))
+    samples = [rows.rates(key, "collisions") for key in rows if key[0] == "map"]
+    minutes = [
+        MAP_POINTS * statistics.mean(MAP_COLLISIONS / rate for rate in turn) / 60.0
+        for turn in zip(*samples, strict=True)
+    ]
+    return [
+        Figure(
+            "wall collisions a second, excursion",
+            rows.rates(excursion, "collisions"), 1.5e8, at_least=True, aim=2.5e8,
+        ),
+        Figure("instructions a wall collision", tuple(instructions), 22.0, aim=15.0, note=no_count),
+        Figure("ratio to collision", rows.costs(others[0], excursion), 15.0, at_least=True),
+        Figure("ratio to synchronous", rows.costs(others[1], excursion), 40.0, at_least=True),
+        Figure("visit, w = w' = 1e-6 over 0.3", rows.costs(tiny, wide), 3.0),
+        Figure("time unit and particle, 1e6 over 1e3", rows.costs(many, few), 2.0),
+        Figure("bytes a particle, N = 1e7", tuple(memory), 100.0),
+        Figure("half the map, minutes", tuple(minutes), 12.0, note="from 25 of 625 points"),
+    ]  # fmt: skip
+
+
+def _text(value: float) -> str:
+    return f"{value:.2e}".replace("e+0", "e") if abs(value) >= 1e4 else f"{value:.4g}"
+
+
+def summary(found: Sequence[Figure]) -> Table:
+    """Return the figures beside their bounds."""
+    table = Table(
+        title="What must be reached", title_justify="left", caption_justify="left",
+        box=box.SIMPLE, pad_edge=False, collapse_padding=True,
+    )  # fmt: skip
+    table.add_column("figure", no_wrap=True)
+    for name in ("median", "least", "most", "bound", "aim"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    verdicts = {True: "[green]reached", False: "[red bold]NOT reached", None: "not measured"}
+    for one in found:
+        seen = ["", "", ""]
+        if one.values:
+            seen = [_text(of(one.values)) for of in (statistics.median, min, max)]
+        bound = f"{'>=' if one.at_least else '<='} {_text(one.bound)}"
+        aim = "" if one.aim is None else _text(one.aim)
+        table.add_row(one.name, *seen, bound, aim, verdicts[one.reached])
+    table.caption = "\n".join(f"{one.name}: {one.note}" for one in found if one.note)
+    return table
