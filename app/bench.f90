@@ -4,7 +4,7 @@
 !> core, after a warm-up. Cases that are compared run in turn, several rounds, so that a machine
 !> whose speed drifts slows them alike; the tables give medians and the spread.
 !> `bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS` just runs one case once, for
-!> tools that count instructions.
+!> tools that count instructions; `bench memory ...` does, too, and gives its peak memory in kB.
 program bench
   use, intrinsic :: iso_fortran_env, only: output_unit
   use battery_bench, only: bench_main

@@ -80,9 +80,9 @@ contains
       'cost of a visit', 'cost of a time unit']
 
     write (unit, '(/, a)') title
-    write (unit, '(t66, a, t81, a19)') 'ns / time unit', adjustr(units(cost))
-    write (unit, '(a)') 'engine            N      T       w      w'' collisions/s        visits/s' &
-      //'   and particle     over the first'
+    write (unit, '(t66, a, t80, a19)') 'ns / time unit', adjustr(units(cost))
+    write (unit, '(a)') 'engine            N      T       w      w''    collisions/s       visits/s' &
+      //'   and particle    over the first'
   end subroutine write_title
 
   !> One row: medians of the rounds, and half of the distance from least to most after +-.

@@ -36,7 +36,9 @@ contains
     call get_command_argument(1, word)
     select case (word)
     case ('single')
-      call single(unit)
+      call single(unit, memory=.false.)
+    case ('memory')
+      call single(unit, memory=.true.)
     case ('board')
       call bench_board(unit, board_items())
     case ('', '--json')
@@ -44,6 +46,7 @@ contains
     case default
       write (unit, '(a)') 'usage: bench [--json FILE]', &
         '       bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS', &
+        '       bench memory ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS', &
         '       mpirun -n RANKS bench board [TASKS]'
     end select
   end subroutine bench_main
@@ -69,9 +72,11 @@ contains
     name = trim(word)
   end function json_name
 
-  !> One case, once: for instruction counters.
-  subroutine single(unit)
+  !> One case, once: for instruction counters, or for the memory that it takes.
+  subroutine single(unit, memory)
     integer, intent(in) :: unit
+    !> Write the peak memory of the process in kB, not the collisions.
+    logical, intent(in) :: memory
     type(case_type) :: one
     type(runner_type) :: runner
     type(history_type) :: history
@@ -88,7 +93,7 @@ contains
     read (words, *, iostat=status) one%engine, one%number, one%threshold, one%width1, one%width2, &
       wanted
     if (status /= 0) then
-      write (unit, '(a)') 'bench single: six words are needed; see bench --help'
+      write (unit, '(a)') 'bench: six words are needed; see bench --help'
       return
     end if
     call prepare(one, runner)
@@ -97,7 +102,7 @@ contains
       call runner%engine%advance(huge(1.0_wp), history)
       collisions = collisions + history%collisions
     end do
-    write (unit, '(i0)') collisions
+    write (unit, '(i0)') merge(peak_memory(), collisions, memory)
   end subroutine single
 
   !> An engine with particles, started.

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 MANY = 10_000_000  # particles of the run whose memory is looked at
-MANY_COLLISIONS = 100_000_000
+MANY_COLLISIONS = 1_000_000_000
 COUNTED = (20_000_000, 80_000_000)  # collisions of the two runs whose instructions are counted
 
 
@@ -46,17 +45,13 @@ def _spoken(command: Sequence[str], problem: str) -> cli.InputError:
 def peak_memory(program: Path, number: int = MANY, collisions: int = MANY_COLLISIONS) -> float:
     """Return the bytes a particle at the peak of a run of its own."""
     threshold = 7 * number // 1000
-    command = [str(program), "single", "excursion"]
+    command = [str(program), "memory", "excursion"]
     command += [str(word) for word in (number, threshold, 0.3, 0.01, collisions)]
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        text = said.read().decode(errors="replace")
-    if process.returncode or not text.strip().isdigit():
-        raise _spoken(command, text)
-    return usage.ru_maxrss * 1024.0 / number
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    kilobytes = run.stdout.strip()
+    if run.returncode or not kilobytes.isdigit() or int(kilobytes) == 0:
+        raise _spoken(command, run.stdout + run.stderr)
+    return int(kilobytes) * 1024.0 / number
 
 
 def count_instructions(program: Path, valgrind: str, lengths: tuple[int, int] = COUNTED) -> float:
