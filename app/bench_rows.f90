@@ -24,7 +24,6 @@ module battery_bench_rows
 
   ! Of what a table gives the cost, relative to its first row.
   integer, parameter :: cost_of_collision = 1, cost_of_visit = 2, cost_of_time = 3
-  character(len=*), parameter :: cost_names(3) = [character(len=9) :: 'collision', 'visit', 'time']
 
 contains
 
@@ -76,13 +75,12 @@ contains
     integer, intent(in) :: unit, cost
 
     character(len=*), intent(in) :: title
-    character(len=*), parameter :: units(3) = [character(len=19) :: 'cost of a collision', &
-      'cost of a visit', 'cost of a time unit']
+    character(len=14), parameter :: costs(3) = [character(len=14) :: 'cost/collision', &
+      '    cost/visit', 'cost/time unit']
 
-    write (unit, '(/, a)') title
-    write (unit, '(t66, a, t80, a19)') 'ns / time unit', adjustr(units(cost))
-    write (unit, '(a)') 'engine            N      T       w      w''    collisions/s       visits/s' &
-      //'   and particle    over the first'
+    write (unit, '(/, a, /, t71, a, t86, a)') title, 'ns per time', costs(cost)
+    write (unit, '(a, t19, a, t26, a, t34, a, t41, a, t49, a, t63, a, t72, a, t86, a)') 'engine', &
+      'N', 'T', 'w', 'w''', 'collisions/s', 'visits/s', '& particle', 'over the first'
   end subroutine write_title
 
   !> One row: medians of the rounds, and half of the distance from least to most after +-.
