@@ -9,6 +9,7 @@
 !> What is known of a particle (`flight_type`) is how it will enter its next channel; where it is
 !> until then follows by going back from there.
 module battery_excursion
+  use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int8, int16, int64, pi
   use battery_table, only: table_type, shape_circuit, area_of_urn, shortest_excursion
   use battery_flight, only: look_up, gather, land, locate, straight, to_gate, to_return, in_gate, &
@@ -17,8 +18,9 @@ module battery_excursion
   use battery_urn, only: urn_type, new_urn, leave_channels, cross_urns
   use battery_visits, only: visits_type, reserve_visits
   use battery_gate, only: gate_type, empty_gate, fill_gate, enter_gate, cross_middle, shift_gate
-  use battery_calendar, only: calendar_type, flight_type, new_calendar, schedule, schedule_all, &
-    open_until, next_due, drop_done, turn_page
+  use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, schedule, &
+    schedule_all, open_until, next_due, drop_done, turn_page
+  use battery_memory, only: prefer_large_pages
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type, &
     reserve_history, record_crossing, record_event, channel1_12, channel1_21, channel2_12, &
     channel2_21, event_entry, event_reversal
@@ -32,7 +34,7 @@ module battery_excursion
   type, extends(engine_type) :: excursion_type
     private
     !> Most events of one window; the visits of a window should fit into the cache.
-    integer, public :: batch = 2048
+    integer, public :: batch = 1024
     type(urn_type) :: urn
     type(flight_type), allocatable :: flight(:)
     type(gate_type) :: gate(2)
@@ -135,7 +137,7 @@ contains
 
   !> Sizes and lengths that follow from the table and the number of particles.
   subroutine prepare(self, table, threshold, number)
-    type(excursion_type), intent(inout) :: self
+    type(excursion_type), intent(inout), target :: self
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold, number
     integer :: g
@@ -152,6 +154,8 @@ contains
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(number, wp))
     if (allocated(self%flight)) deallocate (self%flight, self%middle)
     allocate (self%flight(number), self%middle(number))
+    call prefer_large_pages(c_loc(self%flight), int(number, c_size_t)*storage_size(self%flight)/8)
+    self%flight = idle
     do g = 1, 2
       call empty_gate(self%gate(g))
     end do

@@ -11,24 +11,29 @@ module battery_calendar
   use battery_kinds, only: wp, int16, int32
   implicit none (type, external)
   private
-  public :: calendar_type, new_calendar, flight_type, schedule, schedule_all, &
+  public :: calendar_type, idle, new_calendar, flight_type, schedule, schedule_all, &
     open_until, next_due, drop_done, turn_page
 
   !> A particle between two of its events. The calendar knows `due` and `next` only; the rest is
   !> its owner's. A record fills a line of the cache: with many particles the time is that of
   !> reading one line of memory a particle.
   type :: flight_type
-    real(wp) :: due = 0.0_wp
+    real(wp) :: due
     !> Next particle in the same bucket, 0 at the end.
-    integer(int32) :: next = 0
+    integer(int32) :: next
     !> Heading, and the urn it leaves, 1 or 2.
-    integer(int16) :: heading = 0, urn = 0
+    integer(int16) :: heading, urn
     !> When it enters the channel (entered it, for those that are inside), at which height, with
     !> |u_x| and u_y.
-    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
+    real(wp) :: time, y, along, across
     !> How long it is in the channel if nothing turns it back, and in the urn before.
-    real(wp) :: through = 0.0_wp, length = 0.0_wp
+    real(wp) :: through, length
   end type flight_type
+
+  !> One without an event. Not by default, since the program must be able to say where a great array
+  !> is to lie before it is written to.
+  type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int32, 0_int16, 0_int16, 0.0_wp, &
+    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
 
   !> So many buckets are looked at together.
   integer, parameter :: chunk = 64
