@@ -92,10 +92,7 @@ contains
     end do
     read (words, *, iostat=status) one%engine, one%number, one%threshold, one%width1, one%width2, &
       wanted
-    if (status /= 0) then
-      write (unit, '(a)') 'bench: six words are needed; see bench --help'
-      return
-    end if
+    if (status /= 0) error stop 'bench: six words are needed; see bench --help'
     call prepare(one, runner)
     collisions = 0
     do while (collisions < wanted)
