@@ -29,6 +29,8 @@ module battery_urn
   integer, parameter :: march_rounds = 12
   !> In the first rounds so many still bounce that ranks are closed after every second march only.
   integer, parameter :: early_rounds = 2
+  !> Incidences with a smaller cosine are computed anew, to all their digits.
+  real(wp), parameter :: grazing_cosine = 1.0e-3_wp
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
   real(wp), parameter :: march_worthwhile = 0.01_wp
 
@@ -103,12 +105,15 @@ contains
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
+    logical :: grazing
 
     n = lanes*((visits%count + lanes - 1)/lanes)
     visits%all_hits = 0
     if (n == 0) return
     call enter(n, 1.0_wp/urn%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
-      visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first)
+      visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
+      grazing)
+    if (grazing) call sharpen(urn, visits)
     do j = 1, visits%count
       visits%slot(j) = j
     end do
@@ -178,13 +183,17 @@ contains
   end subroutine sum_hits
 
   !> Incidence, first impact, rotation from impact to impact, and the length until the first.
-  pure subroutine enter(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, first)
+  pure subroutine enter(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, first, grazing)
     integer, intent(in) :: n
     real(wp), intent(in) :: curvature, x(n), y(n), ux(n), uy(n)
     real(wp), intent(out) :: c(n), s(n), px(n), py(n), zx(n), zy(n), steps(n), first(n)
+    !> Whether some cosine is so small that 1 - s**2 has lost digits of it.
+    logical, intent(out) :: grazing
     real(wp) :: sine, cosine
     integer :: j
+    integer(int64) :: low
 
+    low = 0
     do j = 1, n
       sine = (x(j)*uy(j) - y(j)*ux(j))*curvature
       cosine = sqrt(max((1.0_wp - sine)*(1.0_wp + sine), 0.0_wp))
@@ -196,8 +205,43 @@ contains
       c(j) = cosine
       s(j) = sine
       steps(j) = 0.0_wp
+      low = low + merge(1_int64, 0_int64, cosine < grazing_cosine)
     end do
+    grazing = low > 0
   end subroutine enter
+
+  !> Grazing incidences to all their digits: from the depth below the circle and the way along it.
+  pure subroutine sharpen(urn, visits)
+    type(urn_type), intent(in) :: urn
+    type(visits_type), intent(inout) :: visits
+    real(wp) :: x, y, ux, uy, room, half, c, s
+    integer :: j
+
+    do j = 1, visits%count
+      if (.not. visits%c(j) < grazing_cosine) cycle
+      x = visits%x(j)/urn%radius
+      y = visits%y(j)/urn%radius
+      ux = visits%along(j)
+      uy = visits%across(j)
+      half = merge(urn%half1, urn%half2, x > 0.0_wp)
+      ! On a chord the depth is known without the cancellation.
+      if (abs(visits%x(j) - merge(urn%chord1, -urn%chord2, x > 0.0_wp)) > 0.0_wp) then
+        room = (1.0_wp - abs(y))*(1.0_wp + abs(y)) - x**2
+      else
+        room = (half - abs(y))*(half + abs(y))
+      end if
+      c = sqrt(max(room, 0.0_wp) + (x*ux + y*uy)**2)
+      if (.not. c < grazing_cosine) cycle
+      s = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), visits%s(j))
+      visits%c(j) = c
+      visits%s(j) = s
+      visits%px(j) = ux*c + uy*s
+      visits%py(j) = uy*c - ux*s
+      visits%zx(j) = (s - c)*(s + c)
+      visits%zy(j) = 2.0_wp*s*c
+      visits%first(j) = urn%radius*(c - (x*ux + y*uy))
+    end do
+  end subroutine sharpen
 
   !> `march_steps` impacts of each particle; one whose impact lies in an opening stays there. No
   !> branches: the loop over the particles is the one that becomes vector instructions, and a
