@@ -1,7 +1,6 @@
 !> From the journal of an ensemble to its results file, and back to what an earlier run has left.
 module battery_merge
   use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
-  use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   use battery_kinds, only: dp
   use battery_build_information, only: program_version, git_commit
   use battery_error, only: error_type, fatal_error, exit_bad_input
@@ -13,6 +12,7 @@ module battery_merge
   use battery_journal, only: journal_type, read_rank_file
   use battery_communicator, only: mpi_library
   use battery_metadata, only: metadata_type, read_metadata
+  use battery_quantities, only: unknown_real
   use battery_results, only: results_type, new_results, task_complete, task_failed
   use battery_fingerprint, only: fingerprint_text
   use battery_text, only: string_type
@@ -99,24 +99,9 @@ contains
 
     associate (p => task%point, r => task%replica)
       results%task_status(r, p) = found%status
-      results%collisions(r, p) = found%collisions
-      results%bounce_backs(r, p) = found%bounce_backs
-      results%reversals(r, p) = found%reversals
-      results%trapped(r, p) = found%trapped
-      results%chi(r, p) = found%chi
-      results%chi_error(r, p) = found%chi_error
-      results%chi_collision(r, p) = found%chi_collision
-      results%current1(r, p) = found%current1
-      results%current1_error(r, p) = found%current1_error
-      results%current2(r, p) = found%current2
-      results%current2_error(r, p) = found%current2_error
-      results%flow1_12(r, p) = found%flow(1)
-      results%flow1_21(r, p) = found%flow(2)
-      results%flow2_12(r, p) = found%flow(3)
-      results%flow2_21(r, p) = found%flow(4)
-      results%time(r, p) = found%time
-      results%transient_time(r, p) = found%transient_time
-      results%cpu_seconds(r, p) = found%cpu_seconds
+      results%average(r, p, :) = found%measured%average
+      results%error(r, p, :) = found%measured%error
+      results%counted(r, p, :) = found%measured%counted
       call place_arrays(plan, found, task, results)
     end associate
   end subroutine place
@@ -187,7 +172,7 @@ contains
     if (allocated(results%series_time)) before = size(results%series_time)
     if (entries <= before) return
     allocate (urn1_number(entries, plan%replicas, plan%point_count), source=-1)
-    allocate (flow(entries, plan%replicas, plan%point_count, 4), source=unknown())
+    allocate (flow(entries, plan%replicas, plan%point_count, 4), source=unknown_real())
     if (before > 0) then
       urn1_number(:before, :, :) = results%series_urn1_number
       flow(:before, :, :, :) = results%series_flow
@@ -221,7 +206,7 @@ contains
       if (allocated(array)) before = size(array, 1)
       if (n <= before) return
       allocate (longer(n, size(plan%snapshot_times), plan%replicas, plan%point_count), &
-        source=unknown())
+        source=unknown_real())
       if (before > 0) longer(:before, :, :, :) = array
       call move_alloc(longer, array)
     end subroutine extend
@@ -249,18 +234,12 @@ contains
       before = 0
       if (allocated(array)) before = size(array, 1)
       if (n <= before) return
-      allocate (longer(n, plan%replicas, plan%point_count), source=unknown())
+      allocate (longer(n, plan%replicas, plan%point_count), source=unknown_real())
       if (before > 0) longer(:before, :, :) = array
       call move_alloc(longer, array)
     end subroutine extend
 
   end subroutine room_for_final
-
-  pure function unknown()
-    real(dp) :: unknown
-
-    unknown = ieee_value(unknown, ieee_quiet_nan)
-  end function unknown
 
   !> What stands under the name of the output file: nothing, or results of which input, complete or
   !> not. Anything else there is an error.

@@ -4,7 +4,8 @@ module battery_summary
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count
-  use battery_results, only: results_type, task_complete
+  use battery_quantities, only: averaged_quantities, counted_quantities, place_of
+  use battery_results, only: results_type, average_of, task_complete
   use battery_screen, only: duration_text, rate_text
   use battery_text, only: string_type, to_text
   implicit none (type, external)
@@ -52,7 +53,7 @@ contains
     write (output_unit, '(a)') rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp)) &
       //' collisions/s in '//duration_text(seconds)
     if (done > 0) call print_slowest(results)
-    if (sum(results%trapped, mask=results%task_status == task_complete) > 0) &
+    if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
       write (output_unit, &
       '(a)') 'some particles are on orbits that never leave: see the dataset trapped'
     if (.not. all_done) write (output_unit, &
@@ -63,27 +64,34 @@ contains
   !> The task that took the most time of a processor.
   subroutine print_slowest(results)
     type(results_type), intent(in) :: results
+    real(dp), allocatable :: cpu_seconds(:, :)
     integer :: at(2)
 
-    at = maxloc(results%cpu_seconds, mask=results%task_status == task_complete)
+    cpu_seconds = average_of(results, 'cpu_seconds')
+    at = maxloc(cpu_seconds, mask=results%task_status == task_complete)
     associate (r => at(1), p => at(2))
       write (output_unit, '(a, i0, a, i0, a)') 'slowest task: ' &
-        //duration_text(results%cpu_seconds(r, p))//' of a processor, N = ', results%number(p), &
+        //duration_text(cpu_seconds(r, p))//' of a processor, N = ', results%number(p), &
         ', T = ', results%threshold(p), ', w = '//to_text(results%channel1_width(p)) &
         //', w'' = '//to_text(results%channel2_width(p))//', replica '//to_text(r)
     end associate
   end subroutine print_slowest
 
+  !> One task: averages and their errors.
   subroutine print_row(results, p, r)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, r
+    character(len=*), parameter :: shown(3) = [character(len=8) :: 'chi', 'current1', 'current2']
+    real(dp) :: pairs(2, 3)
+    integer :: k, place
 
-    write (output_unit, &
-      '(i6, i5, f8.4, f11.6, i10, f10.5, f9.5, 2(f13.5, f9.5))') results%number(p), &
-      results%threshold(p), results%channel1_width(p), results%channel2_width(p), r, &
-      results%chi(r, p), &
-      results%chi_error(r, p), results%current1(r, p), results%current1_error(r, p), &
-      results%current2(r, p), results%current2_error(r, p)
+    do k = 1, 3
+      place = place_of(trim(shown(k)), averaged_quantities())
+      pairs(:, k) = [results%average(r, p, place), results%error(r, p, place)]
+    end do
+    write (output_unit, '(i6, i5, f8.4, f11.6, i10, f10.5, f9.5, 2(f13.5, f9.5))') &
+      results%number(p), results%threshold(p), results%channel1_width(p), &
+      results%channel2_width(p), r, pairs
   end subroutine print_row
 
 end module battery_summary

@@ -5,29 +5,15 @@
 !> series from the start.
 !> Source: mass spread eq. (mass), net current eq. (netJ), with its sign: (n12 - n21)/t.
 module battery_observer
-  use battery_kinds, only: wp, int64
+  use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, most_blocks
   use battery_engine, only: history_type, engine_state_type, channel1_12, channel2_12
+  use battery_quantities, only: measured_type, set_average, set_count, unknown_real
   implicit none (type, external)
   private
-  public :: observer_type, averages_type, new_observer, observe, begin_measuring, end_series
-  public :: averages_of
+  public :: observer_type, new_observer, observe, begin_measuring, end_series
+  public :: measure, measured_time
   public :: save_observer, restore_observer
-
-  !> Averages over the measured time; those that are not known are marked by `known`-flags.
-  type :: averages_type
-    !> Measured time.
-    real(wp) :: time = 0.0_wp
-    real(wp) :: chi = 0.0_wp, current1 = 0.0_wp, current2 = 0.0_wp
-    !> Standard errors from blocks; only if `errors_known`.
-    real(wp) :: chi_error = 0.0_wp, current1_error = 0.0_wp, current2_error = 0.0_wp
-    logical :: errors_known = .false.
-    !> Average over the states after each wall collision; only if `chi_collision_known`.
-    real(wp) :: chi_collision = 0.0_wp
-    logical :: chi_collision_known = .false.
-    !> Crossings per unit time: channel 1 from urn 1 to 2 and back, channel 2 likewise.
-    real(wp) :: flow(4) = 0.0_wp
-  end type averages_type
 
   type :: observer_type
     integer :: number = 0
@@ -188,25 +174,52 @@ contains
     observer%series_left = observer%series_interval
   end subroutine write_entry
 
-  !> Averages over all that was measured.
-  pure function averages_of(observer) result(averages)
+  !> What it has measured so far; what it does not know stays as it is.
+  pure subroutine measure(observer, measured)
     type(observer_type), intent(in) :: observer
-    type(averages_type) :: averages
+    type(measured_type), intent(inout) :: measured
+    character(len=*), parameter :: flows(4) = ['flow1_12', 'flow1_21', 'flow2_12', 'flow2_21']
+    real(wp) :: time
+    integer :: k
 
-    averages%time = observer%time + observer%block_time
-    if (averages%time <= 0.0_wp) return
-    averages%chi = (observer%spread + observer%block_spread)/(averages%time*real(observer%number, &
-      wp))
-    averages%flow = real(observer%crossings, wp)/averages%time
-    averages%current1 = real(observer%crossings(1) - observer%crossings(2), wp)/averages%time
-    averages%current2 = real(observer%crossings(3) - observer%crossings(4), wp)/averages%time
-    call standard_error(observer%chi_blocks, averages%chi_error, averages%errors_known)
-    call standard_error(observer%current1_blocks, averages%current1_error, averages%errors_known)
-    call standard_error(observer%current2_blocks, averages%current2_error, averages%errors_known)
-    averages%chi_collision_known = observer%collisions_seen > 0
-    if (averages%chi_collision_known) averages%chi_collision = real(observer%collision_spread_sum, &
-      wp) /(real(observer%collisions_seen, wp)*real(observer%number, wp))
-  end function averages_of
+    call set_count(measured, 'reversals', observer%reversals)
+    call set_count(measured, 'bounce_backs', observer%bounce_backs)
+    time = measured_time(observer)
+    if (.not. time > 0.0_wp) return
+    associate (o => observer, number => real(observer%number, wp))
+      do k = 1, 4
+        call set_average(measured, flows(k), real(real(o%crossings(k), wp)/time, dp))
+      end do
+      call set_average(measured, 'current1', &
+        real(real(o%crossings(1) - o%crossings(2), wp)/time, dp), error_from(o%current1_blocks))
+      call set_average(measured, 'current2', &
+        real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), error_from(o%current2_blocks))
+      if (.not. o%two_halves) return
+      call set_average(measured, 'chi', real((o%spread + o%block_spread)/(time*number), dp), &
+        error_from(o%chi_blocks))
+      if (o%collisions_seen > 0) call set_average(measured, 'chi_collision', &
+        real(real(o%collision_spread_sum, wp)/(real(o%collisions_seen, wp)*number), dp))
+    end associate
+  end subroutine measure
+
+  !> Time since measuring began.
+  pure function measured_time(observer) result(time)
+    type(observer_type), intent(in) :: observer
+    real(wp) :: time
+
+    time = observer%time + observer%block_time
+  end function measured_time
+
+  !> Standard error from blocks; NaN where there are too few.
+  pure function error_from(blocks) result(error)
+    type(blocks_type), intent(in) :: blocks
+    real(dp) :: error
+    real(wp) :: found
+    logical :: known
+
+    call standard_error(blocks, found, known)
+    error = merge(real(found, dp), unknown_real(), known)
+  end function error_from
 
   !> All that is needed to go on observing to the same last bit.
   pure subroutine save_observer(observer, state)

@@ -6,7 +6,7 @@ module battery_initial_state
   use battery_text, only: string_type, to_text, join, new_line_character
   use battery_table, only: table_type, region_at, outside
   use battery_engine, only: particles_type
-  use battery_gsl, only: generator_type, new_generator, free_generator, uniform_fine
+  use battery_gsl, only: generator_type, new_generator, free_generator, uniform
   implicit none (type, external)
   private
   public :: random_particles, read_particles
@@ -59,8 +59,8 @@ contains
     real(wp) :: inward
 
     do
-      inward = table%urn_radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-      y = table%urn_radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
+      inward = table%urn_radius*(2.0_wp*real(uniform(generator), wp) - 1.0_wp)
+      y = table%urn_radius*(2.0_wp*real(uniform(generator), wp) - 1.0_wp)
       if (inward**2 + y**2 >= table%urn_radius**2) cycle
       if (inward < table%chord1_distance .and. -inward < table%chord2_distance) exit
     end do
@@ -73,7 +73,7 @@ contains
     real(wp), intent(out) :: ux, uy
     real(wp) :: angle
 
-    angle = 2.0_wp*pi*real(uniform_fine(generator), wp)
+    angle = 2.0_wp*pi*real(uniform(generator), wp)
     ux = cos(angle)
     uy = sin(angle)
   end subroutine draw_direction

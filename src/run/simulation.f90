@@ -9,8 +9,8 @@ module battery_simulation
   use battery_error, only: error_type, fatal_error
   use battery_table, only: table_type, shape_circuit, region_at, outside
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type
-  use battery_observer, only: end_series, observer_type, averages_type, new_observer, observe, &
-    begin_measuring, averages_of, save_observer, restore_observer
+  use battery_observer, only: end_series, observer_type, new_observer, observe, &
+    begin_measuring, save_observer, restore_observer
   use battery_engines, only: new_engine
   implicit none (type, external)
   private

@@ -2,11 +2,12 @@
 !>
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
-  use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   use battery_kinds, only: dp, int32, int64
+  use battery_quantities, only: averaged_quantities, counted_quantities, place_of, unknown_real, &
+    unknown_count
   implicit none (type, external)
   private
-  public :: results_type, new_results, spread_of, unknown_real
+  public :: results_type, new_results, scatter_of, average_of, error_of
   public :: task_complete, task_failed, task_not_done
 
   !> Values of `task_status`.
@@ -19,16 +20,10 @@ module battery_results
     !> The points of the scan, (point): N, T, particles in urn 1 at the start, widths.
     integer(int32), allocatable :: number(:), threshold(:), urn1_number(:)
     real(dp), allocatable :: channel1_width(:), channel2_width(:)
-    !> From here on (replica, point).
     integer(int64), allocatable :: seed(:, :)
-    real(dp), allocatable :: chi(:, :), chi_error(:, :), chi_collision(:, :)
-    real(dp), allocatable :: current1(:, :), current1_error(:, :)
-    real(dp), allocatable :: current2(:, :), current2_error(:, :)
-    real(dp), allocatable :: flow1_12(:, :), flow1_21(:, :), flow2_12(:, :), flow2_21(:, :)
-    !> Measured time, time of the transient before it, seconds of the processor.
-    real(dp), allocatable :: time(:, :), transient_time(:, :), cpu_seconds(:, :)
-    integer(int64), allocatable :: collisions(:, :), bounce_backs(:, :), reversals(:, :), &
-      trapped(:, :)
+    !> From here on (replica, point), and the place of the quantity in its list.
+    real(dp), allocatable :: average(:, :, :), error(:, :, :)
+    integer(int64), allocatable :: counted(:, :, :)
     integer(int32), allocatable :: task_status(:, :)
 
     !> Series, if asked for: times since the start; N1 as (time, replica, point); crossings per unit
@@ -53,32 +48,49 @@ contains
   subroutine new_results(results, points, replicas)
     type(results_type), intent(out) :: results
     integer, intent(in) :: points, replicas
-    real(dp), allocatable :: nothing(:, :)
-    integer(int64), allocatable :: no_count(:, :)
+    integer :: averaged, counted
 
+    averaged = size(averaged_quantities())
+    counted = size(counted_quantities())
     results%points = points
     results%replicas = replicas
-    allocate (nothing(replicas, points), source=unknown_real())
-    allocate (no_count(replicas, points), source=-1_int64)
     allocate (results%number(points), results%threshold(points), results%urn1_number(points), &
-      source=-1_int32)
+      source=int(unknown_count, int32))
     allocate (results%channel1_width(points), results%channel2_width(points), source=unknown_real())
     allocate (results%task_status(replicas, points), source=task_not_done)
-    allocate (results%seed, results%collisions, results%bounce_backs, results%reversals, &
-      results%trapped, source=no_count)
-    allocate (results%chi, results%chi_error, results%chi_collision, source=nothing)
-    allocate (results%current1, results%current1_error, source=nothing)
-    allocate (results%current2, results%current2_error, source=nothing)
-    allocate (results%flow1_12, results%flow1_21, results%flow2_12, results%flow2_21, &
-      source=nothing)
-    allocate (results%time, results%transient_time, results%cpu_seconds, source=nothing)
+    allocate (results%seed(replicas, points), source=unknown_count)
+    allocate (results%average(replicas, points, averaged), source=unknown_real())
+    allocate (results%error(replicas, points, averaged), source=unknown_real())
+    allocate (results%counted(replicas, points, counted), source=unknown_count)
   end subroutine new_results
+
+  !> The averages of one quantity, (replica, point).
+  pure function average_of(results, name) result(values)
+    type(results_type), intent(in) :: results
+    !> Name of the quantity.
+    character(len=*), intent(in) :: name
+    real(dp) :: values(results%replicas, results%points)
+
+    values = results%average(:, :, place_of(name, averaged_quantities()))
+  end function average_of
+
+  !> The standard errors of one quantity, (replica, point).
+  pure function error_of(results, name) result(values)
+    type(results_type), intent(in) :: results
+    !> Name of the quantity.
+    character(len=*), intent(in) :: name
+    real(dp) :: values(results%replicas, results%points)
+
+    values = results%error(:, :, place_of(name, averaged_quantities()))
+  end function error_of
 
   !> Standard error of the mean of the replicas of each point, from their scatter over the complete
   !> tasks; NaN where fewer than two are complete.
-  pure function spread_of(values, task_status) result(error)
+  pure function scatter_of(values, task_status) result(error)
+    !> (replica, point).
     real(dp), intent(in) :: values(:, :)
     integer(int32), intent(in) :: task_status(:, :)
+    !> (point).
     real(dp) :: error(size(values, 2))
     real(dp), allocatable :: known(:)
     integer :: point, n
@@ -91,13 +103,6 @@ contains
       known = known - sum(known)/n
       error(point) = sqrt(sum(known**2)/(real(n, dp)*real(n - 1, dp)))
     end do
-  end function spread_of
-
-  !> NaN, which stands for a real that is not known.
-  pure function unknown_real() result(value)
-    real(dp) :: value
-
-    value = ieee_value(value, ieee_quiet_nan)
-  end function unknown_real
+  end function scatter_of
 
 end module battery_results

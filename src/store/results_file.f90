@@ -10,13 +10,13 @@ module battery_results_file
   use battery_hdf5_attributes, only: write_attribute
   use battery_hdf5_datasets, only: write_dataset
   use battery_hdf5_scales, only: make_scale, make_dimension, attach_scales
-  use battery_results, only: results_type, new_results, spread_of, unknown_real, task_complete, &
-    task_failed, task_not_done
-  use battery_metadata, only: metadata_type, write_metadata, read_metadata
+  use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
+    unknown_count
+  use battery_results, only: results_type, scatter_of, task_complete, task_failed, task_not_done
+  use battery_metadata, only: metadata_type, write_metadata
   implicit none (type, external)
   private
-  public :: results_type, new_results, unknown_real, task_complete, task_failed, task_not_done
-  public :: metadata_type, read_metadata, write_results
+  public :: write_results
 
   !> Writes a dataset and attaches its dimensions, unless an error came before: (file, path, values,
   !> dimensions, units, long_name, error).
@@ -27,9 +27,6 @@ module battery_results_file
   !> Paths of the dimension scales, in Fortran order.
   character(len=*), parameter :: by_point(*) = ['/point']
   character(len=*), parameter :: by_task(*) = [character(len=8) :: '/replica', '/point']
-
-  !> Marks integers that are not known.
-  integer, parameter :: not_known = -1
 
 contains
 
@@ -48,8 +45,7 @@ contains
     if (allocated(error)) return
     call write_metadata(file, metadata, error)
     call write_points(file, results, error)
-    call write_averages(file, results, error)
-    call write_work(file, results, error)
+    call write_measured(file, results, error)
     call write_series(file, results, error)
     call write_snapshots(file, results, error)
     call write_events(file, results, error)
@@ -80,77 +76,40 @@ contains
     call put(file, '/seed', results%seed, by_task, '1', 'seed of the random start', error)
   end subroutine write_points
 
-  !> Averages over the measured time, and how they scatter.
-  subroutine write_averages(file, results, error)
+  !> What was measured by every task, and how it scatters over the replicas of a point.
+  subroutine write_measured(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: blocks = ', standard error from blocks of the run'
     character(len=*), parameter :: scatter = ', standard error from the scatter of the replicas'
-    character(len=*), parameter :: spread = 'mass spread |N1 - N2|/N, time average'
-    character(len=*), parameter :: one = 'net current of channel 1 from urn 1 to urn 2'
-    character(len=*), parameter :: two = 'net current of channel 2 from urn 1 to urn 2'
-    character(len=*), parameter :: rate = '1/time'
+    type(quantity_type), allocatable :: list(:)
+    integer :: q
 
-    associate (r => results, status => results%task_status)
-      call put(file, '/chi', r%chi, by_task, '1', spread, error)
-      call put(file, '/chi_error', r%chi_error, by_task, '1', spread//blocks, error)
-      call put(file, '/chi_spread', spread_of(r%chi, status), by_point, '1', spread//scatter, error)
-      call put(file, '/chi_collision', r%chi_collision, by_task, '1', &
-        'mass spread, average over the states after each wall collision', error)
-      call put(file, '/current1', r%current1, by_task, rate, one, error)
-      call put(file, '/current1_error', r%current1_error, by_task, rate, one//blocks, error)
-      call put(file, '/current1_spread', spread_of(r%current1, status), by_point, rate, &
-        one//scatter, error)
-      call put(file, '/current2', r%current2, by_task, rate, two, error)
-      call put(file, '/current2_error', r%current2_error, by_task, rate, two//blocks, error)
-      call put(file, '/current2_spread', spread_of(r%current2, status), by_point, rate, &
-        two//scatter, error)
-      call put(file, '/flow1_12', r%flow1_12, by_task, rate, flow_name(1), error)
-      call put(file, '/flow1_21', r%flow1_21, by_task, rate, flow_name(2), error)
-      call put(file, '/flow2_12', r%flow2_12, by_task, rate, flow_name(3), error)
-      call put(file, '/flow2_21', r%flow2_21, by_task, rate, flow_name(4), error)
-    end associate
-  end subroutine write_averages
-
-  !> What one of the four flows is.
-  pure function flow_name(which) result(name)
-    integer, intent(in) :: which
-    character(len=:), allocatable :: name
-
-    name = 'crossings of the middle line of channel 1'
-    if (which > 2) name = 'crossings of the periodic line of channel 2'
-    if (modulo(which, 2) == 1) then
-      name = name//' from urn 1 to urn 2'
-    else
-      name = name//' from urn 2 to urn 1'
-    end if
-  end function flow_name
-
-  !> What was done for it.
-  subroutine write_work(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(results_type), intent(in) :: results
-    type(error_type), allocatable, intent(inout) :: error
-
-    associate (r => results)
-      call put(file, '/time', r%time, by_task, 'time', 'measured time', error)
-      call put(file, '/transient_time', r%transient_time, by_task, 'time', &
-        'time of the transient, before what is measured', error)
-      call put(file, '/cpu_seconds', r%cpu_seconds, by_task, 's', 'time of the processor', error)
-      call put_counts(file, '/collisions', r%collisions, 'wall collisions', error)
-      call put_counts(file, '/bounce_backs', r%bounce_backs, &
-        'particles turned back by a gate', error)
-      call put_counts(file, '/reversals', r%reversals, 'reversals of a gate', error)
-      call put_counts(file, '/trapped', r%trapped, &
-        'particles in the urns that never reach a channel', error)
-      call put(file, '/task_status', r%task_status, by_task, '1', 'how the task ended', error)
-    end associate
+    list = averaged_quantities()
+    do q = 1, size(list)
+      associate (path => '/'//list(q)%name, unit => list(q)%unit, meaning => list(q)%meaning)
+        call put(file, path, results%average(:, :, q), by_task, unit, meaning, error)
+        if (.not. list(q)%has_error) cycle
+        call put(file, path//'_error', results%error(:, :, q), by_task, unit, meaning//blocks, &
+          error)
+        call put(file, path//'_spread', scatter_of(results%average(:, :, q), &
+          results%task_status), by_point, unit, meaning//scatter, error)
+      end associate
+    end do
+    list = counted_quantities()
+    do q = 1, size(list)
+      call put(file, '/'//list(q)%name, results%counted(:, :, q), by_task, list(q)%unit, &
+        list(q)%meaning, error)
+      if (.not. allocated(error)) call write_attribute(file, '/'//list(q)%name, '_FillValue', &
+        unknown_count, error)
+    end do
+    call put(file, '/task_status', results%task_status, by_task, '1', 'how the task ended', error)
     if (.not. allocated(error)) call write_attribute(file, '/task_status', 'flag_values', &
       [task_complete, task_failed, task_not_done], error)
     if (.not. allocated(error)) call write_attribute(file, '/task_status', 'flag_meanings', &
       'complete failed not_done', error)
-  end subroutine write_work
+  end subroutine write_measured
 
   !> The course of N1 and of the flows.
   subroutine write_series(file, results, error)
@@ -158,7 +117,8 @@ contains
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', by_task]
-    character(len=*), parameter :: names(4) = ['1_12', '1_21', '2_12', '2_21']
+    character(len=*), parameter :: names(4) = ['flow1_12', 'flow1_21', 'flow2_12', 'flow2_21']
+    type(quantity_type), allocatable :: list(:)
     integer :: which
 
     if (.not. allocated(results%series_time) .or. allocated(error)) return
@@ -167,10 +127,13 @@ contains
     call put(file, '/series/urn1_number', results%series_urn1_number, by_time, '1', &
       'particles at x < 0', error)
     if (.not. allocated(error)) call write_attribute(file, '/series/urn1_number', '_FillValue', &
-      int(not_known, int32), error)
+      int(unknown_count, int32), error)
+    list = averaged_quantities()
     do which = 1, 4
-      call put(file, '/series/flow'//names(which), results%series_flow(:, :, :, which), by_time, &
-        '1/time', flow_name(which)//', since the entry before', error)
+      associate (flow => list(place_of(names(which), list)))
+        call put(file, '/series/'//flow%name, results%series_flow(:, :, :, which), by_time, &
+          flow%unit, flow%meaning//', since the entry before', error)
+      end associate
     end do
   end subroutine write_series
 
@@ -269,18 +232,6 @@ contains
     call write_dataset(file, path, values, units, long_name, error)
     if (.not. allocated(error)) call attach_scales(file, path, dimensions, error)
   end subroutine put_int64
-
-  !> Counts by task, which are not known where the task is not complete.
-  subroutine put_counts(file, path, values, long_name, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path, long_name
-    integer(int64), intent(in), contiguous :: values(:, :)
-    type(error_type), allocatable, intent(inout) :: error
-
-    call put(file, path, values, by_task, '1', long_name, error)
-    if (.not. allocated(error)) &
-      call write_attribute(file, path, '_FillValue', int(not_known, int64), error)
-  end subroutine put_counts
 
   !> A dimension whose coordinates count up from `first`.
   subroutine put_scale(file, path, first, length, long_name, error)

@@ -1,0 +1,125 @@
+!> What a run measures: every quantity declared once, by name, unit and meaning.
+!>
+!> A new quantity is its line here and the line that measures it (`set_average` or `set_count`).
+!> Records, results file and summary go by these lists. Lengths are in the unit of the namelist,
+!> times in lengths over the speed.
+module battery_quantities
+  use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
+  use battery_kinds, only: dp, int64
+  implicit none (type, external)
+  private
+  public :: quantity_type, averaged_quantities, counted_quantities, place_of
+  public :: measured_type, new_measured, set_average, set_count
+  public :: unknown_real, unknown_count
+
+  type :: quantity_type
+    character(len=:), allocatable :: name, unit, meaning
+    !> Whether it has a standard error of its own, from blocks of the run.
+    logical :: has_error = .false.
+  end type quantity_type
+
+  !> The values of one run, in the order of the lists.
+  type :: measured_type
+    real(dp), allocatable :: average(:), error(:)
+    integer(int64), allocatable :: counted(:)
+  end type measured_type
+
+  !> Stands for a count that is not known.
+  integer(int64), parameter :: unknown_count = -1
+
+contains
+
+  !> All quantities that are reals.
+  pure function averaged_quantities() result(list)
+    type(quantity_type), allocatable :: list(:)
+
+    list = [ &
+      quantity_type('chi', '1', 'mass spread |N1 - N2|/N, time average', has_error=.true.), &
+      quantity_type('chi_collision', '1', &
+      'mass spread, average over the states after each wall collision'), &
+      quantity_type('current1', '1/time', 'net current of channel 1 from urn 1 to urn 2', &
+      has_error=.true.), &
+      quantity_type('current2', '1/time', 'net current of channel 2 from urn 1 to urn 2', &
+      has_error=.true.), &
+      quantity_type('flow1_12', '1/time', &
+      'crossings of the middle line of channel 1 from urn 1 to urn 2'), &
+      quantity_type('flow1_21', '1/time', &
+      'crossings of the middle line of channel 1 from urn 2 to urn 1'), &
+      quantity_type('flow2_12', '1/time', &
+      'crossings of the periodic line of channel 2 from urn 1 to urn 2'), &
+      quantity_type('flow2_21', '1/time', &
+      'crossings of the periodic line of channel 2 from urn 2 to urn 1'), &
+      quantity_type('time', 'time', 'measured time'), &
+      quantity_type('transient_time', 'time', 'time of the transient, before what is measured'), &
+      quantity_type('cpu_seconds', 's', 'time of the processor')]
+  end function averaged_quantities
+
+  !> All quantities that are whole numbers.
+  pure function counted_quantities() result(list)
+    type(quantity_type), allocatable :: list(:)
+
+    list = [ &
+      quantity_type('collisions', '1', 'wall collisions'), &
+      quantity_type('bounce_backs', '1', 'particles turned back by a gate'), &
+      quantity_type('reversals', '1', 'reversals of a gate'), &
+      quantity_type('trapped', '1', 'particles in the urns that never reach a channel')]
+  end function counted_quantities
+
+  !> Place of a quantity in a list; 0 if it is not there.
+  pure function place_of(name, list) result(place)
+    character(len=*), intent(in) :: name
+    type(quantity_type), intent(in) :: list(:)
+    integer :: place
+
+    do place = size(list), 1, -1
+      if (list(place)%name == name) return
+    end do
+  end function place_of
+
+  !> Nothing is known yet.
+  pure function new_measured() result(measured)
+    type(measured_type) :: measured
+
+    allocate (measured%average(size(averaged_quantities())), source=unknown_real())
+    allocate (measured%error(size(measured%average)), source=unknown_real())
+    allocate (measured%counted(size(counted_quantities())), source=unknown_count)
+  end function new_measured
+
+  !> One average has been measured.
+  pure subroutine set_average(measured, name, value, error)
+    type(measured_type), intent(inout) :: measured
+    !> Name of the quantity, in the list of the averaged ones.
+    character(len=*), intent(in) :: name
+    !> In the unit of the quantity; NaN if it is not known.
+    real(dp), intent(in) :: value
+    !> Its standard error; NaN if it is not known.
+    real(dp), intent(in), optional :: error
+    integer :: place
+
+    place = place_of(name, averaged_quantities())
+    if (place == 0) error stop 'a quantity is measured that is not declared'
+    measured%average(place) = value
+    if (present(error)) measured%error(place) = error
+  end subroutine set_average
+
+  !> Something has been counted.
+  pure subroutine set_count(measured, name, count)
+    type(measured_type), intent(inout) :: measured
+    !> Name of the quantity, in the list of the counted ones.
+    character(len=*), intent(in) :: name
+    integer(int64), intent(in) :: count
+    integer :: place
+
+    place = place_of(name, counted_quantities())
+    if (place == 0) error stop 'a quantity is counted that is not declared'
+    measured%counted(place) = count
+  end subroutine set_count
+
+  !> NaN, which stands for a real that is not known.
+  pure function unknown_real() result(value)
+    real(dp) :: value
+
+    value = ieee_value(value, ieee_quiet_nan)
+  end function unknown_real
+
+end module battery_quantities
