@@ -150,12 +150,21 @@ contains
     type(string_type), intent(in) :: list(:)
     character(len=*), intent(in) :: separator
     character(len=:), allocatable :: text
-    integer :: at
+    integer :: at, length
 
-    text = ''
+    length = max(size(list) - 1, 0)*len(separator)
     do at = 1, size(list)
-      if (at > 1) text = text//separator
-      text = text//list(at)%text
+      length = length + len(list(at)%text)
+    end do
+    allocate (character(len=length) :: text)
+    length = 0
+    do at = 1, size(list)
+      if (at > 1) then
+        text(length + 1:length + len(separator)) = separator
+        length = length + len(separator)
+      end if
+      text(length + 1:length + len(list(at)%text)) = list(at)%text
+      length = length + len(list(at)%text)
     end do
   end function join
 

@@ -1,7 +1,7 @@
 !> From the journal of an ensemble to its results file, and back to what an earlier run has left.
 module battery_merge
   use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
-  use battery_kinds, only: dp
+  use battery_kinds, only: dp, int64
   use battery_build_information, only: program_version, git_commit
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_files, only: file_exists
@@ -113,6 +113,7 @@ contains
     type(task_type), intent(in) :: task
     type(results_type), intent(inout) :: results
     integer :: n, entries, k, q
+    integer(int64) :: at
 
     n = task%number
     entries = size(found%series_urn1_number)
@@ -126,7 +127,8 @@ contains
     if (size(found%snapshots) > 0) then
       call room_for_snapshots(n, plan, results)
       do k = 1, size(results%snapshot_time)
-        call unpack_state(found%snapshots(4*n*(k - 1) + 1:4*n*k), n, &
+        at = 4_int64*n*(k - 1)
+        call unpack_state(found%snapshots(at + 1:at + 4_int64*n), n, &
           results%snapshot_x(:, k, task%replica, task%point), &
           results%snapshot_y(:, k, task%replica, task%point), &
           results%snapshot_ux(:, k, task%replica, task%point), &

@@ -7,9 +7,9 @@ module battery_namelist_input
   use battery_text, only: to_text, new_line_character
   use battery_files, only: read_text, is_folder, is_writable, file_exists, folder_of
   use battery_engine, only: particles_type
-  use battery_namelist_text, only: remark_type
+  use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_namelist_settings, only: settings_type, read_settings, find_setting
-  use battery_initial_state, only: read_particles
+  use battery_initial_state, only: read_particles, are_inside
   use battery_plan, only: plan_type, point_type, problem_type, complete_plan, point_of, &
     table_of
   implicit none (type, external)
@@ -195,9 +195,9 @@ contains
         step = (range%reals(2) - range%reals(1))/max(count - 1, 1)
         list = [(range%reals(1) + at*step, at=0, count - 1)]
         if (count > 1) list(count) = range%reals(2)
-        if (any(list > huge(1)) .and. (name == 'number' .or. name == 'threshold')) then
+        if (any(list > range%key%most) .and. (name == 'number' .or. name == 'threshold')) then
           call add_problem(settings, problem_type('scan', name//'_range', &
-            to_text(maxval(list)), 'numbers up to '//to_text(huge(1))))
+            to_text(maxval(list)), 'numbers up to '//to_text(range%key%most)))
           list = [real(wp) ::]
         end if
       end if
@@ -259,22 +259,27 @@ contains
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable, intent(inout) :: error
     type(point_type) :: point, before
-    integer :: at, urn1_number
+    type(particles_type) :: particles
+    integer :: at
 
     if (plan%initial_file == '') return
     if (allocated(error)) then
       point = point_type(plan%number, 0, 0, plan%channel1_width, plan%channel2_width)
-      call try_initial_file(plan, point, urn1_number, error)
+      call try_initial_file(plan, point, particles, error)
       return
     end if
-    do at = 1, plan%point_count
-      point = point_of(plan, at)
-      if (at > 1 .and. same_widths(point, before)) cycle
-      call try_initial_file(plan, point, urn1_number, error)
+    before = point_of(plan, 1)
+    call try_initial_file(plan, before, particles, error)
+    do at = 2, plan%point_count
       if (allocated(error)) return
+      point = point_of(plan, at)
+      if (same_widths(point, before)) cycle
+      ! Read again only to say what is wrong.
+      if (.not. are_inside(table_of(plan, point), particles)) &
+        call try_initial_file(plan, point, particles, error)
       before = point
     end do
-    plan%urn1_number = urn1_number
+    if (.not. allocated(error)) plan%urn1_number = count(particles%x < 0.0_wp)
   end subroutine check_initial_file
 
   !> Whether two points have the same table.
@@ -288,23 +293,20 @@ contains
 
   !> Reads the initial file for one point; adds its problems to those there are. Where the widths or
   !> the number of the point are themselves wrong, there is nothing to hold the file against.
-  subroutine try_initial_file(plan, point, urn1_number, error)
+  subroutine try_initial_file(plan, point, particles, error)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
-    integer, intent(out) :: urn1_number
+    type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: trouble
-    type(particles_type) :: particles
     character(len=:), allocatable :: message
 
-    urn1_number = 0
     if (file_exists(plan%initial_file)) then
       if (point%number < 1 .or. .not. max(point%channel1_width, point%channel2_width) &
         < 2.0_wp*plan%urn_radius) return
     end if
     call read_particles(plan%initial_file, table_of(plan, point), max(point%number, 0), particles, &
       trouble)
-    urn1_number = count(particles%x < 0.0_wp)
     if (.not. allocated(trouble)) return
     message = plan%input_file//': &particles initial_file = '''//plan%initial_file &
       //''' cannot be used:'//new_line_character//trouble%message
@@ -316,44 +318,29 @@ contains
   subroutine add_problem(settings, problem)
     type(settings_type), intent(inout) :: settings
     type(problem_type), intent(in) :: problem
-    type(remark_type) :: remark
-    integer :: place
+    integer :: place, line
     character(len=:), allocatable :: joint
 
     place = find_setting(settings, problem%group, problem%key)
     if (problem%group == 'scan' .and. .not. settings%all(place)%given .and. &
       problem%key /= 'replicas') place = find_setting(settings, 'scan', problem%key//'_range')
-    if (settings%all(place)%given) remark%line = settings%all(place)%line
+    line = 0
+    if (settings%all(place)%given) line = settings%all(place)%line
     ! A key that was refused already is not refused again.
     if (settings%all(place)%given .and. .not. settings%all(place)%known) return
     joint = ' = '
     if (index(problem%value, 'is ') == 1) joint = ' '
-    remark%text = '&'//problem%group//' '//settings%all(place)%key%name//joint &
-      //problem%value//'; allowed: '//problem%allowed
-    settings%problems = [settings%problems, remark]
+    call add_remark(settings%problems, line, '&'//problem%group//' ' &
+      //settings%all(place)%key%name//joint//problem%value//'; allowed: '//problem%allowed)
   end subroutine add_problem
 
   !> One error from all problems, in the order of the lines; none if there are none.
   subroutine report(name, problems, error)
     character(len=*), intent(in) :: name
-    type(remark_type), intent(in) :: problems(:)
+    type(remarks_type), intent(in) :: problems
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: message
-    logical :: told(size(problems))
-    integer :: turn, next
 
-    if (size(problems) == 0) return
-    told = .false.
-    message = ''
-    do turn = 1, size(problems)
-      next = minloc(problems%line, dim=1, mask=.not. told)
-      told(next) = .true.
-      if (turn > 1) message = message//new_line_character
-      message = message//name
-      if (problems(next)%line > 0) message = message//', line '//to_text(problems(next)%line)
-      message = message//': '//problems(next)%text
-    end do
-    call fatal_error(error, message, exit_bad_input)
+    if (problems%count > 0) call fatal_error(error, remarks_text(problems, name), exit_bad_input)
   end subroutine report
 
   !> The keys in which two inputs differ, one a line with both values; empty if they make the same
@@ -395,7 +382,7 @@ contains
     character(len=*), intent(in) :: canonical
     character(len=:), allocatable :: text
 
-    text = trim(adjustl(canonical))
+    text = shown_text(trim(adjustl(canonical)))
     if (text == '') text = 'not given'
   end function value_text
 

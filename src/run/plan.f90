@@ -158,16 +158,14 @@ contains
       plan%channel1_width)
     if (size(plan%scan_channel2_width) == 0) call check('table', 'channel2_width', &
       plan%channel2_width)
-    do at = 1, size(plan%scan_channel1_width)
-      call check('scan', 'channel1_width', plan%scan_channel1_width(at))
-    end do
-    do at = 1, size(plan%scan_channel2_width)
-      call check('scan', 'channel2_width', plan%scan_channel2_width(at))
-    end do
-    do at = 1, size(plan%scan_urn1_fraction)
-      if (plan%scan_urn1_fraction(at) > 1.0_wp) call add(problems, 'scan', 'urn1_fraction', &
-        to_text(plan%scan_urn1_fraction(at)), 'numbers from 0 to 1')
-    end do
+    ! Of each list the first that does not fit.
+    at = findloc(plan%scan_channel1_width < 2.0_wp*plan%urn_radius, .false., dim=1)
+    if (at > 0) call check('scan', 'channel1_width', plan%scan_channel1_width(at))
+    at = findloc(plan%scan_channel2_width < 2.0_wp*plan%urn_radius, .false., dim=1)
+    if (at > 0) call check('scan', 'channel2_width', plan%scan_channel2_width(at))
+    at = findloc(plan%scan_urn1_fraction > 1.0_wp, .true., dim=1)
+    if (at > 0) call add(problems, 'scan', 'urn1_fraction', &
+      to_text(plan%scan_urn1_fraction(at)), 'numbers from 0 to 1')
 
   contains
 
@@ -230,6 +228,7 @@ contains
       if (plan%snapshot_times(at) > plan%snapshot_times(at - 1)) cycle
       call add(problems, 'output', 'snapshot_times', to_text(plan%snapshot_times(at)), &
         'times that grow; the one before is '//to_text(plan%snapshot_times(at - 1)))
+      exit
     end do
     if (plan%duration > 0.0_wp .and. size(plan%snapshot_times) > 0) then
       if (plan%snapshot_times(size(plan%snapshot_times)) > plan%duration) &

@@ -314,22 +314,26 @@ contains
   subroutine save_simulation(simulation, engine, observer, rest)
     type(simulation_type), intent(in) :: simulation
     type(engine_state_type), intent(out) :: engine, observer, rest
+    integer(int64) :: at, n
     integer :: k
 
     call simulation%engine%save_state(engine)
     call save_observer(simulation%observer, observer)
     associate (s => simulation, log => simulation%events)
+      n = s%engine%number
+      allocate (rest%reals(2 + log%count + 4*n*s%snapshots_taken))
       rest%integers = [s%transient_collisions, s%collisions, s%next_count, &
         int(s%windows_since_count, int64), int(s%snapshots_taken, int64), int(log%count, int64), &
         int(s%engine%number, int64), merge(1_int64, 0_int64, s%done)]
-      rest%reals = [s%elapsed, s%transient_time]
+      rest%reals(:2) = [s%elapsed, s%transient_time]
       if (log%count > 0) then
         rest%integers = [rest%integers, int(log%kind(:log%count), int64), &
           int(log%where(:log%count), int64), int(log%particle(:log%count), int64)]
-        rest%reals = [rest%reals, log%time(:log%count)]
+        rest%reals(3:2 + log%count) = log%time(:log%count)
       end if
       do k = 1, s%snapshots_taken
-        rest%reals = [rest%reals, s%snapshot(k)%x, s%snapshot(k)%y, s%snapshot(k)%ux, &
+        at = 2 + log%count + 4*n*(k - 1)
+        rest%reals(at + 1:at + 4*n) = [s%snapshot(k)%x, s%snapshot(k)%y, s%snapshot(k)%ux, &
           s%snapshot(k)%uy]
       end do
     end associate
@@ -342,7 +346,8 @@ contains
     type(setup_type), intent(in) :: setup
     type(engine_state_type), intent(in) :: engine, observer, rest
     type(error_type), allocatable, intent(out) :: error
-    integer :: k, n, events, at
+    integer :: k, number, events
+    integer(int64) :: at, n
 
     simulation%setup = setup
     call new_engine(setup%engine, simulation%engine, error)
@@ -350,10 +355,11 @@ contains
     simulation%engine%time_step = setup%time_step
     simulation%engine%seed = setup%seed
     call restore_observer(simulation%observer, observer)
-    n = int(rest%integers(7))
-    call check_room(n, error)
+    number = int(rest%integers(7))
+    n = number
+    call check_room(number, error)
     if (allocated(error)) return
-    call simulation%engine%restore_state(setup%table, setup%threshold, n, engine)
+    call simulation%engine%restore_state(setup%table, setup%threshold, number, engine)
     simulation%history%logging = setup%event_log
     simulation%transient_collisions = rest%integers(1)
     simulation%collisions = rest%integers(2)
