@@ -121,6 +121,7 @@ contains
     if (.not. key%least > -huge(1.0_wp)) return
     text = ' from '//to_text(key%least)//' up'
     if (key%above) text = ' above '//to_text(key%least)
+    if (key%greatest < huge(1)) text = ' from '//to_text(key%least)//' to '//to_text(key%greatest)
   end function bound_text
 
   !> `a b c` as `'a', 'b', 'c'`.

@@ -9,7 +9,11 @@ module battery_keys
   private
   public :: all_keys
 
-  !> Greatest whole number of a key that may be beyond 32 bits: 18 digits.
+  !> Most particles: the engines keep up to ten numbers a particle in one array, whose indices have
+  !> 32 bits.
+  integer(int64), parameter, public :: most_particles = 200000000_int64
+
+  !> Greatest whole number of a key that may be beyond 32 bits: 18 digits, so that sums of a few fit.
   integer(int64), parameter :: long = 999999999999999999_int64
 
 contains
@@ -44,7 +48,8 @@ contains
     type(key_type), allocatable :: keys(:)
 
     keys = [ &
-      key('particles', 'number', whole_key, '', 'how many particles', least=1.0_wp, symbol='N'), &
+      key('particles', 'number', whole_key, '', 'how many particles', least=1.0_wp, &
+      greatest=most_particles, symbol='N'), &
       key('particles', 'urn1_number', whole_key, '', 'how many start in urn 1; else half', &
       least=0.0_wp, symbol='N1'), &
       key('particles', 'urn1_fraction', real_key, '', 'share that starts in urn 1 instead', &

@@ -1,17 +1,25 @@
-!> Gives every key of the namelist its value: checks groups, keys, types and bounds, and takes the
+!> Gives every key of a namelist its value: checks groups, keys, types and bounds, and takes the
 !> default for what is not there. All problems are collected, each with its line.
-module battery_namelist_settings
+!>
+!> Which keys there are is in the list that it is given.
+module battery_settings
   use battery_kinds, only: wp, int64
   use battery_text, only: string_type, to_text, join, is_one_of, closest_word
   use battery_remarks, only: remarks_type, add_remark, shown_text
   use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist
   use battery_namelist_values, only: read_integer, read_real, read_logical
-  use battery_namelist_keys, only: key_type, namelist_keys, group_names, keys_of_group, find_key, &
-    allowed_text, integer_key, real_key, text_key, logical_key, integer_list_key, real_list_key, &
-    range_key
+  use battery_key, only: key_type, group_names, keys_of_group, find_key, allowed_text, &
+    whole_key, real_key, text_key, logical_key
   implicit none (type, external)
   private
-  public :: setting_type, settings_type, read_settings, find_setting
+  public :: setting_type, settings_type, read_settings, find_setting, take
+
+  !> Takes the value of a key, which stays as it was where there is none: (settings, group, name,
+  !> value). Of two numbers, one that is given counts for both.
+  interface take
+    module procedure :: take_integer, take_long, take_integers, take_real, take_reals, take_text, &
+      take_logical
+  end interface take
 
   !> Longest text of a key: the longest path that the system takes.
   integer, parameter :: longest_text = 4000
@@ -43,15 +51,15 @@ module battery_namelist_settings
 contains
 
   !> Reads the text of a namelist file.
-  subroutine read_settings(text, settings)
+  subroutine read_settings(text, keys, settings)
     character(len=*), intent(in) :: text
+    !> All the keys there are.
+    type(key_type), intent(in) :: keys(:)
     type(settings_type), intent(out) :: settings
     type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
-    type(key_type), allocatable :: keys(:)
     integer :: at, place
 
-    keys = namelist_keys()
     call split_namelist(text, groups, entries, settings%problems)
     call check_groups(keys, groups, settings%problems)
     allocate (settings%all(size(keys)))
@@ -150,7 +158,7 @@ contains
     allocate (setting%integers(0), setting%reals(0))
     setting%text = ''
     setting%canonical = ''
-    if (key%default == 'none') return
+    if (key%default == '') return
     entry%group = key%group
     entry%key = key%name
     allocate (entry%values(1))
@@ -173,12 +181,12 @@ contains
     setting%given = .true.
     setting%line = entry%line
     count = size(entry%values)
-    wrong = wrong_count(setting%key%kind, count)
+    wrong = wrong_count(setting%key, count)
     if (wrong == '') then
       deallocate (setting%integers, setting%reals)
       allocate (written(count))
-      allocate (setting%integers(merge(count, 0, is_whole(setting%key))))
-      allocate (setting%reals(merge(count, 0, is_real(setting%key))))
+      allocate (setting%integers(merge(count, 0, setting%key%kind == whole_key)))
+      allocate (setting%reals(merge(count, 0, setting%key%kind == real_key)))
       do at = 1, count
         call take_value(entry%values(at), at, setting, written(at)%text, wrong)
         if (wrong /= '') exit
@@ -186,47 +194,31 @@ contains
     end if
     if (wrong == '') then
       setting%canonical = join(written, ' ')
-      if (is_whole(setting%key) .or. is_real(setting%key)) setting%canonical = ' ' &
-        //setting%canonical
     end if
-    if (wrong == '' .and. setting%key%kind == range_key) wrong = wrong_range(setting%reals)
+    if (wrong == '' .and. setting%key%is_range) wrong = wrong_range(setting%reals)
     setting%known = wrong == ''
     if (wrong == '') return
-    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values)//': '//wrong//'; allowed: ' &
-      //allowed_text(setting%key))
+    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values)//': ' &
+      //wrong//'; allowed: '//allowed_text(setting%key))
   end subroutine take_entry
 
   !> What is wrong with the number of values; empty: nothing.
-  pure function wrong_count(kind, count) result(wrong)
-    integer, intent(in) :: kind, count
+  pure function wrong_count(key, count) result(wrong)
+    type(key_type), intent(in) :: key
+    integer, intent(in) :: count
     character(len=:), allocatable :: wrong
+    integer :: least
 
     wrong = ''
+    least = merge(key%most_values, 1, key%is_range)
     if (count == 0) then
       wrong = 'has no value'
-    else if (kind == range_key .and. count /= 3) then
-      wrong = 'has '//to_text(count)//' values, not 3'
-    else if (kind /= range_key .and. kind /= integer_list_key .and. kind /= real_list_key &
-      .and. count > 1) then
-      wrong = 'has '//to_text(count)//' values, not 1'
+    else if (count < least .or. count > key%most_values) then
+      wrong = 'has '//to_text(count)//' values, not '//to_text(key%most_values)
+      if (key%most_values > 3) wrong = 'has '//to_text(count)//' values, more than ' &
+        //to_text(key%most_values)
     end if
   end function wrong_count
-
-  !> Whether a key takes whole numbers.
-  pure function is_whole(key) result(yes)
-    type(key_type), intent(in) :: key
-    logical :: yes
-
-    yes = key%kind == integer_key .or. key%kind == integer_list_key
-  end function is_whole
-
-  !> Whether a key takes reals.
-  pure function is_real(key) result(yes)
-    type(key_type), intent(in) :: key
-    logical :: yes
-
-    yes = key%kind == real_key .or. key%kind == real_list_key .or. key%kind == range_key
-  end function is_real
 
   !> Puts value number `at` into a setting; `written` is its one way of writing, `wrong` says what
   !> is wrong with it.
@@ -238,13 +230,14 @@ contains
 
     wrong = ''
     select case (setting%key%kind)
-    case (integer_key, integer_list_key)
+    case (whole_key)
       call read_integer(value, setting%integers(at), wrong)
       if (wrong /= '') return
       written = to_text(setting%integers(at))
       wrong = out_of_bounds(setting%key, real(setting%integers(at), wp))
-      if (setting%integers(at) > setting%key%most) wrong = 'is beyond '//to_text(setting%key%most)
-    case (real_key, real_list_key, range_key)
+      if (setting%integers(at) > setting%key%greatest) &
+        wrong = 'is beyond '//to_text(setting%key%greatest)
+    case (real_key)
       call read_real(value, setting%reals(at), wrong)
       if (wrong /= '') return
       written = to_text(setting%reals(at))
@@ -321,6 +314,7 @@ contains
   !> Place of a key in the settings, which must have it.
   pure function find_setting(settings, group, name) result(place)
     type(settings_type), intent(in) :: settings
+    !> In small letters.
     character(len=*), intent(in) :: group, name
     integer :: place
 
@@ -330,4 +324,72 @@ contains
     error stop 'a key is asked for that is not declared'
   end function find_setting
 
-end module battery_namelist_settings
+  pure subroutine take_long(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    integer(int64), intent(inout) :: value
+
+    associate (setting => settings%all(find_setting(settings, group, name)))
+      if (setting%known) value = setting%integers(1)
+    end associate
+  end subroutine take_long
+
+  pure subroutine take_integer(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    integer, intent(inout) :: value
+    integer(int64) :: long
+
+    long = value
+    call take_long(settings, group, name, long)
+    value = int(long)
+  end subroutine take_integer
+
+  pure subroutine take_integers(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    integer, intent(inout) :: value(2)
+
+    associate (setting => settings%all(find_setting(settings, group, name)))
+      if (setting%known) value = int([setting%integers(1), &
+        setting%integers(size(setting%integers))])
+    end associate
+  end subroutine take_integers
+
+  pure subroutine take_real(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    real(wp), intent(inout) :: value
+
+    associate (setting => settings%all(find_setting(settings, group, name)))
+      if (setting%known) value = setting%reals(1)
+    end associate
+  end subroutine take_real
+
+  pure subroutine take_reals(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    real(wp), intent(inout) :: value(2)
+
+    associate (setting => settings%all(find_setting(settings, group, name)))
+      if (setting%known) value = [setting%reals(1), setting%reals(size(setting%reals))]
+    end associate
+  end subroutine take_reals
+
+  pure subroutine take_text(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    character(len=:), allocatable, intent(inout) :: value
+
+    value = settings%all(find_setting(settings, group, name))%text
+  end subroutine take_text
+
+  pure subroutine take_logical(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    logical, intent(inout) :: value
+
+    value = settings%all(find_setting(settings, group, name))%flag
+  end subroutine take_logical
+
+end module battery_settings
