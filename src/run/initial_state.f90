@@ -4,7 +4,7 @@ module battery_initial_state
   use battery_kinds, only: wp, int64, pi
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: string_type, to_text, join, new_line_character
-  use battery_table, only: table_type, region_at, outside
+  use battery_table, only: table_type, region_at, outside, try_point
   use battery_engine, only: particles_type
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform_fine
   implicit none (type, external)
@@ -56,13 +56,15 @@ contains
     logical, intent(in) :: first_urn
     real(wp), intent(out) :: x, y
     !> Coordinates from the centre; `inward` goes to channel 1.
-    real(wp) :: inward
+    real(wp) :: inward, across, up
+    logical :: inside
 
     do
-      inward = table%urn_radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-      y = table%urn_radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-      if (inward**2 + y**2 >= table%urn_radius**2) cycle
-      if (inward < table%chord1_distance .and. -inward < table%chord2_distance) exit
+      across = real(uniform_fine(generator), wp)
+      up = real(uniform_fine(generator), wp)
+      call try_point(table%urn_radius, -table%chord2_distance, table%chord1_distance, across, up, &
+        inward, y, inside)
+      if (inside) exit
     end do
     x = merge(inward - table%urn_centre, table%urn_centre - inward, first_urn)
   end subroutine place_in_urn
