@@ -1,5 +1,6 @@
 !> What the engine `reservoir` tells of itself, and how its state is kept.
 submodule (battery_reservoir) battery_reservoir_state
+  use battery_powers, only: power_above
   implicit none (type, external)
 
   !> About so many events make a window.
@@ -23,7 +24,7 @@ contains
     self%mean_stay = pi*area_of_urn(table)/(table%channel1_width + table%channel2_width)
     self%hit_rate = arc_length(table)/(pi*area_of_urn(table))
     interval = self%mean_stay + 0.25_wp*pi*table%channel1_length
-    self%page = 2.0_wp**ceiling(log(4.0_wp*interval)/log(2.0_wp))
+    self%page = power_above(4.0_wp*interval)
     self%shortest = epsilon(1.0_wp)*self%page
     self%window = min(window_events/real(number, wp), 2.0_wp)*interval
     if (allocated(self%stay)) deallocate (self%stay, self%entered, self%member)

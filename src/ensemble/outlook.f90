@@ -199,7 +199,7 @@ contains
     rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
     if (task%setup%duration > 0.0_wp) then
       seconds = spent*real(task%setup%duration, dp)/max(real(simulation%elapsed, dp) - elapsed, &
-        1.0e-30_dp)
+        tiny(1.0_dp))
     else
       seconds = real(task%setup%collisions, dp)/max(rate, 1.0e-9_dp)
     end if

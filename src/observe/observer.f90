@@ -60,17 +60,25 @@ module battery_observer
 contains
 
   !> An observer of `number` particles, `urn1_number` of them in half 1; a series if
-  !> `series_interval` > 0, whose first entry is the start.
-  pure function new_observer(number, urn1_number, two_halves, series_interval) result(observer)
+  !> `series_interval` > 0, whose first entry is the start. Blocks begin `unit` long: 1, or what is a
+  !> length of the table, so that a table scaled by a power of two has the same blocks.
+  pure function new_observer(number, urn1_number, two_halves, series_interval, unit) &
+    result(observer)
     integer, intent(in) :: number, urn1_number
     logical, intent(in) :: two_halves
     real(wp), intent(in) :: series_interval
+    real(wp), intent(in), optional :: unit
     type(observer_type) :: observer
 
     observer%number = number
     observer%urn1_number = urn1_number
     observer%two_halves = two_halves
     observer%series_interval = series_interval
+    if (present(unit)) then
+      observer%chi_blocks%length = unit
+      observer%current1_blocks%length = unit
+      observer%current2_blocks%length = unit
+    end if
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
     if (series_interval > 0.0_wp) then
       observer%series_left = series_interval

@@ -6,7 +6,7 @@ module battery_initial_state
   use battery_numbers, only: read_decimal
   use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, region_at, outside
+  use battery_table, only: table_type, region_at, outside, try_point
   use battery_engine, only: particles_type
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform_fine
   implicit none (type, external)
@@ -55,13 +55,15 @@ contains
     logical, intent(in) :: first_urn
     real(wp), intent(out) :: x, y
     !> Coordinates from the centre; `inward` goes to channel 1.
-    real(wp) :: inward
+    real(wp) :: inward, across, up
+    logical :: inside
 
     do
-      inward = table%urn_radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-      y = table%urn_radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-      if (inward**2 + y**2 >= table%urn_radius**2) cycle
-      if (inward < table%chord1_distance .and. -inward < table%chord2_distance) exit
+      across = real(uniform_fine(generator), wp)
+      up = real(uniform_fine(generator), wp)
+      call try_point(table%urn_radius, -table%chord2_distance, table%chord1_distance, across, up, &
+        inward, y, inside)
+      if (inside) exit
     end do
     x = merge(inward - table%urn_centre, table%urn_centre - inward, first_urn)
   end subroutine place_in_urn

@@ -5,9 +5,10 @@
 !> state, show the progress or stop between any two.
 module battery_simulation
   use battery_kinds, only: wp, int8, int32, int64
+  use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: table_type, shape_circuit, region_at, outside
+  use battery_table, only: table_type, shape_circuit, region_at, outside, half_length
   use battery_engine, only: engine_type, engine_state_type, history_type, particles_type
   use battery_observer, only: end_series, observer_type, averages_type, new_observer, observe, &
     begin_measuring, averages_of, save_observer, restore_observer
@@ -65,6 +66,9 @@ module battery_simulation
     type(event_log_type) :: events
   end type simulation_type
 
+  !> A sum of times is right up to this share of it.
+  real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
+
   !> The exact count of collisions is taken at least this often, even if nothing seems to happen.
   integer, parameter :: windows_between_counts = 20000
 
@@ -85,15 +89,28 @@ contains
     simulation%engine%seed = setup%seed
     urn1_number = count(particles%x < 0.0_wp)
     simulation%observer = new_observer(size(particles%x), urn1_number, &
-      setup%table%shape == shape_circuit, setup%series_interval)
+      setup%table%shape == shape_circuit, setup%series_interval, &
+      power_below(setup%table%urn_radius))
     call check_room(size(particles%x), error)
     if (allocated(error)) return
+    allocate (simulation%snapshot(size(setup%snapshot_times)))
+    call keep_start(simulation, particles)
     call simulation%engine%start(setup%table, setup%threshold, particles, setup%start_time)
     simulation%history%logging = setup%event_log
-    allocate (simulation%snapshot(size(setup%snapshot_times)))
     call set_target(simulation)
     call reach_stops(simulation)
   end subroutine begin_simulation
+
+  !> The snapshot at the start is what the engine is given, not what it makes of it.
+  pure subroutine keep_start(simulation, particles)
+    type(simulation_type), intent(inout) :: simulation
+    type(particles_type), intent(in) :: particles
+
+    if (.not. snapshots_left(simulation)) return
+    if (simulation%setup%snapshot_times(1) > 0.0_wp) return
+    simulation%snapshots_taken = 1
+    simulation%snapshot(1) = particles
+  end subroutine keep_start
 
   !> Whether the memory that an engine of so many particles takes beside them can be had; engines
   !> allocate without asking, which would end the program.
@@ -155,7 +172,7 @@ contains
     real(wp), intent(in) :: time
     logical :: reached
 
-    reached = simulation%elapsed >= time - 64.0_wp*epsilon(time)*max(1.0_wp, time)
+    reached = simulation%elapsed >= time - rounding*time
   end function reached
 
   subroutine take_snapshots(simulation)
@@ -184,7 +201,8 @@ contains
     end if
     if (reached(simulation, simulation%setup%duration)) then
       call end_series(simulation%observer, &
-        64.0_wp*epsilon(1.0_wp)*max(1.0_wp, simulation%setup%duration))
+        min(rounding*max(simulation%setup%table%urn_radius, simulation%setup%duration), &
+        0.5_wp*simulation%setup%series_interval))
       simulation%collisions = simulation%engine%collisions()
       simulation%done = .true.
     end if
@@ -276,13 +294,13 @@ contains
     share = min(share, 1.0_wp)
   end function progress
 
-  !> What every run must end with: all particles inside the table at speed 1, and as many in each
-  !> half as the crossings say.
+  !> What every run must end with: all particles inside the table at speed 1 (coordinates are as
+  !> sharp as the table is long), and as many in each half as the crossings say.
   subroutine verify(simulation, error)
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
     integer, parameter :: chunk = 65536
-    real(wp), parameter :: tolerance = 1.0e4_wp*epsilon(1.0_wp)
+    real(wp), parameter :: share = 1.0e4_wp*epsilon(1.0_wp)
     type(particles_type) :: particles
     integer :: first, last, i, lost, off_speed, urn1_number
     character(len=200) :: text
@@ -295,8 +313,8 @@ contains
       call simulation%engine%particles(first, last, particles)
       do i = 1, last - first + 1
         if (region_at(simulation%setup%table, particles%x(i), particles%y(i), &
-          tolerance*simulation%setup%table%urn_radius) == outside) lost = lost + 1
-        if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= tolerance) &
+          share*half_length(simulation%setup%table)) == outside) lost = lost + 1
+        if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= share) &
           off_speed = off_speed + 1
         if (particles%x(i) < 0.0_wp) urn1_number = urn1_number + 1
       end do
