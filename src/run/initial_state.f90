@@ -6,10 +6,14 @@ module battery_initial_state
   use battery_text, only: string_type, to_text, join, new_line_character
   use battery_table, only: table_type, region_at, outside
   use battery_engine, only: particles_type
+  use battery_signals, only: stop_requested, stopped_before_start
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform_fine
   implicit none (type, external)
   private
   public :: random_particles, read_particles
+
+  !> Particles between two looks at whether the run must stop.
+  integer, parameter :: particles_between_looks = 65536
 
   !> Problems of an initial file that are told one by one.
   integer, parameter :: most_problems = 20
@@ -27,7 +31,7 @@ contains
     !> From 0 to 2**32 - 1.
     integer(int64), intent(in) :: seed
     type(particles_type), intent(out) :: particles
-    !> No memory, or no generator.
+    !> No memory, no generator, or a stop was asked for.
     type(error_type), allocatable, intent(out) :: error
     type(generator_type) :: generator
     integer :: at, status
@@ -43,10 +47,14 @@ contains
     call new_generator(generator, seed, error)
     if (allocated(error)) return
     do at = 1, number
+      if (mod(at, particles_between_looks) == 0) then
+        if (stop_requested()) exit
+      end if
       call place_in_urn(generator, table, at <= urn1_number, particles%x(at), particles%y(at))
       call draw_direction(generator, particles%ux(at), particles%uy(at))
     end do
     call free_generator(generator)
+    if (stop_requested()) call stopped_before_start(error)
   end subroutine random_particles
 
   !> A point uniform in an urn: in the disc, on the inner side of both chords.
@@ -106,6 +114,9 @@ contains
       read (unit, '(a)', iostat=status, iomsg=message) line
       if (status /= 0) exit
       line_number = line_number + 1
+      if (mod(line_number, particles_between_looks) == 0) then
+        if (stop_requested()) exit
+      end if
       if (line == '' .or. index(adjustl(line), '#') == 1) cycle
       count = count + 1
       call read_line(line, table, state, problem)
@@ -116,6 +127,10 @@ contains
       end if
     end do
     close (unit)
+    if (stop_requested()) then
+      call stopped_before_start(error)
+      return
+    end if
     if (status /= iostat_end) call add(file//': cannot be read: '//trim(message))
     if (count /= number) call add(file//': has '//to_text(count)//' particles; allowed: ' &
       //to_text(number)//', as &particles number says')
