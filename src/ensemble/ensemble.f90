@@ -5,14 +5,15 @@
 !> at once, and in the end rank 0 merges the journal into the results file. A run that is stopped or
 !> killed goes on from its journal; results depend on the plan alone, not on ranks, order or stops.
 module battery_ensemble
-  use, intrinsic :: iso_fortran_env, only: output_unit
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, &
     exit_stopped_early, exit_bad_input
   use battery_files, only: remove_file
   use battery_fingerprint, only: fingerprint_text
-  use battery_text, only: string_type
-  use battery_signals, only: wall_seconds, stop_requested, rest
+  use battery_clocks, only: wall_seconds, rest
+  use battery_terminal, only: say
+  use battery_text, only: string_type, to_text
+  use battery_signals, only: stop_requested, stop_after
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count, task_of, put_longest_first
   use battery_namelist_input, only: differing_keys
@@ -30,7 +31,7 @@ module battery_ensemble
   use battery_summary, only: print_summary
   implicit none (type, external)
   private
-  public :: run_ensemble
+  public :: run_ensemble, heed_time_limit
 
 contains
 
@@ -57,8 +58,6 @@ contains
       exit_code = exit_success
       return
     end if
-    if (plan%wall_minutes > 0.0_dp) watch%stop_at = began + stop_seconds(real(plan%wall_minutes, &
-      dp))
     watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
     if (.not. watch%checkpoint_interval > 0.0_dp) watch%checkpoint_interval = huge(1.0_dp)
     call open_board(board, communicator, pending)
@@ -69,6 +68,13 @@ contains
       call finish(plan, communicator, journal, board, watch, began, quiet, exit_code, error)
     call close_board(board)
   end subroutine run_ensemble
+
+  !> From now on the run stops in time for `wall_minutes`.
+  subroutine heed_time_limit(plan)
+    type(plan_type), intent(in) :: plan
+
+    if (plan%wall_minutes > 0.0_dp) call stop_after(stop_seconds(real(plan%wall_minutes, dp)))
+  end subroutine heed_time_limit
 
   !> Seconds until the run must begin to stop, so that it has ended before `wall_minutes`.
   pure function stop_seconds(wall_minutes) result(seconds)
@@ -118,8 +124,7 @@ contains
       call look_at_results_file()
       if (allocated(error)) return
       if (complete) then
-        if (.not. quiet) write (output_unit, '(a)') plan%file &
-          //' is complete; --overwrite runs it again'
+        if (.not. quiet) call say(plan%file//' is complete; --overwrite runs it again')
         numbers(1) = 1
         call remove_journal(journal_folder(plan), error)
         return
@@ -134,9 +139,8 @@ contains
         plan%initial_fingerprint, error)
       if (allocated(error)) return
       pending = longest_first(plan, finished)
-      if ((found .or. any(finished)) .and. .not. quiet) write (output_unit, '(a, i0, a, i0, a)') &
-        'going on: ', count(finished), ' of ', size(finished), ' tasks are finished'
-      flush (output_unit)
+      if ((found .or. any(finished)) .and. .not. quiet) call say('going on: ' &
+        //to_text(count(finished))//' of '//to_text(size(finished))//' tasks are finished')
     end subroutine look_for_results
 
     !> Results must be of this input.
@@ -257,7 +261,7 @@ contains
 
       stopping = read_board(board, stop_wanted) > 0
       if (stopping) return
-      stopping = wall_seconds() >= watch%stop_at .or. stop_requested()
+      stopping = stop_requested()
       if (stopping) call add_to_board(board, stop_wanted, 1_int64, before)
     end function must_stop
 

@@ -4,7 +4,7 @@
 !> which the averages leave out. `step` goes on by one window, so that the caller can save the
 !> state, show the progress or stop between any two.
 module battery_simulation
-  use battery_kinds, only: wp, int8, int32, int64
+  use battery_kinds, only: wp, dp, int32, int64
   use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
@@ -13,6 +13,8 @@ module battery_simulation
   use battery_observer, only: end_series, observer_type, averages_type, new_observer, observe, &
     begin_measuring, averages_of, save_observer, restore_observer
   use battery_engines, only: new_engine
+  use battery_room, only: check_room, enough_room, particle_bytes, bytes_an_entry, bytes_a_state, &
+    bytes_an_event
   implicit none (type, external)
   private
   public :: setup_type, simulation_type, event_log_type, begin_simulation, step, progress, verify
@@ -64,10 +66,17 @@ module battery_simulation
     !> Snapshots as (particle, snapshot).
     type(particles_type), allocatable :: snapshot(:)
     type(event_log_type) :: events
+    !> Whether the run was given up since its series or its event log outgrew the memory, and for
+    !> how many entries and events there is room for sure.
+    logical :: out_of_room = .false.
+    integer(int64) :: sure_room = 1000000
   end type simulation_type
 
   !> A sum of times is right up to this share of it.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
+
+  !> Most entries of the series in one window: signals are heard between windows.
+  integer, parameter :: most_entries = 2**20
 
   !> The exact count of collisions is taken at least this often, even if nothing seems to happen.
   integer, parameter :: windows_between_counts = 20000
@@ -91,7 +100,8 @@ contains
     simulation%observer = new_observer(size(particles%x), urn1_number, &
       setup%table%shape == shape_circuit, setup%series_interval, &
       power_below(setup%table%urn_radius))
-    call check_room(size(particles%x), error)
+    call check_room(bytes_to_come(simulation, size(particles%x)), &
+      'the engine of '//to_text(size(particles%x))//' particles and what is kept of them', error)
     if (allocated(error)) return
     allocate (simulation%snapshot(size(setup%snapshot_times)))
     call keep_start(simulation, particles)
@@ -112,21 +122,38 @@ contains
     simulation%snapshot(1) = particles
   end subroutine keep_start
 
-  !> Whether the memory that an engine of so many particles takes beside them can be had; engines
-  !> allocate without asking, which would end the program.
-  subroutine check_room(number, error)
+  !> Bytes that a simulation will take of which the particles are there already: its engine, and its
+  !> snapshots and series as far as they are known.
+  pure function bytes_to_come(simulation, number) result(bytes)
+    type(simulation_type), intent(in) :: simulation
     integer, intent(in) :: number
-    type(error_type), allocatable, intent(out) :: error
-    !> Bytes a particle, at most, of any engine (measured: 58 of `collision`).
-    integer(int64), parameter :: bytes = 80
-    !> Volatile, so that the compiler does not find the attempt useless.
-    integer(int8), allocatable, volatile :: room(:)
-    integer :: status
+    real(dp) :: bytes
+    !> Bytes of the positions and velocities of a particle.
+    real(dp), parameter :: there = 32.0_dp
 
-    allocate (room(bytes*number), stat=status)
-    if (status /= 0) call fatal_error(error, 'no memory for the engine of '//to_text(number) &
-      //' particles')
-  end subroutine check_room
+    associate (setup => simulation%setup)
+      bytes = particle_bytes(setup%engine, number) - there*number &
+        + bytes_a_state*size(setup%snapshot_times)*number
+      if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
+        bytes = bytes + bytes_an_entry*real(setup%duration/setup%series_interval, dp)
+    end associate
+  end function bytes_to_come
+
+  !> Gives the run up where its series or its event log could not be brought home if they doubled.
+  subroutine look_for_room(simulation)
+    type(simulation_type), intent(inout) :: simulation
+
+    associate (s => simulation)
+      if (int(s%observer%entries, int64) + s%events%count < s%sure_room .and. &
+        .not. (s%out_of_room .or. s%observer%out_of_room)) return
+      s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. &
+        max(s%observer%entries, s%events%count) > huge(1)/8
+      if (.not. s%out_of_room) s%out_of_room = .not. enough_room(2.0_dp &
+        *(bytes_an_entry*s%observer%entries + bytes_an_event*s%events%count))
+      s%sure_room = 2*s%sure_room
+      if (s%out_of_room) s%done = .true.
+    end associate
+  end subroutine look_for_room
 
   !> Goes on by one window.
   subroutine step(simulation)
@@ -135,6 +162,7 @@ contains
     call simulation%engine%advance(time_to_stop(simulation), simulation%history)
     call observe(simulation%observer, simulation%history)
     if (simulation%history%events > 0) call append_events(simulation)
+    call look_for_room(simulation)
     simulation%elapsed = simulation%elapsed + simulation%history%duration
     if (simulation%setup%duration > 0.0_wp) then
       call reach_stops(simulation)
@@ -150,8 +178,11 @@ contains
     real(wp) :: time
 
     time = huge(1.0_wp)
+    if (simulation%setup%series_interval > 0.0_wp) &
+      time = most_entries*simulation%setup%series_interval
     if (snapshots_left(simulation)) &
-      time = simulation%setup%snapshot_times(simulation%snapshots_taken + 1) - simulation%elapsed
+      time = min(time, simulation%setup%snapshot_times(simulation%snapshots_taken + 1) &
+      - simulation%elapsed)
     if (simulation%setup%duration > 0.0_wp) then
       time = min(time, simulation%setup%duration - simulation%elapsed)
       if (.not. simulation%observer%measuring) &
@@ -257,19 +288,15 @@ contains
 
   subroutine append_events(simulation)
     type(simulation_type), intent(inout) :: simulation
-    integer :: total, room
+    integer :: total
 
     associate (log => simulation%events, history => simulation%history)
       if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), &
         log%particle(0))
       total = log%count + history%events
-      if (total > size(log%time)) then
-        room = max(total, 2*size(log%time), 1024) - size(log%time)
-        log%time = [log%time, spread(0.0_wp, 1, room)]
-        log%kind = [log%kind, spread(0_int32, 1, room)]
-        log%where = [log%where, spread(0_int32, 1, room)]
-        log%particle = [log%particle, spread(0_int32, 1, room)]
-      end if
+      if (total > size(log%time)) call lengthen_log(log, max(total, 2*size(log%time), 1024), &
+        simulation%out_of_room)
+      if (simulation%out_of_room) return
       log%time(log%count + 1:total) = simulation%elapsed + history%event_time(:history%events)
       log%kind(log%count + 1:total) = history%event_kind(:history%events)
       log%where(log%count + 1:total) = history%event_where(:history%events)
@@ -277,6 +304,30 @@ contains
       log%count = total
     end associate
   end subroutine append_events
+
+  !> Makes room in the event log for so many events, if there is memory for it.
+  subroutine lengthen_log(log, room, out_of_room)
+    type(event_log_type), intent(inout) :: log
+    integer, intent(in) :: room
+    logical, intent(inout) :: out_of_room
+    type(event_log_type) :: longer
+    integer :: status
+
+    allocate (longer%time(room), longer%kind(room), longer%where(room), longer%particle(room), &
+      stat=status)
+    if (status /= 0) then
+      out_of_room = .true.
+      return
+    end if
+    longer%time(:log%count) = log%time(:log%count)
+    longer%kind(:log%count) = log%kind(:log%count)
+    longer%where(:log%count) = log%where(:log%count)
+    longer%particle(:log%count) = log%particle(:log%count)
+    call move_alloc(longer%time, log%time)
+    call move_alloc(longer%kind, log%kind)
+    call move_alloc(longer%where, log%where)
+    call move_alloc(longer%particle, log%particle)
+  end subroutine lengthen_log
 
   !> Share of the run that is done, 0 to 1.
   pure function progress(simulation) result(share)
@@ -305,6 +356,12 @@ contains
     integer :: first, last, i, lost, off_speed, urn1_number
     character(len=200) :: text
 
+    if (simulation%out_of_room) then
+      call fatal_error(error, 'no memory for the series and the event log: given up after ' &
+        //to_text(simulation%observer%entries)//' entries and '//to_text(simulation%events%count) &
+        //' events; a longer &output series_interval, no event_log or a shorter run takes less')
+      return
+    end if
     lost = 0
     off_speed = 0
     urn1_number = 0
@@ -375,7 +432,8 @@ contains
     call restore_observer(simulation%observer, observer)
     number = int(rest%integers(7))
     n = number
-    call check_room(number, error)
+    call check_room(bytes_to_come(simulation, number), 'the engine of '//to_text(number) &
+      //' particles and what is kept of them', error)
     if (allocated(error)) return
     call simulation%engine%restore_state(setup%table, setup%threshold, number, engine)
     simulation%history%logging = setup%event_log
