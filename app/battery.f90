@@ -6,9 +6,9 @@ program battery
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error
   use battery_ensemble, only: run_ensemble
-  use battery_namelist_input, only: read_namelist
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
+  use battery_plan_sharing, only: read_plan_once
   use battery_signals, only: watch_signals, leave
   implicit none (type, external)
 
@@ -45,8 +45,7 @@ contains
   subroutine run()
     type(plan_type) :: plan
 
-    call read_namelist(command_line%file, plan, error)
-    call share_error(communicator, error)
+    call read_plan_once(command_line%file, communicator, plan, error)
     if (allocated(error)) return
     if (.not. command_line%check) then
       call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
