@@ -5,11 +5,11 @@ program battery
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node
   use battery_ensemble, only: run_ensemble, heed_time_limit
-  use battery_namelist_input, only: read_namelist
   use battery_needs, only: check_needs
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
-  use battery_signals, only: watch_signals, stop_requested, stopped_before_start, leave
+  use battery_plan_sharing, only: read_plan_once
+  use battery_signals, only: watch_signals, leave
   use battery_terminal, only: guard_streams, say, complain, all_was_printed
   implicit none (type, external)
 
@@ -53,9 +53,7 @@ contains
     integer :: sharing
 
     sharing = ranks_on_node(communicator)
-    call read_namelist(command_line%file, plan, error)
-    if (stop_requested()) call stopped_before_start(error)
-    call share_error(communicator, error)
+    call read_plan_once(command_line%file, communicator, plan, error)
     if (allocated(error)) return
     call heed_time_limit(plan)
     call check_needs(plan, sharing, error)

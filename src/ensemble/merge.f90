@@ -10,7 +10,7 @@ module battery_merge
   use battery_tasks, only: task_count, task_of
   use battery_task, only: task_type
   use battery_task_result, only: task_result_type
-  use battery_journal, only: journal_type, read_rank_file
+  use battery_journal, only: journal_type, read_rank_file, rank_files_of
   use battery_communicator, only: mpi_library
   use battery_metadata, only: metadata_type, read_metadata
   use battery_results, only: results_type, new_results, task_complete, task_failed
@@ -65,6 +65,7 @@ contains
     type(string_type), allocatable, intent(out) :: failures(:)
     type(task_result_type), allocatable :: found(:)
     type(task_type) :: task
+    integer, allocatable :: files(:)
     integer :: file, k
 
     allocate (failures(task_count(plan)))
@@ -78,11 +79,13 @@ contains
       results%channel2_width(task%point) = real(task%setup%table%channel2_width, dp)
       results%seed(task%replica, task%point) = task%seed
     end do
-    do file = 0, journal%rank_files - 1
-      call read_rank_file(journal, file, found)
+    files = rank_files_of(journal)
+    do file = 1, size(files)
+      call read_rank_file(journal, files(file), found)
       do k = 1, size(found)
         if (found(k)%task < 1 .or. found(k)%task > task_count(plan)) cycle
         task = task_of(plan, found(k)%task)
+        if (results%task_status(task%replica, task%point) == task_complete) cycle
         call place(plan, found(k), task, results)
         if (allocated(failures(found(k)%task)%text)) deallocate (failures(found(k)%task)%text)
         if (found(k)%status == task_failed) failures(found(k)%task)%text = found(k)%message

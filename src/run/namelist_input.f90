@@ -2,10 +2,13 @@
 !> file, line, group, key, value and what is allowed.
 module battery_namelist_input
   use battery_kinds, only: wp, int64
-  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_fingerprint, only: fingerprint_of, mix_word
   use battery_text, only: to_text, new_line_character
-  use battery_files, only: read_text, is_folder, is_writable, file_exists, folder_of
+  use battery_file_text, only: read_text, read_input
+  use battery_files, only: is_writable, file_exists
+  use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
+    follow_links
   use battery_engine, only: particles_type
   use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_namelist_settings, only: settings_type, read_settings, find_setting
@@ -16,10 +19,14 @@ module battery_namelist_input
   private
   public :: read_namelist, parse_namelist, differing_keys, file_fingerprint
 
+  !> Bytes of the longest namelist; what is longer is no namelist.
+  integer(int64), parameter :: longest_namelist = 64000000_int64
+
 contains
 
   !> The plan that a file describes. Looks at files too: the initial file must be good, and
-  !> the results must have a place to go. Writes nothing.
+  !> the results must have a place to go. Writes nothing. The file may be a pipe, which can be read
+  !> once only, so one rank calls this and passes on what it found.
   subroutine read_namelist(file, plan, error)
     character(len=*), intent(in) :: file
     type(plan_type), intent(out) :: plan
@@ -28,9 +35,9 @@ contains
     character(len=:), allocatable :: text
     type(settings_type) :: settings
 
-    call read_text(file, text, error)
+    call read_input(file, longest_namelist, text, error)
     if (allocated(error)) then
-      error%code = exit_bad_input
+      if (error%code == exit_failure) error%code = exit_bad_input
       return
     end if
     call read_settings(text, settings)
@@ -222,36 +229,62 @@ contains
       'transient_collisions', 'is given beside duration', 'transient_duration'))
   end subroutine check_pairs
 
-  !> The results must have a place to go.
+  !> The results must have a place to go, which is no input's; an output that is a link is what it
+  !> points to.
   subroutine check_files(settings, plan)
     type(settings_type), intent(inout) :: settings
-    type(plan_type), intent(in) :: plan
-    character(len=:), allocatable :: folder
+    type(plan_type), intent(inout) :: plan
+    type(error_type), allocatable :: trouble
+    character(len=:), allocatable :: folder, reason
 
+    if (is_pipe_or_device(plan%initial_file)) call add_problem(settings, problem_type('particles', &
+      'initial_file', ''''//plan%initial_file//''': this is a pipe or a device', 'a file'))
     if (plan%file == '') return
+    call follow_links(plan%file, trouble)
     folder = folder_of(plan%file)
-    if (.not. is_folder(folder)) then
-      call refuse('the folder '//folder//' does not exist')
+    reason = ''
+    if (allocated(trouble)) then
+      reason = trouble%message
+    else if (.not. is_folder(folder)) then
+      reason = 'the folder '//folder//' does not exist'
     else if (.not. is_writable(folder)) then
-      call refuse('the folder '//folder//' cannot be written to')
+      reason = 'the folder '//folder//' cannot be written to'
     else if (is_folder(plan%file)) then
-      call refuse('this is a folder')
-    else if (plan%file == plan%input_file .or. plan%file == plan%initial_file) then
-      call refuse('this is an input file')
-    else if (file_exists(plan%file)) then
-      if (.not. is_writable(plan%file)) call refuse('the file cannot be written to')
+      reason = 'this is a folder'
+    else if (is_pipe_or_device(plan%file)) then
+      reason = 'this is a pipe or a device'
+    else if (file_exists(plan%file) .and. .not. is_writable(plan%file)) then
+      reason = 'the file cannot be written to'
+    else if (is_folder(plan%file//'.part')) then
+      reason = 'there is a folder '//plan%file//'.part'
     end if
-
-  contains
-
-    subroutine refuse(reason)
-      character(len=*), intent(in) :: reason
-
-      call add_problem(settings, problem_type('output', 'file', ''''//plan%file//''': '//reason, &
-        'a file in a folder that exists and can be written to'))
-    end subroutine refuse
-
+    if (reason == '') reason = trouble_with_input(plan%file, plan%input_file)
+    if (reason == '' .and. plan%initial_file /= '') &
+      reason = trouble_with_input(plan%file, plan%initial_file)
+    if (reason /= '') call add_problem(settings, problem_type('output', 'file', ''''//plan%file &
+      //''': '//reason, 'a file in a folder that exists and can be written to'))
   end subroutine check_files
+
+  !> Whether what is written for an output would spoil an input, by whatever names and links; empty:
+  !> it would not.
+  function trouble_with_input(file, input) result(reason)
+    character(len=*), intent(in) :: file, input
+    character(len=:), allocatable :: reason
+
+    reason = ''
+    if (file == input .or. same_file(file, input)) then
+      reason = 'this is an input file'
+    else if (same_file(file//'.part', input)) then
+      reason = file//'.part, under which it is written first, is an input file'
+    else if (same_file(file//'.owner', input)) then
+      reason = file//'.owner, which says who writes it, is an input file'
+    else if (same_file(file//'.tasks', real_folder_of(input)) .or. &
+      same_file(file//'.tasks', folder_of(input))) then
+      reason = 'the folder '//file//'.tasks, which is removed in the end, has an input file in it'
+    else if (same_file(file//'.tasks', input)) then
+      reason = file//'.tasks, a folder for what is unfinished, is an input file'
+    end if
+  end function trouble_with_input
 
   !> The initial file must suit the table of every point; its problems join those of the namelist.
   !> It says how many start in urn 1.
@@ -301,6 +334,8 @@ contains
     type(error_type), allocatable :: trouble
     character(len=:), allocatable :: message
 
+    ! That is said already, and reading it might never end.
+    if (is_pipe_or_device(plan%initial_file)) return
     if (file_exists(plan%initial_file)) then
       if (point%number < 1 .or. .not. max(point%channel1_width, point%channel2_width) &
         < 2.0_wp*plan%urn_radius) return

@@ -15,7 +15,8 @@ module battery_hdf5_file
     h5p_file_access_f
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: file_exists, is_folder, is_readable, is_writable, folder_of
+  use battery_files, only: file_exists, is_folder, is_readable, is_writable, folder_of, &
+    create_new_file
   use battery_seal, only: seal_length, seal_of
   use battery_text, only: to_text
   implicit none (type, external)
@@ -156,8 +157,8 @@ contains
     if (status == 0) call h5fget_file_image_f(file%id, address, bytes, status)
   end subroutine get_image
 
-  !> Writes bytes to a file, their seal last. Its size is asked for in the end, since the runtime
-  !> library reports no failure of what it has buffered.
+  !> Writes bytes to a file that is made anew, their seal last. Its size is asked for in the end,
+  !> since the runtime library reports no failure of what it has buffered.
   subroutine write_image(name, image, error)
     character(len=*), intent(in) :: name
     integer(int8), intent(in) :: image(:)
@@ -167,11 +168,13 @@ contains
     integer :: unit, status, closed
     integer(int64) :: bytes, expected
 
+    call create_new_file(name, error)
+    if (allocated(error)) return
     call seal_of(image, seal, error)
     if (allocated(error)) return
     expected = seal_length + size(image, kind=int64)
     open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
-      status='replace', iostat=status, iomsg=reason)
+      status='old', iostat=status, iomsg=reason)
     if (status == 0) then
       write (unit, iostat=status, iomsg=reason) image, seal
       close (unit, iostat=closed)
