@@ -6,6 +6,9 @@ submodule (battery_reservoir) battery_reservoir_state
   !> About so many events make a window.
   real(wp), parameter :: window_events = 100.0_wp
 
+  !> And no more ticks than this.
+  real(wp), parameter :: window_ticks = 1.0e6_wp
+
 contains
 
   !> Sizes and lengths that follow from the table and the number of particles.
@@ -26,7 +29,9 @@ contains
     interval = self%mean_stay + 0.25_wp*pi*table%channel1_length
     self%page = power_above(4.0_wp*interval)
     self%shortest = epsilon(1.0_wp)*self%page
-    self%window = min(window_events/real(number, wp), 2.0_wp)*interval
+    ! Where stays are much shorter than passages, those in the channels tick most of the time.
+    self%window = min(min(window_events/real(number, wp), 2.0_wp)*interval, &
+      window_ticks/real(number, wp)*self%mean_stay)
     if (allocated(self%stay)) deallocate (self%stay, self%entered, self%member)
     allocate (self%stay(number), self%entered(number), self%member(number))
     do q = 1, 3

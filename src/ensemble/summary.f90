@@ -78,12 +78,29 @@ contains
     integer, intent(in) :: p, r
     character(len=160) :: row
 
-    write (row, '(i6, i5, f8.4, f11.6, i10, f10.5, f9.5, 2(f13.5, f9.5))') results%number(p), &
-      results%threshold(p), results%channel1_width(p), results%channel2_width(p), r, &
-      results%chi(r, p), &
-      results%chi_error(r, p), results%current1(r, p), results%current1_error(r, p), &
-      results%current2(r, p), results%current2_error(r, p)
+    write (row, '(i6, i5, 2a, i10, f10.5, f9.5, 4a)') results%number(p), &
+      results%threshold(p), column(results%channel1_width(p), 8, 4), &
+      column(results%channel2_width(p), 11, 6), r, results%chi(r, p), results%chi_error(r, p), &
+      column(results%current1(r, p), 13, 5), column(results%current1_error(r, p), 9, 5), &
+      column(results%current2(r, p), 13, 5), column(results%current2_error(r, p), 9, 5)
     call say(trim(row))
   end subroutine print_row
+
+  !> A number in `width` places, `digits` of them after the point; with an exponent if it is too
+  !> large for that, or so small that nothing of it would be seen.
+  pure function column(number, width, digits) result(text)
+    real(dp), intent(in) :: number
+    integer, intent(in) :: width, digits
+    character(len=width) :: text
+    character(len=16) :: layout
+
+    write (layout, '(a, i0, a, i0, a)') '(f', width, '.', digits, ')'
+    write (text, layout) number
+    if (index(text, 'NaN') > 0) return
+    if (index(text, '*') == 0 .and. .not. (abs(number) > 0.0_dp .and. abs(number) &
+      < 1.0e-3_dp*0.1_dp**digits)) return
+    write (layout, '(a, i0, a, i0, a)') '(es', width, '.', min(width - 7, digits), ')'
+    write (text, layout) number
+  end function column
 
 end module battery_summary

@@ -62,8 +62,8 @@ module battery_observer
 contains
 
   !> An observer of `number` particles, `urn1_number` of them in half 1; a series if
-  !> `series_interval` > 0, whose first entry is the start. Blocks begin `unit` long: 1, or what is a
-  !> length of the table, so that a table scaled by a power of two has the same blocks.
+  !> `series_interval` > 0, whose first entry is the start. Blocks begin `unit` long (if
+  !> absent, 1): a length of the table, so that one scaled by a power of two has the same blocks.
   pure function new_observer(number, urn1_number, two_halves, series_interval, unit) &
     result(observer)
     integer, intent(in) :: number, urn1_number

@@ -10,24 +10,28 @@ contains
     type(plan_type), intent(in) :: plan
     type(problem_type), allocatable, intent(inout) :: problems(:)
     type(bounds_type) :: width
-    integer :: at
+    integer :: at, before
 
+    do at = 1, size(plan%scan_urn1_fraction)
+      if (plan%scan_urn1_fraction(at) > 1.0_wp) call add(problems, 'scan', 'urn1_fraction', &
+        to_text(plan%scan_urn1_fraction(at)), 'numbers from 0 to 1')
+    end do
+    before = size(problems)
     call check_range('table', 'urn_radius', plan%urn_radius, radius_bounds(), problems)
     if (complaint(plan%urn_radius, radius_bounds()) /= '') return
     call check_range('table', 'channel1_length', plan%channel1_length, &
       length_bounds(plan%urn_radius, open_length2(plan)), problems)
     if (open_length2(plan) > 0.0_wp) call check_range('table', 'channel2_length', &
       plan%channel2_length, length_bounds(plan%urn_radius, plan%channel1_length), problems)
+    ! Beside a length that is not allowed, no other makes sense.
+    if (size(problems) > before) return
     width = width_bounds(plan%urn_radius, longest_length(plan))
     if (size(plan%scan_channel1_width) == 0) call check('table', 'channel1_width', &
       plan%channel1_width)
-    if (size(plan%scan_channel2_width) == 0) call check('table', 'channel2_width', &
-      plan%channel2_width)
+    if (size(plan%scan_channel2_width) == 0 .and. plan%shape /= 'urn') call check('table', &
+      'channel2_width', plan%channel2_width)
     call check_list('channel1_width', plan%scan_channel1_width)
     call check_list('channel2_width', plan%scan_channel2_width)
-    at = findloc(plan%scan_urn1_fraction > 1.0_wp, .true., dim=1)
-    if (at > 0) call add(problems, 'scan', 'urn1_fraction', &
-      to_text(plan%scan_urn1_fraction(at)), 'numbers from 0 to 1')
 
   contains
 
@@ -51,7 +55,7 @@ contains
       if (value >= 2.0_wp*plan%urn_radius) then
         call add(problems, group, key, to_text(value), 'below 2 urn_radius, which is ' &
           //to_text(2.0_wp*plan%urn_radius))
-      else if (value > 0.0_wp .and. .not. (key == 'channel2_width' .and. plan%shape == 'urn')) then
+      else if (value > 0.0_wp) then
         call check_range(group, key, value, width, problems)
       end if
     end subroutine check

@@ -167,7 +167,7 @@ contains
 
   end function shortest_excursion
 
-  !> A point about the centre of an urn whose chords lie at x = `lower` < 0 and x = `upper` > 0, from
+  !> A point about the centre of an urn whose chords lie at x = `lower` < 0 and `upper` > 0, from
   !> two numbers `across` and `up` uniform in [0, 1]: uniform in the urn where it is `inside`, which
   !> is so more than two times in five. Between near chords it is looked for there alone.
   pure subroutine try_point(radius, lower, upper, across, up, x, y, inside)
