@@ -7,6 +7,7 @@ import resource
 import signal
 import subprocess
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,7 +15,6 @@ from support.program import ENVIRONMENT, PATIENCE, PROGRAM, finish, namelist, ru
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 def write(folder: Path, **changes: dict[str, Any]) -> None:
@@ -131,7 +131,7 @@ def test_what_cannot_be_printed(tmp_path: Path, arguments: str, output: str) -> 
     def close() -> None:
         os.close(1)
 
-    with open("/dev/full", "w") as full:
+    with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
             [str(PROGRAM), *arguments.split()],
             cwd=tmp_path,
@@ -155,7 +155,7 @@ def test_what_cannot_be_printed(tmp_path: Path, arguments: str, output: str) -> 
 def test_errors_that_cannot_be_printed(tmp_path: Path) -> None:
     """Exit codes stay where standard error is full."""
     write(tmp_path)
-    with open("/dev/full", "w") as full:
+    with Path("/dev/full").open("w") as full:
         for arguments, code in ((["--nonsense"], 2), (["--quiet", "case.nml"], 0)):
             ended = subprocess.run(
                 [str(PROGRAM), *arguments],

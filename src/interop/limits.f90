@@ -23,6 +23,7 @@ module battery_limits
     end function limits_memory
 
     subroutine limits_spare() bind(c)
+      implicit none (type, external)
     end subroutine limits_spare
   end interface
 

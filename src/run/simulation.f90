@@ -74,6 +74,9 @@ module battery_simulation
   !> Most entries of the series in one window: signals are heard between windows.
   integer, parameter :: most_entries = 2**20
 
+  !> Most entries and most events that are kept: eight numbers of each are counted at most.
+  integer, parameter :: most_kept = 2**28 - 1
+
   !> The exact count of collisions is taken at least this often, even if nothing seems to happen.
   integer, parameter :: windows_between_counts = 20000
 
@@ -130,7 +133,7 @@ contains
       if (int(s%observer%entries, int64) + s%events%count < s%sure_room .and. &
         .not. (s%out_of_room .or. s%observer%out_of_room)) return
       s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. &
-        max(s%observer%entries, s%events%count) > huge(1)/8
+        max(s%observer%entries, s%events%count) > most_kept
       if (.not. s%out_of_room) s%out_of_room = .not. enough_room(2.0_dp &
         *(bytes_an_entry*s%observer%entries + bytes_an_event*s%events%count))
       s%sure_room = 2*s%sure_room
@@ -295,8 +298,10 @@ contains
     type(event_log_type) :: longer
     integer :: status
 
-    allocate (longer%time(room), longer%kind(room), longer%where(room), longer%particle(room), &
-      stat=status)
+    allocate (longer%time(room), stat=status)
+    if (status == 0) allocate (longer%kind(room), stat=status)
+    if (status == 0) allocate (longer%where(room), stat=status)
+    if (status == 0) allocate (longer%particle(room), stat=status)
     if (status /= 0) then
       out_of_room = .true.
       return
