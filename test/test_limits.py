@@ -142,7 +142,7 @@ def test_what_cannot_be_printed(tmp_path: Path, arguments: str, output: str) -> 
             text=True,
             timeout=PATIENCE,
             check=False,
-            preexec_fn=close if output == "closed" else None,  # noqa: PLW1509
+            preexec_fn=close if output == "closed" else None,
         )
     assert ended.returncode == 1, ended.stderr
     assert "not all could be printed" in ended.stderr
