@@ -5,6 +5,7 @@ program battery
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node
   use battery_ensemble, only: run_ensemble, heed_time_limit
+  use battery_limits, only: spare_address_space
   use battery_needs, only: check_needs
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
@@ -20,6 +21,7 @@ program battery
 
   exit_code = exit_success
   call guard_streams()
+  call spare_address_space()
   call watch_signals()
   call open_communicator(communicator)
   call read_command_line(command_line, error)

@@ -4,7 +4,7 @@ module battery_limits
   use battery_kinds, only: dp
   implicit none (type, external)
   private
-  public :: memory_type, memory_left
+  public :: memory_type, memory_left, spare_address_space
 
   !> Bytes that can still be had, and what limits them, in words.
   type :: memory_type
@@ -21,9 +21,18 @@ module battery_limits
       integer(c_int), value, intent(in) :: of_data
       real(c_double) :: bytes
     end function limits_memory
+
+    subroutine limits_spare() bind(c)
+      implicit none (type, external)
+    end subroutine limits_spare
   end interface
 
 contains
+
+  !> To be called before there are threads: where address space is limited, they take less of it.
+  subroutine spare_address_space()
+    call limits_spare()
+  end subroutine spare_address_space
 
   !> What this process can still have, if `sharing` processes of the machine want as much as it.
   function memory_left(sharing) result(left)

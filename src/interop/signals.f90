@@ -21,6 +21,7 @@ module battery_signals
 
   interface
     subroutine signals_watch() bind(c)
+      implicit none (type, external)
     end subroutine signals_watch
 
     function signals_received() result(which) bind(c)
@@ -30,6 +31,7 @@ module battery_signals
     end function signals_received
 
     subroutine signals_forget() bind(c)
+      implicit none (type, external)
     end subroutine signals_forget
 
     subroutine c_exit(status) bind(c, name='exit')

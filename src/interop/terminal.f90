@@ -11,6 +11,7 @@ module battery_terminal
 
   interface
     subroutine terminal_guard() bind(c)
+      implicit none (type, external)
     end subroutine terminal_guard
 
     function terminal_write(to_errors, text, length) result(status) bind(c)

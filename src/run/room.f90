@@ -27,7 +27,7 @@ module battery_room
 
   !> Most entries of a series, and most states of one task: four numbers of each are counted by
   !> default integers.
-  real(dp), parameter :: most_numbers = real(huge(1)/4, dp)
+  real(dp), parameter :: most_numbers = 0.25_dp*real(huge(1), dp)
 
 contains
 

@@ -13,11 +13,12 @@ module battery_simulation
   use battery_observer, only: end_series, observer_type, averages_type, new_observer, observe, &
     begin_measuring, averages_of, save_observer, restore_observer
   use battery_engines, only: new_engine
+  use battery_event_log, only: event_log_type, append_events
   use battery_room, only: check_room, enough_room, particle_bytes, bytes_an_entry, bytes_a_state, &
     bytes_an_event
   implicit none (type, external)
   private
-  public :: setup_type, simulation_type, event_log_type, begin_simulation, step, progress, verify
+  public :: setup_type, simulation_type, begin_simulation, step, progress, verify
   public :: save_simulation, restore_simulation
 
   !> What is simulated; the particles come apart from it.
@@ -38,13 +39,6 @@ module battery_simulation
     real(wp), allocatable :: snapshot_times(:)
     logical :: event_log = .false.
   end type setup_type
-
-  !> The event log of a run: times since its start; kinds, places and particles as in the engine.
-  type :: event_log_type
-    integer :: count = 0
-    real(wp), allocatable :: time(:)
-    integer(int32), allocatable :: kind(:), where(:), particle(:)
-  end type event_log_type
 
   type :: simulation_type
     type(setup_type) :: setup
@@ -77,6 +71,9 @@ module battery_simulation
 
   !> Most entries of the series in one window: signals are heard between windows.
   integer, parameter :: most_entries = 2**20
+
+  !> Most entries and most events that are kept: eight numbers of each are counted at most.
+  integer, parameter :: most_kept = 2**28 - 1
 
   !> The exact count of collisions is taken at least this often, even if nothing seems to happen.
   integer, parameter :: windows_between_counts = 20000
@@ -147,7 +144,7 @@ contains
       if (int(s%observer%entries, int64) + s%events%count < s%sure_room .and. &
         .not. (s%out_of_room .or. s%observer%out_of_room)) return
       s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. &
-        max(s%observer%entries, s%events%count) > huge(1)/8
+        max(s%observer%entries, s%events%count) > most_kept
       if (.not. s%out_of_room) s%out_of_room = .not. enough_room(2.0_dp &
         *(bytes_an_entry*s%observer%entries + bytes_an_event*s%events%count))
       s%sure_room = 2*s%sure_room
@@ -161,7 +158,9 @@ contains
 
     call simulation%engine%advance(time_to_stop(simulation), simulation%history)
     call observe(simulation%observer, simulation%history)
-    if (simulation%history%events > 0) call append_events(simulation)
+    if (simulation%history%events > 0) &
+      call append_events(simulation%events, simulation%history, simulation%elapsed, &
+      simulation%out_of_room)
     call look_for_room(simulation)
     simulation%elapsed = simulation%elapsed + simulation%history%duration
     if (simulation%setup%duration > 0.0_wp) then
@@ -285,49 +284,6 @@ contains
     simulation%next_count = simulation%observer%collisions + max(target_of(simulation) - exact, &
       0_int64)
   end subroutine count_collisions
-
-  subroutine append_events(simulation)
-    type(simulation_type), intent(inout) :: simulation
-    integer :: total
-
-    associate (log => simulation%events, history => simulation%history)
-      if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), &
-        log%particle(0))
-      total = log%count + history%events
-      if (total > size(log%time)) call lengthen_log(log, max(total, 2*size(log%time), 1024), &
-        simulation%out_of_room)
-      if (simulation%out_of_room) return
-      log%time(log%count + 1:total) = simulation%elapsed + history%event_time(:history%events)
-      log%kind(log%count + 1:total) = history%event_kind(:history%events)
-      log%where(log%count + 1:total) = history%event_where(:history%events)
-      log%particle(log%count + 1:total) = history%event_particle(:history%events)
-      log%count = total
-    end associate
-  end subroutine append_events
-
-  !> Makes room in the event log for so many events, if there is memory for it.
-  subroutine lengthen_log(log, room, out_of_room)
-    type(event_log_type), intent(inout) :: log
-    integer, intent(in) :: room
-    logical, intent(inout) :: out_of_room
-    type(event_log_type) :: longer
-    integer :: status
-
-    allocate (longer%time(room), longer%kind(room), longer%where(room), longer%particle(room), &
-      stat=status)
-    if (status /= 0) then
-      out_of_room = .true.
-      return
-    end if
-    longer%time(:log%count) = log%time(:log%count)
-    longer%kind(:log%count) = log%kind(:log%count)
-    longer%where(:log%count) = log%where(:log%count)
-    longer%particle(:log%count) = log%particle(:log%count)
-    call move_alloc(longer%time, log%time)
-    call move_alloc(longer%kind, log%kind)
-    call move_alloc(longer%where, log%where)
-    call move_alloc(longer%particle, log%particle)
-  end subroutine lengthen_log
 
   !> Share of the run that is done, 0 to 1.
   pure function progress(simulation) result(share)
