@@ -12,7 +12,7 @@ import f90nml
 import h5py
 import numpy as np
 
-from postproc.cli import InputError
+from postproc.cli import InputError, existing_file
 from postproc.seal import check_seal
 from postproc.theory import Circuit
 
@@ -61,13 +61,7 @@ class Results:
     def __init__(self, path: Path) -> None:
         """Open `path`; raise `InputError` unless it holds results of this program."""
         self.path = path
-        if not path.exists():
-            raise InputError(f"{path}: no such file")
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder, not a file of results")
-        if not path.is_file():
-            raise InputError(f"{path}: is a pipe or a device, not a file of results")
-        check_seal(path)
+        check_seal(existing_file(path))
         self._file = h5py.File(path, "r")
         missing = [name for name in NEEDED if name not in self._file]
         if missing or "namelist" not in self._file.attrs:
