@@ -6,6 +6,7 @@ module battery_summary
   use battery_tasks, only: task_count
   use battery_results, only: results_type, task_complete
   use battery_screen, only: duration_text, rate_text
+  use battery_command_line, only: ways_to_stop
   use battery_text, only: string_type, to_text
   implicit none (type, external)
   private
@@ -55,8 +56,8 @@ contains
     if (sum(results%trapped, mask=results%task_status == task_complete) > 0) &
       write (output_unit, &
       '(a)') 'some particles are on orbits that never leave: see the dataset trapped'
-    if (.not. all_done) write (output_unit, &
-      '(a)') 'stopped early, the state is saved: the same command goes on'
+    if (.not. all_done) write (output_unit, '(a)') &
+      'stopped early, the state is saved: the same command goes on', ways_to_stop
     write (output_unit, '(a)') 'results: '//plan%file
   end subroutine print_summary
 
