@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -24,7 +25,6 @@ from support.program import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
     from subprocess import Popen
 
 #: So long that it is still at work when it is stopped or killed; or soon over.
@@ -134,12 +134,11 @@ def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
     write(tmp_path, collisions=LONG)
     process, numbers = under_way(tmp_path, "case.nml")
     second = start("case.nml", folder=tmp_path)
-    caught = f"/proc/{second.pid}/status"
+    status = Path(f"/proc/{second.pid}/status")
     mask = 1 << (signal.SIGTERM - 1)
 
     def listens() -> bool:
-        with open(caught, encoding="utf-8") as status:
-            lines = [line for line in status if line.startswith("SigCgt")]
+        lines = [line for line in status.read_text().splitlines() if line.startswith("SigCgt")]
         return bool(int(lines[0].split()[1], 16) & mask)
 
     assert wait_for(listens, second)
@@ -153,7 +152,7 @@ def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("beats", [True, False])
 def test_an_owner_on_another_machine(tmp_path: Path, beats: bool) -> None:
-    """A lock may hold on one machine only: an owner that beats has it, one that does not is dead."""
+    """A lock may hold on one machine only: an owner that beats has it; else it is dead."""
     write(tmp_path)
     owner = tmp_path / "out.h5.owner"
     owner.write_text(BEATS_OF_A_DEAD_OWNER)

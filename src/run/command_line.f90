@@ -15,9 +15,11 @@ module battery_command_line
   !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
   !> second to save their states.
   character(len=*), parameter, public :: ways_to_stop = &
-    'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing.'//new_line_character &
-    //'mpirun kills its ranks 1 s after SIGTERM or SIGINT: what a large run did since its last' &
-    //new_line_character//'checkpoint is lost then, but with mpirun --mca odls_base_sigkill_timeout 60'
+    'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. mpirun kills its' &
+    //new_line_character &
+    //'ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its last' &
+    //new_line_character &
+    //'checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
 
   !> What is to be done.
   type :: command_line_type

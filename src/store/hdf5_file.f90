@@ -155,8 +155,8 @@ contains
     if (status == 0) call h5fget_file_image_f(file%id, address, bytes, status)
   end subroutine get_image
 
-  !> Writes bytes to a file that is made anew. Its size is asked for in the end, since the runtime library reports no
-  !> failure of what it has buffered.
+  !> Writes bytes to a file that is made anew. Its size is asked for in the end, since the runtime
+  !> library reports no failure of what it has buffered.
   subroutine write_image(name, image, error)
     character(len=*), intent(in) :: name
     integer(int8), intent(in) :: image(:)
