@@ -28,8 +28,8 @@ module battery_record_file
 
 contains
 
-  !> Appends a record to the file `name`; `good_size` is the length of its good part in bytes, beyond
-  !> which anything is overwritten; where that is 0 the file is made anew. The record is read
+  !> Appends a record to the file `name`; `good_size` is the length of its good part in bytes,
+  !> beyond which anything is overwritten; where that is 0 the file is made anew. The record is read
   !> back: on a full disk gfortran reports neither the write nor the close as failed.
   subroutine append_record(name, record, good_size, error)
     character(len=*), intent(in) :: name

@@ -6,7 +6,8 @@ module battery_summary
   use battery_results, only: results_type, task_complete
   use battery_screen, only: duration_text, rate_text
   use battery_terminal, only: say
-  use battery_text, only: string_type, to_text
+  use battery_command_line, only: ways_to_stop
+  use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
   private
   public :: print_summary
@@ -55,7 +56,7 @@ contains
     if (sum(results%trapped, mask=results%task_status == task_complete) > 0) &
       call say('some particles are on orbits that never leave: see the dataset trapped')
     if (.not. all_done) &
-      call say('stopped early, the state is saved: the same command goes on')
+      call say('stopped early, the state is saved: the same command goes on'//new_line_character//ways_to_stop)
     call say('results: '//plan%file)
   end subroutine print_summary
 

@@ -32,8 +32,8 @@ module battery_file_text
       import :: c_char, c_int, c_int64_t
       implicit none (type, external)
       integer(c_int), value, intent(in) :: descriptor
-      character(kind=c_char), intent(inout) :: bytes(*)
       integer(c_int64_t), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: bytes(room)
       integer(c_int64_t) :: length
     end function c_read_some
 

@@ -43,8 +43,8 @@ int battery_same_file(const char *one, const char *other) {
 }
 
 /* Follows the links that stand under a name to the last name, which need not be there; `path` has
-   room for PATH_MAX bytes. */
-int battery_follow(char *path) {
+   `room` bytes. */
+int battery_follow(char *path, int room) {
   char target[PATH_MAX], joined[2 * PATH_MAX + 1];
   const int most_links = 40;
   for (int link = 0; link < most_links; link++) {
@@ -54,7 +54,7 @@ int battery_follow(char *path) {
     char *slash = strrchr(path, '/');
     int folder = target[0] == '/' || slash == NULL ? 0 : (int)(slash - path) + 1;
     snprintf(joined, sizeof joined, "%.*s%s", folder, path, target);
-    if (strlen(joined) >= PATH_MAX) return ENAMETOOLONG;
+    if (strlen(joined) >= (size_t)room) return ENAMETOOLONG;
     strcpy(path, joined);
   }
   return ELOOP;
@@ -63,8 +63,9 @@ int battery_follow(char *path) {
 /* Bytes of the longest path. */
 int battery_longest_path(void) { return PATH_MAX; }
 
-/* The folder a path lies in, its links resolved; `folder` has room for PATH_MAX bytes. */
-int battery_real_folder(const char *path, char *folder) {
+/* The folder a path lies in, its links resolved; `folder` has `room` bytes, PATH_MAX or more. */
+int battery_real_folder(const char *path, char *folder, int room) {
+  if (room < PATH_MAX) return ENAMETOOLONG;
   if (realpath(path, folder) == NULL) return errno;
   char *slash = strrchr(folder, '/');
   if (slash != NULL) slash[slash == folder ? 1 : 0] = '\0';

@@ -32,18 +32,21 @@ module battery_paths
       integer(c_int) :: length
     end function c_longest_path
 
-    function c_follow(path) result(status) bind(c, name='battery_follow')
+    function c_follow(path, room) result(status) bind(c, name='battery_follow')
       import :: c_char, c_int
       implicit none (type, external)
-      character(kind=c_char), intent(inout) :: path(*)
+      integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: path(room)
       integer(c_int) :: status
     end function c_follow
 
-    function c_real_folder(path, folder) result(status) bind(c, name='battery_real_folder')
+    function c_real_folder(path, folder, room) result(status) &
+      bind(c, name='battery_real_folder')
       import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
-      character(kind=c_char), intent(inout) :: folder(*)
+      integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: folder(room)
       integer(c_int) :: status
     end function c_real_folder
 
@@ -134,7 +137,7 @@ contains
     character(len=:), allocatable :: folder
 
     folder = repeat(c_null_char, c_longest_path())
-    if (c_real_folder(path//c_null_char, folder) /= 0) folder = c_null_char
+    if (c_real_folder(path//c_null_char, folder, c_longest_path()) /= 0) folder = c_null_char
     folder = folder(:index(folder, c_null_char) - 1)
   end function real_folder_of
 
@@ -148,7 +151,7 @@ contains
 
     if (len(path) >= c_longest_path()) return
     final = path//repeat(c_null_char, c_longest_path() - len(path))
-    status = c_follow(final)
+    status = c_follow(final, c_longest_path())
     if (status == 0) then
       path = final(:index(final, c_null_char) - 1)
     else

@@ -67,8 +67,8 @@ module battery_ownership
       real(c_double), value, intent(in) :: interval
       integer(c_int), value, intent(in) :: with_locks, insist
       integer(c_int64_t), intent(inout) :: beat(4)
-      character(kind=c_char), intent(inout) :: holder(*)
       integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: holder(room)
       type(c_ptr), intent(inout) :: owner
       integer(c_int) :: outcome
     end function c_own
@@ -90,15 +90,15 @@ module battery_ownership
       import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
-      character(kind=c_char), intent(inout) :: text(*)
       integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: text(room)
     end subroutine c_read_owner
 
     subroutine c_host_name(name, room) bind(c, name='battery_host_name')
       import :: c_char, c_int
       implicit none (type, external)
-      character(kind=c_char), intent(inout) :: name(*)
       integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: name(room)
     end subroutine c_host_name
   end interface
 
@@ -185,6 +185,8 @@ contains
       watch%owner_lives = any(watch%beat /= 0)
       watch%last_beat = wall_seconds()
       watch%beat = beat
+    case default
+      continue
     end select
   end subroutine try_to_own
 
