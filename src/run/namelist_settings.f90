@@ -253,9 +253,9 @@ contains
       call read_logical(value, setting%flag, wrong)
       written = to_text(setting%flag)
     case default
-      setting%text = value%text
       written = ''''//value%text//''''
       wrong = wrong_text(setting%key, value)
+      if (wrong == '') setting%text = value%text
     end select
   end subroutine take_value
 
