@@ -44,7 +44,8 @@ def test_a_line_has_four_numbers_that_a_person_would_write(tmp_path: Path, case:
     (tmp_path / "i.txt").write_text(f"# x y ux uy\n{line}\n")
     ended = run("--check", "c.nml", folder=tmp_path)
     assert ended.returncode == 2, ended.stdout
-    assert [word for word in ended.stderr.splitlines() if "i.txt, line 2: " in word and words in word]
+    told = [word for word in ended.stderr.splitlines() if "i.txt, line 2: " in word]
+    assert words in told[0]
 
 
 def test_lines_may_be_long_and_end_in_any_way(tmp_path: Path) -> None:

@@ -192,8 +192,8 @@ contains
     if (wrong == '' .and. setting%key%kind == range_key) wrong = wrong_range(setting%reals)
     setting%known = wrong == ''
     if (wrong == '') return
-    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values)//': '//wrong//'; allowed: ' &
-      //allowed_text(setting%key))
+    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values)//': ' &
+      //wrong//'; allowed: '//allowed_text(setting%key))
   end subroutine take_entry
 
   !> What is wrong with the number of values; empty: nothing.
