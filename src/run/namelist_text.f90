@@ -341,11 +341,8 @@ contains
     integer :: length
 
     length = index(reader%text(reader%at:), line_end)
-    if (length == 0) then
-      reader%at = len(reader%text) + 1
-    else
-      reader%at = reader%at + length - 1
-    end if
+    if (length == 0) length = len(reader%text) - reader%at + 2
+    reader%at = reader%at + length - 1
   end subroutine skip_line
 
   !> The rest of a line, to be shown.
