@@ -119,8 +119,10 @@ contains
     integer(int64) :: first, last, next
     integer :: line, count, status
 
-    allocate (particles%x(number), particles%y(number), particles%ux(number), particles%uy(number), &
-      stat=status)
+    allocate (particles%x(number), stat=status)
+    if (status == 0) allocate (particles%y(number), stat=status)
+    if (status == 0) allocate (particles%ux(number), stat=status)
+    if (status == 0) allocate (particles%uy(number), stat=status)
     if (status /= 0) then
       call fatal_error(error, 'no memory for '//to_text(number)//' particles')
       return

@@ -192,8 +192,8 @@ contains
     if (wrong == '' .and. setting%key%kind == range_key) wrong = wrong_range(setting%reals)
     setting%known = wrong == ''
     if (wrong == '') return
-    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values)//': '//wrong//'; allowed: ' &
-      //allowed_text(setting%key))
+    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values)//': ' &
+      //wrong//'; allowed: '//allowed_text(setting%key))
   end subroutine take_entry
 
   !> What is wrong with the number of values; empty: nothing.
@@ -254,9 +254,9 @@ contains
       written = to_text(setting%flag)
     case default
       ! Blanks at the end are no part of a text, as everywhere in Fortran, which pads with them.
-      setting%text = trim(value%text)
-      written = ''''//setting%text//''''
+      written = ''''//trim(value%text)//''''
       wrong = wrong_text(setting%key, value)
+      if (wrong == '') setting%text = trim(value%text)
     end select
   end subroutine take_value
 
