@@ -18,6 +18,9 @@ from .scene import half_way, undisturbed, write
 WAYS = ["flip", "flip", "flip", "cut", "cut", "zero", "noise", "longer", "empty", "gone", "swap",
         "copy", "folder", "link", "dangling", "loop", "fifo"]
 
+# A message may have a line for each key, and one that says what to do.
+MOST_LINES = 4
+
 
 def spoil_bytes(path: Path, way: str, choice: random.Random) -> str:
     """Change bytes of a file."""
@@ -95,7 +98,13 @@ def attack(folder: Path, choice: random.Random) -> Outcome:
     done = [spoil(files, choice) for _ in range(choice.choice([1, 1, 1, 2, 3]))]
     (folder / "case.nml").write_bytes(namelist)
     told = "; ".join(done)
-    found = attempt("case.nml", folder=folder, ranks=choice.choice([0, 0, 0, 2]))
+    ranks = choice.choice([0, 0, 0, 2])
+    found = attempt("case.nml", folder=folder, ranks=ranks)
+    if (folder / "case.nml").read_bytes() != namelist:
+        outcome.findings.append(f"{told}: the namelist was overwritten")
+    # mpirun adds lines of its own.
+    if ranks == 0 and len(found.errors.splitlines()) > MOST_LINES:
+        outcome.findings.append(f"{told}: not one message: {found.errors[:1000]}")
     if wrong := found.wrong({0, 1, 2}):
         outcome.findings.append(f"{told}: {wrong}")
     elif found.code == 0:
