@@ -141,7 +141,7 @@ def grazing(table: Table, rng: np.random.Generator) -> list[Particle]:
 def mirror_images(table: Table, rng: np.random.Generator) -> list[Particle]:
     """Start in fours, mirrored in both axes: whatever happens, happens four times at once."""
     found: list[Particle] = []
-    for x, y, ux, uy in in_urns(8, 0.0)(table, rng):
+    for x, y, ux, uy in in_urns(12, 0.0)(table, rng):
         found += [(x, y, ux, uy), (-x, y, -ux, uy), (x, -y, ux, -uy), (-x, -y, -ux, -uy)]
     order = rng.permutation(len(found))
     return [found[k] for k in order]
@@ -165,7 +165,7 @@ def at_one_instant(table: Table, rng: np.random.Generator) -> list[Particle]:
 CASES = [
     Case("paper", "the paper's table", Table(), 2, 32.0, in_urns(60)),
     Case("closed", "no channel 2", Table(width1=0.375, width2=0.0), 1, 40.0, in_urns(40, 1.0)),
-    Case("single_urn", "one urn with an end wall", Table("urn", length1=0.5), 3, 32.0,
+    Case("single_urn", "one urn with an end wall", Table("urn", length1=0.5), 1, 32.0,
          in_urns(50, 1.0)),
     Case("tiny", "openings of a millionth, beams that meet them",
          Table(width1=2.0**-20, width2=2.0**-20), 1, 16.0, beams, time_step=0.007,
@@ -183,7 +183,7 @@ CASES = [
     Case("grazing", "along the walls, across the channels, along diameters",
          Table(width1=0.25, width2=0.125), 2, 20.0, grazing),
     Case("mirrored", "four images of each particle: four events at a time",
-         Table(radius=1.25, width1=0.5, width2=0.25), 4, 40.0, mirror_images),
+         Table(radius=1.25, width1=0.75, width2=0.25), 2, 24.0, mirror_images),
     Case("instant", "entries of one instant, on a table of whole 3-4-5 triangles",
          Table(radius=1.25, width1=1.5, width2=0.0), 3, 5.9375, at_one_instant,
          engines=("collision", "synchronous")),
