@@ -6,7 +6,7 @@ module battery_probe_case
   use battery_table, only: table_type, region_at, outside
   use battery_random, only: hashed_uniform
   use battery_engine, only: engine_type, history_type, particles_type
-  use battery_signals, only: wall_seconds
+  use battery_clocks, only: wall_seconds
   use battery_probe, only: precision_name, started, list, say
   implicit none (type, external)
   private

@@ -10,6 +10,7 @@
 !> so that channel 1 lies at -x and channel 2 at +x for both.
 module battery_bounce
   use battery_kinds, only: wp, int8
+  use battery_powers, only: power_above
   use battery_table, only: table_type, shape_urn, region_at, urn_one, urn_two, gate_one, gate_two, &
     return_one, return_two
   implicit none (type, external)
@@ -74,9 +75,10 @@ contains
     walls%return_begin = table%urn_centre + table%chord2_distance
     walls%return_end = table%periodic_line
     walls%end_wall = table%shape == shape_urn
-    longest = max(2.0_wp*table%urn_radius, hypot(table%channel1_length, table%channel1_width), &
-      hypot(table%channel2_length, table%channel2_width))
-    walls%page = 2.0_wp**ceiling(log(4.0_wp*longest)/log(2.0_wp))
+    longest = max(2.0_wp*table%urn_radius, hypot(table%channel1_length, table%channel1_width))
+    if (table%channel2_width > 0.0_wp) longest = max(longest, hypot(table%channel2_length, &
+      table%channel2_width))
+    walls%page = power_above(4.0_wp*longest)
     walls%shortest = epsilon(1.0_wp)*walls%page
   end function new_walls
 

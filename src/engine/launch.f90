@@ -2,7 +2,8 @@
 !> to a visit that will be one.
 module battery_launch
   use battery_kinds, only: wp, int16, int64
-  use battery_table, only: table_type, region_at, urn_one, urn_two, return_one, return_two
+  use battery_table, only: table_type, region_at, urn_one, urn_two, return_one, return_two, &
+    longest_run
   use battery_calendar, only: flight_type
   use battery_flight, only: to_return, in_gate, parked_in_channel
   use battery_visits, only: visits_type
@@ -30,7 +31,7 @@ contains
     logical :: in_channel2
     !> Slower passages, longer than any run, and those with more wall hits than an integer can
     !> count, are taken for endless.
-    real(wp), parameter :: longest_passage = 1.0e15_wp, most_hits = 4.0e18_wp
+    real(wp), parameter :: most_hits = 4.0e18_wp
 
     region = region_at(table, x, y, huge(1.0_wp))
     urn = merge(1, 2, x < 0.0_wp)
@@ -50,7 +51,7 @@ contains
       in_channel2)
     outward = opening*merge(ux, -ux, urn == 1)
     flight%urn = int(urn, int16)
-    if (.not. abs(ux)*min(longest_passage, most_hits*width) > length) then
+    if (.not. abs(ux)*min(longest_run*table%urn_radius, most_hits*width) > length) then
       flight%heading = parked_in_channel
       flight%y = y
       flight%along = x

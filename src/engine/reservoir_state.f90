@@ -1,9 +1,13 @@
 !> What the engine `reservoir` tells of itself, and how its state is kept.
 submodule (battery_reservoir) battery_reservoir_state
+  use battery_powers, only: power_above
   implicit none (type, external)
 
   !> About so many events make a window.
   real(wp), parameter :: window_events = 100.0_wp
+
+  !> And no more ticks than this.
+  real(wp), parameter :: window_ticks = 1.0e6_wp
 
 contains
 
@@ -23,9 +27,11 @@ contains
     self%mean_stay = pi*area_of_urn(table)/(table%channel1_width + table%channel2_width)
     self%hit_rate = arc_length(table)/(pi*area_of_urn(table))
     interval = self%mean_stay + 0.25_wp*pi*table%channel1_length
-    self%page = 2.0_wp**ceiling(log(4.0_wp*interval)/log(2.0_wp))
+    self%page = power_above(4.0_wp*interval)
     self%shortest = epsilon(1.0_wp)*self%page
-    self%window = min(window_events/real(number, wp), 2.0_wp)*interval
+    ! Where stays are much shorter than passages, those in the channels tick most of the time.
+    self%window = min(min(window_events/real(number, wp), 2.0_wp)*interval, &
+      window_ticks/real(number, wp)*self%mean_stay)
     if (allocated(self%stay)) deallocate (self%stay, self%entered, self%member)
     allocate (self%stay(number), self%entered(number), self%member(number))
     do q = 1, 3

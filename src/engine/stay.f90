@@ -1,7 +1,8 @@
 !> What the engine `reservoir` knows of a particle, and the random numbers that it lives by.
 module battery_stay
   use battery_kinds, only: wp, int32, int64, pi
-  use battery_table, only: table_type, region_at, urn_one, urn_two, return_one, return_two
+  use battery_table, only: table_type, region_at, urn_one, urn_two, return_one, return_two, &
+    longest_run, try_point
   use battery_channel, only: fold
   use battery_random, only: random_type, draw_uniform, hashed_uniform
   implicit none (type, external)
@@ -95,7 +96,7 @@ contains
     logical :: in_channel2
     !> Slower passages, longer than any run, and those with more wall hits than an integer can
     !> count, are taken for endless.
-    real(wp), parameter :: longest_passage = 1.0e15_wp, most_hits = 4.0e18_wp
+    real(wp), parameter :: most_hits = 4.0e18_wp
 
     region = region_at(table, x, y, huge(1.0_wp))
     urn = merge(1, 2, x < 0.0_wp)
@@ -109,7 +110,7 @@ contains
       in_channel2)
     ! Towards the far end of the channel.
     outward = merge(-1.0_wp, 1.0_wp, in_channel2)*merge(ux, -ux, urn == 1)
-    if (.not. abs(ux)*min(longest_passage, most_hits*width) > length) then
+    if (.not. abs(ux)*min(longest_run*table%urn_radius, most_hits*width) > length) then
       stay%heading = int(parked, int32)
       stay%along = x
     else if (outward > 0.0_wp) then
@@ -207,14 +208,14 @@ contains
     real(wp) :: place(4)
     integer(int64) :: turn
     real(wp) :: x, y, angle
+    logical :: inside
 
     turn = ishft(count, 20)
     do
-      x = table%urn_radius*(2.0_wp*hashed_uniform(key, turn) - 1.0_wp)
-      y = table%urn_radius*(2.0_wp*hashed_uniform(key, turn + 1) - 1.0_wp)
+      call try_point(table%urn_radius, -table%chord1_distance, table%chord2_distance, &
+        hashed_uniform(key, turn), hashed_uniform(key, turn + 1), x, y, inside)
       turn = turn + 2
-      if (x**2 + y**2 >= table%urn_radius**2) cycle
-      if (-x < table%chord1_distance .and. x < table%chord2_distance) exit
+      if (inside) exit
     end do
     angle = 2.0_wp*pi*hashed_uniform(key, turn)
     place = [table%urn_centre + x, y, cos(angle), sin(angle)]

@@ -31,7 +31,8 @@ module battery_synchronous
   integer, parameter :: in_x = 1, in_y = 2, in_ux = 3, in_uy = 4, in_left = 5
 
   !> A window is at most so many urn radii long, and has about so many events at most.
-  real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp
+  real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp, &
+    window_moves = 1.0e9_wp
 
   type, extends(engine_type) :: synchronous_type
     private
@@ -99,7 +100,8 @@ contains
     self%number = number
     self%sees_collisions = .true.
     call new_scene(self%scene, table, threshold, number)
-    self%window = table%urn_radius*min(window_radii, window_events/real(number, wp))
+    self%window = table%urn_radius*min(window_radii, window_events/real(number, wp), &
+      window_moves/real(number, wp)**2)
     self%now = 0.0_wp
     self%pages = 0
     if (allocated(self%field)) deallocate (self%field, self%region, self%next, self%kept_ux, &

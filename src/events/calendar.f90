@@ -9,6 +9,7 @@
 !> The flights, one a particle, belong to the caller.
 module battery_calendar
   use battery_kinds, only: wp, int16, int32
+  use battery_powers, only: power_above
   implicit none (type, external)
   private
   public :: calendar_type, idle, new_calendar, flight_type, schedule, schedule_all, &
@@ -67,7 +68,7 @@ contains
       bits = bits + 1
     end do
     calendar%buckets = 2**(bits + 2)
-    calendar%page = 2.0_wp**ceiling(log(4.0_wp*interval)/log(2.0_wp))
+    calendar%page = power_above(4.0_wp*interval)
     calendar%width = calendar%page/real(calendar%buckets, wp)
     calendar%per_width = 1.0_wp/calendar%width
     allocate (calendar%head(calendar%buckets), source=0_int32)

@@ -1,9 +1,7 @@
 !> Splits the text of a namelist file into groups, keys and values.
 !>
-!> Fortran's own namelist input takes a misspelt group or a missing `/` for the end of the file and
-!> the last of two equal keys for the right one, and it stops at the first mistake. This reads the
-!> same syntax (comments, both quotes, lists, repeat counts, `/` or `&end`, any case), but remembers
-!> the lines and goes on after a mistake. It does not know which groups and keys there should be.
+!> The syntax is that of Fortran's own namelist input (comments, both quotes, lists, repeat counts,
+!> `/` or `&end`, any case), but lines are remembered, and the reading goes on after a mistake.
 module battery_namelist_text
   use battery_text, only: to_text, lower_case
   use battery_remarks, only: remarks_type, add_remark, shown_text
@@ -28,7 +26,6 @@ module battery_namelist_text
     type(value_type), allocatable :: values(:)
   end type entry_type
 
-  !> `&group ... /`.
   type :: group_type
     character(len=:), allocatable :: name
     integer :: line = 0
@@ -60,8 +57,9 @@ contains
     type(entry_type), allocatable, intent(out) :: entries(:)
     type(remarks_type), intent(out) :: remarks
     type(reader_type) :: reader
+    integer :: at
 
-    allocate (reader%groups(8), reader%entries(64))
+    allocate (reader%groups(count([(text(at:at) == '&', at=1, len(text))])), reader%entries(64))
     reader%text = text
     ! A mark of the byte order that some editors put first.
     if (index(text, char(239)//char(187)//char(191)) == 1) reader%at = 4
@@ -71,8 +69,8 @@ contains
       if (next_sign(reader) == '&') then
         call read_group(reader)
       else
-        call add_remark(reader%remarks, reader%line, 'text outside of any group: '//rest_of_line(reader) &
-          //'; a group begins with &name and ends with /')
+        call add_remark(reader%remarks, reader%line, 'text outside of any group: ' &
+          //rest_of_line(reader)//'; a group begins with &name and ends with /')
         call skip_line(reader)
       end if
     end do
@@ -90,7 +88,8 @@ contains
     group%line = reader%line
     call read_name(reader, group%name)
     group%name = lower_case(group%name)
-    call add_group(reader, group)
+    reader%group_count = reader%group_count + 1
+    reader%groups(reader%group_count) = group
     do
       call skip_blanks(reader, commas=.true.)
       if (at_end(reader)) exit
@@ -99,14 +98,16 @@ contains
         reader%at = reader%at + 1
         return
       case ('&')
-        if (lower_case(peek(reader, 4)) /= '&end') exit
+        if (index(lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 3))), '&end') &
+          /= 1) exit
         reader%at = reader%at + 4
         return
       case default
         call read_entry(reader, group%name)
       end select
     end do
-    call add_remark(reader%remarks, group%line, '&'//shown_text(group%name)//': the / that ends the group is missing')
+    call add_remark(reader%remarks, group%line, '&'//shown_text(group%name) &
+      //': the / that ends the group is missing')
   end subroutine read_group
 
   !> Reads `key = values`.
@@ -142,21 +143,6 @@ contains
     call read_values(reader, name, entry%values)
     call add_entry(reader, entry)
   end subroutine read_entry
-
-  !> Adds a group to those read so far.
-  subroutine add_group(reader, group)
-    type(reader_type), intent(inout) :: reader
-    type(group_type), intent(in) :: group
-    type(group_type), allocatable :: more(:)
-
-    if (reader%group_count == size(reader%groups)) then
-      allocate (more(2*reader%group_count))
-      more(:reader%group_count) = reader%groups
-      call move_alloc(more, reader%groups)
-    end if
-    reader%group_count = reader%group_count + 1
-    reader%groups(reader%group_count) = group
-  end subroutine add_group
 
   !> Adds an entry to those read so far.
   subroutine add_entry(reader, entry)
@@ -355,11 +341,8 @@ contains
     integer :: length
 
     length = index(reader%text(reader%at:), line_end)
-    if (length == 0) then
-      reader%at = len(reader%text) + 1
-    else
-      reader%at = reader%at + length - 1
-    end if
+    if (length == 0) length = len(reader%text) - reader%at + 2
+    reader%at = reader%at + length - 1
   end subroutine skip_line
 
   !> The rest of a line, to be shown.
@@ -407,19 +390,10 @@ contains
     if (.not. at_end(reader)) sign = reader%text(reader%at:reader%at)
   end function next_sign
 
-  pure function peek(reader, length) result(ahead)
+  pure logical function at_end(reader)
     type(reader_type), intent(in) :: reader
-    integer, intent(in) :: length
-    character(len=:), allocatable :: ahead
 
-    ahead = reader%text(reader%at:min(len(reader%text), reader%at + length - 1))
-  end function peek
-
-  pure function at_end(reader) result(ended)
-    type(reader_type), intent(in) :: reader
-    logical :: ended
-
-    ended = reader%at > len(reader%text)
+    at_end = reader%at > len(reader%text)
   end function at_end
 
 end module battery_namelist_text

@@ -246,9 +246,10 @@ contains
       call read_logical(value, setting%flag, wrong)
       written = to_text(setting%flag)
     case default
-      setting%text = value%text
-      written = ''''//value%text//''''
+      ! Blanks at the end are no part of a text, as everywhere in Fortran, which pads with them.
+      written = ''''//trim(value%text)//''''
       wrong = wrong_text(setting%key, value)
+      if (wrong == '') setting%text = trim(value%text)
     end select
   end subroutine take_value
 
@@ -272,11 +273,28 @@ contains
       wrong = 'is not a text in quotes'
     else if (len(value%text) > longest_text) then
       wrong = 'has '//to_text(len(value%text))//' letters, more than '//to_text(longest_text)
+    else if (has_control_sign(value%text)) then
+      wrong = 'has a control character'
+    else if (index(value%text, ' ') == 1 .and. value%text /= '') then
+      wrong = 'begins with a blank'
     else if (key%choices /= '') then
-      if (value%text == '' .or. index(value%text, ' ') > 0 .or. &
-        index(' '//key%choices//' ', ' '//value%text//' ') == 0) wrong = 'is not known'
+      if (value%text == '' .or. index(trim(value%text), ' ') > 0 .or. &
+        index(' '//key%choices//' ', ' '//trim(value%text)//' ') == 0) wrong = 'is not known'
     end if
   end function wrong_text
+
+  !> Whether a text has a sign in it that is not to be seen: a tab, a line end, a delete.
+  pure function has_control_sign(text) result(yes)
+    character(len=*), intent(in) :: text
+    logical :: yes
+    integer, parameter :: first_visible = 32, delete = 127
+    integer :: at
+
+    yes = .false.
+    do at = 1, len(text)
+      yes = yes .or. iachar(text(at:at)) < first_visible .or. iachar(text(at:at)) == delete
+    end do
+  end function has_control_sign
 
   !> A range has a whole number of values.
   pure function wrong_range(range) result(wrong)

@@ -3,7 +3,8 @@ module battery_command_line
   use battery_build_information, only: program_version, git_commit
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: string_type, closest_word, new_line_character
-  use battery_namelist_keys, only: keys_text
+  use battery_key, only: keys_text
+  use battery_keys, only: all_keys
   implicit none (type, external)
   private
   public :: command_line_type, read_command_line, parse_arguments, usage_text, version_text
@@ -11,6 +12,15 @@ module battery_command_line
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
     'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, battery --version'
+
+  !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
+  !> second to save their states.
+  character(len=*), parameter, public :: ways_to_stop = &
+    'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. mpirun kills its' &
+    //new_line_character &
+    //'ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its last' &
+    //new_line_character &
+    //'checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
 
   !> What is to be done.
   type :: command_line_type
@@ -134,9 +144,11 @@ contains
       //'  0  every task is complete'//nl &
       //'  1  the run failed, or some tasks did; finished ones are kept'//nl &
       //'  2  bad command line or input: all problems are listed, nothing was written'//nl &
-      //'  3  stopped early, state saved; the same command goes on'//nl//nl &
+      //'  3  stopped early, state saved; the same command goes on'//nl &
+      //'mpirun itself says 1 where it was told to stop.'//nl//nl &
+      //'To stop a run: '//ways_to_stop//nl//nl &
       //'Groups and keys of the namelist, with their defaults:'//nl//nl &
-      //keys_text()
+      //keys_text(all_keys())
   end function usage_text
 
   !> Name, version, and the commit it was built from.

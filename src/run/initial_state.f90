@@ -6,8 +6,9 @@ module battery_initial_state
   use battery_numbers, only: read_decimal
   use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, region_at, outside
+  use battery_table, only: table_type, region_at, outside, try_point
   use battery_engine, only: particles_type
+  use battery_signals, only: stop_requested, stopped_before_start
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform
   implicit none (type, external)
   private
@@ -15,6 +16,9 @@ module battery_initial_state
 
   !> What sets the numbers of a line apart, beside commas.
   character(len=*), parameter :: blanks = ' '//achar(9)
+
+  !> Particles or lines between two looks at whether the run must stop.
+  integer, parameter :: particles_between_looks = 65536
 
 contains
 
@@ -26,7 +30,7 @@ contains
     !> From 0 to 2**32 - 1.
     integer(int64), intent(in) :: seed
     type(particles_type), intent(out) :: particles
-    !> No memory, or no generator.
+    !> No memory, no generator, or a stop was asked for.
     type(error_type), allocatable, intent(out) :: error
     type(generator_type) :: generator
     integer :: at, status
@@ -42,10 +46,14 @@ contains
     call new_generator(generator, seed, error)
     if (allocated(error)) return
     do at = 1, number
+      if (mod(at, particles_between_looks) == 0) then
+        if (stop_requested()) exit
+      end if
       call place_in_urn(generator, table, at <= urn1_number, particles%x(at), particles%y(at))
       call draw_direction(generator, particles%ux(at), particles%uy(at))
     end do
     call free_generator(generator)
+    if (stop_requested()) call stopped_before_start(error)
   end subroutine random_particles
 
   !> A point uniform in an urn: in the disc, on the inner side of both chords.
@@ -55,13 +63,15 @@ contains
     logical, intent(in) :: first_urn
     real(wp), intent(out) :: x, y
     !> Coordinates from the centre; `inward` goes to channel 1.
-    real(wp) :: inward
+    real(wp) :: inward, across, up
+    logical :: inside
 
     do
-      inward = table%urn_radius*(2.0_wp*real(uniform(generator), wp) - 1.0_wp)
-      y = table%urn_radius*(2.0_wp*real(uniform(generator), wp) - 1.0_wp)
-      if (inward**2 + y**2 >= table%urn_radius**2) cycle
-      if (inward < table%chord1_distance .and. -inward < table%chord2_distance) exit
+      across = real(uniform(generator), wp)
+      up = real(uniform(generator), wp)
+      call try_point(table%urn_radius, -table%chord2_distance, table%chord1_distance, across, up, &
+        inward, y, inside)
+      if (inside) exit
     end do
     x = merge(inward - table%urn_centre, table%urn_centre - inward, first_urn)
   end subroutine place_in_urn
@@ -109,8 +119,10 @@ contains
     integer(int64) :: first, last, next
     integer :: line, count, status
 
-    allocate (particles%x(number), particles%y(number), particles%ux(number), particles%uy(number), &
-      stat=status)
+    allocate (particles%x(number), stat=status)
+    if (status == 0) allocate (particles%y(number), stat=status)
+    if (status == 0) allocate (particles%ux(number), stat=status)
+    if (status == 0) allocate (particles%uy(number), stat=status)
     if (status /= 0) then
       call fatal_error(error, 'no memory for '//to_text(number)//' particles')
       return
@@ -124,6 +136,12 @@ contains
       if (last < first) last = len(text, int64) + 1
       next = last + 1
       line = line + 1
+      if (mod(line, particles_between_looks) == 0) then
+        if (stop_requested()) then
+          call stopped_before_start(error)
+          return
+        end if
+      end if
       ! The end of a line that was written under Windows.
       if (last > first) last = merge(last - 1, last, text(last - 1:last - 1) == achar(13))
       first = first + verify(text(first:last - 1)//'.', blanks, kind=int64) - 1

@@ -138,7 +138,8 @@ contains
     type(key_type) :: pair(2)
 
     pair = others(find_key(others, group, name))
-    pair%group = 'scan'
+    pair(1)%group = 'scan'
+    pair(2)%group = 'scan'
     pair(2)%name = name//'_range'
     pair(1)%most_values = most_values
     pair(2)%most_values = 3

@@ -2,13 +2,17 @@
 !> file, line, group, key, value and what is allowed.
 module battery_namelist_input
   use battery_kinds, only: wp, int64
-  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_fingerprint, only: fingerprint_of, mix_word
   use battery_text, only: to_text, new_line_character
-  use battery_files, only: read_text, is_folder, is_writable, file_exists, folder_of
+  use battery_file_text, only: read_text, read_input
+  use battery_files, only: is_writable, file_exists
+  use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
+    follow_links
   use battery_engine, only: particles_type
   use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
-  use battery_namelist_settings, only: settings_type, read_settings, find_setting
+  use battery_settings, only: settings_type, read_settings, find_setting, take
+  use battery_keys, only: all_keys
   use battery_initial_state, only: read_particles, are_inside
   use battery_plan, only: plan_type, point_type, problem_type, complete_plan, point_of, &
     table_of
@@ -16,10 +20,14 @@ module battery_namelist_input
   private
   public :: read_namelist, parse_namelist, differing_keys, file_fingerprint
 
+  !> Bytes of the longest namelist; what is longer is no namelist.
+  integer(int64), parameter :: longest_namelist = 64000000_int64
+
 contains
 
   !> The plan that a file describes. Looks at files too: the initial file must be good, and
-  !> the results must have a place to go. Writes nothing.
+  !> the results must have a place to go. Writes nothing. The file may be a pipe, which can be read
+  !> once only, so one rank calls this and passes on what it found.
   subroutine read_namelist(file, plan, error)
     character(len=*), intent(in) :: file
     type(plan_type), intent(out) :: plan
@@ -28,12 +36,12 @@ contains
     character(len=:), allocatable :: text
     type(settings_type) :: settings
 
-    call read_text(file, text, error)
+    call read_input(file, longest_namelist, text, error)
     if (allocated(error)) then
-      error%code = exit_bad_input
+      if (error%code == exit_failure) error%code = exit_bad_input
       return
     end if
-    call read_settings(text, settings)
+    call read_settings(text, all_keys(), settings)
     call fill_plan(settings, text, file, plan)
     call check_files(settings, plan)
     call report(file, settings%problems, error)
@@ -61,7 +69,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(settings_type) :: settings
 
-    call read_settings(text, settings)
+    call read_settings(text, all_keys(), settings)
     call fill_plan(settings, text, name, plan)
     call report(name, settings%problems, error)
   end subroutine parse_namelist
@@ -90,71 +98,33 @@ contains
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
 
-    plan%shape = text_of('table', 'shape')
-    call set_real('table', 'urn_radius', plan%urn_radius)
-    call set_real('table', 'channel1_width', plan%channel1_width)
-    call set_real('table', 'channel1_length', plan%channel1_length)
-    call set_real('table', 'channel2_width', plan%channel2_width)
-    call set_real('table', 'channel2_length', plan%channel2_length)
-    call set_integer('particles', 'number', plan%number)
-    call set_integer('particles', 'urn1_number', plan%urn1_number)
-    call set_long('particles', 'seed', plan%seed)
-    plan%initial_file = text_of('particles', 'initial_file')
-    call set_integer('gate', 'threshold', plan%threshold)
-    call set_real('gate', 'threshold_fraction', plan%threshold_fraction)
-    plan%engine = text_of('run', 'engine')
-    call set_long('run', 'collisions', plan%collisions)
-    call set_long('run', 'transient_collisions', plan%transient_collisions)
-    call set_real('run', 'duration', plan%duration)
-    call set_real('run', 'transient_duration', plan%transient_duration)
-    call set_real('run', 'start_time', plan%start_time)
-    call set_real('run', 'time_step', plan%time_step)
-    call set_integer('scan', 'replicas', plan%replicas)
-    plan%file = text_of('output', 'file')
-    call set_real('output', 'series_interval', plan%series_interval)
+    call take(settings, 'table', 'shape', plan%shape)
+    call take(settings, 'table', 'urn_radius', plan%urn_radius)
+    call take(settings, 'table', 'channel1_width', plan%channel1_width)
+    call take(settings, 'table', 'channel1_length', plan%channel1_length)
+    call take(settings, 'table', 'channel2_width', plan%channel2_width)
+    call take(settings, 'table', 'channel2_length', plan%channel2_length)
+    call take(settings, 'particles', 'number', plan%number)
+    call take(settings, 'particles', 'urn1_number', plan%urn1_number)
+    call take(settings, 'particles', 'seed', plan%seed)
+    call take(settings, 'particles', 'initial_file', plan%initial_file)
+    call take(settings, 'gate', 'threshold', plan%threshold)
+    call take(settings, 'gate', 'threshold_fraction', plan%threshold_fraction)
+    call take(settings, 'run', 'engine', plan%engine)
+    call take(settings, 'run', 'collisions', plan%collisions)
+    call take(settings, 'run', 'transient_collisions', plan%transient_collisions)
+    call take(settings, 'run', 'duration', plan%duration)
+    call take(settings, 'run', 'transient_duration', plan%transient_duration)
+    call take(settings, 'run', 'start_time', plan%start_time)
+    call take(settings, 'run', 'time_step', plan%time_step)
+    call take(settings, 'scan', 'replicas', plan%replicas)
+    call take(settings, 'output', 'file', plan%file)
+    call take(settings, 'output', 'series_interval', plan%series_interval)
     plan%snapshot_times = settings%all(find_setting(settings, 'output', 'snapshot_times'))%reals
-    plan%event_log = settings%all(find_setting(settings, 'output', 'event_log'))%flag
-    plan%final_state = settings%all(find_setting(settings, 'output', 'final_state'))%flag
-    call set_real('limits', 'wall_minutes', plan%wall_minutes)
-    call set_real('limits', 'checkpoint_minutes', plan%checkpoint_minutes)
-
-  contains
-
-    subroutine set_real(group, name, number)
-      character(len=*), intent(in) :: group, name
-      real(wp), intent(inout) :: number
-
-      associate (setting => settings%all(find_setting(settings, group, name)))
-        if (setting%known) number = setting%reals(1)
-      end associate
-    end subroutine set_real
-
-    subroutine set_long(group, name, number)
-      character(len=*), intent(in) :: group, name
-      integer(int64), intent(inout) :: number
-
-      associate (setting => settings%all(find_setting(settings, group, name)))
-        if (setting%known) number = setting%integers(1)
-      end associate
-    end subroutine set_long
-
-    subroutine set_integer(group, name, number)
-      character(len=*), intent(in) :: group, name
-      integer, intent(inout) :: number
-      integer(int64) :: long
-
-      long = number
-      call set_long(group, name, long)
-      number = int(long)
-    end subroutine set_integer
-
-    function text_of(group, name) result(text)
-      character(len=*), intent(in) :: group, name
-      character(len=:), allocatable :: text
-
-      text = settings%all(find_setting(settings, group, name))%text
-    end function text_of
-
+    call take(settings, 'output', 'event_log', plan%event_log)
+    call take(settings, 'output', 'final_state', plan%final_state)
+    call take(settings, 'limits', 'wall_minutes', plan%wall_minutes)
+    call take(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_components
 
   !> Lists of the scan, each from itself or from its range.
@@ -195,9 +165,9 @@ contains
         step = (range%reals(2) - range%reals(1))/max(count - 1, 1)
         list = [(range%reals(1) + at*step, at=0, count - 1)]
         if (count > 1) list(count) = range%reals(2)
-        if (any(list > range%key%most) .and. (name == 'number' .or. name == 'threshold')) then
+        if (any(list > range%key%greatest) .and. (name == 'number' .or. name == 'threshold')) then
           call add_problem(settings, problem_type('scan', name//'_range', &
-            to_text(maxval(list)), 'numbers up to '//to_text(range%key%most)))
+            to_text(maxval(list)), 'numbers up to '//to_text(range%key%greatest)))
           list = [real(wp) ::]
         end if
       end if
@@ -222,36 +192,62 @@ contains
       'transient_collisions', 'is given beside duration', 'transient_duration'))
   end subroutine check_pairs
 
-  !> The results must have a place to go.
+  !> The results must have a place to go, which is no input's; an output that is a link is what it
+  !> points to.
   subroutine check_files(settings, plan)
     type(settings_type), intent(inout) :: settings
-    type(plan_type), intent(in) :: plan
-    character(len=:), allocatable :: folder
+    type(plan_type), intent(inout) :: plan
+    type(error_type), allocatable :: trouble
+    character(len=:), allocatable :: folder, reason
 
+    if (is_pipe_or_device(plan%initial_file)) call add_problem(settings, problem_type('particles', &
+      'initial_file', ''''//plan%initial_file//''': this is a pipe or a device', 'a file'))
     if (plan%file == '') return
+    call follow_links(plan%file, trouble)
     folder = folder_of(plan%file)
-    if (.not. is_folder(folder)) then
-      call refuse('the folder '//folder//' does not exist')
+    reason = ''
+    if (allocated(trouble)) then
+      reason = trouble%message
+    else if (.not. is_folder(folder)) then
+      reason = 'the folder '//folder//' does not exist'
     else if (.not. is_writable(folder)) then
-      call refuse('the folder '//folder//' cannot be written to')
+      reason = 'the folder '//folder//' cannot be written to'
     else if (is_folder(plan%file)) then
-      call refuse('this is a folder')
-    else if (plan%file == plan%input_file .or. plan%file == plan%initial_file) then
-      call refuse('this is an input file')
-    else if (file_exists(plan%file)) then
-      if (.not. is_writable(plan%file)) call refuse('the file cannot be written to')
+      reason = 'this is a folder'
+    else if (is_pipe_or_device(plan%file)) then
+      reason = 'this is a pipe or a device'
+    else if (file_exists(plan%file) .and. .not. is_writable(plan%file)) then
+      reason = 'the file cannot be written to'
+    else if (is_folder(plan%file//'.part')) then
+      reason = 'there is a folder '//plan%file//'.part'
     end if
-
-  contains
-
-    subroutine refuse(reason)
-      character(len=*), intent(in) :: reason
-
-      call add_problem(settings, problem_type('output', 'file', ''''//plan%file//''': '//reason, &
-        'a file in a folder that exists and can be written to'))
-    end subroutine refuse
-
+    if (reason == '') reason = trouble_with_input(plan%file, plan%input_file)
+    if (reason == '' .and. plan%initial_file /= '') &
+      reason = trouble_with_input(plan%file, plan%initial_file)
+    if (reason /= '') call add_problem(settings, problem_type('output', 'file', ''''//plan%file &
+      //''': '//reason, 'a file in a folder that exists and can be written to'))
   end subroutine check_files
+
+  !> Whether what is written for an output would spoil an input, by whatever names and links; empty:
+  !> it would not.
+  function trouble_with_input(file, input) result(reason)
+    character(len=*), intent(in) :: file, input
+    character(len=:), allocatable :: reason
+
+    reason = ''
+    if (file == input .or. same_file(file, input)) then
+      reason = 'this is an input file'
+    else if (same_file(file//'.part', input)) then
+      reason = file//'.part, under which it is written first, is an input file'
+    else if (same_file(file//'.owner', input)) then
+      reason = file//'.owner, which says who writes it, is an input file'
+    else if (same_file(file//'.tasks', real_folder_of(input)) .or. &
+      same_file(file//'.tasks', folder_of(input))) then
+      reason = 'the folder '//file//'.tasks, which is removed in the end, has an input file in it'
+    else if (same_file(file//'.tasks', input)) then
+      reason = file//'.tasks, a folder for what is unfinished, is an input file'
+    end if
+  end function trouble_with_input
 
   !> The initial file must suit the table of every point; its problems join those of the namelist.
   !> It says how many start in urn 1.
@@ -301,6 +297,8 @@ contains
     type(error_type), allocatable :: trouble
     character(len=:), allocatable :: message
 
+    ! That is said already, and reading it might never end.
+    if (is_pipe_or_device(plan%initial_file)) return
     if (file_exists(plan%initial_file)) then
       if (point%number < 1 .or. .not. max(point%channel1_width, point%channel2_width) &
         < 2.0_wp*plan%urn_radius) return
@@ -351,8 +349,8 @@ contains
     type(settings_type) :: before, now
     integer :: at
 
-    call read_settings(old, before)
-    call read_settings(new, now)
+    call read_settings(old, all_keys(), before)
+    call read_settings(new, all_keys(), now)
     text = ''
     do at = 1, size(now%all)
       if (.not. now%all(at)%key%decides) cycle

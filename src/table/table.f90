@@ -9,7 +9,8 @@ module battery_table
   implicit none (type, external)
   private
   public :: table_type, new_table, shape_circuit, shape_urn
-  public :: area_of_urn, area, perimeter, arc_length, shortest_excursion
+  public :: area_of_urn, area, perimeter, arc_length, half_length, shortest_excursion
+  public :: try_point, longest_run
   public :: region_at, outside, urn_one, urn_two, gate_one, gate_two, return_one, return_two
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
@@ -18,6 +19,9 @@ module battery_table
   !> Regions of the table: the urns, the gates, the halves of channel 2; `outside` is none of them.
   integer, parameter :: outside = 0, urn_one = 1, urn_two = 2, gate_one = 3, gate_two = 4, &
     return_one = 5, return_two = 6
+
+  !> No run is longer, in radii of an urn: beyond, the clock would not resolve an urn.
+  real(wp), parameter :: longest_run = 1.0e15_wp
 
   type :: table_type
     integer :: shape = shape_circuit
@@ -123,6 +127,15 @@ contains
     end if
   end function perimeter
 
+  !> |x| at the ends of the table.
+  pure function half_length(table) result(length)
+    type(table_type), intent(in) :: table
+    real(wp) :: length
+
+    length = table%urn_centre + table%urn_radius
+    if (table%channel2_width > 0.0_wp) length = table%periodic_line
+  end function half_length
+
   !> Shortest time from any event of a particle (it enters a gate, crosses the middle of channel 1,
   !> is turned back, or crosses the periodic line) to its next entry of a gate or crossing of the
   !> periodic line: a lower bound, from the straight way between the chords with half of channel 2,
@@ -153,6 +166,23 @@ contains
     end function shortest_return
 
   end function shortest_excursion
+
+  !> A point about the centre of an urn whose chords lie at x = `lower` < 0 and `upper` > 0, from
+  !> two numbers `across` and `up` uniform in [0, 1]: uniform in the urn where it is `inside`, which
+  !> is so more than two times in five. Between near chords it is looked for there alone.
+  pure subroutine try_point(radius, lower, upper, across, up, x, y, inside)
+    real(wp), intent(in) :: radius, lower, upper, across, up
+    real(wp), intent(out) :: x, y
+    logical, intent(out) :: inside
+
+    if (upper - lower < radius) then
+      x = lower + (upper - lower)*across
+    else
+      x = radius*(2.0_wp*across - 1.0_wp)
+    end if
+    y = radius*(2.0_wp*up - 1.0_wp)
+    inside = x**2 + y**2 < radius**2 .and. lower < x .and. x < upper
+  end subroutine try_point
 
   !> Region that holds the point (x, y); a point on a chord belongs to the channel, one on the
   !> middle line to gate 2. `tolerance` is how far beyond a wall a point may lie.
