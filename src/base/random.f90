@@ -9,7 +9,7 @@ module battery_random
   use battery_kinds, only: wp, int64
   implicit none (type, external)
   private
-  public :: random_type, lanes, new_random, draw_uniform, hashed_uniform
+  public :: random_type, lanes, new_random, draw_uniform, hashed_uniform, mixed
 
   !> Generators side by side; numbers are drawn in multiples of this.
   integer, parameter :: lanes = 8

@@ -4,7 +4,7 @@
 !> the help text all go by that list.
 module battery_key
   use battery_kinds, only: wp, int64
-  use battery_text, only: string_type, to_text, new_line_character
+  use battery_text, only: string_type, to_text, is_one_of, new_line_character
   implicit none (type, external)
   private
   public :: key_type, find_key, group_names, keys_of_group, allowed_text, keys_text
@@ -58,10 +58,7 @@ contains
 
     allocate (names(0))
     do at = 1, size(keys)
-      if (at > 1) then
-        if (keys(at)%group == keys(at - 1)%group) cycle
-      end if
-      names = [names, string_type(keys(at)%group)]
+      if (.not. is_one_of(keys(at)%group, names)) names = [names, string_type(keys(at)%group)]
     end do
   end function group_names
 

@@ -17,8 +17,8 @@ module battery_settings
   !> Takes the value of a key, which stays as it was where there is none: (settings, group, name,
   !> value). Of two numbers, one that is given counts for both.
   interface take
-    module procedure :: take_integer, take_long, take_integers, take_real, take_reals, take_text, &
-      take_logical
+    module procedure :: take_integer, take_long, take_integers, take_real, take_reals, take_list, &
+      take_text, take_logical
   end interface take
 
   !> Longest text of a key: the longest path that the system takes.
@@ -393,6 +393,14 @@ contains
       if (setting%known) value = [setting%reals(1), setting%reals(size(setting%reals))]
     end associate
   end subroutine take_reals
+
+  pure subroutine take_list(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    real(wp), allocatable, intent(inout) :: value(:)
+
+    value = settings%all(find_setting(settings, group, name))%reals
+  end subroutine take_list
 
   pure subroutine take_text(settings, group, name, value)
     type(settings_type), intent(in) :: settings

@@ -1,0 +1,110 @@
+!> What a task is known by: a fingerprint of all that decides its result.
+!>
+!> By value, never by its place in a scan: numbers that are equal to 12 digits are equal, and what is
+!> given is the same as what is so by default. So a point has the same random numbers however many
+!> others are scanned with it. What is measured and kept beside (series, snapshots, event log) does
+!> not change what happens, and is no part of it.
+module battery_identity
+  use battery_kinds, only: wp, int64
+  use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
+  use battery_random, only: mixed
+  use battery_simulation, only: setup_type
+  implicit none (type, external)
+  private
+  public :: identity_of, kept_with, twelve_digits
+
+contains
+
+  !> The identity of a task, which is its seed as well.
+  function identity_of(setup, number, urn1_number, initial_fingerprint, seed, replica) &
+      result(identity)
+    !> Table, thresholds, engine and length; its seed is not looked at.
+    type(setup_type), intent(in) :: setup
+    !> Particles, and how many of them start in urn 1.
+    integer, intent(in) :: number, urn1_number
+    !> Of the initial file; 0: the start is random.
+    integer(int64), intent(in) :: initial_fingerprint
+    !> Base seed of the run.
+    integer(int64), intent(in) :: seed
+    !> From 1.
+    integer, intent(in) :: replica
+    integer(int64) :: identity
+    integer :: k
+
+    identity = fingerprint_start
+    call mix_word(identity, fingerprint_of(setup%engine))
+    associate (table => setup%table)
+      call mix_word(identity, int(table%sides, int64))
+      do k = 1, table%sides
+        call mix_real(identity, table%urn(k)%radius)
+        call mix_word(identity, int(setup%threshold(k), int64))
+      end do
+      do k = 1, 2
+        call mix_real(identity, table%channel(k)%width)
+        if (table%channel(k)%width > 0.0_wp) call mix_real(identity, table%channel(k)%length)
+      end do
+    end associate
+    if (setup%engine == 'timestep') call mix_real(identity, setup%time_step)
+    if (setup%duration > 0.0_wp) then
+      call mix_real(identity, setup%duration)
+      call mix_real(identity, setup%transient_duration)
+    else
+      call mix_word(identity, setup%collisions)
+      call mix_word(identity, setup%transient_collisions)
+    end if
+    call mix_real(identity, setup%start_time)
+    call mix_word(identity, int(number, int64))
+    call mix_word(identity, merge(int(urn1_number, int64), initial_fingerprint, &
+      initial_fingerprint == 0))
+    call mix_word(identity, seed)
+    call mix_word(identity, int(replica, int64))
+    identity = mixed(identity)
+  end function identity_of
+
+  !> The identity of what is kept of a task: the task, and which series, snapshots and so on.
+  function kept_with(identity, setup, final_state) result(kept)
+    integer(int64), intent(in) :: identity
+    type(setup_type), intent(in) :: setup
+    logical, intent(in) :: final_state
+    integer(int64) :: kept
+    integer :: k
+
+    kept = identity
+    call mix_real(kept, setup%series_interval)
+    call mix_word(kept, size(setup%snapshot_times, kind=int64))
+    do k = 1, size(setup%snapshot_times)
+      call mix_real(kept, setup%snapshot_times(k))
+    end do
+    call mix_word(kept, merge(1_int64, 0_int64, setup%event_log))
+    call mix_word(kept, merge(1_int64, 0_int64, final_state))
+    kept = mixed(kept)
+  end function kept_with
+
+  !> Takes a number to 12 digits into a fingerprint.
+  subroutine mix_real(fingerprint, number)
+    integer(int64), intent(inout) :: fingerprint
+    real(wp), intent(in) :: number
+
+    call mix_word(fingerprint, fingerprint_of(digits_of(number)))
+  end subroutine mix_real
+
+  !> A number to 12 digits, as text; the same for 0 and -0.
+  pure function digits_of(number) result(text)
+    real(wp), intent(in) :: number
+    character(len=24) :: text
+
+    write (text, '(es24.11e4)') number
+    if (.not. abs(number) > 0.0_wp) text = '0'
+  end function digits_of
+
+  !> The number that has the first 12 digits of a number, rounded.
+  elemental function twelve_digits(number) result(rounded)
+    real(wp), intent(in) :: number
+    real(wp) :: rounded
+    character(len=24) :: text
+
+    text = digits_of(number)
+    read (text, *) rounded
+  end function twelve_digits
+
+end module battery_identity

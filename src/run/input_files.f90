@@ -1,0 +1,142 @@
+!> The files of a run: the namelist, the initial file, and where the results go.
+module battery_input_files
+  use battery_kinds, only: wp, int64
+  use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
+  use battery_fingerprint, only: fingerprint_of
+  use battery_text, only: new_line_character
+  use battery_file_text, only: read_text, read_input
+  use battery_files, only: is_writable, file_exists
+  use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
+    follow_links
+  use battery_settings, only: settings_type
+  use battery_namelist_input, only: fill_plan, add_problem, report
+  use battery_initial_state, only: parse_particles, are_inside
+  use battery_plan, only: plan_type, point_type, problem_type, point_of, table_of
+  implicit none (type, external)
+  private
+  public :: read_namelist
+
+  !> Bytes of the longest namelist; what is longer is no namelist.
+  integer(int64), parameter :: longest_namelist = 64000000_int64
+
+contains
+
+  !> The plan that a file describes, with what its initial file holds. The initial file must be good,
+  !> and the results must have a place to go. Writes nothing. The namelist may be a pipe, which can
+  !> be read once only: one rank calls this and passes on what it found.
+  subroutine read_namelist(file, plan, error)
+    character(len=*), intent(in) :: file
+    type(plan_type), intent(out) :: plan
+    !> Code `exit_bad_input`; all problems, one a line.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: text
+    type(settings_type) :: settings
+
+    call read_input(file, longest_namelist, text, error)
+    if (allocated(error)) then
+      if (error%code == exit_failure) error%code = exit_bad_input
+      return
+    end if
+    call fill_plan(text, file, settings, plan)
+    call check_files(settings, plan)
+    call report(file, settings, error)
+    call take_initial_file(plan, error)
+  end subroutine read_namelist
+
+  !> The results must have a place to go, which is no input's; an output that is a link is what it
+  !> points to.
+  subroutine check_files(settings, plan)
+    type(settings_type), intent(inout) :: settings
+    type(plan_type), intent(inout) :: plan
+    type(error_type), allocatable :: trouble
+    character(len=:), allocatable :: folder, reason
+
+    if (is_pipe_or_device(plan%initial_file)) call add_problem(settings, problem_type('particles', &
+      'initial_file', ''''//plan%initial_file//''': this is a pipe or a device', 'a file'))
+    if (plan%file == '') return
+    call follow_links(plan%file, trouble)
+    folder = folder_of(plan%file)
+    reason = ''
+    if (allocated(trouble)) then
+      reason = trouble%message
+    else if (.not. is_folder(folder)) then
+      reason = 'the folder '//folder//' does not exist'
+    else if (.not. is_writable(folder)) then
+      reason = 'the folder '//folder//' cannot be written to'
+    else if (is_folder(plan%file)) then
+      reason = 'this is a folder'
+    else if (is_pipe_or_device(plan%file)) then
+      reason = 'this is a pipe or a device'
+    else if (file_exists(plan%file) .and. .not. is_writable(plan%file)) then
+      reason = 'the file cannot be written to'
+    else if (is_folder(plan%file//'.part')) then
+      reason = 'there is a folder '//plan%file//'.part'
+    end if
+    if (reason == '') reason = trouble_with_input(plan%file, plan%input_file)
+    if (reason == '' .and. plan%initial_file /= '') &
+      reason = trouble_with_input(plan%file, plan%initial_file)
+    if (reason /= '') call add_problem(settings, problem_type('output', 'file', ''''//plan%file &
+      //''': '//reason, 'a file in a folder that exists and can be written to'))
+  end subroutine check_files
+
+  !> Whether what is written for an output would spoil an input, by whatever names and links; empty:
+  !> it would not.
+  function trouble_with_input(file, input) result(reason)
+    character(len=*), intent(in) :: file, input
+    character(len=:), allocatable :: reason
+
+    reason = ''
+    if (file == input .or. same_file(file, input)) then
+      reason = 'this is an input file'
+    else if (same_file(file//'.part', input)) then
+      reason = file//'.part, under which it is written first, is an input file'
+    else if (same_file(file//'.owner', input)) then
+      reason = file//'.owner, which says who writes it, is an input file'
+    else if (same_file(file//'.tasks', real_folder_of(input)) .or. &
+      same_file(file//'.tasks', folder_of(input))) then
+      reason = 'the folder '//file//'.tasks, which is removed in the end, has an input file in it'
+    else if (same_file(file//'.tasks', input)) then
+      reason = file//'.tasks, a folder for what is unfinished, is an input file'
+    end if
+  end function trouble_with_input
+
+  !> The initial file must suit the table of every point; its problems join those of the namelist.
+  !> It is read once, and says how many start in urn 1.
+  subroutine take_initial_file(plan, error)
+    type(plan_type), intent(inout) :: plan
+    type(error_type), allocatable, intent(inout) :: error
+    type(error_type), allocatable :: trouble
+    character(len=:), allocatable :: text, message
+    type(point_type) :: point
+    integer :: at
+
+    ! That a pipe is refused is said already, and reading it might never end.
+    if (plan%initial_file == '' .or. is_pipe_or_device(plan%initial_file)) return
+    call read_text(plan%initial_file, text, trouble)
+    if (.not. allocated(trouble)) then
+      point = point_of(plan, 1)
+      ! Where lengths are wrong themselves, there is no table to hold the file against.
+      if (allocated(error) .and. .not. (point%number > 0 .and. &
+        maxval(point%channel%width) < 2.0_wp*minval(point%urn_radius))) return
+      call parse_particles(text, plan%initial_file, table_of(plan, point), max(point%number, 0), &
+        plan%start, trouble)
+      do at = 2, plan%point_count
+        if (allocated(trouble)) exit
+        point = point_of(plan, at)
+        ! Read again only to say what is wrong.
+        if (.not. are_inside(table_of(plan, point), plan%start)) call parse_particles(text, &
+          plan%initial_file, table_of(plan, point), point%number, plan%start, trouble)
+      end do
+    end if
+    if (allocated(trouble)) then
+      message = plan%input_file//': &particles initial_file = '''//plan%initial_file &
+        //''' cannot be used:'//new_line_character//trouble%message
+      if (allocated(error)) message = error%message//new_line_character//message
+      call fatal_error(error, message, exit_bad_input)
+    end if
+    if (allocated(error)) return
+    plan%initial_fingerprint = fingerprint_of(text)
+    plan%base%urn1_number = count(plan%start%x < 0.0_wp)
+  end subroutine take_initial_file
+
+end module battery_input_files
