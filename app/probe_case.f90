@@ -3,9 +3,10 @@ module battery_probe_case
   use, intrinsic :: ieee_arithmetic, only: ieee_is_finite, ieee_value, ieee_quiet_nan
   use battery_kinds, only: wp, dp, int64, pi
   use battery_text, only: to_text
-  use battery_table, only: table_type, region_at, outside
+  use battery_table, only: table_type, chamber_at, outside
   use battery_random, only: hashed_uniform
-  use battery_engine, only: engine_type, history_type, particles_type
+  use battery_engine, only: engine_type, particles_type
+  use battery_history, only: history_type
   use battery_signals, only: wall_seconds
   use battery_probe, only: precision_name, started, list, say
   implicit none (type, external)

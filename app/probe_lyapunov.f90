@@ -10,7 +10,7 @@ module battery_probe_lyapunov
   use battery_text, only: to_text
   use battery_table, only: table_type
   use battery_random, only: hashed_uniform
-  use battery_bounce, only: walls_type, flight_type, new_walls, take_off, fly, hit_arc, &
+  use battery_bounce, only: walls_type, motion_type, new_walls, take_off, fly, hit_arc, &
     hit_channel, enter_channel, leave_channel, cross_middle_line, cross_periodic_line, &
     on_side_one, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, &
     meets_nothing

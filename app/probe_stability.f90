@@ -7,7 +7,8 @@
 module battery_probe_stability
   use battery_kinds, only: wp, dp, int64
   use battery_table, only: table_type
-  use battery_engine, only: history_type, particles_type, event_entry
+  use battery_history, only: history_type, event_entry
+  use battery_engine, only: particles_type
   use battery_signals, only: wall_seconds
   use battery_probe, only: argument, real_argument, integer_argument, paper_table, started
   use battery_probe_case, only: case_type, live, tell, crossings, alone, first_event, scattered, &

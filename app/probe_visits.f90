@@ -14,7 +14,7 @@ module battery_probe_visits
   use battery_text, only: to_text
   use battery_table, only: table_type
   use battery_random, only: hashed_uniform
-  use battery_urn, only: urn_type, new_urn, cross_urns
+  use battery_disc, only: disc_type, new_disc, cross_urns
   use battery_visits, only: visits_type, reserve_visits
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
     say, stop_at, now_seconds

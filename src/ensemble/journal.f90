@@ -20,8 +20,8 @@ module battery_journal
     write_single, read_single
   use battery_task_result, only: task_result_type, task_complete, to_record, &
     from_record
-  use battery_engine, only: engine_state_type
-  use battery_simulation, only: simulation_type, setup_type, save_simulation, restore_simulation
+  use battery_simulation, only: simulation_type, setup_type, pass_simulation
+  use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_finished, read_rank_file
@@ -237,33 +237,26 @@ contains
   subroutine write_state(journal, task, simulation, cpu_seconds, error)
     type(journal_type), intent(inout) :: journal
     integer, intent(in) :: task
-    type(simulation_type), intent(in) :: simulation
+    type(simulation_type), intent(inout) :: simulation
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
-    type(engine_state_type) :: state(3)
+    type(stream_type) :: stream
     type(record_type) :: record
     character(len=:), allocatable :: name
 
-    call save_simulation(simulation, state(1), state(2), state(3))
+    stream = new_stream()
+    call pass_simulation(simulation, simulation%setup, stream, error)
+    if (allocated(error)) return
     record%owner = state_owner(journal%owner)
     record%tag = task
     journal%generation = journal%generation + 1
-    record%integers = [journal%generation, sizes_of(state(1)), sizes_of(state(2)), &
-      sizes_of(state(3)), state(1)%integers, state(2)%integers, state(3)%integers]
-    record%reals = real([real(cpu_seconds, wp), state(1)%reals, state(2)%reals, state(3)%reals], dp)
-    record%bytes = [state(1)%bytes, state(2)%bytes, state(3)%bytes]
+    record%integers = [journal%generation, stream%word(:stream%length)]
+    record%reals = [cpu_seconds]
+    allocate (record%bytes(0))
     name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
     call write_single(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
-
-  pure function sizes_of(state) result(sizes)
-    type(engine_state_type), intent(in) :: state
-    integer(int64) :: sizes(3)
-
-    sizes = [size(state%integers, kind=int64), size(state%reals, kind=int64), &
-      size(state%bytes, kind=int64)]
-  end function sizes_of
 
   !> The newer of the whole states of a task, if there is one.
   subroutine read_state(journal, task, setup, simulation, cpu_seconds, found, error)
@@ -275,10 +268,8 @@ contains
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: record, other
-    type(engine_state_type) :: state(3)
+    type(stream_type) :: stream
     logical :: other_found
-    integer(int64) :: at(3), sizes(3)
-    integer :: k
 
     journal%generation = 0
     cpu_seconds = 0.0_dp
@@ -293,15 +284,8 @@ contains
     if (.not. found) return
     journal%generation = record%integers(1)
     cpu_seconds = record%reals(1)
-    at = [10, 1, 0]
-    do k = 1, 3
-      sizes = record%integers(3*k - 1:3*k + 1)
-      state(k)%integers = record%integers(at(1) + 1:at(1) + sizes(1))
-      state(k)%reals = real(record%reals(at(2) + 1:at(2) + sizes(2)), wp)
-      state(k)%bytes = record%bytes(at(3) + 1:at(3) + sizes(3))
-      at = at + sizes
-    end do
-    call restore_simulation(simulation, setup, state(1), state(2), state(3), error)
+    stream = stream_of(record%integers(2:))
+    call pass_simulation(simulation, setup, stream, error)
 
   contains
 

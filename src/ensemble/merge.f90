@@ -72,10 +72,10 @@ contains
     do k = 1, task_count(plan)
       task = task_of(plan, k)
       results%number(task%point) = task%number
-      results%threshold(task%point) = task%setup%threshold
+      results%threshold(task%point) = task%setup%threshold(1)
       results%urn1_number(task%point) = task%urn1_number
-      results%channel1_width(task%point) = real(task%setup%table%channel1_width, dp)
-      results%channel2_width(task%point) = real(task%setup%table%channel2_width, dp)
+      results%channel1_width(task%point) = real(task%setup%table%channel(1)%width, dp)
+      results%channel2_width(task%point) = real(task%setup%table%channel(2)%width, dp)
       results%seed(task%replica, task%point) = task%seed
     end do
     do file = 0, journal%rank_files - 1

@@ -54,12 +54,12 @@ contains
 
     point = point_of(plan, (task - 1)/plan%replicas + 1)
     table = table_of(plan, point)
-    openings = table%channel1_width + table%channel2_width
+    openings = sum(table%channel%width)
     if (plan%duration > 0.0_wp) then
-      cost = plan%duration*point%number*(arc_length(table) + visit_cost*openings) &
-        /(pi*area_of_urn(table))
+      cost = plan%duration*point%number*(arc_length(table, 1) + visit_cost*openings) &
+        /(pi*area_of_urn(table, 1))
     else
-      cost = real(plan%collisions, wp)*(1.0_wp + visit_cost*openings/arc_length(table))
+      cost = real(plan%collisions, wp)*(1.0_wp + visit_cost*openings/arc_length(table, 1))
     end if
     cost = cost*(1.0_wp + 0.1_wp*log(real(point%number, wp)))
   end function cost_of

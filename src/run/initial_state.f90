@@ -4,7 +4,7 @@ module battery_initial_state
   use battery_kinds, only: wp, int64, pi
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: string_type, to_text, join, new_line_character
-  use battery_table, only: table_type, region_at, outside
+  use battery_table, only: table_type, gated, ungated, chamber_at, outside, x_direction
   use battery_engine, only: particles_type
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform_fine
   implicit none (type, external)
@@ -43,28 +43,31 @@ contains
     call new_generator(generator, seed, error)
     if (allocated(error)) return
     do at = 1, number
-      call place_in_urn(generator, table, at <= urn1_number, particles%x(at), particles%y(at))
+      call place_in_urn(generator, table, merge(1, 2, at <= urn1_number), particles%x(at), &
+        particles%y(at))
       call draw_direction(generator, particles%ux(at), particles%uy(at))
     end do
     call free_generator(generator)
   end subroutine random_particles
 
   !> A point uniform in an urn: in the disc, on the inner side of both chords.
-  subroutine place_in_urn(generator, table, first_urn, x, y)
+  subroutine place_in_urn(generator, table, side, x, y)
     type(generator_type), intent(in) :: generator
     type(table_type), intent(in) :: table
-    logical, intent(in) :: first_urn
+    integer, intent(in) :: side
     real(wp), intent(out) :: x, y
     !> Coordinates from the centre; `inward` goes to channel 1.
     real(wp) :: inward
 
-    do
-      inward = table%urn_radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-      y = table%urn_radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-      if (inward**2 + y**2 >= table%urn_radius**2) cycle
-      if (inward < table%chord1_distance .and. -inward < table%chord2_distance) exit
-    end do
-    x = merge(inward - table%urn_centre, table%urn_centre - inward, first_urn)
+    associate (urn => table%urn(side))
+      do
+        inward = urn%radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
+        y = urn%radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
+        if (inward**2 + y**2 >= urn%radius**2) cycle
+        if (inward < urn%chord(gated) .and. -inward < urn%chord(ungated)) exit
+      end do
+      x = x_direction(side)*(urn%centre - inward)
+    end associate
   end subroutine place_in_urn
 
   !> A direction uniform on the circle.
@@ -172,7 +175,7 @@ contains
     else if (.not. (hypot(state(3), state(4)) > tiny(1.0_wp) .and. &
       hypot(state(3), state(4)) <= huge(1.0_wp))) then
       problem = 'has the speed '//to_text(hypot(state(3), state(4)))//'; allowed: any above 0'
-    else if (region_at(table, state(1), state(2), 0.0_wp) == outside) then
+    else if (chamber_at(table, state(1), state(2), 0.0_wp) == outside) then
       problem = 'lies outside the table: x = '//to_text(state(1))//', y = '//to_text(state(2))
     end if
   end subroutine read_line

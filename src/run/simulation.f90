@@ -7,21 +7,24 @@ module battery_simulation
   use battery_kinds, only: wp, int8, int32, int64
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: table_type, shape_circuit, region_at, outside
-  use battery_engine, only: engine_type, engine_state_type, history_type, particles_type
+  use battery_table, only: table_type, chamber_at, outside
+  use battery_engine, only: engine_type, particles_type, allocate_particles
+  use battery_history, only: history_type
   use battery_observer, only: end_series, observer_type, averages_type, new_observer, observe, &
-    begin_measuring, averages_of, save_observer, restore_observer
+    begin_measuring, averages_of, pass_observer
   use battery_engines, only: new_engine
+  use battery_stream, only: stream_type
   implicit none (type, external)
   private
   public :: setup_type, simulation_type, event_log_type, begin_simulation, step, progress, verify
-  public :: save_simulation, restore_simulation
+  public :: pass_simulation
 
   !> What is simulated; the particles come apart from it.
   type :: setup_type
     character(len=:), allocatable :: engine
     type(table_type) :: table
-    integer :: threshold = 0
+    !> Of the gates of urn 1 and 2.
+    integer :: threshold(2) = 0
     !> Length of the run and of its transient in wall collisions, or, if `duration` > 0, in time.
     integer(int64) :: collisions = 0, transient_collisions = 0
     real(wp) :: duration = 0.0_wp, transient_duration = 0.0_wp
@@ -79,13 +82,11 @@ contains
     integer :: urn1_number
 
     simulation%setup = setup
-    call new_engine(setup%engine, simulation%engine, error)
+    call make_engine(setup, simulation%engine, error)
     if (allocated(error)) return
-    simulation%engine%time_step = setup%time_step
-    simulation%engine%seed = setup%seed
     urn1_number = count(particles%x < 0.0_wp)
     simulation%observer = new_observer(size(particles%x), urn1_number, &
-      setup%table%shape == shape_circuit, setup%series_interval)
+      setup%table%sides == 2, setup%series_interval)
     call check_room(size(particles%x), error)
     if (allocated(error)) return
     call simulation%engine%start(setup%table, setup%threshold, particles, setup%start_time)
@@ -94,6 +95,22 @@ contains
     call set_target(simulation)
     call reach_stops(simulation)
   end subroutine begin_simulation
+
+  !> The engine of a setup, not yet started, if it can simulate the table.
+  subroutine make_engine(setup, engine, error)
+    type(setup_type), intent(in) :: setup
+    class(engine_type), allocatable, intent(out) :: engine
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: reason
+
+    call new_engine(setup%engine, engine, error)
+    if (allocated(error)) return
+    engine%time_step = setup%time_step
+    engine%seed = setup%seed
+    reason = engine%supports(setup%table)
+    if (reason /= '') call fatal_error(error, 'the engine '''//setup%engine &
+      //''' cannot simulate this table: '//reason)
+  end subroutine make_engine
 
   !> Whether the memory that an engine of so many particles takes beside them can be had; engines
   !> allocate without asking, which would end the program.
@@ -294,8 +311,8 @@ contains
       last = min(first + chunk - 1, simulation%engine%number)
       call simulation%engine%particles(first, last, particles)
       do i = 1, last - first + 1
-        if (region_at(simulation%setup%table, particles%x(i), particles%y(i), &
-          tolerance*simulation%setup%table%urn_radius) == outside) lost = lost + 1
+        if (chamber_at(simulation%setup%table, particles%x(i), particles%y(i), &
+          tolerance*maxval(simulation%setup%table%urn%radius)) == outside) lost = lost + 1
         if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= tolerance) &
           off_speed = off_speed + 1
         if (particles%x(i) < 0.0_wp) urn1_number = urn1_number + 1
@@ -310,73 +327,72 @@ contains
     call fatal_error(error, trim(text))
   end subroutine verify
 
-  !> All that is needed to go on to the same last bit: the engine, the observer, and the rest.
-  subroutine save_simulation(simulation, engine, observer, rest)
-    type(simulation_type), intent(in) :: simulation
-    type(engine_state_type), intent(out) :: engine, observer, rest
+  !> All that is needed to go on to the same last bit, into a stream or out of it: then for the same
+  !> setup, and what was there before is lost.
+  subroutine pass_simulation(simulation, setup, stream, error)
+    type(simulation_type), intent(inout) :: simulation
+    type(setup_type), intent(in) :: setup
+    type(stream_type), intent(inout) :: stream
+    !> The state does not fit, or the engine cannot be had.
+    type(error_type), allocatable, intent(out) :: error
+
+    if (stream%reading) then
+      simulation%setup = setup
+      call make_engine(setup, simulation%engine, error)
+      if (allocated(error)) return
+      simulation%history%logging = setup%event_log
+      allocate (simulation%snapshot(size(setup%snapshot_times)))
+    end if
+    call pass_observer(simulation%observer, stream)
+    if (stream%reading .and. .not. stream%failed()) &
+      call check_room(simulation%observer%number, error)
+    if (allocated(error)) return
+    if (.not. stream%failed()) call simulation%engine%pass_state(setup%table, setup%threshold, &
+      stream)
+    call stream%pass('elapsed', simulation%elapsed)
+    call stream%pass('transient_time', simulation%transient_time)
+    call stream%pass('transient_collisions', simulation%transient_collisions)
+    call stream%pass('collisions', simulation%collisions)
+    call stream%pass('done', simulation%done)
+    call stream%pass('next_count', simulation%next_count)
+    call stream%pass('windows_since_count', simulation%windows_since_count)
+    call pass_snapshots(simulation, stream)
+    call pass_events(simulation%events, stream)
+    if (stream%failed()) call fatal_error(error, stream%problem)
+  end subroutine pass_simulation
+
+  !> The snapshots taken so far.
+  subroutine pass_snapshots(simulation, stream)
+    type(simulation_type), intent(inout) :: simulation
+    type(stream_type), intent(inout) :: stream
     integer :: k
 
-    call simulation%engine%save_state(engine)
-    call save_observer(simulation%observer, observer)
-    associate (s => simulation, log => simulation%events)
-      rest%integers = [s%transient_collisions, s%collisions, s%next_count, &
-        int(s%windows_since_count, int64), int(s%snapshots_taken, int64), int(log%count, int64), &
-        int(s%engine%number, int64), merge(1_int64, 0_int64, s%done)]
-      rest%reals = [s%elapsed, s%transient_time]
-      if (log%count > 0) then
-        rest%integers = [rest%integers, int(log%kind(:log%count), int64), &
-          int(log%where(:log%count), int64), int(log%particle(:log%count), int64)]
-        rest%reals = [rest%reals, log%time(:log%count)]
-      end if
-      do k = 1, s%snapshots_taken
-        rest%reals = [rest%reals, s%snapshot(k)%x, s%snapshot(k)%y, s%snapshot(k)%ux, &
-          s%snapshot(k)%uy]
-      end do
-    end associate
-    allocate (rest%bytes(0))
-  end subroutine save_simulation
-
-  !> The inverse of `save_simulation`, for the same setup.
-  subroutine restore_simulation(simulation, setup, engine, observer, rest, error)
-    type(simulation_type), intent(out) :: simulation
-    type(setup_type), intent(in) :: setup
-    type(engine_state_type), intent(in) :: engine, observer, rest
-    type(error_type), allocatable, intent(out) :: error
-    integer :: k, n, events, at
-
-    simulation%setup = setup
-    call new_engine(setup%engine, simulation%engine, error)
-    if (allocated(error)) return
-    simulation%engine%time_step = setup%time_step
-    simulation%engine%seed = setup%seed
-    call restore_observer(simulation%observer, observer)
-    n = int(rest%integers(7))
-    call check_room(n, error)
-    if (allocated(error)) return
-    call simulation%engine%restore_state(setup%table, setup%threshold, n, engine)
-    simulation%history%logging = setup%event_log
-    simulation%transient_collisions = rest%integers(1)
-    simulation%collisions = rest%integers(2)
-    simulation%next_count = rest%integers(3)
-    simulation%windows_since_count = int(rest%integers(4))
-    simulation%snapshots_taken = int(rest%integers(5))
-    simulation%done = rest%integers(8) == 1
-    simulation%elapsed = rest%reals(1)
-    simulation%transient_time = rest%reals(2)
-    events = int(rest%integers(6))
-    simulation%events%count = events
-    if (events > 0) then
-      simulation%events%kind = int(rest%integers(9:8 + events), int32)
-      simulation%events%where = int(rest%integers(9 + events:8 + 2*events), int32)
-      simulation%events%particle = int(rest%integers(9 + 2*events:8 + 3*events), int32)
-      simulation%events%time = rest%reals(3:2 + events)
-    end if
-    allocate (simulation%snapshot(size(setup%snapshot_times)))
+    call stream%pass('snapshots_taken', simulation%snapshots_taken)
+    if (stream%failed()) return
     do k = 1, simulation%snapshots_taken
-      at = 2 + events + 4*n*(k - 1)
-      simulation%snapshot(k) = particles_type(rest%reals(at + 1:at + n), rest%reals(at + n + 1:at &
-        + 2*n), rest%reals(at + 2*n + 1:at + 3*n), rest%reals(at + 3*n + 1:at + 4*n))
+      associate (snapshot => simulation%snapshot(k))
+        if (stream%reading) call allocate_particles(snapshot, simulation%engine%number)
+        call stream%pass('x', snapshot%x)
+        call stream%pass('y', snapshot%y)
+        call stream%pass('ux', snapshot%ux)
+        call stream%pass('uy', snapshot%uy)
+      end associate
     end do
-  end subroutine restore_simulation
+  end subroutine pass_snapshots
+
+  !> The event log so far.
+  subroutine pass_events(log, stream)
+    type(event_log_type), intent(inout) :: log
+    type(stream_type), intent(inout) :: stream
+
+    call stream%pass('events', log%count)
+    if (stream%failed() .or. log%count == 0) return
+    if (stream%reading) allocate (log%time(log%count), log%kind(log%count), log%where(log%count), &
+      log%particle(log%count))
+    call stream%pass('event_time', log%time(:log%count))
+    call stream%pass('event_kind', log%kind(:log%count))
+    call stream%pass('event_where', log%where(:log%count))
+    call stream%pass('event_particle', log%particle(:log%count))
+  end subroutine pass_events
 
 end module battery_simulation

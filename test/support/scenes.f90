@@ -2,10 +2,11 @@
 !> plain way to move a particle, wall by wall, in more digits than the program has.
 module scenes
   use battery_kinds, only: wp, int64
-  use battery_table, only: table_type, new_table, shape_circuit, shape_urn, region_at, outside, &
-    urn_one, urn_two, gate_one, gate_two
-  use battery_engine, only: engine_type, history_type, particles_type, event_entry, &
-    event_reversal, event_crossing1, event_crossing2
+  use battery_table, only: table_type, new_table, shape_circuit, shape_urn, chamber_at, outside, &
+    in_urn, in_gate
+  use battery_engine, only: engine_type, particles_type
+  use battery_history, only: history_type, event_entry, event_reversal, event_crossing1, &
+    event_crossing2
   implicit none (type, external)
   private
   public :: qp, table_3_4_5, uneven_table, paper_table, draw, scatter, pick, mirrored_x, &
