@@ -7,7 +7,7 @@ module battery_history
   implicit none (type, external)
   private
   public :: history_type, reserve_history, make_room, record_crossing, record_event, &
-    record_entry, record_reversal, order_events, crossing_of
+    record_reversal, order_events, crossing_of
   public :: channel1_12, channel1_21, channel2_12, channel2_21
   public :: event_entry, event_reversal, event_crossing1, event_crossing2
 
@@ -108,16 +108,6 @@ contains
     if (history%logging) call record_event(history, time, event_of(crossing), way_of(crossing), &
       particle)
   end subroutine record_crossing
-
-  !> A particle enters a gate.
-  subroutine record_entry(history, time, gate, particle)
-    type(history_type), intent(inout) :: history
-    !> Since the window began.
-    real(wp), intent(in) :: time
-    integer, intent(in) :: gate, particle
-
-    if (history%logging) call record_event(history, time, event_entry, gate, particle)
-  end subroutine record_entry
 
   !> A gate turns back `counted` particles.
   subroutine record_reversal(history, time, gate, counted)

@@ -11,7 +11,8 @@ module battery_queue
   public :: queue_type, empty_queue, push, pop, remove, shift_queue, pass_queue
 
   type :: queue_type
-    integer :: count = 0
+    !> How many are in it, and for how many there is room.
+    integer :: count = 0, room = 0
     !> When the first of them is due; huge if there is none.
     real(wp) :: next = huge(1.0_wp)
     !> Whether `time` and `who` up to `count` are a heap.
@@ -26,38 +27,56 @@ contains
   pure subroutine empty_queue(queue)
     type(queue_type), intent(inout) :: queue
 
-    if (.not. allocated(queue%time)) allocate (queue%time(32), queue%who(32))
     queue%count = 0
     queue%next = huge(1.0_wp)
     queue%in_order = .false.
   end subroutine empty_queue
 
-  !> `who` is due at `time`.
+  !> `who` is due at `time`. Short, so that it is compiled in where it is called.
   pure subroutine push(queue, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: time
     integer, intent(in) :: who
-    integer :: at, parent
 
-    if (queue%count == size(queue%time)) then
+    if (queue%count == queue%room) call grow(queue)
+    queue%count = queue%count + 1
+    queue%next = min(queue%next, time)
+    queue%time(queue%count) = time
+    queue%who(queue%count) = who
+    if (queue%in_order) call lift_last(queue)
+  end subroutine push
+
+  pure subroutine grow(queue)
+    type(queue_type), intent(inout) :: queue
+
+    if (queue%room == 0) then
+      queue%room = 32
+      allocate (queue%time(32), queue%who(32))
+    else
       queue%time = [queue%time, queue%time]
       queue%who = [queue%who, queue%who]
+      queue%room = size(queue%time)
     end if
-    at = queue%count + 1
-    queue%count = at
-    if (queue%in_order) then
-      do while (at > 1)
-        parent = at/2
-        if (before(queue%time(parent), queue%who(parent), time, who)) exit
-        queue%time(at) = queue%time(parent)
-        queue%who(at) = queue%who(parent)
-        at = parent
-      end do
-    end if
+  end subroutine grow
+
+  !> The last of a heap finds its place.
+  pure subroutine lift_last(queue)
+    type(queue_type), intent(inout) :: queue
+    real(wp) :: time
+    integer :: who, at
+
+    at = queue%count
+    time = queue%time(at)
+    who = queue%who(at)
+    do while (at > 1)
+      if (before(queue%time(at/2), queue%who(at/2), time, who)) exit
+      queue%time(at) = queue%time(at/2)
+      queue%who(at) = queue%who(at/2)
+      at = at/2
+    end do
     queue%time(at) = time
     queue%who(at) = who
-    queue%next = min(queue%next, time)
-  end subroutine push
+  end subroutine lift_last
 
   !> The first leaves the queue, which is not empty.
   pure subroutine pop(queue, who)
@@ -158,6 +177,7 @@ contains
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: shift
 
+    if (queue%count == 0) return
     queue%time(:queue%count) = queue%time(:queue%count) - shift
     queue%next = minval(queue%time(:queue%count))
   end subroutine shift_queue
@@ -171,10 +191,10 @@ contains
     call stream%pass('next', queue%next)
     call stream%pass('in_order', queue%in_order)
     if (stream%failed()) return
-    if (stream%reading) then
-      deallocate (queue%time, queue%who)
-      allocate (queue%time(max(queue%count, 32)), queue%who(max(queue%count, 32)))
-    end if
+    do while (queue%room < queue%count)
+      call grow(queue)
+    end do
+    if (queue%room == 0) return
     call stream%pass('time', queue%time(:queue%count))
     call stream%pass('who', queue%who(:queue%count))
   end subroutine pass_queue

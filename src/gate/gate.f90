@@ -18,7 +18,7 @@ module battery_gate
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: gate_type, new_gate, hold, enter, must_turn, decide, first_to_cross, cross_first, cross, &
+  public :: gate_type, new_gate, hold, enter, must_turn, undecided, decide, first_to_cross, cross_first, cross, &
     turned_back, shift_gate, pass_gate
 
   type :: gate_type
@@ -71,6 +71,14 @@ contains
 
     must_turn = gate%counted%count > gate%threshold
   end function must_turn
+
+  !> Whether any gate has something to decide when the instant is over.
+  pure function undecided(gate)
+    type(gate_type), intent(in) :: gate(2)
+    logical :: undecided
+
+    undecided = gate(1)%entered .or. gate(2)%entered
+  end function undecided
 
   !> The instant is over: whether the gate turns back those counted, `gate%counted%who(:count)`.
   pure subroutine decide(gate, turns)

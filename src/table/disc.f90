@@ -114,10 +114,8 @@ contains
       visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
       grazing)
     if (grazing) call sharpen(disc, visits)
-    do j = 1, visits%count
-      visits%slot(j) = j
-    end do
     active = visits%count
+    call count_up(active, visits%slot)
     if (disc%step_first) then
       visits%px(active + 1:n) = 1.0_wp
       visits%py(active + 1:n) = 0.0_wp
@@ -148,6 +146,17 @@ contains
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
   end subroutine cross_urns
+
+  !> 1, 2, ...
+  pure subroutine count_up(n, slot)
+    integer, intent(in) :: n
+    integer, intent(out) :: slot(n)
+    integer :: j
+
+    do j = 1, n
+      slot(j) = j
+    end do
+  end subroutine count_up
 
   !> Whether all visits ended in an opening with a velocity that leads out.
   pure function all_left(n, along, impacts)

@@ -23,8 +23,8 @@ module battery_excursion
     schedule, schedule_all, open_until, next_due, drop_done, turn_calendar
   use battery_memory, only: prefer_large_pages
   use battery_engine, only: engine_type, particles_type, allocate_particles, turn_clock
-  use battery_history, only: history_type, reserve_history, record_crossing, record_entry, &
-    record_reversal, crossing_of
+  use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
+    record_reversal, crossing_of, event_entry
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -219,7 +219,10 @@ contains
     integer, intent(out) :: done
     real(wp) :: time
     integer :: at, i, urn
+    logical :: logging
 
+    ! A copy, which the compiler may keep in a register while it writes to `self`.
+    logging = history%logging
     do at = 1, last
       time = due_time(at)
       if (time >= ends) exit
@@ -231,7 +234,7 @@ contains
       if (flight(i)%heading == to_gate) then
         flight(i)%heading = in_gate
         call enter(self%gate(urn), middle(at), i)
-        call record_entry(history, time - began, urn, i)
+        if (logging) call record_event(history, time - began, event_entry, urn, i)
         if (must_turn(self%gate(urn))) then
           if (.not. more_enter_now(last, due_time, particle, number, flight, at)) &
             call reverse(self, urn, time, began, history)

@@ -29,8 +29,8 @@ module battery_reservoir
   use battery_queue, only: queue_type, empty_queue, push, pop, shift_queue, pass_queue
   use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
   use battery_engine, only: engine_type, particles_type, allocate_particles, turn_clock
-  use battery_history, only: history_type, reserve_history, record_crossing, record_entry, &
-    record_reversal, crossing_of
+  use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
+    record_reversal, crossing_of, event_entry
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -249,7 +249,7 @@ contains
     self%members = self%members - 1
     if (self%draws%channel(k) == gated) then
       call enter(self%gate(urn), time + self%half(gated)*inverse, i)
-      call record_entry(history, time - began, urn, i)
+      if (history%logging) call record_event(history, time - began, event_entry, urn, i)
       if (must_turn(self%gate(urn))) call reverse(self, urn, time, began, history)
     else
       call push(self%returning, time + self%half(ungated)*inverse, i)

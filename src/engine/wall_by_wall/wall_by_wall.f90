@@ -12,10 +12,10 @@ module battery_wall_by_wall
     hit_channel, enter_channel, leave_channel, cross_line, turn_back, heads_for_middle, &
     time_to_middle, is_trapped, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, &
     meets_line
-  use battery_gate, only: hold, enter, decide, cross, turned_back
+  use battery_gate, only: hold, enter, undecided, decide, cross, turned_back
   use battery_engine, only: engine_type, particles_type, allocate_particles
-  use battery_history, only: history_type, record_crossing, record_entry, record_reversal, &
-    order_events, crossing_of
+  use battery_history, only: history_type, record_crossing, record_event, record_reversal, &
+    order_events, crossing_of, event_entry
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -146,7 +146,8 @@ contains
     type(motion_type), intent(in) :: motion
 
     call enter(self%gate(motion%side), self%now + time_to_middle(motion), particle)
-    call record_entry(history, since, int(motion%side), particle)
+    if (history%logging) call record_event(history, since, event_entry, int(motion%side), &
+      particle)
   end subroutine enter_gate
 
   !> A particle has come to the line of its channel, from `chamber` of `side`.
@@ -188,27 +189,40 @@ contains
     real(wp), intent(in) :: since
     integer, intent(in) :: first
     type(history_type), intent(inout) :: history
-    type(motion_type) :: motion
-    real(wp) :: wait
-    integer :: side, member, i
+    integer :: side
     logical :: turns
 
-    do side = 1, 2
-      call decide(self%gate(side), turns)
-      if (.not. turns) cycle
-      associate (counted => self%gate(side)%counted)
-        call record_reversal(history, since, side, counted%count)
-        do member = 1, counted%count
-          i = counted%who(member)
-          motion = self%motion_now(i)
-          call turn_back(self%walls, motion, wait)
-          call self%write_down(i, motion, wait)
-        end do
-      end associate
-      call turned_back(self%gate(side))
-    end do
+    if (undecided(self%gate)) then
+      do side = 1, 2
+        call decide(self%gate(side), turns)
+        if (turns) call turn_gate(self, side, since, history)
+      end do
+    end if
     if (history%events > first) call order_events(history, first)
   end subroutine end_instant
+
+  !> All those counted in the gate of a side turn back.
+  subroutine turn_gate(self, side, since, history)
+    class(wall_by_wall_type), intent(inout) :: self
+    integer, intent(in) :: side
+    !> Since the window began.
+    real(wp), intent(in) :: since
+    type(history_type), intent(inout) :: history
+    type(motion_type) :: motion
+    real(wp) :: wait
+    integer :: member, i
+
+    associate (counted => self%gate(side)%counted)
+      call record_reversal(history, since, side, counted%count)
+      do member = 1, counted%count
+        i = counted%who(member)
+        motion = self%motion_now(i)
+        call turn_back(self%walls, motion, wait)
+        call self%write_down(i, motion, wait)
+      end do
+    end associate
+    call turned_back(self%gate(side))
+  end subroutine turn_gate
 
   subroutine all_particles(self, first, last, particles)
     class(wall_by_wall_type), intent(in) :: self
