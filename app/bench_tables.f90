@@ -4,7 +4,8 @@ module battery_bench
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
   use battery_table, only: new_table, shape_circuit
-  use battery_engine, only: engine_type, history_type, particles_type
+  use battery_engine, only: engine_type, particles_type
+  use battery_history, only: history_type
   use battery_engines, only: new_engine
   use battery_initial_state, only: random_particles
   use battery_clocks, only: wall_seconds

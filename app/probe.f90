@@ -5,7 +5,8 @@ module battery_probe
   use battery_error, only: error_type
   use battery_text, only: to_text
   use battery_table, only: table_type, new_table, shape_circuit
-  use battery_engine, only: engine_type, history_type, particles_type
+  use battery_engine, only: engine_type, particles_type
+  use battery_history, only: history_type
   use battery_engines, only: new_engine
   implicit none (type, external)
   private

@@ -4,7 +4,8 @@ module battery_probe_events
   use battery_error, only: error_type
   use battery_text, only: to_text
   use battery_table, only: table_type, new_table, shape_circuit, shape_urn
-  use battery_engine, only: engine_type, history_type, particles_type
+  use battery_engine, only: engine_type, particles_type
+  use battery_history, only: history_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, started, &
     list, say, stop_at

@@ -5,7 +5,8 @@ module battery_probe_trajectory
   use battery_error, only: error_type
   use battery_text, only: to_text
   use battery_table, only: table_type
-  use battery_engine, only: engine_type, history_type, particles_type
+  use battery_engine, only: engine_type, particles_type
+  use battery_history, only: history_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
     started, run_for, list, say, stop_at, now_seconds

@@ -289,3 +289,24 @@ def test_what_cannot_be_represented_is_refused(
     lines = [line for line in ended.stderr.splitlines() if f" {key} = " in line]
     assert lines, ended.stderr
     assert "allowed: " in lines[0]
+
+
+@pytest.mark.parametrize("engine", ENGINES[:3])
+@pytest.mark.parametrize("x", [-0.25, 0.25])
+def test_a_run_may_end_with_a_particle_on_the_counted_line(
+    tmp_path: Path, engine: str, x: float
+) -> None:
+    """What happens at the very end is not made any more, and is no fault."""
+    (tmp_path / "start.txt").write_text(f"{x} 0.0625 {math.copysign(1, -x)} 0\n")
+    (tmp_path / "case.nml").write_text(
+        namelist(
+            particles={"number": 1, "initial_file": "'start.txt'"},
+            gate={"threshold": 1},
+            run={"engine": f"'{engine}'", "duration": 0.25},
+            output={"file": "'out.h5'", "final_state": ".true."},
+        )
+    )
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert abs(file["final/x"][0, 0, 0]) < 1e-15

@@ -9,21 +9,21 @@
 module battery_communicator
   use, intrinsic :: iso_c_binding, only: c_ptr, c_f_pointer
   use mpi_f08, only: MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
-    MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
+    MPI_CHARACTER, MPI_BYTE, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
     MPI_ADDRESS_KIND, MPI_MAX_LIBRARY_VERSION_STRING, MPI_Init, MPI_Initialized, MPI_Finalize, &
     MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &
     MPI_Allreduce, &
     MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, MPI_Win_flush, &
     MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, MPI_Get_library_version, &
     MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED
-  use battery_kinds, only: dp, int64
+  use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
   use battery_terminal, only: is_terminal, parent_is_terminal
   implicit none (type, external)
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: ranks_on_node, output_is_terminal
-  public :: share_integers, wait_for_all, summary_of, all_true, mpi_library
+  public :: share_integers, share_number, share_reals, wait_for_all, summary_of, all_true, mpi_library
   public :: board_type, open_board, close_board, add_to_board, read_board
   public :: take_task, help_board
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
@@ -131,6 +131,27 @@ contains
     end if
     call MPI_Bcast(integers, length, MPI_INTEGER, 0, communicator%ranks)
   end subroutine share_integers
+
+  !> Every rank gets the number of rank 0.
+  subroutine share_number(communicator, number)
+    type(communicator_type), intent(in) :: communicator
+    integer(int64), intent(inout) :: number
+
+    call MPI_Bcast(number, 1, MPI_INTEGER8, 0, communicator%ranks)
+  end subroutine share_number
+
+  !> Every rank gets the reals of rank 0; on the others the array is allocated anew.
+  subroutine share_reals(communicator, reals)
+    type(communicator_type), intent(in) :: communicator
+    real(wp), allocatable, intent(inout) :: reals(:)
+    integer :: length
+
+    length = 0
+    if (communicator%rank == 0) length = size(reals)
+    call MPI_Bcast(length, 1, MPI_INTEGER, 0, communicator%ranks)
+    if (communicator%rank /= 0) allocate (reals(length))
+    call MPI_Bcast(reals, length*(storage_size(1.0_wp)/8), MPI_BYTE, 0, communicator%ranks)
+  end subroutine share_reals
 
   subroutine wait_for_all(communicator)
     type(communicator_type), intent(in) :: communicator

@@ -15,13 +15,13 @@ module battery_ensemble
   use battery_text, only: string_type, to_text
   use battery_signals, only: stop_requested, stop_after, leave
   use battery_plan, only: plan_type
-  use battery_tasks, only: task_count, task_of, put_longest_first
+  use battery_tasks, only: task_count, task_of, is_task_of, put_longest_first
   use battery_namelist_input, only: differing_keys
   use battery_communicator, only: communicator_type, board_type, open_board, close_board, &
     take_task, add_to_board, read_board, share_error, share_integers, share_text, summary_of, &
     tasks_finished, tasks_failed, collisions_done, stop_wanted
-  use battery_journal, only: journal_type, read_plan, begin_journal, join_journal, read_finished, &
-    write_finished, remove_journal, rank_files_in, belongs_to_another, &
+  use battery_journal, only: journal_type, read_plan, begin_journal, join_journal, read_rank_file, &
+    rank_files_of, write_finished, remove_journal, rank_files_in, kept_in, &
     settle_journal, check_journal
   use battery_ownership, only: ownership_type, take_ownership, give_up_ownership, is_taken_over, &
     taken_over_text
@@ -129,7 +129,7 @@ contains
     if (allocated(error)) return
     call share_integers(communicator, numbers)
     complete = numbers(1) == 1
-    call join_journal(journal, journal_folder(plan), plan%fingerprint, numbers(2), &
+    call join_journal(journal, journal_folder(plan), numbers(2), &
       communicator%rank, communicator%size)
 
   contains
@@ -166,8 +166,8 @@ contains
         return
       end if
       allocate (finished(task_count(plan)), source=.false.)
-      call join_journal(earlier, journal_folder(plan), plan%fingerprint, numbers(2), 0, 0)
-      call read_finished(earlier, finished)
+      call join_journal(earlier, journal_folder(plan), numbers(2), 0, 0)
+      call mark_finished(plan, earlier, finished)
       if (allocated(damage)) then
         if (.not. (found .or. any(finished))) then
           call move_alloc(damage, error)
@@ -176,8 +176,8 @@ contains
         if (.not. quiet) call say(plan%file//' is damaged, and is written anew from ' &
           //journal_folder(plan))
       end if
-      call begin_journal(journal_folder(plan), plan%text, plan%fingerprint, &
-        plan%initial_fingerprint, numbers(2) + communicator%size, error)
+      call begin_journal(journal_folder(plan), plan%text, plan%initial_fingerprint, &
+        numbers(2) + communicator%size, error)
       if (allocated(error)) return
       pending = longest_first(plan, finished)
       if ((found .or. any(finished)) .and. .not. quiet) call say('going on: ' &
@@ -208,7 +208,7 @@ contains
       call read_plan(journal_folder(plan), before, initial_fingerprint, found)
       if (found) then
         call compare(plan, before, fingerprint_text(initial_fingerprint), error)
-      else if (belongs_to_another(journal_folder(plan), plan%fingerprint)) then
+      else if (belongs_to_another(plan)) then
         call fatal_error(error, journal_folder(plan)//' holds parts of another input, and the ' &
           //'plan in it is damaged; name another output file, or discard it with --overwrite', &
           exit_bad_input)
@@ -216,6 +216,40 @@ contains
     end subroutine look_at_journal
 
   end subroutine prepare
+
+  !> Which of the tasks of a plan a journal has as complete; failed ones are tried again.
+  subroutine mark_finished(plan, journal, finished)
+    type(plan_type), intent(in) :: plan
+    type(journal_type), intent(in) :: journal
+    logical, intent(inout) :: finished(:)
+    type(task_result_type), allocatable :: results(:)
+    integer, allocatable :: files(:)
+    integer :: file, k
+
+    files = rank_files_of(journal)
+    do file = 1, size(files)
+      call read_rank_file(journal, files(file), results)
+      do k = 1, size(results)
+        if (results(k)%status /= task_complete) cycle
+        if (is_task_of(plan, int(results(k)%task, int64), results(k)%kept)) &
+          finished(results(k)%task) = .true.
+      end do
+    end do
+  end subroutine mark_finished
+
+  !> Whether the journal has anything that is of another input, where its plan cannot tell.
+  function belongs_to_another(plan) result(another)
+    type(plan_type), intent(in) :: plan
+    logical :: another
+    integer(int64), allocatable :: kept(:, :)
+    integer :: k
+
+    another = .false.
+    kept = kept_in(journal_folder(plan))
+    do k = 1, size(kept, 2)
+      another = another .or. .not. is_task_of(plan, kept(1, k), kept(2, k))
+    end do
+  end function belongs_to_another
 
   pure function journal_folder(plan) result(folder)
     type(plan_type), intent(in) :: plan
@@ -283,7 +317,8 @@ contains
       if (must_stop()) exit
       call take_task(board, task)
       if (task == 0) exit
-      call run_task(task_of(plan, task), journal, board, watch, screen, found, stopped, error)
+      call run_task(task_of(plan, task), plan%start, journal, board, watch, screen, found, stopped, &
+        error)
       if (stopped .or. allocated(error)) exit
       call write_finished(journal, found, error)
       if (allocated(error)) exit

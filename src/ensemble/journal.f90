@@ -5,13 +5,12 @@
 !> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole.
 !>
 !> All are record files with checksums: what is cut short or damaged is found out and done again.
-!> Every record carries the fingerprint of the input that it belongs to, a state that of the build
-!> of the program as well: what others have left is never taken for this run's.
+!> Every record carries what its task is known by (`battery_identity`): what others have left is
+!> never taken for this run's. A state says besides what it holds (`battery_stream`): one that is of
+!> another format is left alone, and its task begins anew.
 module battery_journal
-  use battery_kinds, only: wp, dp, int8, int64
+  use battery_kinds, only: dp, int8, int64
   use battery_error, only: error_type, fatal_error
-  use battery_build_information, only: git_commit, program_version
-  use battery_fingerprint, only: fingerprint_of
   use battery_text, only: string_type, to_text
   use battery_background_sync, only: sync_type, begin_sync, end_sync
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
@@ -22,18 +21,16 @@ module battery_journal
     write_single, read_single
   use battery_task_result, only: task_result_type, task_complete, to_record, &
     from_record
-  use battery_engine, only: engine_state_type
-  use battery_simulation, only: simulation_type, setup_type, save_simulation, restore_simulation
+  use battery_simulation, only: simulation_type, setup_type, pass_simulation
+  use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
-  public :: journal_type, read_plan, begin_journal, join_journal, read_finished, read_rank_file
-  public :: rank_files_in, rank_files_of, belongs_to_another, settle_journal, check_journal
+  public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
+  public :: rank_files_in, rank_files_of, kept_in, settle_journal, check_journal
   public :: write_finished, write_state, read_state, remove_states, remove_journal
 
   type :: journal_type
     character(len=:), allocatable :: folder
-    !> Fingerprint of the input.
-    integer(int64) :: owner = 0
     !> Rank files of earlier starts have smaller numbers; this start's ranks have the next ones.
     integer :: first_file = 0, ranks = 0
     !> That of this run; a rank that outlives it writes no more when another has taken over.
@@ -116,41 +113,33 @@ contains
       journal%ranks - 1)]
   end function rank_files_of
 
-  !> Whether any file in the folder holds a good record of another input, where the plan itself
-  !> cannot tell.
-  function belongs_to_another(folder, owner) result(another)
+  !> The numbers of tasks, and what they are known by, of the first good record of every file but the
+  !> plan, (2, file): what else can tell whose journal this is.
+  function kept_in(folder) result(kept)
     character(len=*), intent(in) :: folder
-    integer(int64), intent(in) :: owner
-    logical :: another
+    integer(int64), allocatable :: kept(:, :)
     type(string_type), allocatable :: names(:)
     type(record_type) :: record
     logical :: found
-    integer :: k
+    integer :: k, good
 
-    another = .false.
     names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
       files_like(folder, 'task_*.b')]
+    allocate (kept(2, size(names)))
+    good = 0
     do k = 1, size(names)
       call read_single(folder//'/'//names(k)%text, record, found)
       if (.not. found) cycle
-      another = record%owner /= owner .and. record%owner /= state_owner(owner)
-      if (another) return
+      good = good + 1
+      kept(:, good) = [record%tag, record%owner]
     end do
-  end function belongs_to_another
-
-  !> The owner of states: the input and this build of the program. Another build may keep a state in
-  !> another way; then the task begins anew.
-  pure function state_owner(owner) result(state)
-    integer(int64), intent(in) :: owner
-    integer(int64) :: state
-
-    state = ieor(owner, fingerprint_of(program_version//' '//git_commit))
-  end function state_owner
+    kept = kept(:, :good)
+  end function kept_in
 
   !> Rank 0 writes the plan before any rank writes anything else.
-  subroutine begin_journal(folder, namelist, owner, initial_fingerprint, rank_files, error)
+  subroutine begin_journal(folder, namelist, initial_fingerprint, rank_files, error)
     character(len=*), intent(in) :: folder, namelist
-    integer(int64), intent(in) :: owner, initial_fingerprint
+    integer(int64), intent(in) :: initial_fingerprint
     !> Those that this start's ranks may make included.
     integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
@@ -159,7 +148,6 @@ contains
 
     call make_folder(folder, error)
     if (allocated(error)) return
-    plan%owner = owner
     plan%tag = initial_fingerprint
     plan%integers = [int(rank_files, int64)]
     allocate (plan%reals(0), plan%bytes(len(namelist)))
@@ -172,54 +160,30 @@ contains
   end subroutine begin_journal
 
   !> Every rank, then: `rank_files` as before this start.
-  subroutine join_journal(journal, folder, owner, rank_files, rank, ranks)
+  subroutine join_journal(journal, folder, rank_files, rank, ranks)
     type(journal_type), intent(out) :: journal
     character(len=*), intent(in) :: folder
-    integer(int64), intent(in) :: owner
     integer, intent(in) :: rank_files, rank, ranks
 
     journal%folder = folder
-    journal%owner = owner
     journal%first_file = rank_files
     journal%ranks = ranks
     journal%mine = rank_files + rank
   end subroutine join_journal
 
-  !> Which of the tasks 1 ... size(finished) the rank files have as complete; failed ones are tried
-  !> again.
-  subroutine read_finished(journal, finished)
-    type(journal_type), intent(in) :: journal
-    logical, intent(inout) :: finished(:)
-    type(task_result_type), allocatable :: results(:)
-    integer, allocatable :: files(:)
-    integer :: file, k
-
-    files = rank_files_of(journal)
-    do file = 1, size(files)
-      call read_rank_file(journal, files(file), results)
-      do k = 1, size(results)
-        if (results(k)%task < 1 .or. results(k)%task > size(finished)) cycle
-        if (results(k)%status == task_complete) finished(results(k)%task) = .true.
-      end do
-    end do
-  end subroutine read_finished
-
-  !> Results of this input in the rank file of that number; none if there is no such file.
+  !> Good results in the rank file of that number; none if there is no such file.
   subroutine read_rank_file(journal, file, results)
     type(journal_type), intent(in) :: journal
     integer, intent(in) :: file
     type(task_result_type), allocatable, intent(out) :: results(:)
     type(record_type), allocatable :: records(:)
     integer(int64) :: good_size
-    integer :: k, own
+    integer :: k
 
     call read_records(file_of(journal, 'rank', file), records, good_size)
-    allocate (results(count(records%owner == journal%owner)))
-    own = 0
+    allocate (results(size(records)))
     do k = 1, size(records)
-      if (records(k)%owner /= journal%owner) cycle
-      own = own + 1
-      results(own) = from_record(records(k))
+      results(k) = from_record(records(k))
     end do
   end subroutine read_rank_file
 
@@ -235,7 +199,6 @@ contains
     call check_ownership(journal, error)
     if (allocated(error)) return
     record = to_record(found)
-    record%owner = journal%owner
     name = file_of(journal, 'rank', journal%mine)
     call append_record(name, record, journal%written, error)
     if (allocated(error)) return
@@ -276,53 +239,48 @@ contains
   end subroutine remove_states
 
   !> Saves a simulation, over the older of its two generations.
-  subroutine write_state(journal, task, simulation, cpu_seconds, error)
+  subroutine write_state(journal, task, kept, simulation, cpu_seconds, error)
     type(journal_type), intent(inout) :: journal
+    !> Number of the task, and what it is known by.
     integer, intent(in) :: task
-    type(simulation_type), intent(in) :: simulation
+    integer(int64), intent(in) :: kept
+    type(simulation_type), intent(inout) :: simulation
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
-    type(engine_state_type) :: state(3)
+    type(stream_type) :: stream
     type(record_type) :: record
     character(len=:), allocatable :: name
 
     call check_ownership(journal, error)
     if (allocated(error)) return
-    call save_simulation(simulation, state(1), state(2), state(3))
-    record%owner = state_owner(journal%owner)
+    stream = new_stream()
+    call pass_simulation(simulation, simulation%setup, stream, error)
+    if (allocated(error)) return
+    record%owner = kept
     record%tag = task
     journal%generation = journal%generation + 1
-    record%integers = [journal%generation, sizes_of(state(1)), sizes_of(state(2)), &
-      sizes_of(state(3)), state(1)%integers, state(2)%integers, state(3)%integers]
-    record%reals = real([real(cpu_seconds, wp), state(1)%reals, state(2)%reals, state(3)%reals], dp)
-    record%bytes = [state(1)%bytes, state(2)%bytes, state(3)%bytes]
+    record%integers = [journal%generation, stream%word(:stream%length)]
+    record%reals = [cpu_seconds]
+    allocate (record%bytes(0))
     name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
     call write_single(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
 
-  pure function sizes_of(state) result(sizes)
-    type(engine_state_type), intent(in) :: state
-    integer(int64) :: sizes(3)
-
-    sizes = [size(state%integers, kind=int64), size(state%reals, kind=int64), &
-      size(state%bytes, kind=int64)]
-  end function sizes_of
-
   !> The newer of the whole states of a task, if there is one.
-  subroutine read_state(journal, task, setup, simulation, cpu_seconds, found, error)
+  subroutine read_state(journal, task, kept, setup, simulation, cpu_seconds, found, error)
     type(journal_type), intent(inout) :: journal
+    !> Number of the task, and what it is known by.
     integer, intent(in) :: task
+    integer(int64), intent(in) :: kept
     type(setup_type), intent(in) :: setup
     type(simulation_type), intent(out) :: simulation
     real(dp), intent(out) :: cpu_seconds
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: record, other
-    type(engine_state_type) :: state(3)
+    type(stream_type) :: stream
     logical :: other_found
-    integer(int64) :: at(3), sizes(3)
-    integer :: k
 
     journal%generation = 0
     cpu_seconds = 0.0_dp
@@ -337,15 +295,8 @@ contains
     if (.not. found) return
     journal%generation = record%integers(1)
     cpu_seconds = record%reals(1)
-    at = [10, 1, 0]
-    do k = 1, 3
-      sizes = record%integers(3*k - 1:3*k + 1)
-      state(k)%integers = record%integers(at(1) + 1:at(1) + sizes(1))
-      state(k)%reals = real(record%reals(at(2) + 1:at(2) + sizes(2)), wp)
-      state(k)%bytes = record%bytes(at(3) + 1:at(3) + sizes(3))
-      at = at + sizes
-    end do
-    call restore_simulation(simulation, setup, state(1), state(2), state(3), error)
+    stream = stream_of(record%integers(2:))
+    call pass_simulation(simulation, setup, stream, error)
 
   contains
 
@@ -356,7 +307,7 @@ contains
       logical, intent(out) :: found
 
       call read_single(file_of(journal, 'task', task)//generation, record, found)
-      if (found) found = record%tag == task .and. record%owner == state_owner(journal%owner)
+      if (found) found = record%tag == task .and. record%owner == kept
     end subroutine read_own
 
   end subroutine read_state

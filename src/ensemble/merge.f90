@@ -6,6 +6,7 @@ module battery_merge
   use battery_error, only: error_type, exit_failure
   use battery_files, only: file_exists
   use battery_plan, only: plan_type
+  use battery_table, only: gated, ungated
   use battery_tasks, only: task_count, task_of
   use battery_task, only: task_type
   use battery_task_result, only: task_result_type
@@ -50,9 +51,9 @@ contains
     metadata%status = trim(metadata%status)
     metadata%shape = plan%shape
     metadata%engine = plan%engine
-    metadata%urn_radius = real(plan%urn_radius, dp)
-    metadata%channel1_length = real(plan%channel1_length, dp)
-    metadata%channel2_length = real(plan%channel2_length, dp)
+    metadata%urn_radius = real(plan%base%urn_radius(1), dp)
+    metadata%channel1_length = real(plan%base%channel(gated)%length, dp)
+    metadata%channel2_length = real(plan%base%channel(ungated)%length, dp)
     metadata%start_time = real(plan%start_time, dp)
     call write_results(plan%file, results, metadata, error)
   end subroutine merge_results
@@ -73,11 +74,17 @@ contains
     do k = 1, task_count(plan)
       task = task_of(plan, k)
       results%number(task%point) = task%number
-      results%threshold(task%point) = task%setup%threshold
+      results%threshold(task%point) = task%setup%threshold(1)
+      results%gate_threshold(:, task%point) = task%setup%threshold
       results%urn1_number(task%point) = task%urn1_number
-      results%channel1_width(task%point) = real(task%setup%table%channel1_width, dp)
-      results%channel2_width(task%point) = real(task%setup%table%channel2_width, dp)
-      results%seed(task%replica, task%point) = task%seed
+      associate (table => task%setup%table, p => task%point)
+        results%urn_radius(:, p) = real(table%urn%radius, dp)
+        results%channel1_width(p) = real(table%channel(gated)%width, dp)
+        results%channel1_length(p) = real(table%channel(gated)%length, dp)
+        results%channel2_width(p) = real(table%channel(ungated)%width, dp)
+        results%channel2_length(p) = real(table%channel(ungated)%length, dp)
+      end associate
+      results%seed(task%replica, task%point) = task%setup%seed
     end do
     files = rank_files_of(journal)
     do file = 1, size(files)
@@ -85,6 +92,7 @@ contains
       do k = 1, size(found)
         if (found(k)%task < 1 .or. found(k)%task > task_count(plan)) cycle
         task = task_of(plan, found(k)%task)
+        if (found(k)%kept /= task%kept) cycle
         if (results%task_status(task%replica, task%point) == task_complete) cycle
         call place(plan, found(k), task, results)
         if (allocated(failures(found(k)%task)%text)) deallocate (failures(found(k)%task)%text)

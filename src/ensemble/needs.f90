@@ -3,10 +3,10 @@ module battery_needs
   use battery_kinds, only: wp, dp, pi
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_limits, only: memory_type, memory_left
-  use battery_plan, only: plan_type, point_type, point_of, table_of
+  use battery_plan, only: plan_type, point_type, point_of, table_of, is_scanned
   use battery_room, only: particle_bytes, bytes_an_entry, bytes_a_state, bytes_an_event, &
     bytes_a_task, merged_entry, merged_state, base_bytes, most_numbers, size_text
-  use battery_table, only: area_of_urn
+  use battery_table, only: area_of_urn, gated, ungated
   use battery_tasks, only: task_count
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
@@ -79,7 +79,8 @@ contains
     real(wp) :: length
 
     length = plan%duration
-    if (.not. length > 0.0_wp) length = real(plan%collisions, wp)*0.5_wp*pi*plan%urn_radius/number
+    if (.not. length > 0.0_wp) length = real(plan%collisions, wp)*0.5_wp*pi &
+      *maxval(plan%base%urn_radius)/number
   end function length_of
 
   !> Events of a run, if particles leave a well mixed urn: each enters a gate at the rate w/(pi A)
@@ -91,8 +92,8 @@ contains
 
     point = point_of(plan, 1)
     events = real(point%number, dp)*real(length_of(plan, point%number) &
-      *(2.0_wp*point%channel1_width + point%channel2_width)/(pi*area_of_urn(table_of(plan, &
-      point))), dp)
+      *(2.0_wp*point%channel(gated)%width + point%channel(ungated)%width) &
+      /(pi*area_of_urn(table_of(plan, point), 1)), dp)
   end function events_of
 
   !> An error that names the keys which ask for more than `left`: more for one task, more for rank 0
@@ -111,7 +112,7 @@ contains
     needs = needs_of(plan, left)
     problems = ''
     if (needs%too_large == plan%point_count) then
-      call add(merge('scan     ', 'particles', size(plan%scan_number) > 0), 'number', &
+      call add(merge('scan     ', 'particles', is_scanned(plan, 'number')), 'number', &
         to_text(needs%least)//' particles', needs%particles + base_bytes)
     else
       if (needs%entries > most_numbers .and. needs%series > 0.0_dp) then

@@ -4,7 +4,6 @@ module battery_outlook
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
   use battery_engine, only: particles_type
-  use battery_initial_state, only: random_particles, read_particles
   use battery_plan, only: plan_type, point_type, point_of
   use battery_screen, only: duration_text, rate_text
   use battery_clocks, only: cpu_seconds
@@ -14,7 +13,8 @@ module battery_outlook
   use battery_signals, only: stop_requested, stopped_before_start
   use battery_terminal, only: say
   use battery_simulation, only: simulation_type, begin_simulation, step
-  use battery_task, only: task_type
+  use battery_table, only: gated, ungated
+  use battery_task, only: task_type, place_particles
   use battery_tasks, only: task_count, task_of
   use battery_text, only: to_text
   implicit none (type, external)
@@ -68,40 +68,28 @@ contains
 
   subroutine print_parameters(plan)
     type(plan_type), intent(in) :: plan
-    type(point_type) :: point, least, most
+    type(point_type) :: point
+    real(wp) :: extent(2, 10)
     integer :: at
 
-    least = point_of(plan, 1)
-    most = least
-    do at = 2, plan%point_count
+    extent(1, :) = huge(1.0_wp)
+    extent(2, :) = -huge(1.0_wp)
+    do at = 1, plan%point_count
       point = point_of(plan, at)
-      least%number = min(least%number, point%number)
-      most%number = max(most%number, point%number)
-      least%threshold = min(least%threshold, point%threshold)
-      most%threshold = max(most%threshold, point%threshold)
-      least%channel1_width = min(least%channel1_width, point%channel1_width)
-      most%channel1_width = max(most%channel1_width, point%channel1_width)
-      least%channel2_width = min(least%channel2_width, point%channel2_width)
-      most%channel2_width = max(most%channel2_width, point%channel2_width)
-      least%urn1_number = min(least%urn1_number, point%urn1_number)
-      most%urn1_number = max(most%urn1_number, point%urn1_number)
+      call widen([real(point%number, wp), real(point%threshold, wp), point%urn_radius, &
+        point%channel(gated)%width, point%channel(gated)%length, point%channel(ungated)%width, &
+        point%channel(ungated)%length, real(point%urn1_number, wp)])
     end do
     call say('tasks:      '//to_text(task_count(plan))//' (' &
       //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)')
-    call say('shape:      '//plan%shape//', urn radius ' &
-      //to_text(plan%urn_radius)//', channel 1 '//to_text(plan%channel1_length) &
-      //' long, channel 2 '//to_text(plan%channel2_length))
     call say('engine:     '//plan%engine)
-    call say('N:          '//range_text(to_text(least%number), &
-      to_text(most%number)))
-    call say('T:          '//range_text(to_text(least%threshold), &
-      to_text(most%threshold)))
-    call say('w:          '//range_text(to_text(least%channel1_width), &
-      to_text(most%channel1_width)))
-    call say('w'':         '//range_text(to_text(least%channel2_width), &
-      to_text(most%channel2_width)))
-    call say('urn 1:      '//range_text(to_text(least%urn1_number), &
-      to_text(most%urn1_number))//' particles at the start')
+    call say('shape:      '//plan%shape//', urn radius '//both(4))
+    call say('channel 1:  w = '//range_text(6)//', l = '//range_text(7))
+    if (plan%shape /= 'urn') &
+      call say('channel 2:  w'' = '//range_text(8)//', l'' = '//range_text(9))
+    call say('N:          '//range_text(1))
+    call say('T:          '//both(2))
+    call say('urn 1:      '//range_text(10)//' particles at the start')
     if (plan%duration > 0.0_wp) then
       call say('length:     '//to_text(plan%duration) &
         //' time units each, the first ' //to_text(plan%transient_duration)//' not averaged')
@@ -110,6 +98,34 @@ contains
         //' collisions each, the first ' &
         //rate_text(real(plan%transient_collisions, dp))//' not averaged')
     end if
+
+  contains
+
+    subroutine widen(values)
+      real(wp), intent(in) :: values(:)
+
+      extent(1, :) = min(extent(1, :), values)
+      extent(2, :) = max(extent(2, :), values)
+    end subroutine widen
+
+    !> Least and greatest value of one quantity.
+    function range_text(k) result(text)
+      integer, intent(in) :: k
+      character(len=:), allocatable :: text
+
+      text = to_text(extent(1, k))
+      if (extent(2, k) > extent(1, k)) text = text//' ... '//to_text(extent(2, k))
+    end function range_text
+
+    !> A pair of quantities, once if they are equal.
+    function both(k) result(text)
+      integer, intent(in) :: k
+      character(len=:), allocatable :: text
+
+      text = range_text(k)
+      if (plan%shape /= 'urn' .and. range_text(k + 1) /= text) text = text//' and '//range_text(k + 1)
+    end function both
+
   end subroutine print_parameters
 
   !> `1 point`, `2 points`.
@@ -121,14 +137,6 @@ contains
     text = to_text(number)//' '//what
     if (number /= 1) text = text//'s'
   end function counted
-
-  pure function range_text(least, most) result(text)
-    character(len=*), intent(in) :: least, most
-    character(len=:), allocatable :: text
-
-    text = least
-    if (most /= least) text = text//' ... '//most
-  end function range_text
 
   !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the plan.
   subroutine calibrate(plan, most, seconds, rate, error)
@@ -148,7 +156,7 @@ contains
     do k = 1, tries
       task = task_of(plan, 1 + int(int(task_count(plan) - 1, int64)*(k - 1)/max(tries - 1, 1)))
       if (task%number > most) cycle
-      call try(task, one_seconds, one_rate, error)
+      call try(task, plan%start, one_seconds, one_rate, error)
       if (allocated(error)) return
       tried = tried + 1
       seconds = seconds + one_seconds
@@ -160,8 +168,10 @@ contains
 
   !> Runs a task for a short while. Its time is that of a processor, so that other work on the
   !> machine does not count.
-  subroutine try(task, seconds, rate, error)
+  subroutine try(task, start, seconds, rate, error)
     type(task_type), intent(in) :: task
+    !> What the initial file says.
+    type(particles_type), intent(in) :: start
     real(dp), intent(out) :: seconds, rate
     type(error_type), allocatable, intent(out) :: error
     type(simulation_type) :: simulation
@@ -169,12 +179,7 @@ contains
     real(dp) :: began, spent, elapsed
     integer(int64) :: before
 
-    if (task%initial_file == '') then
-      call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, &
-        error)
-    else
-      call read_particles(task%initial_file, task%setup%table, task%number, particles, error)
-    end if
+    call place_particles(task, start, particles, error)
     if (allocated(error)) return
     call begin_simulation(simulation, task%setup, particles, error)
     if (allocated(error)) return

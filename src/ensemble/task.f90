@@ -7,8 +7,7 @@ module battery_task
   use battery_signals, only: stop_requested
   use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, &
     verify
-  use battery_initial_state, only: random_particles, read_particles
-  use battery_namelist_input, only: file_fingerprint
+  use battery_initial_state, only: random_particles
   use battery_journal, only: journal_type, read_state, write_state
   use battery_task_result, only: task_result_type, result_of, failed_result
   use battery_communicator, only: board_type, add_to_board, read_board, help_board, &
@@ -16,17 +15,15 @@ module battery_task
   use battery_screen, only: screen_type, show_ensemble
   implicit none (type, external)
   private
-  public :: task_type, watch_type, run_task, seconds_between_looks
+  public :: task_type, watch_type, run_task, place_particles, seconds_between_looks
 
   type :: task_type
     !> Number of the task from 1; its point and replica.
     integer :: task = 0, point = 0, replica = 0
     type(setup_type) :: setup
     integer :: number = 0, urn1_number = 0
-    integer(int64) :: seed = 0
-    !> Where the particles start, if not at random, and the fingerprint of what the file holds.
-    character(len=:), allocatable :: initial_file
-    integer(int64) :: initial_fingerprint = 0
+    !> Known by this is what is kept of the task: its result, and its state on the way.
+    integer(int64) :: kept = 0
     logical :: final_state = .false.
   end type task_type
 
@@ -69,8 +66,10 @@ contains
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
   !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's
   !> troubles.
-  subroutine run_task(task, journal, board, watch, screen, found, stopped, error)
+  subroutine run_task(task, start, journal, board, watch, screen, found, stopped, error)
     type(task_type), intent(in) :: task
+    !> What the initial file says; no arrays: there is none.
+    type(particles_type), intent(in) :: start
     type(journal_type), intent(inout) :: journal
     type(board_type), intent(in) :: board
     type(watch_type), intent(inout) :: watch
@@ -86,7 +85,7 @@ contains
     stopped = .false.
     began = wall_seconds()
     cpu_began = cpu_seconds()
-    call resume_or_begin(task, journal, simulation, cpu_before, trouble)
+    call resume_or_begin(task, start, journal, simulation, cpu_before, trouble)
     told = 0
     if (.not. allocated(trouble)) told = simulation%observer%collisions
     watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
@@ -105,7 +104,7 @@ contains
       stopped = watch%stopping
       now = wall_seconds()
       if (.not. stopped .and. now < watch%next_checkpoint) cycle
-      call write_state(journal, task%task, simulation, cpu_before + cpu_seconds() - cpu_began, &
+      call write_state(journal, task%task, task%kept, simulation, cpu_before + cpu_seconds() - cpu_began, &
         error)
       if (stopped .or. allocated(error)) exit
       watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
@@ -116,10 +115,10 @@ contains
     if (stopped .or. allocated(error)) return
     if (.not. allocated(trouble)) call verify(simulation, trouble)
     if (allocated(trouble)) then
-      found = failed_result(task%task, trouble%message)
+      found = failed_result(task%task, task%kept, trouble%message)
     else
       call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
-      found = result_of(task%task, simulation, task%final_state, cpu_before + cpu_seconds() &
+      found = result_of(task%task, task%kept, simulation, task%final_state, cpu_before + cpu_seconds() &
         - cpu_began)
     end if
 
@@ -153,32 +152,38 @@ contains
   end subroutine some_steps
 
   !> From the saved state if there is one, else from the start.
-  subroutine resume_or_begin(task, journal, simulation, cpu_before, error)
+  subroutine resume_or_begin(task, start, journal, simulation, cpu_before, error)
     type(task_type), intent(in) :: task
+    type(particles_type), intent(in) :: start
     type(journal_type), intent(inout) :: journal
     type(simulation_type), intent(out) :: simulation
     real(dp), intent(out) :: cpu_before
     type(error_type), allocatable, intent(out) :: error
     type(particles_type) :: particles
-    integer(int64) :: fingerprint
     logical :: resumed
 
-    call read_state(journal, task%task, task%setup, simulation, cpu_before, resumed, error)
+    call read_state(journal, task%task, task%kept, task%setup, simulation, cpu_before, resumed, &
+      error)
     if (resumed .or. allocated(error)) return
-    if (task%initial_file == '') then
-      call random_particles(task%setup%table, task%number, task%urn1_number, task%seed, particles, &
-        error)
-    else
-      call file_fingerprint(task%initial_file, fingerprint, error)
-      if (allocated(error)) return
-      if (fingerprint /= task%initial_fingerprint) then
-        call fatal_error(error, task%initial_file//' has changed since the run began')
-        return
-      end if
-      call read_particles(task%initial_file, task%setup%table, task%number, particles, error)
-    end if
+    call place_particles(task, start, particles, error)
     if (allocated(error)) return
     call begin_simulation(simulation, task%setup, particles, error)
   end subroutine resume_or_begin
+
+  !> Where the particles of a task start.
+  subroutine place_particles(task, start, particles, error)
+    type(task_type), intent(in) :: task
+    !> What the initial file says; no arrays: at random.
+    type(particles_type), intent(in) :: start
+    type(particles_type), intent(out) :: particles
+    type(error_type), allocatable, intent(out) :: error
+
+    if (allocated(start%x)) then
+      particles = start
+    else
+      call random_particles(task%setup%table, task%number, task%urn1_number, task%setup%seed, &
+        particles, error)
+    end if
+  end subroutine place_particles
 
 end module battery_task

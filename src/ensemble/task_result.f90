@@ -16,6 +16,8 @@ module battery_task_result
     !> Number of the task, from 1, and how it ended.
     integer :: task = 0
     integer :: status = task_not_done
+    !> `task_type%kept` of the task.
+    integer(int64) :: kept = 0
     !> Why it failed.
     character(len=:), allocatable :: message
     type(measured_type) :: measured
@@ -32,8 +34,10 @@ module battery_task_result
 contains
 
   !> The result of a simulation that is done.
-  function result_of(task, simulation, final_state, cpu_seconds) result(found)
+  function result_of(task, kept, simulation, final_state, cpu_seconds) result(found)
+    !> Number of the task, and what it is known by.
     integer, intent(in) :: task
+    integer(int64), intent(in) :: kept
     type(simulation_type), intent(in) :: simulation
     logical, intent(in) :: final_state
     real(dp), intent(in) :: cpu_seconds
@@ -43,6 +47,7 @@ contains
     integer :: k
 
     found%task = task
+    found%kept = kept
     found%status = task_complete
     found%message = ''
     found%measured = new_measured()
@@ -84,12 +89,15 @@ contains
   end function flat
 
   !> The result of a task that could not be done, with the reason.
-  function failed_result(task, message) result(failed)
+  function failed_result(task, kept, message) result(failed)
+    !> Number of the task, and what it is known by.
     integer, intent(in) :: task
+    integer(int64), intent(in) :: kept
     character(len=*), intent(in) :: message
     type(task_result_type) :: failed
 
     failed%task = task
+    failed%kept = kept
     failed%status = task_failed
     failed%message = message
     failed%measured = new_measured()
@@ -101,6 +109,7 @@ contains
     type(task_result_type), intent(in) :: found
     type(record_type) :: record
 
+    record%owner = found%kept
     record%tag = found%task
     record%integers = [int(found%status, int64), size(found%series_urn1_number, kind=int64), &
       size(found%series_flow, kind=int64), size(found%snapshots, kind=int64), &
@@ -119,6 +128,7 @@ contains
     integer :: k, n
 
     found%task = int(record%tag)
+    found%kept = record%owner
     found%status = int(record%integers(1))
     allocate (character(len=size(record%bytes)) :: found%message)
     do k = 1, size(record%bytes)

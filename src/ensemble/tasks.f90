@@ -3,13 +3,14 @@
 !> Tasks are numbered from 1; the replica varies fastest. What a task is depends on the plan and its
 !> number alone, so any rank can make it at any time, and no list of tasks is kept.
 module battery_tasks
-  use battery_kinds, only: wp, pi
+  use battery_kinds, only: wp, int64, pi
   use battery_table, only: table_type, arc_length, area_of_urn
-  use battery_plan, only: plan_type, point_type, point_of, table_of, task_seed, setup_of
+  use battery_identity, only: kept_with
+  use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
   use battery_task, only: task_type
   implicit none (type, external)
   private
-  public :: task_count, task_of, put_longest_first
+  public :: task_count, task_of, is_task_of, put_longest_first
 
 contains
 
@@ -33,12 +34,25 @@ contains
     point = point_of(plan, task%point)
     task%number = point%number
     task%urn1_number = point%urn1_number
-    task%seed = task_seed(plan%seed, task%point, task%replica)
-    task%initial_file = plan%initial_file
-    task%initial_fingerprint = plan%initial_fingerprint
     task%final_state = plan%final_state
     task%setup = setup_of(plan, task%point, task%replica)
+    task%kept = kept_with(task%setup%seed, task%setup, task%final_state)
   end function task_of
+
+  !> Whether what was kept under the number of a task is of this plan's task.
+  function is_task_of(plan, number, kept) result(yes)
+    type(plan_type), intent(in) :: plan
+    integer(int64), intent(in) :: number
+    !> `task_type%kept` of the task that it was kept of.
+    integer(int64), intent(in) :: kept
+    logical :: yes
+    type(task_type) :: task
+
+    yes = number >= 1 .and. number <= task_count(plan)
+    if (.not. yes) return
+    task = task_of(plan, int(number))
+    yes = task%kept == kept
+  end function is_task_of
 
   !> What a task is expected to cost, in units of a wall collision. A visit to an urn costs as much
   !> as so many collisions besides its own (measured: 70 ns against 2 ns); how many visits there are
@@ -54,12 +68,12 @@ contains
 
     point = point_of(plan, (task - 1)/plan%replicas + 1)
     table = table_of(plan, point)
-    openings = table%channel1_width + table%channel2_width
+    openings = sum(table%channel%width)
     if (plan%duration > 0.0_wp) then
-      cost = plan%duration*point%number*(arc_length(table) + visit_cost*openings) &
-        /(pi*area_of_urn(table))
+      cost = plan%duration*point%number*(arc_length(table, 1) + visit_cost*openings) &
+        /(pi*area_of_urn(table, 1))
     else
-      cost = real(plan%collisions, wp)*(1.0_wp + visit_cost*openings/arc_length(table))
+      cost = real(plan%collisions, wp)*(1.0_wp + visit_cost*openings/arc_length(table, 1))
     end if
     cost = cost*(1.0_wp + 0.1_wp*log(real(point%number, wp)))
   end function cost_of

@@ -12,8 +12,8 @@ module battery_calendar
   use battery_powers, only: power_above
   implicit none (type, external)
   private
-  public :: calendar_type, idle, new_calendar, flight_type, schedule, schedule_all, &
-    open_until, next_due, drop_done, turn_page
+  public :: calendar_type, idle, new_calendar, page_for, flight_type, schedule, schedule_all, &
+    open_until, next_due, drop_done, turn_calendar
 
   !> A particle between two of its events. The calendar knows `due` and `next` only; the rest is
   !> its owner's. A record fills a line of the cache: with many particles the time is that of
@@ -68,12 +68,20 @@ contains
       bits = bits + 1
     end do
     calendar%buckets = 2**(bits + 2)
-    calendar%page = power_above(4.0_wp*interval)
+    calendar%page = page_for(interval)
     calendar%width = calendar%page/real(calendar%buckets, wp)
     calendar%per_width = 1.0_wp/calendar%width
     allocate (calendar%head(calendar%buckets), source=0_int32)
     allocate (calendar%due_time(number), calendar%particle(number))
   end subroutine new_calendar
+
+  !> The length of a page for events that come every `interval` on average.
+  elemental function page_for(interval) result(page)
+    real(wp), intent(in) :: interval
+    real(wp) :: page
+
+    page = power_above(4.0_wp*interval)
+  end function page_for
 
   !> Writes down that the event of `particle` is due at `time`.
   pure subroutine schedule(calendar, flight, particle, time)
@@ -263,7 +271,7 @@ contains
 
   !> The page is done: sets all times back by its length and writes down what is due on the next.
   !> What is over, or waits for no event, is due before the new page.
-  pure subroutine turn_page(calendar, flight)
+  pure subroutine turn_calendar(calendar, flight)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)
     integer :: i
@@ -275,6 +283,6 @@ contains
       flight(i)%due = flight(i)%due - calendar%page
       if (flight(i)%due >= 0.0_wp) call schedule(calendar, flight, i, flight(i)%due)
     end do
-  end subroutine turn_page
+  end subroutine turn_calendar
 
 end module battery_calendar

@@ -1,150 +1,141 @@
-!> A threshold gate: who is counted in it, in the order in which they will reach the middle line.
+!> The threshold gate: who is counted, when it turns, whom it turns, what happens at one instant.
 !>
-!> The particles that head for the other gate stand in a binary heap by the time at which they will
-!> cross the middle line, so that an entry costs O(1) on average and a reversal just empties it.
-!> Rule (paper, Sec. II; `physics.md` made exact): a particle is counted from its entry until it
-!> crosses the middle line; when entries make the count exceed the threshold, all those counted turn
-!> back, the entrants of that instant too. At one instant crossings come before entries, and all
-!> entries of one gate count before the gate decides, so the order of particles in memory is nowhere
+!> **The rule** (paper, Sec. II; `physics.md` made exact). A gate counts the particles that are
+!> inside and head for the other gate: from their entry until they cross the middle line. When
+!> entries make the count exceed the threshold, all those counted turn back, the entrants of that
+!> instant too; then nobody is counted. Only an entry can make a gate turn. Particles from the other
+!> gate, and those on their way out, are not counted and not touched.
+!>
+!> **One instant.** Crossings of the middle line come before entries, that of gate 1 first, and all
+!> entries of one gate count before the gate decides: so the order of particles in memory is nowhere
 !> to be seen.
+!>
+!> Those counted stand in a queue by the time at which they will reach the middle line. Engines ask
+!> the gate at entries and crossings; no engine knows the rule.
 module battery_gate
   use battery_kinds, only: wp
+  use battery_queue, only: queue_type, empty_queue, push, pop, remove, shift_queue, pass_queue
+  use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: gate_type, empty_gate, fill_gate, enter_gate, cross_middle, shift_gate
+  public :: gate_type, new_gate, hold, enter, must_turn, undecided, decide, first_to_cross, cross_first, cross, &
+    turned_back, shift_gate, pass_gate
 
   type :: gate_type
-    integer :: count = 0, room = 0
-    !> When the first of those counted reaches the middle line; huge if there is none.
-    real(wp) :: next_crossing = huge(1.0_wp)
-    !> Heap: time of crossing, and whose.
-    real(wp), allocatable :: time(:)
-    integer, allocatable :: particle(:)
+    !> More than so many turn.
+    integer :: threshold = 0
+    !> Whether somebody has entered since the gate last decided.
+    logical :: entered = .false.
+    !> Those counted, by when each will reach the middle line.
+    type(queue_type) :: counted
   end type gate_type
 
 contains
 
-  !> All counted particles leave the count at once (after a reversal, or at the start).
-  pure subroutine empty_gate(gate)
+  !> A gate that counts nobody yet.
+  pure subroutine new_gate(gate, threshold)
     type(gate_type), intent(inout) :: gate
+    !> How many it lets head for the other gate at a time, 0 or more.
+    integer, intent(in) :: threshold
 
-    if (gate%room == 0) then
-      gate%room = 32
-      allocate (gate%time(gate%room), gate%particle(gate%room))
-    end if
-    gate%count = 0
-    gate%next_crossing = huge(1.0_wp)
-  end subroutine empty_gate
+    gate%threshold = threshold
+    gate%entered = .false.
+    call empty_queue(gate%counted)
+  end subroutine new_gate
 
-  !> Counts a particle that will cross the middle line at `time`.
-  pure subroutine enter_gate(gate, time, particle)
+  !> Counts a particle that is inside from the start and heads for the middle line. That is no entry.
+  pure subroutine hold(gate, crossing_time, particle)
     type(gate_type), intent(inout) :: gate
-    real(wp), intent(in) :: time
+    !> When it will reach the middle line, on the clock of the engine.
+    real(wp), intent(in) :: crossing_time
     integer, intent(in) :: particle
-    integer :: at, parent
-    real(wp) :: parent_time
 
-    if (gate%count == gate%room) call grow(gate)
-    at = gate%count + 1
-    gate%count = at
-    do while (at > 1)
-      parent = at/2
-      parent_time = gate%time(parent)
-      if (time > parent_time) exit
-      if (.not. time < parent_time .and. particle > gate%particle(parent)) exit
-      gate%time(at) = parent_time
-      gate%particle(at) = gate%particle(parent)
-      at = parent
-    end do
-    gate%time(at) = time
-    gate%particle(at) = particle
-    if (at == 1) gate%next_crossing = time
-  end subroutine enter_gate
+    call push(gate%counted, crossing_time, particle)
+  end subroutine hold
 
-  !> Counts particles that are inside at the start. Not the way of an entrant: `enter_gate` is
-  !> called in one place only, where it is to be compiled in.
-  pure subroutine fill_gate(gate, time, particle)
+  !> A particle enters from the urn.
+  pure subroutine enter(gate, crossing_time, particle)
     type(gate_type), intent(inout) :: gate
-    real(wp), intent(in) :: time(:)
-    integer, intent(in) :: particle(:)
-    integer :: at
+    !> When it will reach the middle line, on the clock of the engine.
+    real(wp), intent(in) :: crossing_time
+    integer, intent(in) :: particle
 
-    call empty_gate(gate)
-    do while (gate%room < size(time))
-      call grow(gate)
-    end do
-    gate%count = size(time)
-    gate%time(:gate%count) = time
-    gate%particle(:gate%count) = particle
-    do at = gate%count/2, 1, -1
-      call sift_down(gate, at, gate%time(at), gate%particle(at))
-    end do
-    if (gate%count > 0) gate%next_crossing = gate%time(1)
-  end subroutine fill_gate
+    call push(gate%counted, crossing_time, particle)
+    gate%entered = .true.
+  end subroutine enter
 
-  pure subroutine grow(gate)
+  !> Whether the gate turns if nobody else enters at this instant.
+  pure function must_turn(gate)
+    type(gate_type), intent(in) :: gate
+    logical :: must_turn
+
+    must_turn = gate%counted%count > gate%threshold
+  end function must_turn
+
+  !> Whether any gate has something to decide when the instant is over.
+  pure function undecided(gate)
+    type(gate_type), intent(in) :: gate(2)
+    logical :: undecided
+
+    undecided = gate(1)%entered .or. gate(2)%entered
+  end function undecided
+
+  !> The instant is over: whether the gate turns back those counted, `gate%counted%who(:count)`.
+  pure subroutine decide(gate, turns)
     type(gate_type), intent(inout) :: gate
+    logical, intent(out) :: turns
 
-    gate%time = [gate%time, gate%time]
-    gate%particle = [gate%particle, gate%particle]
-    gate%room = size(gate%time)
-  end subroutine grow
+    turns = gate%entered .and. must_turn(gate)
+    gate%entered = .false.
+  end subroutine decide
 
-  !> The next of those counted crosses the middle line and leaves the count.
-  pure subroutine cross_middle(gate, particle)
+  !> Which of the two gates is first to have somebody cross the middle line.
+  pure function first_to_cross(gate) result(side)
+    type(gate_type), intent(in) :: gate(2)
+    integer :: side
+
+    side = merge(1, 2, gate(1)%counted%next <= gate(2)%counted%next)
+  end function first_to_cross
+
+  !> The first of those counted crosses the middle line.
+  pure subroutine cross_first(gate, particle)
     type(gate_type), intent(inout) :: gate
     integer, intent(out) :: particle
-    integer :: last
 
-    particle = gate%particle(1)
-    last = gate%count
-    gate%count = last - 1
-    call sift_down(gate, 1, gate%time(last), gate%particle(last))
-    gate%next_crossing = merge(gate%time(1), huge(1.0_wp), gate%count > 0)
-  end subroutine cross_middle
+    call pop(gate%counted, particle)
+  end subroutine cross_first
 
-  !> Puts a crossing into the heap at `place` or below.
-  pure subroutine sift_down(gate, place, time, particle)
+  !> This particle, which is counted, crosses the middle line.
+  pure subroutine cross(gate, particle)
     type(gate_type), intent(inout) :: gate
-    integer, intent(in) :: place
-    integer, value, intent(in) :: particle
-    real(wp), value, intent(in) :: time
-    integer :: at, child
+    integer, intent(in) :: particle
 
-    at = place
-    do
-      child = 2*at
-      if (child > gate%count) exit
-      if (child < gate%count) then
-        if (before(gate%time(child + 1), gate%particle(child + 1), gate%time(child), &
-          gate%particle(child))) child = child + 1
-      end if
-      if (.not. before(gate%time(child), gate%particle(child), time, particle)) exit
-      gate%time(at) = gate%time(child)
-      gate%particle(at) = gate%particle(child)
-      at = child
-    end do
-    gate%time(at) = time
-    gate%particle(at) = particle
-  end subroutine sift_down
+    call remove(gate%counted, particle)
+  end subroutine cross
 
-  !> Earlier, or at the same time and with the lower number (a fixed order for the log).
-  pure function before(time, particle, other_time, other_particle)
-    real(wp), intent(in) :: time, other_time
-    integer, intent(in) :: particle, other_particle
-    logical :: before
+  !> All those counted have been turned back.
+  pure subroutine turned_back(gate)
+    type(gate_type), intent(inout) :: gate
 
-    before = time < other_time
-    if (.not. before) before = .not. time > other_time .and. particle < other_particle
-  end function before
+    call empty_queue(gate%counted)
+    gate%entered = .false.
+  end subroutine turned_back
 
   !> The clock is set back by `shift`.
   pure subroutine shift_gate(gate, shift)
     type(gate_type), intent(inout) :: gate
     real(wp), intent(in) :: shift
 
-    gate%time(:gate%count) = gate%time(:gate%count) - shift
-    if (gate%count > 0) gate%next_crossing = gate%time(1)
+    call shift_queue(gate%counted, shift)
   end subroutine shift_gate
+
+  !> Who is counted, through a stream; the threshold belongs to what is simulated.
+  pure subroutine pass_gate(gate, stream)
+    type(gate_type), intent(inout) :: gate
+    type(stream_type), intent(inout) :: stream
+
+    call stream%pass('entered', gate%entered)
+    call pass_queue(gate%counted, stream)
+  end subroutine pass_gate
 
 end module battery_gate

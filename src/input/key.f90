@@ -54,11 +54,14 @@ contains
   pure function group_names(keys) result(names)
     type(key_type), intent(in) :: keys(:)
     type(string_type), allocatable :: names(:)
+    type(string_type) :: name
     integer :: at
 
     allocate (names(0))
     do at = 1, size(keys)
-      if (.not. is_one_of(keys(at)%group, names)) names = [names, string_type(keys(at)%group)]
+      if (is_one_of(keys(at)%group, names)) cycle
+      name%text = keys(at)%group
+      names = [names, name]
     end do
   end function group_names
 
@@ -67,11 +70,14 @@ contains
     type(key_type), intent(in) :: keys(:)
     character(len=*), intent(in) :: group
     type(string_type), allocatable :: names(:)
+    type(string_type) :: name
     integer :: at
 
     allocate (names(0))
     do at = 1, size(keys)
-      if (keys(at)%group == group) names = [names, string_type(keys(at)%name)]
+      if (keys(at)%group /= group) cycle
+      name%text = keys(at)%name
+      names = [names, name]
     end do
   end function keys_of_group
 

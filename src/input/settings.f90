@@ -12,12 +12,12 @@ module battery_settings
     whole_key, real_key, text_key, logical_key
   implicit none (type, external)
   private
-  public :: setting_type, settings_type, read_settings, find_setting, take
+  public :: setting_type, settings_type, read_settings, find_setting, take, take_list
 
   !> Takes the value of a key, which stays as it was where there is none: (settings, group, name,
   !> value). Of two numbers, one that is given counts for both.
   interface take
-    module procedure :: take_integer, take_long, take_integers, take_real, take_reals, take_list, &
+    module procedure :: take_integer, take_long, take_integers, take_real, take_reals, &
       take_text, take_logical
   end interface take
 
@@ -394,6 +394,7 @@ contains
     end associate
   end subroutine take_reals
 
+  !> Takes all values of a key of numbers.
   pure subroutine take_list(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name

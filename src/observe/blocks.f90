@@ -6,9 +6,10 @@
 !> the process; where they are not, replicas tell.
 module battery_blocks
   use battery_kinds, only: wp
+  use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: blocks_type, most_blocks, add_block, standard_error
+  public :: blocks_type, most_blocks, add_block, standard_error, pass_blocks
 
   integer, parameter :: most_blocks = 64
 
@@ -52,5 +53,15 @@ contains
       error = sqrt(sum((average - mean)**2)/(real(blocks%count, wp)*real(blocks%count - 1, wp)))
     end associate
   end subroutine standard_error
+
+  !> Through a stream.
+  pure subroutine pass_blocks(blocks, stream)
+    type(blocks_type), intent(inout) :: blocks
+    type(stream_type), intent(inout) :: stream
+
+    call stream%pass('length', blocks%length)
+    call stream%pass('count', blocks%count)
+    call stream%pass('average', blocks%average)
+  end subroutine pass_blocks
 
 end module battery_blocks

@@ -6,20 +6,21 @@
 !> Source: mass spread eq. (mass), net current eq. (netJ), with its sign: (n12 - n21)/t.
 module battery_observer
   use battery_kinds, only: wp, dp, int64
-  use battery_blocks, only: blocks_type, add_block, standard_error, most_blocks
-  use battery_engine, only: history_type, engine_state_type, channel1_12, channel2_12
+  use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
+  use battery_history, only: history_type, channel1_12, channel2_12
   use battery_quantities, only: measured_type, set_average, set_count, unknown_real
+  use battery_stream, only: stream_type
   implicit none (type, external)
   private
   public :: observer_type, new_observer, observe, begin_measuring, end_series
   public :: measure, measured_time
-  public :: save_observer, restore_observer
+  public :: pass_observer
 
   type :: observer_type
     integer :: number = 0
     !> Number in half 1 now.
     integer :: urn1_number = 0
-    !> False in `shape_urn`: there is only one half, and a crossing moves nobody.
+    !> False for the single urn: there is only one half, and a crossing moves nobody.
     logical :: two_halves = .true.
     !> Over all the run: gates reversed, particles turned back, collisions known.
     integer(int64) :: reversals = 0, bounce_backs = 0, collisions = 0
@@ -244,59 +245,44 @@ contains
     error = merge(real(found, dp), unknown_real(), known)
   end function error_from
 
-  !> All that is needed to go on observing to the same last bit.
-  pure subroutine save_observer(observer, state)
-    type(observer_type), intent(in) :: observer
-    type(engine_state_type), intent(out) :: state
+  !> All that is needed to go on observing to the same last bit, into a stream or out of it.
+  pure subroutine pass_observer(observer, stream)
+    type(observer_type), intent(inout) :: observer
+    type(stream_type), intent(inout) :: stream
+    integer :: flow
 
-    associate (o => observer)
-      state%integers = [int([o%number, o%urn1_number, merge(1, 0, o%two_halves), &
-        merge(1, 0, o%measuring), o%entries, o%chi_blocks%count], int64), o%reversals, &
-        o%bounce_backs, &
-        o%collisions, o%collision_spread_sum, o%collisions_seen, o%crossings, o%block_net, &
-        o%series_crossings, int(o%series_urn1_number(:o%entries), int64)]
-      state%reals = [o%time, o%spread, o%block_left, o%block_time, o%block_spread, &
-        o%series_interval, &
-        o%series_left, o%chi_blocks%length, o%chi_blocks%average, o%current1_blocks%average, &
-        o%current2_blocks%average, reshape(o%series_flow(:, :o%entries), [4*o%entries])]
-    end associate
-    allocate (state%bytes(0))
-  end subroutine save_observer
-
-  !> The inverse of `save_observer`.
-  pure subroutine restore_observer(observer, state)
-    type(observer_type), intent(out) :: observer
-    type(engine_state_type), intent(in) :: state
-    integer :: blocks
-
-    associate (o => observer, i => state%integers, r => state%reals)
-      o%number = int(i(1))
-      o%urn1_number = int(i(2))
-      o%two_halves = i(3) == 1
-      o%measuring = i(4) == 1
-      o%entries = int(i(5))
-      blocks = int(i(6))
-      o%reversals = i(7)
-      o%bounce_backs = i(8)
-      o%collisions = i(9)
-      o%collision_spread_sum = i(10)
-      o%collisions_seen = i(11)
-      o%crossings = i(12:15)
-      o%block_net = i(16:17)
-      o%series_crossings = i(18:21)
-      o%series_urn1_number = int(i(22:21 + o%entries))
-      o%time = r(1)
-      o%spread = r(2)
-      o%block_left = r(3)
-      o%block_time = r(4)
-      o%block_spread = r(5)
-      o%series_interval = r(6)
-      o%series_left = r(7)
-      o%chi_blocks = blocks_type(r(8), blocks, r(9:8 + most_blocks))
-      o%current1_blocks = blocks_type(r(8), blocks, r(9 + most_blocks:8 + 2*most_blocks))
-      o%current2_blocks = blocks_type(r(8), blocks, r(9 + 2*most_blocks:8 + 3*most_blocks))
-      o%series_flow = reshape(r(9 + 3*most_blocks:8 + 3*most_blocks + 4*o%entries), [4, o%entries])
-    end associate
-  end subroutine restore_observer
+    call stream%pass('number', observer%number)
+    call stream%pass('urn1_number', observer%urn1_number)
+    call stream%pass('two_halves', observer%two_halves)
+    call stream%pass('reversals', observer%reversals)
+    call stream%pass('bounce_backs', observer%bounce_backs)
+    call stream%pass('collisions', observer%collisions)
+    call stream%pass('measuring', observer%measuring)
+    call stream%pass('time', observer%time)
+    call stream%pass('spread', observer%spread)
+    call stream%pass('crossings', observer%crossings)
+    call stream%pass('collision_spread_sum', observer%collision_spread_sum)
+    call stream%pass('collisions_seen', observer%collisions_seen)
+    call stream%pass('block_left', observer%block_left)
+    call stream%pass('block_time', observer%block_time)
+    call stream%pass('block_spread', observer%block_spread)
+    call stream%pass('block_net', observer%block_net)
+    call pass_blocks(observer%chi_blocks, stream)
+    call pass_blocks(observer%current1_blocks, stream)
+    call pass_blocks(observer%current2_blocks, stream)
+    call stream%pass('series_interval', observer%series_interval)
+    call stream%pass('series_left', observer%series_left)
+    call stream%pass('series_crossings', observer%series_crossings)
+    call stream%pass('entries', observer%entries)
+    if (stream%failed()) return
+    if (stream%reading) then
+      observer%series_urn1_number = spread(0, 1, observer%entries)
+      observer%series_flow = spread(spread(0.0_wp, 1, 4), 2, observer%entries)
+    end if
+    call stream%pass('series_urn1_number', observer%series_urn1_number(:observer%entries))
+    do flow = 1, 4
+      call stream%pass('series_flow', observer%series_flow(flow, :observer%entries))
+    end do
+  end subroutine pass_observer
 
 end module battery_observer

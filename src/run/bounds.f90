@@ -101,7 +101,7 @@ contains
     logical :: can
     real(wp) :: visit
 
-    visit = arc_length(table)/(table%channel1_width + table%channel2_width)
+    visit = max(arc_length(table, 1), arc_length(table, 2))/sum(table%channel%width)
     can = real(number, wp)*(longest_visit*visit + duration*(perimeter(table)/(pi*area(table)))) &
       < real(huge(1_int64), wp)
   end function can_count_hits

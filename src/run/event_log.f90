@@ -1,10 +1,11 @@
 !> The event log of a run, which grows as long as there is memory for it.
 module battery_event_log
   use battery_kinds, only: wp, int32
-  use battery_engine, only: history_type
+  use battery_history, only: history_type
+  use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: event_log_type, append_events
+  public :: event_log_type, append_events, pass_events
 
   !> The event log of a run: times since its start; kinds, places and particles as in the engine.
   type :: event_log_type
@@ -62,5 +63,20 @@ contains
     call move_alloc(longer%where, log%where)
     call move_alloc(longer%particle, log%particle)
   end subroutine lengthen_log
+
+  !> The event log so far.
+  subroutine pass_events(log, stream)
+    type(event_log_type), intent(inout) :: log
+    type(stream_type), intent(inout) :: stream
+
+    call stream%pass('events', log%count)
+    if (stream%failed() .or. log%count == 0) return
+    if (stream%reading) allocate (log%time(log%count), log%kind(log%count), log%where(log%count), &
+      log%particle(log%count))
+    call stream%pass('event_time', log%time(:log%count))
+    call stream%pass('event_kind', log%kind(:log%count))
+    call stream%pass('event_where', log%where(:log%count))
+    call stream%pass('event_particle', log%particle(:log%count))
+  end subroutine pass_events
 
 end module battery_event_log

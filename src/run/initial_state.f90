@@ -6,7 +6,8 @@ module battery_initial_state
   use battery_numbers, only: read_decimal
   use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, region_at, outside, try_point
+  use battery_table, only: table_type, gated, ungated, chamber_at, outside, try_point, &
+    x_direction
   use battery_engine, only: particles_type
   use battery_signals, only: stop_requested, stopped_before_start
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform
@@ -49,7 +50,8 @@ contains
       if (mod(at, particles_between_looks) == 0) then
         if (stop_requested()) exit
       end if
-      call place_in_urn(generator, table, at <= urn1_number, particles%x(at), particles%y(at))
+      call place_in_urn(generator, table, merge(1, 2, at <= urn1_number), particles%x(at), &
+        particles%y(at))
       call draw_direction(generator, particles%ux(at), particles%uy(at))
     end do
     call free_generator(generator)
@@ -57,10 +59,10 @@ contains
   end subroutine random_particles
 
   !> A point uniform in an urn: in the disc, on the inner side of both chords.
-  subroutine place_in_urn(generator, table, first_urn, x, y)
+  subroutine place_in_urn(generator, table, side, x, y)
     type(generator_type), intent(in) :: generator
     type(table_type), intent(in) :: table
-    logical, intent(in) :: first_urn
+    integer, intent(in) :: side
     real(wp), intent(out) :: x, y
     !> Coordinates from the centre; `inward` goes to channel 1.
     real(wp) :: inward, across, up
@@ -69,11 +71,11 @@ contains
     do
       across = real(uniform(generator), wp)
       up = real(uniform(generator), wp)
-      call try_point(table%urn_radius, -table%chord2_distance, table%chord1_distance, across, up, &
-        inward, y, inside)
+      call try_point(table%urn(side)%radius, -table%urn(side)%chord(ungated), &
+        table%urn(side)%chord(gated), across, up, inward, y, inside)
       if (inside) exit
     end do
-    x = merge(inward - table%urn_centre, table%urn_centre - inward, first_urn)
+    x = x_direction(side)*(table%urn(side)%centre - inward)
   end subroutine place_in_urn
 
   !> A direction uniform on the circle.
@@ -169,7 +171,7 @@ contains
 
     inside = .false.
     do at = 1, size(particles%x)
-      if (region_at(table, particles%x(at), particles%y(at), 0.0_wp) == outside) return
+      if (chamber_at(table, particles%x(at), particles%y(at), 0.0_wp) == outside) return
     end do
     inside = .true.
   end function are_inside
@@ -213,7 +215,7 @@ contains
       problem = 'has the speed '//to_text(hypot(state(3), state(4)))//'; allowed: any above 0'
     else if (maxval(abs(state(:2))) > far) then
       problem = outside_text(state)
-    else if (region_at(table, state(1), state(2), 0.0_wp) == outside) then
+    else if (chamber_at(table, state(1), state(2), 0.0_wp) == outside) then
       problem = outside_text(state)
     end if
   end subroutine read_line

@@ -6,7 +6,8 @@ module battery_namelist_input
   use battery_text, only: to_text, new_line_character
   use battery_table, only: gated, ungated
   use battery_remarks, only: add_remark, remarks_text, shown_text
-  use battery_settings, only: settings_type, setting_type, read_settings, find_setting, take
+  use battery_settings, only: settings_type, setting_type, read_settings, find_setting, take, &
+    take_list
   use battery_key, only: key_type, whole_key
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
@@ -89,7 +90,7 @@ contains
     call take(settings, 'scan', 'replicas', plan%replicas)
     call take(settings, 'output', 'file', plan%file)
     call take(settings, 'output', 'series_interval', plan%series_interval)
-    call take(settings, 'output', 'snapshot_times', plan%snapshot_times)
+    call take_list(settings, 'output', 'snapshot_times', plan%snapshot_times)
     call take(settings, 'output', 'event_log', plan%event_log)
     call take(settings, 'output', 'final_state', plan%final_state)
     call take(settings, 'limits', 'wall_minutes', plan%wall_minutes)
@@ -111,20 +112,37 @@ contains
         call add_problem(settings, problem_type('scan', settings%all(at + 1)%key%name, &
           'is given beside '//settings%all(at)%key%name, 'one of the two'))
       else if (settings%all(at)%given .and. settings%all(at)%known) then
-        one = scanned_type(settings%all(at)%key%name, values_of(settings%all(at)))
-        plan%scanned = [plan%scanned, one]
+        one%key = settings%all(at)%key%name
+        one%values = values_of(settings%all(at))
+        call append(one)
       else if (settings%all(at + 1)%given .and. settings%all(at + 1)%known) then
-        one = scanned_type(settings%all(at)%key%name, range_of(settings%all(at + 1), &
-          settings%all(at)%key%kind == whole_key))
+        one%key = settings%all(at)%key%name
+        one%values = range_of(settings%all(at + 1), settings%all(at)%key%kind == whole_key)
         if (settings%all(at)%key%kind == whole_key .and. &
           any(one%values > settings%all(at)%key%greatest)) then
           call add_problem(settings, problem_type('scan', settings%all(at + 1)%key%name, &
             to_text(maxval(one%values)), 'numbers up to '//to_text(settings%all(at)%key%greatest)))
         else
-          plan%scanned = [plan%scanned, one]
+          call append(one)
         end if
       end if
     end do
+
+  contains
+
+    subroutine append(one)
+      type(scanned_type), intent(in) :: one
+      type(scanned_type), allocatable :: more(:)
+      integer :: k
+
+      allocate (more(size(plan%scanned) + 1))
+      do k = 1, size(plan%scanned)
+        more(k) = plan%scanned(k)
+      end do
+      more(size(more)) = one
+      call move_alloc(more, plan%scanned)
+    end subroutine append
+
   end subroutine fill_scan
 
   !> The values of a list.

@@ -31,7 +31,7 @@ contains
   end procedure complete_plan
 
   !> What must be given, and what must not be given twice.
-  pure subroutine check_given(plan, problems)
+  subroutine check_given(plan, problems)
     type(plan_type), intent(in) :: plan
     type(problem_type), allocatable, intent(inout) :: problems(:)
     logical :: as_number, as_fraction
@@ -65,7 +65,7 @@ contains
 
   contains
 
-    pure subroutine refuse_scan(key, reason)
+    subroutine refuse_scan(key, reason)
       character(len=*), intent(in) :: key, reason
 
       if (is_scanned(plan, key)) call add(problems, 'scan', key, 'is scanned', 'nothing, since ' &
@@ -186,7 +186,7 @@ contains
   end function first_repeat
 
   !> The order in which values grow (a heap sort: a list may have 1e5).
-  pure subroutine sort(values, order)
+  subroutine sort(values, order)
     real(wp), intent(in) :: values(:)
     integer, intent(out) :: order(size(values))
     integer :: last, at, moved
@@ -204,7 +204,7 @@ contains
 
   contains
 
-    pure subroutine sift(top, last)
+    subroutine sift(top, last)
       integer, intent(in) :: top, last
       integer :: at, child, kept
 
@@ -261,7 +261,7 @@ contains
   end function group_of
 
   !> Openings must fit into the urns, and no length may be lost beside another.
-  pure subroutine check_lengths(plan, point, problems)
+  subroutine check_lengths(plan, point, problems)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
     type(problem_type), allocatable, intent(inout) :: problems(:)
@@ -286,7 +286,7 @@ contains
 
   contains
 
-    pure subroutine check_width(key, width)
+    subroutine check_width(key, width)
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: width
 

@@ -8,24 +8,27 @@ module battery_simulation
   use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: table_type, shape_circuit, region_at, outside, half_length
-  use battery_engine, only: engine_type, engine_state_type, history_type, particles_type
+  use battery_table, only: table_type, chamber_at, outside, half_length
+  use battery_engine, only: engine_type, particles_type, allocate_particles
+  use battery_history, only: history_type
   use battery_observer, only: end_series, observer_type, new_observer, observe, &
-    begin_measuring, save_observer, restore_observer
+    begin_measuring, pass_observer
   use battery_engines, only: new_engine
-  use battery_event_log, only: event_log_type, append_events
+  use battery_event_log, only: event_log_type, append_events, pass_events
+  use battery_stream, only: stream_type
   use battery_room, only: check_room, enough_room, particle_bytes, bytes_an_entry, bytes_a_state, &
     bytes_an_event
   implicit none (type, external)
   private
   public :: setup_type, simulation_type, begin_simulation, step, progress, verify
-  public :: save_simulation, restore_simulation
+  public :: pass_simulation
 
   !> What is simulated; the particles come apart from it.
   type :: setup_type
     character(len=:), allocatable :: engine
     type(table_type) :: table
-    integer :: threshold = 0
+    !> Of the gates of urn 1 and 2.
+    integer :: threshold(2) = 0
     !> Length of the run and of its transient in wall collisions, or, if `duration` > 0, in time.
     integer(int64) :: collisions = 0, transient_collisions = 0
     real(wp) :: duration = 0.0_wp, transient_duration = 0.0_wp
@@ -89,14 +92,12 @@ contains
     integer :: urn1_number
 
     simulation%setup = setup
-    call new_engine(setup%engine, simulation%engine, error)
+    call make_engine(setup, simulation%engine, error)
     if (allocated(error)) return
-    simulation%engine%time_step = setup%time_step
-    simulation%engine%seed = setup%seed
     urn1_number = count(particles%x < 0.0_wp)
     simulation%observer = new_observer(size(particles%x), urn1_number, &
-      setup%table%shape == shape_circuit, setup%series_interval, &
-      power_below(setup%table%urn_radius))
+      setup%table%sides == 2, setup%series_interval, &
+      power_below(maxval(setup%table%urn%radius)))
     call check_room(bytes_to_come(simulation, size(particles%x)), &
       'the engine of '//to_text(size(particles%x))//' particles and what is kept of them', error)
     if (allocated(error)) return
@@ -107,6 +108,22 @@ contains
     call set_target(simulation)
     call reach_stops(simulation)
   end subroutine begin_simulation
+
+  !> The engine of a setup, not yet started, if it can simulate the table.
+  subroutine make_engine(setup, engine, error)
+    type(setup_type), intent(in) :: setup
+    class(engine_type), allocatable, intent(out) :: engine
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: reason
+
+    call new_engine(setup%engine, engine, error)
+    if (allocated(error)) return
+    engine%time_step = setup%time_step
+    engine%seed = setup%seed
+    reason = engine%supports(setup%table)
+    if (reason /= '') call fatal_error(error, 'the engine '''//setup%engine &
+      //''' cannot simulate this table: '//reason)
+  end subroutine make_engine
 
   !> The snapshot at the start is what the engine is given, not what it makes of it.
   pure subroutine keep_start(simulation, particles)
@@ -231,7 +248,7 @@ contains
     end if
     if (reached(simulation, simulation%setup%duration)) then
       call end_series(simulation%observer, &
-        min(rounding*max(simulation%setup%table%urn_radius, simulation%setup%duration), &
+        min(rounding*max(maxval(simulation%setup%table%urn%radius), simulation%setup%duration), &
         0.5_wp*simulation%setup%series_interval))
       simulation%collisions = simulation%engine%collisions()
       simulation%done = .true.
@@ -302,14 +319,16 @@ contains
   end function progress
 
   !> What every run must end with: all particles inside the table at speed 1 (coordinates are as
-  !> sharp as the table is long), and as many in each half as the crossings say.
+  !> sharp as the table is long), and as many in each half as the crossings say. One that is on a
+  !> counted line just then may be in either: what happens at the very end is not made any more.
   subroutine verify(simulation, error)
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
     integer, parameter :: chunk = 65536
     real(wp), parameter :: share = 1.0e4_wp*epsilon(1.0_wp)
     type(particles_type) :: particles
-    integer :: first, last, i, lost, off_speed, urn1_number
+    real(wp) :: sharp, ends
+    integer :: first, last, i, lost, off_speed, urn1_number, on_line
     character(len=200) :: text
 
     if (simulation%out_of_room) then
@@ -318,21 +337,33 @@ contains
         //' events; a longer &output series_interval, no event_log or a shorter run takes less')
       return
     end if
+    ends = half_length(simulation%setup%table)
+    sharp = share*ends
     lost = 0
     off_speed = 0
     urn1_number = 0
+    on_line = 0
     do first = 1, simulation%engine%number, chunk
       last = min(first + chunk - 1, simulation%engine%number)
       call simulation%engine%particles(first, last, particles)
       do i = 1, last - first + 1
-        if (region_at(simulation%setup%table, particles%x(i), particles%y(i), &
-          share*half_length(simulation%setup%table)) == outside) lost = lost + 1
+        if (chamber_at(simulation%setup%table, particles%x(i), particles%y(i), sharp) == outside) &
+          lost = lost + 1
         if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= share) &
           off_speed = off_speed + 1
-        if (particles%x(i) < 0.0_wp) urn1_number = urn1_number + 1
+        if (min(abs(particles%x(i)), ends - abs(particles%x(i))) <= sharp) then
+          on_line = on_line + 1
+        else if (particles%x(i) < 0.0_wp) then
+          urn1_number = urn1_number + 1
+        end if
       end do
     end do
-    if (.not. simulation%observer%two_halves) urn1_number = simulation%observer%urn1_number
+    if (simulation%observer%two_halves) then
+      ! Of those on a line as many as it takes.
+      urn1_number = max(urn1_number, min(urn1_number + on_line, simulation%observer%urn1_number))
+    else
+      urn1_number = simulation%observer%urn1_number
+    end if
     if (lost == 0 .and. off_speed == 0 .and. urn1_number == simulation%observer%urn1_number) return
     write (text, '(a, i0, a, i0, a, i0, a, i0, a)') 'check at the end of the run failed: ', lost, &
       ' particles outside the table, ', off_speed, ' with a speed that is not 1, ', urn1_number, &
@@ -341,80 +372,59 @@ contains
     call fatal_error(error, trim(text))
   end subroutine verify
 
-  !> All that is needed to go on to the same last bit: the engine, the observer, and the rest.
-  subroutine save_simulation(simulation, engine, observer, rest)
-    type(simulation_type), intent(in) :: simulation
-    type(engine_state_type), intent(out) :: engine, observer, rest
-    integer(int64) :: at, n
-    integer :: k
-
-    call simulation%engine%save_state(engine)
-    call save_observer(simulation%observer, observer)
-    associate (s => simulation, log => simulation%events)
-      n = s%engine%number
-      allocate (rest%reals(2 + log%count + 4*n*s%snapshots_taken))
-      rest%integers = [s%transient_collisions, s%collisions, s%next_count, &
-        int(s%windows_since_count, int64), int(s%snapshots_taken, int64), int(log%count, int64), &
-        int(s%engine%number, int64), merge(1_int64, 0_int64, s%done)]
-      rest%reals(:2) = [s%elapsed, s%transient_time]
-      if (log%count > 0) then
-        rest%integers = [rest%integers, int(log%kind(:log%count), int64), &
-          int(log%where(:log%count), int64), int(log%particle(:log%count), int64)]
-        rest%reals(3:2 + log%count) = log%time(:log%count)
-      end if
-      do k = 1, s%snapshots_taken
-        at = 2 + log%count + 4*n*(k - 1)
-        rest%reals(at + 1:at + 4*n) = [s%snapshot(k)%x, s%snapshot(k)%y, s%snapshot(k)%ux, &
-          s%snapshot(k)%uy]
-      end do
-    end associate
-    allocate (rest%bytes(0))
-  end subroutine save_simulation
-
-  !> The inverse of `save_simulation`, for the same setup.
-  subroutine restore_simulation(simulation, setup, engine, observer, rest, error)
-    type(simulation_type), intent(out) :: simulation
+  !> All that is needed to go on to the same last bit, into a stream or out of it: then for the same
+  !> setup, and what was there before is lost.
+  subroutine pass_simulation(simulation, setup, stream, error)
+    type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
-    type(engine_state_type), intent(in) :: engine, observer, rest
+    type(stream_type), intent(inout) :: stream
+    !> The state does not fit, or the engine cannot be had.
     type(error_type), allocatable, intent(out) :: error
-    integer :: k, number, events
-    integer(int64) :: at, n
 
-    simulation%setup = setup
-    call new_engine(setup%engine, simulation%engine, error)
-    if (allocated(error)) return
-    simulation%engine%time_step = setup%time_step
-    simulation%engine%seed = setup%seed
-    call restore_observer(simulation%observer, observer)
-    number = int(rest%integers(7))
-    n = number
-    call check_room(bytes_to_come(simulation, number), 'the engine of '//to_text(number) &
+    if (stream%reading) then
+      simulation%setup = setup
+      call make_engine(setup, simulation%engine, error)
+      if (allocated(error)) return
+      simulation%history%logging = setup%event_log
+      allocate (simulation%snapshot(size(setup%snapshot_times)))
+    end if
+    call pass_observer(simulation%observer, stream)
+    if (stream%reading .and. .not. stream%failed()) &
+      call check_room(bytes_to_come(simulation, &
+      simulation%observer%number), 'the engine of '//to_text(simulation%observer%number) &
       //' particles and what is kept of them', error)
     if (allocated(error)) return
-    call simulation%engine%restore_state(setup%table, setup%threshold, number, engine)
-    simulation%history%logging = setup%event_log
-    simulation%transient_collisions = rest%integers(1)
-    simulation%collisions = rest%integers(2)
-    simulation%next_count = rest%integers(3)
-    simulation%windows_since_count = int(rest%integers(4))
-    simulation%snapshots_taken = int(rest%integers(5))
-    simulation%done = rest%integers(8) == 1
-    simulation%elapsed = rest%reals(1)
-    simulation%transient_time = rest%reals(2)
-    events = int(rest%integers(6))
-    simulation%events%count = events
-    if (events > 0) then
-      simulation%events%kind = int(rest%integers(9:8 + events), int32)
-      simulation%events%where = int(rest%integers(9 + events:8 + 2*events), int32)
-      simulation%events%particle = int(rest%integers(9 + 2*events:8 + 3*events), int32)
-      simulation%events%time = rest%reals(3:2 + events)
-    end if
-    allocate (simulation%snapshot(size(setup%snapshot_times)))
+    if (.not. stream%failed()) call simulation%engine%pass_state(setup%table, setup%threshold, &
+      stream)
+    call stream%pass('elapsed', simulation%elapsed)
+    call stream%pass('transient_time', simulation%transient_time)
+    call stream%pass('transient_collisions', simulation%transient_collisions)
+    call stream%pass('collisions', simulation%collisions)
+    call stream%pass('done', simulation%done)
+    call stream%pass('next_count', simulation%next_count)
+    call stream%pass('windows_since_count', simulation%windows_since_count)
+    call pass_snapshots(simulation, stream)
+    call pass_events(simulation%events, stream)
+    if (stream%failed()) call fatal_error(error, stream%problem)
+  end subroutine pass_simulation
+
+  !> The snapshots taken so far.
+  subroutine pass_snapshots(simulation, stream)
+    type(simulation_type), intent(inout) :: simulation
+    type(stream_type), intent(inout) :: stream
+    integer :: k
+
+    call stream%pass('snapshots_taken', simulation%snapshots_taken)
+    if (stream%failed()) return
     do k = 1, simulation%snapshots_taken
-      at = 2 + events + 4*n*(k - 1)
-      simulation%snapshot(k) = particles_type(rest%reals(at + 1:at + n), rest%reals(at + n + 1:at &
-        + 2*n), rest%reals(at + 2*n + 1:at + 3*n), rest%reals(at + 3*n + 1:at + 4*n))
+      associate (snapshot => simulation%snapshot(k))
+        if (stream%reading) call allocate_particles(snapshot, simulation%engine%number)
+        call stream%pass('x', snapshot%x)
+        call stream%pass('y', snapshot%y)
+        call stream%pass('ux', snapshot%ux)
+        call stream%pass('uy', snapshot%uy)
+      end associate
     end do
-  end subroutine restore_simulation
+  end subroutine pass_snapshots
 
 end module battery_simulation

@@ -28,6 +28,8 @@ module battery_results_file
 
   !> Paths of the dimension scales, in Fortran order.
   character(len=*), parameter :: by_point(*) = ['/point']
+  character(len=*), parameter :: by_gate(*) = [character(len=6) :: '/gate', '/point']
+  character(len=*), parameter :: by_urn(*) = [character(len=6) :: '/urn', '/point']
   character(len=*), parameter :: by_task(*) = [character(len=8) :: '/replica', '/point']
 
 contains
@@ -69,13 +71,22 @@ contains
     call put_scale(file, '/replica', 0, results%replicas, 'replica of a point, from 0', error)
     call put(file, '/number', results%number, by_point, '1', 'particles N', error)
     call put(file, '/threshold', results%threshold, by_point, '1', &
-      'threshold T: a gate reverses when more particles head for the other', error)
+      'threshold T of gate 1: a gate reverses when more particles head for the other', error)
     call put(file, '/urn1_number', results%urn1_number, by_point, '1', &
       'particles in urn 1 at the start', error)
+    call put_scale(file, '/gate', 1, 2, 'gate, that of urn 1 and that of urn 2', error)
+    call put_scale(file, '/urn', 1, 2, 'urn', error)
+    call put(file, '/gate_threshold', results%gate_threshold, by_gate, '1', &
+      'threshold T of each gate', error)
+    call put(file, '/urn_radius', results%urn_radius, by_urn, 'length', 'radius r of each urn', error)
     call put(file, '/channel1_width', results%channel1_width, by_point, 'length', &
       'width w of channel 1', error)
+    call put(file, '/channel1_length', results%channel1_length, by_point, 'length', &
+      'length l of channel 1', error)
     call put(file, '/channel2_width', results%channel2_width, by_point, 'length', &
       'width w'' of channel 2', error)
+    call put(file, '/channel2_length', results%channel2_length, by_point, 'length', &
+      'length l'' of channel 2', error)
     call put(file, '/seed', results%seed, by_task, '1', 'seed of the random start', error)
   end subroutine write_points
 

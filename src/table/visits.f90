@@ -3,23 +3,28 @@ module battery_visits
   use battery_kinds, only: wp, int64
   implicit none (type, external)
   private
-  public :: visits_type, reserve_visits, lanes
+  public :: visits_type, reserve_visits, part_visits, together, no_channel
 
   !> Particles that the kernels treat together.
-  integer, parameter :: lanes = 4
+  integer, parameter :: together = 4
 
-  !> A batch of visits, one entry a particle; arrays have room for whole groups of `lanes`.
+  !> In place of a channel: a particle that never leaves.
+  integer(int64), parameter :: no_channel = 0
+
+  !> A batch of visits, one entry a particle; arrays have room for whole groups of `together`.
   type :: visits_type
     integer :: count = 0
     !> Who, and in which urn (1 or 2) the visit is.
     integer, allocatable :: particle(:), urn(:)
-    !> In: when the particle entered the channel it comes from, and how long it has been in it.
-    !> Out of `leave_channels`: when it enters the urn; the passage is then unchanged.
-    !> Out of `cross_urns`: how long it would be in the channel it enters, from end to end.
-    real(wp), allocatable :: time(:), passage(:)
-    !> 1 for channel 1, -1 for channel 2, 0 for a particle that never leaves.
-    !> In: where it comes from; out of `cross_urns`: where it goes.
-    real(wp), allocatable :: opening(:)
+    !> In: when the particle entered the channel it comes from. Out of `leave_channels`: when it
+    !> enters the urn.
+    real(wp), allocatable :: time(:)
+    !> When a gate turned it back in that channel; huge if none did. How long it has been in it.
+    real(wp), allocatable :: turned(:), passage(:)
+    !> In: the channel it comes from; out of `cross_urns`: that which it goes to, or `no_channel`.
+    integer(int64), allocatable :: channel(:)
+    !> Out of `cross_urns`: how long it would be in that channel, from end to end.
+    real(wp), allocatable :: through(:)
     !> Position in the local frame. In: y at the channel's entrance; out of `leave_channels` at the
     !> chord where the urn begins; out of `cross_urns` on the chord where the urn ends.
     real(wp), allocatable :: x(:), y(:)
@@ -56,10 +61,11 @@ contains
     if (allocated(visits%particle)) then
       if (size(visits%particle) >= room) return
     end if
-    n = lanes*((max(room, 64) + max(room, 64)/2)/lanes + 1)
+    n = together*((max(room, 64) + max(room, 64)/2)/together + 1)
     call renew(visits%time)
     call renew(visits%passage)
-    call renew(visits%opening)
+    call renew(visits%turned)
+    call renew(visits%through)
     call renew(visits%x)
     call renew(visits%y)
     call renew(visits%along)
@@ -77,8 +83,10 @@ contains
     call renew(visits%impacts)
     call renew(visits%first)
     call renew(visits%hits)
-    if (allocated(visits%particle)) deallocate (visits%particle, visits%urn, visits%slot)
+    if (allocated(visits%particle)) deallocate (visits%particle, visits%urn, visits%slot, &
+      visits%channel)
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), source=0)
+    allocate (visits%channel(n), source=no_channel)
 
   contains
 
@@ -90,5 +98,30 @@ contains
     end subroutine renew
 
   end subroutine reserve_visits
+
+  !> Those in urn 2 become a batch of their own: who, through which channel, and when turned back.
+  subroutine part_visits(visits, other)
+    !> Before: all; after: those in urn 1.
+    type(visits_type), intent(inout) :: visits
+    !> Those in urn 2.
+    type(visits_type), intent(inout) :: other
+    logical :: second(visits%count)
+    integer :: n, kept
+
+    n = visits%count
+    second = visits%urn(:n) == 2
+    kept = n - count(second)
+    call reserve_visits(other, n - kept)
+    other%count = n - kept
+    other%particle(:n - kept) = pack(visits%particle(:n), second)
+    other%urn(:n - kept) = 2
+    other%channel(:n - kept) = pack(visits%channel(:n), second)
+    other%turned(:n - kept) = pack(visits%turned(:n), second)
+    visits%particle(:kept) = pack(visits%particle(:n), .not. second)
+    visits%urn(:kept) = 1
+    visits%channel(:kept) = pack(visits%channel(:n), .not. second)
+    visits%turned(:kept) = pack(visits%turned(:n), .not. second)
+    visits%count = kept
+  end subroutine part_visits
 
 end module battery_visits

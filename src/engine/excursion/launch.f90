@@ -2,8 +2,8 @@
 !> to a visit that will be one.
 module battery_launch
   use battery_kinds, only: wp, int16, int64
-  use battery_table, only: table_type, region_at, urn_one, urn_two, return_one, return_two, &
-    longest_run
+  use battery_table, only: table_type, gated, ungated, in_urn, in_return, side_at, chamber_at, &
+    x_direction, longest_run
   use battery_calendar, only: flight_type
   use battery_flight, only: to_return, in_gate, parked_in_channel
   use battery_visits, only: visits_type
@@ -24,34 +24,37 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     logical, intent(in) :: from_channels
     type(flight_type), intent(inout) :: flight
+    !> Visits to the urn of its side.
     type(visits_type), intent(inout) :: visits
     integer(int64), intent(inout) :: hits
-    integer :: region, urn, count
-    real(wp) :: outward, depth, width, length, opening, turned, passed, height
-    logical :: in_channel2
+    integer :: side, chamber, channel, count
+    real(wp) :: outward, depth, width, length, turned, passed, height
     !> Slower passages, longer than any run, and those with more wall hits than an integer can
     !> count, are taken for endless.
     real(wp), parameter :: most_hits = 4.0e18_wp
 
-    region = region_at(table, x, y, huge(1.0_wp))
-    urn = merge(1, 2, x < 0.0_wp)
-    if (from_channels .eqv. (region == urn_one .or. region == urn_two)) return
+    side = side_at(table, x)
+    chamber = chamber_at(table, x, y, huge(1.0_wp))
+    if (from_channels .eqv. chamber == in_urn) return
     if (.not. from_channels) then
       call reserve_place()
       visits%hits(count) = 0.0_wp
-      visits%x(count) = table%urn_centre - abs(x)
-      visits%along(count) = merge(ux, -ux, urn == 1)
+      visits%x(count) = table%urn(side)%centre - abs(x)
+      visits%along(count) = -x_direction(side)*ux
       return
     end if
-    in_channel2 = region == return_one .or. region == return_two
-    opening = merge(-1.0_wp, 1.0_wp, in_channel2)
-    width = merge(table%channel2_width, table%channel1_width, in_channel2)
-    length = merge(table%channel2_length, table%channel1_length, in_channel2)
-    depth = merge(abs(x) - table%urn_centre - table%chord2_distance, 0.5_wp*length - abs(x), &
-      in_channel2)
-    outward = opening*merge(ux, -ux, urn == 1)
-    flight%urn = int(urn, int16)
-    if (.not. abs(ux)*min(longest_run*table%urn_radius, most_hits*width) > length) then
+    channel = merge(ungated, gated, chamber == in_return)
+    width = table%channel(channel)%width
+    length = table%channel(channel)%length
+    ! How far it is beyond the chord, and how fast it goes on from there.
+    depth = 0.5_wp*length - abs(x)
+    outward = -x_direction(side)*ux
+    if (channel == ungated) then
+      depth = abs(x) - table%urn(side)%centre - table%urn(side)%chord(ungated)
+      outward = x_direction(side)*ux
+    end if
+    flight%urn = int(side, int16)
+    if (.not. abs(ux)*min(longest_run*table%urn(side)%radius, most_hits*width) > length) then
       flight%heading = parked_in_channel
       flight%y = y
       flight%along = x
@@ -64,10 +67,10 @@ contains
       flight%through = length/outward
       flight%across = turned*uy
       hits = hits - int(passed, int64)
-      flight%heading = merge(to_return, in_gate, in_channel2)
+      flight%heading = merge(to_return, in_gate, channel == ungated)
     else
       call reserve_place()
-      visits%opening(count) = opening
+      visits%channel(count) = channel
       visits%passage(count) = -depth/outward
       visits%along(count) = abs(ux)
     end if
@@ -78,7 +81,7 @@ contains
       count = visits%count + 1
       visits%count = count
       visits%particle(count) = i
-      visits%urn(count) = urn
+      visits%urn(count) = side
       visits%time(count) = 0.0_wp
       visits%passage(count) = 0.0_wp
       visits%y(count) = y

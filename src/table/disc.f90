@@ -8,22 +8,22 @@
 !> (c + i s) p. The first point of impact within an opening ends the visit; the way back from there
 !> to the chord is one division.
 !>
-!> The kernel `march` steps `lanes` particles at once, `march_steps` impacts without a test that
+!> The kernel `march` steps `together` particles at once, `march_steps` impacts without a test that
 !> branches: who has found an opening stands still. Between two marches the particles that still
 !> bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are tiny,
 !> are sent to `find_opening`, which needs O(log) operations for any number of impacts.
-module battery_urn
+module battery_disc
   use battery_kinds, only: wp, int64, angle_kind, pi
-  use battery_table, only: table_type
+  use battery_table, only: table_type, gated, ungated
   use battery_rotation, only: to_turn, turn_of, unit_vector, full_turn
   use battery_opening_search, only: find_opening
-  use battery_visits, only: visits_type, lanes
+  use battery_visits, only: visits_type, together, no_channel
   use battery_channel, only: fold
   implicit none (type, external)
   private
-  public :: urn_type, new_urn, leave_channels, cross_urns, position_before
+  public :: disc_type, new_disc, leave_channels, cross_urns, position_before
 
-  !> Impacts that the kernel steps `lanes` particles without closing ranks.
+  !> Impacts that the kernel steps `together` particles without closing ranks.
   integer, parameter :: march_steps = 8
   !> After so many marches a particle is searched for instead.
   integer, parameter :: march_rounds = 12
@@ -34,65 +34,65 @@ module battery_urn
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
   real(wp), parameter :: march_worthwhile = 0.01_wp
 
-  !> What a visit needs to know of the table.
-  type :: urn_type
-    real(wp) :: radius, chord1, chord2, width1, width2, length1, length2
+  !> What a visit to one urn needs to know: the radius, and of each channel the distance of its chord
+  !> from the centre, its width and its length.
+  type :: disc_type
+    real(wp) :: radius, chord(2), width(2), length(2)
     !> Half widths of the openings in units of the radius, and half their angles.
-    real(wp) :: half1, half2
-    integer(angle_kind) :: angle1, angle2
+    real(wp) :: half(2)
+    integer(angle_kind) :: angle(2)
+    !> Whether stepping from impact to impact pays.
     logical :: step_first
-  end type urn_type
+  end type disc_type
 
 contains
 
-  pure function new_urn(table) result(urn)
+  !> The urn of a side of the table.
+  pure function new_disc(table, side) result(disc)
     type(table_type), intent(in) :: table
-    type(urn_type) :: urn
+    integer, intent(in) :: side
+    type(disc_type) :: disc
 
-    urn%radius = table%urn_radius
-    urn%chord1 = table%chord1_distance
-    urn%chord2 = table%chord2_distance
-    urn%width1 = table%channel1_width
-    urn%width2 = table%channel2_width
-    urn%length1 = table%channel1_length
-    urn%length2 = table%channel2_length
-    urn%half1 = 0.5_wp*urn%width1/urn%radius
-    urn%half2 = 0.5_wp*urn%width2/urn%radius
-    urn%angle1 = to_turn(asin(urn%half1))
-    urn%angle2 = to_turn(asin(urn%half2))
-    urn%step_first = urn%half1 + urn%half2 > march_worthwhile*pi
-  end function new_urn
+    disc%radius = table%urn(side)%radius
+    disc%chord = table%urn(side)%chord
+    disc%width = table%channel%width
+    disc%length = table%channel%length
+    disc%half = 0.5_wp*disc%width/disc%radius
+    disc%angle = to_turn(asin(disc%half))
+    disc%step_first = sum(disc%half) > march_worthwhile*pi
+  end function new_disc
 
   !> From the entrance of a channel to its exit into an urn.
-  subroutine leave_channels(urn, visits)
-    type(urn_type), intent(in) :: urn
+  subroutine leave_channels(disc, visits)
+    type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
 
-    call leave(lanes*((visits%count + lanes - 1)/lanes), visits%time, visits%passage, &
-      visits%opening, visits%x, visits%y, visits%along, visits%across, visits%hits)
+    call leave(together*((visits%count + together - 1)/together), visits%time, visits%passage, &
+      visits%channel, visits%x, visits%y, visits%along, visits%across, visits%hits)
 
   contains
 
-    pure subroutine leave(n, time, passage, opening, x, y, along, across, hits)
+    pure subroutine leave(n, time, passage, channel, x, y, along, across, hits)
       integer, intent(in) :: n
-      real(wp), intent(in) :: passage(n), opening(n)
+      integer(int64), intent(in) :: channel(n)
+      real(wp), intent(in) :: passage(n)
       real(wp), intent(inout) :: time(n), x(n), y(n), along(n), across(n), hits(n)
       real(wp) :: width, unfolded, turned, passed
       real(wp) :: width1, width2, chord1, chord2
       integer :: j
 
-      width1 = urn%width1
-      width2 = urn%width2
-      chord1 = urn%chord1
-      chord2 = urn%chord2
+      width1 = disc%width(gated)
+      width2 = disc%width(ungated)
+      chord1 = disc%chord(gated)
+      chord2 = disc%chord(ungated)
       do j = 1, n
-        width = merge(width1, width2, opening(j) > 0.0_wp)
+        width = merge(width1, width2, channel(j) == gated)
         unfolded = y(j) + across(j)*passage(j)
         call fold(unfolded, width, y(j), turned, passed)
         across(j) = turned*across(j)
         time(j) = time(j) + passage(j)
-        x(j) = merge(chord1, -chord2, opening(j) > 0.0_wp)
-        along(j) = -opening(j)*along(j)
+        x(j) = merge(chord1, -chord2, channel(j) == gated)
+        along(j) = merge(-along(j), along(j), channel(j) == gated)
         hits(j) = passed
       end do
     end subroutine leave
@@ -101,52 +101,62 @@ contains
 
   !> From the point (x, y) with velocity (along, across) in the local frame through the urn. `hits`
   !> grows by the wall hits; `all_hits` is their sum.
-  subroutine cross_urns(urn, visits)
-    type(urn_type), intent(in) :: urn
+  subroutine cross_urns(disc, visits)
+    type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
     logical :: grazing
 
-    n = lanes*((visits%count + lanes - 1)/lanes)
+    n = together*((visits%count + together - 1)/together)
     visits%all_hits = 0
     if (n == 0) return
-    call enter(n, 1.0_wp/urn%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
+    call enter(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
       visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
       grazing)
-    if (grazing) call sharpen(urn, visits)
-    do j = 1, visits%count
-      visits%slot(j) = j
-    end do
+    if (grazing) call sharpen(disc, visits)
     active = visits%count
-    if (urn%step_first) then
+    call count_up(active, visits%slot)
+    if (disc%step_first) then
       visits%px(active + 1:n) = 1.0_wp
       visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
-        n_active = lanes*((active + lanes - 1)/lanes)
-        call march(urn%half1, urn%half2, n_active, visits%px, visits%py, visits%zx, visits%zy, &
-          visits%steps)
-        if (round <= early_rounds) call march(urn%half1, urn%half2, n_active, visits%px, &
-          visits%py, visits%zx, visits%zy, visits%steps)
-        call close_ranks(urn%half1, urn%half2, active, visits%slot, visits%px, visits%py, &
-          visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, visits%impacts)
+        n_active = together*((active + together - 1)/together)
+        call march(disc%half(gated), disc%half(ungated), n_active, visits%px, visits%py, &
+          visits%zx, visits%zy, visits%steps)
+        if (round <= early_rounds) call march(disc%half(gated), disc%half(ungated), n_active, &
+          visits%px, visits%py, visits%zx, visits%zy, visits%steps)
+        call close_ranks(disc%half(gated), disc%half(ungated), active, visits%slot, visits%px, &
+          visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, &
+          visits%impacts)
         if (active == 0) exit
       end do
     end if
     do j = 1, active
-      call search(urn, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
+      call search(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
     end do
-    call find_exits(n, urn, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
-      visits%first, visits%opening, visits%x, visits%y, visits%along, visits%across, &
-      visits%length, visits%passage)
+    call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
+      visits%first, visits%channel, visits%x, visits%y, visits%along, visits%across, &
+      visits%length, visits%through)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
-        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(urn, visits, &
+        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(disc, visits, &
           j)
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
   end subroutine cross_urns
+
+  !> 1, 2, ...
+  pure subroutine count_up(n, slot)
+    integer, intent(in) :: n
+    integer, intent(out) :: slot(n)
+    integer :: j
+
+    do j = 1, n
+      slot(j) = j
+    end do
+  end subroutine count_up
 
   !> Whether all visits ended in an opening with a velocity that leads out.
   pure function all_left(n, along, impacts)
@@ -162,20 +172,20 @@ contains
     all_left = left == n
   end function all_left
 
-  !> Adds the impacts to the wall hits, and all of them up: `lanes` sums, which make vectors.
+  !> Adds the impacts to the wall hits, and all of them up: `together` sums, which make vectors.
   pure subroutine sum_hits(n, count, hits, impacts, all_hits)
     integer, intent(in) :: n, count
     real(wp), intent(inout) :: hits(n)
     real(wp), intent(in) :: impacts(n)
     integer(int64), intent(out) :: all_hits
-    real(wp) :: total(lanes)
+    real(wp) :: total(together)
     integer :: j, lane
 
     hits = hits + impacts
     hits(count + 1:) = 0.0_wp
     total = 0.0_wp
-    do j = 1, n, lanes
-      do lane = 1, lanes
+    do j = 1, n, together
+      do lane = 1, together
         total(lane) = total(lane) + hits(j + lane - 1)
       end do
     end do
@@ -211,21 +221,22 @@ contains
   end subroutine enter
 
   !> Grazing incidences to all their digits: from the depth below the circle and the way along it.
-  pure subroutine sharpen(urn, visits)
-    type(urn_type), intent(in) :: urn
+  pure subroutine sharpen(disc, visits)
+    type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     real(wp) :: x, y, ux, uy, room, half, c, s
     integer :: j
 
     do j = 1, visits%count
       if (.not. visits%c(j) < grazing_cosine) cycle
-      x = visits%x(j)/urn%radius
-      y = visits%y(j)/urn%radius
+      x = visits%x(j)/disc%radius
+      y = visits%y(j)/disc%radius
       ux = visits%along(j)
       uy = visits%across(j)
-      half = merge(urn%half1, urn%half2, x > 0.0_wp)
+      half = merge(disc%half(gated), disc%half(ungated), x > 0.0_wp)
       ! On a chord the depth is known without the cancellation.
-      if (abs(visits%x(j) - merge(urn%chord1, -urn%chord2, x > 0.0_wp)) > 0.0_wp) then
+      if (abs(visits%x(j) - merge(disc%chord(gated), -disc%chord(ungated), x > 0.0_wp)) &
+        > 0.0_wp) then
         room = (1.0_wp - abs(y))*(1.0_wp + abs(y)) - x**2
       else
         room = (half - abs(y))*(half + abs(y))
@@ -239,7 +250,7 @@ contains
       visits%py(j) = uy*c - ux*s
       visits%zx(j) = (s - c)*(s + c)
       visits%zy(j) = 2.0_wp*s*c
-      visits%first(j) = urn%radius*(c - (x*ux + y*uy))
+      visits%first(j) = disc%radius*(c - (x*ux + y*uy))
     end do
   end subroutine sharpen
 
@@ -310,15 +321,15 @@ contains
     end do
     active = kept
     ! Whoever fills up the last group stands in an opening.
-    do j = kept + 1, kept + lanes - 1
+    do j = kept + 1, kept + together - 1
       px(j) = 1.0_wp
       py(j) = 0.0_wp
     end do
   end subroutine close_ranks
 
   !> First impact in an opening, from the impact (px, py) on, without stepping.
-  pure subroutine search(urn, visits, mine, px, py, zx, zy, steps)
-    type(urn_type), intent(in) :: urn
+  pure subroutine search(disc, visits, mine, px, py, zx, zy, steps)
+    type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: mine
     real(wp), intent(in) :: px, py, zx, zy, steps
@@ -329,7 +340,8 @@ contains
     step = turn_of(zx, zy)
     ! From the impact before, which lies in the opening if the particle has just come through it.
     start = modulo(turn_of(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
-    call find_opening(urn%angle1, urn%angle2, start, step, total, landing, first_side, found)
+    call find_opening(disc%angle(gated), disc%angle(ungated), start, step, total, landing, &
+      first_side, found)
     if (found) then
       call unit_vector(landing, x, y)
       visits%hit_x(mine) = merge(x, -x, first_side)
@@ -343,23 +355,24 @@ contains
   end subroutine search
 
   !> From the impact in an opening back to the chord.
-  pure subroutine find_exits(n, urn, c, s, hit_x, hit_y, impacts, first, opening, x, y, along, &
+  pure subroutine find_exits(n, disc, c, s, hit_x, hit_y, impacts, first, channel, x, y, along, &
     across, length, through)
     integer, intent(in) :: n
-    type(urn_type), intent(in) :: urn
+    type(disc_type), intent(in) :: disc
     real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
-    real(wp), intent(out) :: opening(n), x(n), y(n), along(n), across(n), length(n), through(n)
+    integer(int64), intent(out) :: channel(n)
+    real(wp), intent(out) :: x(n), y(n), along(n), across(n), length(n), through(n)
     real(wp) :: norm, qx, qy, ux, uy, back, half, chord, side, height, forward
     real(wp) :: radius, half1, half2, chord1, chord2, length1, length2
     integer :: j
 
-    radius = urn%radius
-    half1 = urn%half1
-    half2 = urn%half2
-    chord1 = urn%chord1
-    chord2 = urn%chord2
-    length1 = urn%length1
-    length2 = urn%length2
+    radius = disc%radius
+    half1 = disc%half(gated)
+    half2 = disc%half(ungated)
+    chord1 = disc%chord(gated)
+    chord2 = disc%chord(ungated)
+    length1 = disc%length(gated)
+    length2 = disc%length(ungated)
     do j = 1, n
       norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
       qx = hit_x(j)*norm
@@ -374,7 +387,7 @@ contains
       back = (half - abs(qy))*(half + abs(qy))*radius**2 &
         /((abs(qx)*radius + chord)*forward)
       through(j) = merge(length1, length2, qx > 0.0_wp)/forward
-      opening(j) = side
+      channel(j) = merge(int(gated, int64), int(ungated, int64), qx > 0.0_wp)
       x(j) = side*chord
       height = radius*qy - back*uy
       y(j) = sign(min(abs(height), half*radius), height)
@@ -387,8 +400,8 @@ contains
   !> Two rare cases. An impact beside the corner, taken for one in the opening by rounding, but with
   !> a velocity that leads into the urn: the corner belongs to the urn, so the particle bounces on.
   !> And a particle for which no impact in an opening was found: it stays for ever.
-  pure subroutine mend(urn, visits, j)
-    type(urn_type), intent(in) :: urn
+  pure subroutine mend(disc, visits, j)
+    type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
     real(wp) :: zx, zy, x, y
@@ -400,54 +413,54 @@ contains
       if (visits%impacts(j) < 0.0_wp .or. visits%along(j) > 0.0_wp) exit
       x = visits%hit_x(j)*zx - visits%hit_y(j)*zy
       y = visits%hit_x(j)*zy + visits%hit_y(j)*zx
-      call search(urn, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
-      call find_exits(1, urn, visits%c(j:j), visits%s(j:j), visits%hit_x(j:j), visits%hit_y(j:j), &
-        visits%impacts(j:j), visits%first(j:j), visits%opening(j:j), visits%x(j:j), visits%y(j:j), &
-        visits%along(j:j), visits%across(j:j), visits%length(j:j), visits%passage(j:j))
+      call search(disc, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
+      call find_exits(1, disc, visits%c(j:j), visits%s(j:j), visits%hit_x(j:j), visits%hit_y(j:j), &
+        visits%impacts(j:j), visits%first(j:j), visits%channel(j:j), visits%x(j:j), visits%y(j:j), &
+        visits%along(j:j), visits%across(j:j), visits%length(j:j), visits%through(j:j))
     end do
     if (visits%impacts(j) >= 0.0_wp .and. visits%along(j) > 0.0_wp) return
     if (visits%impacts(j) < 0.0_wp) visits%impacts(j) = -1.0_wp - visits%impacts(j)
-    visits%opening(j) = 0.0_wp
+    visits%channel(j) = no_channel
     visits%y(j) = atan2(visits%hit_y(j), visits%hit_x(j))
     visits%along(j) = visits%c(j)
     visits%across(j) = visits%s(j)
-    visits%length(j) = visits%first(j) + 2.0_wp*urn%radius*visits%c(j)*visits%impacts(j)
+    visits%length(j) = visits%first(j) + 2.0_wp*disc%radius*visits%c(j)*visits%impacts(j)
   end subroutine mend
 
   !> Where a particle is, in the local frame, a length `before` ahead of leaving an urn, if it was
-  !> in the urn all that time, and how many walls it hits in between. It leaves through `opening` (1
-  !> or
-  !> -1) at height y with |u_x| = along and u_y = across.
-  pure subroutine position_before(urn, opening, y, along, across, before, position, velocity, hits)
-    type(urn_type), intent(in) :: urn
-    real(wp), intent(in) :: opening, y, along, across, before
+  !> in the urn all that time, and how many walls it hits in between.
+  pure subroutine position_before(disc, channel, y, along, across, before, position, velocity, hits)
+    type(disc_type), intent(in) :: disc
+    !> The channel it leaves through, at the height y, with |u_x| and u_y.
+    integer, intent(in) :: channel
+    real(wp), intent(in) :: y, along, across, before
     real(wp), intent(out) :: position(2), velocity(2)
     integer(int64), intent(out) :: hits
     real(wp) :: x, ux, s, c, ahead, turn, rest
     complex(wp) :: impact, incidence
 
-    x = merge(urn%chord1, -urn%chord2, opening > 0.0_wp)
-    ux = opening*along
-    s = (x*across - y*ux)/urn%radius
+    x = merge(disc%chord(gated), -disc%chord(ungated), channel == gated)
+    ux = merge(along, -along, channel == gated)
+    s = (x*across - y*ux)/disc%radius
     c = sqrt(max((1.0_wp - s)*(1.0_wp + s), 0.0_wp))
     ! The impact in the opening, which does not happen, is `ahead` of the chord.
-    ahead = urn%radius*c - (x*ux + y*across)
+    ahead = disc%radius*c - (x*ux + y*across)
     incidence = cmplx(c, s, wp)
     impact = cmplx(ux, across, wp)*conjg(incidence)
     if (c > 0.0_wp) then
-      hits = int((before + ahead)/(2.0_wp*urn%radius*c), int64)
+      hits = int((before + ahead)/(2.0_wp*disc%radius*c), int64)
     else
       hits = 0
     end if
     ! Within its chord even where the length is so great that rounding is longer than a chord.
-    rest = before + ahead - 2.0_wp*urn%radius*c*real(hits, wp)
-    rest = min(max(rest, 0.0_wp), 2.0_wp*urn%radius*c)
+    rest = before + ahead - 2.0_wp*disc%radius*c*real(hits, wp)
+    rest = min(max(rest, 0.0_wp), 2.0_wp*disc%radius*c)
     turn = atan2(2.0_wp*s*c, (s - c)*(s + c))
     turn = -modulo(real(hits, wp)*turn, 2.0_wp*pi)
     impact = impact*cmplx(cos(turn), sin(turn), wp)
     impact = impact/abs(impact)
     velocity = [real(incidence*impact, wp), aimag(incidence*impact)]
-    position = urn%radius*[real(impact, wp), aimag(impact)] - rest*velocity
+    position = disc%radius*[real(impact, wp), aimag(impact)] - rest*velocity
   end subroutine position_before
 
-end module battery_urn
+end module battery_disc

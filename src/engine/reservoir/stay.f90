@@ -1,14 +1,15 @@
 !> What the engine `reservoir` knows of a particle, and the random numbers that it lives by.
 module battery_stay
   use battery_kinds, only: wp, int32, int64, pi
-  use battery_table, only: table_type, region_at, urn_one, urn_two, return_one, return_two, &
-    longest_run, try_point
+  use battery_table, only: table_type, gated, ungated, in_urn, in_return, side_at, chamber_at, &
+    x_direction, longest_run, try_point
   use battery_channel, only: fold
+  use battery_stream, only: stream_type
   use battery_random, only: random_type, draw_uniform, hashed_uniform
   implicit none (type, external)
   private
-  public :: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_over, whereabouts, &
-    passed_walls
+  public :: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, whereabouts, &
+    passed_walls, pass_draws
   public :: from_gate, from_return, in_gate, to_return, parked
 
   !> Random numbers are drawn so many at a time.
@@ -31,13 +32,14 @@ module battery_stay
 
   !> Numbers drawn ahead: times between ticks (mean 1), which particle ticks (0 to 1), and where and
   !> how an urn is left: height, |u_x|, 1 over it, u_y, the wall hits of the whole channel, and
-  !> which channel (positive: channel 1).
+  !> which channel.
   type :: draws_type
     type(random_type) :: random
     integer :: next_tick = block_length + 1, next_exit = block_length + 1
     real(wp), dimension(block_length) :: wait = 0.0_wp, who = 0.0_wp
     real(wp), dimension(block_length) :: y = 0.0_wp, along = 0.0_wp, inverse = 0.0_wp, &
-      across = 0.0_wp, hits = 0.0_wp, opening = 0.0_wp
+      across = 0.0_wp, hits = 0.0_wp
+    integer :: channel(block_length) = gated
   end type draws_type
 
 contains
@@ -63,15 +65,15 @@ contains
     real(wp) :: place, sine, width, length, width1, width2, length1, length2
     integer :: k
 
-    width1 = table%channel1_width
-    width2 = table%channel2_width
-    length1 = table%channel1_length
-    length2 = table%channel2_length
+    width1 = table%channel(gated)%width
+    width2 = table%channel(ungated)%width
+    length1 = table%channel(gated)%length
+    length2 = table%channel(ungated)%length
     call draw_uniform(draws%random, block_length, draws%y)
     call draw_uniform(draws%random, block_length, draws%across)
     do k = 1, block_length
       place = (width1 + width2)*draws%y(k)
-      draws%opening(k) = merge(1.0_wp, -1.0_wp, place < width1)
+      draws%channel(k) = merge(gated, ungated, place < width1)
       width = merge(width1, width2, place < width1)
       length = merge(length1, length2, place < width1)
       draws%y(k) = merge(place, place - width1, place < width1) - 0.5_wp*width
@@ -86,45 +88,47 @@ contains
 
   !> From a position and velocity at the time 0. A particle in a channel that heads for its far end
   !> is dated back to where it would have entered; `entered` is when any other enters its urn.
-  pure subroutine take_over(table, x, y, ux, uy, stay, entered)
+  pure subroutine take_in(table, x, y, ux, uy, stay, entered)
     type(table_type), intent(in) :: table
     real(wp), intent(in) :: x, y, ux, uy
     type(stay_type), intent(out) :: stay
     real(wp), intent(out) :: entered
-    integer :: region, urn
+    integer :: side, chamber, channel
     real(wp) :: outward, depth, width, length, turned, hits
-    logical :: in_channel2
     !> Slower passages, longer than any run, and those with more wall hits than an integer can
     !> count, are taken for endless.
     real(wp), parameter :: most_hits = 4.0e18_wp
 
-    region = region_at(table, x, y, huge(1.0_wp))
-    urn = merge(1, 2, x < 0.0_wp)
+    side = side_at(table, x)
+    chamber = chamber_at(table, x, y, huge(1.0_wp))
     entered = 0.0_wp
-    stay = stay_type(y=y, along=abs(ux), across=uy, urn=int(urn, int32))
-    if (region == urn_one .or. region == urn_two) return
-    in_channel2 = region == return_one .or. region == return_two
-    width = merge(table%channel2_width, table%channel1_width, in_channel2)
-    length = merge(table%channel2_length, table%channel1_length, in_channel2)
-    depth = merge(abs(x) - table%urn_centre - table%chord2_distance, 0.5_wp*length - abs(x), &
-      in_channel2)
-    ! Towards the far end of the channel.
-    outward = merge(-1.0_wp, 1.0_wp, in_channel2)*merge(ux, -ux, urn == 1)
-    if (.not. abs(ux)*min(longest_run*table%urn_radius, most_hits*width) > length) then
+    stay = stay_type(y=y, along=abs(ux), across=uy, urn=int(side, int32))
+    if (chamber == in_urn) return
+    channel = merge(ungated, gated, chamber == in_return)
+    width = table%channel(channel)%width
+    length = table%channel(channel)%length
+    ! How far it is beyond the chord, and how fast it goes on from there.
+    depth = 0.5_wp*length - abs(x)
+    outward = -x_direction(side)*ux
+    if (channel == ungated) then
+      depth = abs(x) - table%urn(side)%centre - table%urn(side)%chord(ungated)
+      outward = x_direction(side)*ux
+    end if
+    if (.not. abs(ux)*min(longest_run*table%urn(side)%radius, most_hits*width) > length) then
       stay%heading = int(parked, int32)
       stay%along = x
     else if (outward > 0.0_wp) then
       call fold(y - uy*depth/outward, width, stay%y, turned, hits)
       stay%time = -depth/outward
       stay%across = turned*uy
-      stay%heading = int(merge(to_return, in_gate, in_channel2), int32)
+      stay%heading = int(merge(to_return, in_gate, channel == ungated), int32)
       stay%hits = real(passed_walls(table, stay, length/outward), wp)
     else
-      stay%heading = int(merge(from_return, from_gate, in_channel2), int32)
+      stay%heading = int(merge(from_return, from_gate, channel == ungated), int32)
       entered = -depth/outward
       stay%hits = real(passed_walls(table, stay, entered), wp)
     end if
-  end subroutine take_over
+  end subroutine take_in
 
   !> Wall hits in its channel in the time `passage` after it entered that.
   elemental function passed_walls(table, stay, passage) result(hits)
@@ -146,8 +150,8 @@ contains
     logical :: in_channel1
 
     in_channel1 = stay%heading == from_gate .or. stay%heading == in_gate
-    if (stay%heading == parked) in_channel1 = abs(stay%along) <= 0.5_wp*table%channel1_length
-    width = merge(table%channel1_width, table%channel2_width, in_channel1)
+    if (stay%heading == parked) in_channel1 = abs(stay%along) <= 0.5_wp*table%channel(gated)%length
+    width = table%channel(merge(gated, ungated, in_channel1))%width
   end function width_of
 
   !> x, y, u_x, u_y of a particle. In an urn they are drawn, for this key and count alone.
@@ -157,10 +161,9 @@ contains
     real(wp), intent(in) :: entered, now
     integer(int64), intent(in) :: key, count
     real(wp) :: place(4)
-    real(wp) :: side, gone, left, begins
+    real(wp) :: gone, left, begins
 
-    side = merge(-1.0_wp, 1.0_wp, stay%urn == 1)
-    begins = table%urn_centre + table%chord2_distance
+    begins = table%urn(stay%urn)%centre + table%urn(stay%urn)%chord(ungated)
     gone = stay%along*(now - stay%time)
     left = stay%along*(entered - now)
     select case (stay%heading)
@@ -168,20 +171,19 @@ contains
       place = in_channel(stay%along, 0.0_wp)
       return
     case (in_gate)
-      place = in_channel(0.5_wp*table%channel1_length - gone, -1.0_wp)
+      place = in_channel(0.5_wp*table%channel(gated)%length - gone, -1.0_wp)
     case (to_return)
       place = in_channel(begins + gone, 1.0_wp)
     case default
       if (now >= entered) then
-        place = in_urn(table, key, count)
+        place = drawn_in_urn(table, stay%urn, key, count)
       else if (stay%heading == from_gate) then
-        place = in_channel(0.5_wp*table%channel1_length - left, 1.0_wp)
+        place = in_channel(0.5_wp*table%channel(gated)%length - left, 1.0_wp)
       else
         place = in_channel(begins + left, -1.0_wp)
       end if
     end select
-    place(1) = side*place(1)
-    place(3) = side*place(3)
+    place(1:3:2) = x_direction(stay%urn)*place(1:3:2)
 
   contains
 
@@ -201,9 +203,10 @@ contains
 
   end function whereabouts
 
-  !> Uniform in the urn, in the half plane x > 0, with a direction.
-  pure function in_urn(table, key, count) result(place)
+  !> Uniform in the urn of a side, as if that lay at x > 0, with a direction.
+  pure function drawn_in_urn(table, side, key, count) result(place)
     type(table_type), intent(in) :: table
+    integer(int32), intent(in) :: side
     integer(int64), intent(in) :: key, count
     real(wp) :: place(4)
     integer(int64) :: turn
@@ -211,14 +214,37 @@ contains
     logical :: inside
 
     turn = ishft(count, 20)
-    do
-      call try_point(table%urn_radius, -table%chord1_distance, table%chord2_distance, &
-        hashed_uniform(key, turn), hashed_uniform(key, turn + 1), x, y, inside)
-      turn = turn + 2
-      if (inside) exit
+    associate (urn => table%urn(side))
+      do
+        call try_point(urn%radius, -urn%chord(gated), urn%chord(ungated), &
+          hashed_uniform(key, turn), hashed_uniform(key, turn + 1), x, y, inside)
+        turn = turn + 2
+        if (inside) exit
+      end do
+      angle = 2.0_wp*pi*hashed_uniform(key, turn)
+      place = [urn%centre + x, y, cos(angle), sin(angle)]
+    end associate
+  end function drawn_in_urn
+
+  !> The numbers drawn ahead, and the generator, through a stream.
+  pure subroutine pass_draws(draws, stream)
+    type(draws_type), intent(inout) :: draws
+    type(stream_type), intent(inout) :: stream
+    integer :: word
+
+    do word = 1, size(draws%random%state, 2)
+      call stream%pass('random', draws%random%state(:, word))
     end do
-    angle = 2.0_wp*pi*hashed_uniform(key, turn)
-    place = [table%urn_centre + x, y, cos(angle), sin(angle)]
-  end function in_urn
+    call stream%pass('next_tick', draws%next_tick)
+    call stream%pass('next_exit', draws%next_exit)
+    call stream%pass('wait', draws%wait)
+    call stream%pass('who', draws%who)
+    call stream%pass('y', draws%y)
+    call stream%pass('along', draws%along)
+    call stream%pass('inverse', draws%inverse)
+    call stream%pass('across', draws%across)
+    call stream%pass('hits', draws%hits)
+    call stream%pass('channel', draws%channel)
+  end subroutine pass_draws
 
 end module battery_stay

@@ -1,0 +1,321 @@
+!> The stream of a state: what a type must keep to go on to the same last bit.
+!>
+!> A type passes its components through a stream once, in one procedure for both ways: into a stream
+!> that is written they are copied, out of one that is read they are taken. So nobody counts places,
+!> and the two ways cannot differ. Every component travels with its name, its kind and its size; at
+!> the head stand the number of the format and the precision of the program. On reading, the first
+!> that does not fit ends it: `problem` says what was expected, and all that follows is left as it is.
+!>
+!> What reads what: a stream is read by a program that passes the same components in the same order.
+!> `format_number` grows when the meaning of a component changes and its name does not.
+module battery_stream
+  use battery_kinds, only: wp, int8, int16, int32, int64
+  use battery_fingerprint, only: fingerprint_of
+  implicit none (type, external)
+  private
+  public :: stream_type, new_stream, stream_of
+
+  integer(int64), parameter :: format_number = 1_int64
+
+  !> Bytes of a word.
+  integer, parameter :: word_bytes = 8
+
+  type :: stream_type
+    !> Whether components are taken out of it, or put into it.
+    logical :: reading = .false.
+    !> What has been passed, `word(:length)`.
+    integer(int64) :: length = 0
+    integer(int64), allocatable :: word(:)
+    !> What does not fit; not allocated: nothing.
+    character(len=:), allocatable :: problem
+  contains
+    procedure, private :: pass_logical, pass_int32, pass_int64, pass_real
+    procedure, private :: pass_int8s, pass_int16s, pass_int32s, pass_int64s, pass_reals
+    procedure, private :: pass_int32_list, pass_real_list
+    !> Passes a number, or an array that is as long on reading as it was on writing.
+    generic :: pass => pass_logical, pass_int32, pass_int64, pass_real, pass_int8s, pass_int16s, &
+      pass_int32s, pass_int64s, pass_reals
+    !> Passes an allocatable array; on reading it becomes as long as what was written.
+    generic :: pass_list => pass_int32_list, pass_real_list
+    !> Whether something did not fit.
+    procedure :: failed
+    !> Whether all that was written has been read.
+    procedure :: at_end
+    procedure, private :: open_item, put, room_for, pass_size
+  end type stream_type
+
+contains
+
+  !> An empty stream, to be written.
+  pure function new_stream() result(stream)
+    type(stream_type) :: stream
+
+    stream%word = [format_number, int(storage_size(1.0_wp), int64)]
+    stream%length = size(stream%word)
+  end function new_stream
+
+  !> A stream to be read, of words that were written.
+  pure function stream_of(word) result(stream)
+    !> `word(:length)` of the stream that was written.
+    integer(int64), intent(in) :: word(:)
+    type(stream_type) :: stream
+
+    stream%reading = .true.
+    stream%word = word
+    stream%length = 2
+    if (size(word) < 2) then
+      stream%problem = 'the state is empty'
+    else if (word(1) /= format_number) then
+      stream%problem = 'the state is of another format'
+    else if (word(2) /= storage_size(1.0_wp)) then
+      stream%problem = 'the state is of another precision'
+    end if
+  end function stream_of
+
+  pure function failed(self)
+    class(stream_type), intent(in) :: self
+    logical :: failed
+
+    failed = allocated(self%problem)
+  end function failed
+
+  pure function at_end(self)
+    class(stream_type), intent(in) :: self
+    logical :: at_end
+
+    at_end = self%length == size(self%word)
+  end function at_end
+
+  !> The head of an item. On reading it must be that which was written, and whole.
+  pure subroutine open_item(self, name, kind, bytes, items)
+    class(stream_type), intent(inout) :: self
+    !> Name of the component and of its kind.
+    character(len=*), intent(in) :: name, kind
+    !> Bytes of one item.
+    integer, intent(in) :: bytes
+    !> How many.
+    integer(int64), intent(in) :: items
+    integer(int64) :: mark
+
+    if (self%failed()) return
+    mark = fingerprint_of(kind//' '//name)
+    if (.not. self%reading) then
+      call self%room_for(2 + (items*bytes + word_bytes - 1)/word_bytes)
+      self%word(self%length + 1:self%length + 2) = [mark, items]
+      self%length = self%length + 2
+      return
+    end if
+    if (self%length + 2 > size(self%word)) then
+      self%problem = 'the state ends before '''//name//''''
+    else if (self%word(self%length + 1) /= mark) then
+      self%problem = 'the state has something else in place of '''//name//''''
+    else if (self%word(self%length + 2) /= items) then
+      self%problem = 'the state has another number of '''//name//''''
+    else
+      self%length = self%length + 2
+      if (items > word_bytes*(size(self%word, kind=int64) - self%length)/bytes) &
+        self%problem = 'the state ends within '''//name//''''
+    end if
+  end subroutine open_item
+
+  !> Makes room for so many words more.
+  pure subroutine room_for(self, words)
+    class(stream_type), intent(inout) :: self
+    integer(int64), intent(in) :: words
+    integer(int64), allocatable :: more(:)
+
+    if (self%length + words <= size(self%word)) return
+    allocate (more(max(self%length + words, 2*self%length)), source=0_int64)
+    more(:self%length) = self%word(:self%length)
+    call move_alloc(more, self%word)
+  end subroutine room_for
+
+  !> Whole words behind the head of an item.
+  pure subroutine put(self, words)
+    class(stream_type), intent(inout) :: self
+    integer(int64), intent(in) :: words(:)
+
+    self%word(self%length + 1:self%length + size(words)) = words
+    self%length = self%length + size(words)
+  end subroutine put
+
+  !> One logical value.
+  pure subroutine pass_logical(self, name, value)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    logical, intent(inout) :: value
+    integer(int64) :: word
+
+    word = merge(1_int64, 0_int64, value)
+    call self%pass_int64(name, word)
+    value = word == 1
+  end subroutine pass_logical
+
+  !> One whole number.
+  pure subroutine pass_int32(self, name, value)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    integer(int32), intent(inout) :: value
+    integer(int32) :: one(1)
+
+    one = value
+    call self%pass_int32s(name, one)
+    value = one(1)
+  end subroutine pass_int32
+
+  pure subroutine pass_int64(self, name, value)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    integer(int64), intent(inout) :: value
+    integer(int64) :: one(1)
+
+    one = value
+    call self%pass_int64s(name, one)
+    value = one(1)
+  end subroutine pass_int64
+
+  !> One real number.
+  pure subroutine pass_real(self, name, value)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    real(wp), intent(inout) :: value
+    real(wp) :: one(1)
+
+    one = value
+    call self%pass_reals(name, one)
+    value = one(1)
+  end subroutine pass_real
+
+  !> Small whole numbers, eight in a word.
+  pure subroutine pass_int8s(self, name, values)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    integer(int8), intent(inout) :: values(:)
+    integer(int64) :: items, words
+
+    items = size(values, kind=int64)
+    call self%open_item(name, 'int8', 1, items)
+    if (self%failed()) return
+    words = (items + 7)/8
+    if (self%reading) then
+      values = transfer(self%word(self%length + 1:self%length + words), values, int(items))
+      self%length = self%length + words
+    else
+      call self%put(transfer([values, spread(0_int8, 1, int(8*words - items))], 0_int64, &
+        int(words)))
+    end if
+  end subroutine pass_int8s
+
+  !> Short whole numbers; none that a state has is beyond those of eight bits.
+  pure subroutine pass_int16s(self, name, values)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    integer(int16), intent(inout) :: values(:)
+    integer(int8) :: small(size(values))
+
+    small = int(values, int8)
+    call self%pass_int8s(name, small)
+    values = small
+  end subroutine pass_int16s
+
+  !> Whole numbers, two in a word.
+  pure subroutine pass_int32s(self, name, values)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    integer(int32), intent(inout) :: values(:)
+    integer(int64) :: items, words
+
+    items = size(values, kind=int64)
+    call self%open_item(name, 'int32', 4, items)
+    if (self%failed()) return
+    words = (items + 1)/2
+    if (self%reading) then
+      values = transfer(self%word(self%length + 1:self%length + words), values, int(items))
+      self%length = self%length + words
+    else
+      call self%put(transfer([values, spread(0_int32, 1, int(2*words - items))], 0_int64, &
+        int(words)))
+    end if
+  end subroutine pass_int32s
+
+  pure subroutine pass_int64s(self, name, values)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    integer(int64), intent(inout) :: values(:)
+    integer(int64) :: items
+
+    items = size(values, kind=int64)
+    call self%open_item(name, 'int64', word_bytes, items)
+    if (self%failed()) return
+    if (self%reading) then
+      values = self%word(self%length + 1:self%length + items)
+      self%length = self%length + items
+    else
+      call self%put(values)
+    end if
+  end subroutine pass_int64s
+
+  !> Real numbers of the program's precision, to all their bits.
+  pure subroutine pass_reals(self, name, values)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    real(wp), intent(inout) :: values(:)
+    integer(int64) :: items, words
+    integer, parameter :: bytes = storage_size(1.0_wp)/8
+
+    items = size(values, kind=int64)
+    call self%open_item(name, 'real', bytes, items)
+    if (self%failed()) return
+    words = (items*bytes + word_bytes - 1)/word_bytes
+    if (self%reading) then
+      values = transfer(self%word(self%length + 1:self%length + words), values, int(items))
+      self%length = self%length + words
+    else
+      call self%put(transfer([values, spread(0.0_wp, 1, int((words*word_bytes - items*bytes) &
+        /bytes))], 0_int64, int(words)))
+    end if
+  end subroutine pass_reals
+
+  pure subroutine pass_int32_list(self, name, values)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    integer(int32), allocatable, intent(inout) :: values(:)
+    integer :: items
+
+    items = 0
+    if (allocated(values)) items = size(values)
+    call self%pass_size(name, items)
+    if (self%failed()) return
+    if (.not. allocated(values)) allocate (values(items))
+    if (size(values) /= items) values = spread(0_int32, 1, items)
+    call self%pass_int32s(name, values)
+  end subroutine pass_int32_list
+
+  pure subroutine pass_real_list(self, name, values)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    real(wp), allocatable, intent(inout) :: values(:)
+    integer :: items
+
+    items = 0
+    if (allocated(values)) items = size(values)
+    call self%pass_size(name, items)
+    if (self%failed()) return
+    if (.not. allocated(values)) allocate (values(items))
+    if (size(values) /= items) values = spread(0.0_wp, 1, items)
+    call self%pass_reals(name, values)
+  end subroutine pass_real_list
+
+  !> The size of a list, which no state of so many words can hold if it is greater.
+  pure subroutine pass_size(self, name, items)
+    class(stream_type), intent(inout) :: self
+    character(len=*), intent(in) :: name
+    integer, intent(inout) :: items
+
+    call self%pass_int32('size of '//name, items)
+    if (self%failed() .or. .not. self%reading) return
+    if (items < 0 .or. items > word_bytes*size(self%word, kind=int64)) &
+      self%problem = 'the state ends within '''//name//''''
+  end subroutine pass_size
+
+end module battery_stream

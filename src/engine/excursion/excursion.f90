@@ -1,0 +1,391 @@
+!> The engine `excursion`: one event a gate entry or crossing, whole visits to the urns in batches.
+!>
+!> Particles feel each other through the counts of the two gates only. So the events that need a
+!> common order are few: a particle enters a gate, crosses the middle of channel 1, or crosses the
+!> periodic line. After any of them its next entry or periodic crossing is at least
+!> `shortest_excursion` away. A window that long is walked through in the order of time; all
+!> particles that go back to an urn are gathered, and their visits are computed in one batch.
+!>
+!> What is known of a particle (`flight_type`) is how it will enter its next channel; where it is
+!> until then follows by going back from there.
+module battery_excursion
+  use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
+  use battery_kinds, only: wp, int64, pi
+  use battery_table, only: gated, ungated, side_at, beyond, alike, x_direction, mean_visit, &
+    shortest_excursion
+  use battery_flight, only: look_up, gather, land, locate, never, to_gate, to_return, in_gate, &
+    parked_in_urn, parked_in_channel
+  use battery_launch, only: launch
+  use battery_disc, only: disc_type, new_disc, leave_channels, cross_urns
+  use battery_visits, only: visits_type, reserve_visits, part_visits
+  use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
+  use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
+    schedule, schedule_all, open_until, next_due, drop_done, turn_calendar
+  use battery_memory, only: prefer_large_pages
+  use battery_engine, only: engine_type, particles_type, allocate_particles, turn_clock
+  use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
+    record_reversal, crossing_of, event_entry
+  use battery_stream, only: stream_type
+  implicit none (type, external)
+  private
+  public :: excursion_type
+
+  !> How many particles are taken over at a time at the start.
+  integer, parameter :: start_chunk = 4096
+
+  type, extends(engine_type) :: excursion_type
+    private
+    !> Most events of one window; the visits of a window should fit into the cache.
+    integer, public :: batch = 1024
+    type(flight_type), allocatable :: flight(:)
+    type(calendar_type) :: calendar
+    !> Of the sorted events of the calendar: when an entrant would cross the middle.
+    real(wp), allocatable :: middle(:)
+    !> The urn of each side, and the visits to it. Urns that are alike share the first batch.
+    type(disc_type) :: disc(2)
+    type(visits_type) :: visits(2)
+    integer :: batches = 1
+    !> Where one is that has crossed a line from each side.
+    integer :: beyond(2) = 0
+    !> Lookahead, longest window, mean time between two events of a particle.
+    real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
+    !> Wall hits of all visits and passages computed so far, those still to come included, and what
+    !> histories have told of them.
+    integer(int64) :: known_hits = 0, told_hits = 0
+  contains
+    procedure :: prepare
+    procedure :: take_over
+    procedure :: live
+    procedure :: turn_page
+    procedure :: pass_own
+    procedure :: particles => all_particles
+    procedure :: collisions
+    procedure :: trapped
+  end type excursion_type
+
+contains
+
+  !> Sizes and lengths that follow from the table and the number of particles.
+  subroutine prepare(self)
+    class(excursion_type), intent(inout) :: self
+    integer :: side
+
+    do side = 1, 2
+      self%disc(side) = new_disc(self%table, side)
+      self%beyond(side) = beyond(self%table, side)
+    end do
+    self%batches = merge(1, 2, alike(self%table))
+    self%interval = 0.5_wp*(mean_visit(self%table, 1) + mean_visit(self%table, 2)) &
+      + 0.25_wp*pi*self%table%channel(gated)%length
+    self%lookahead = shortest_excursion(self%table)
+    self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
+    if (allocated(self%flight)) deallocate (self%flight, self%middle)
+    allocate (self%middle(self%number))
+    call lay_out(self%flight, self%number)
+    self%known_hits = 0
+    self%told_hits = 0
+    self%page = page_for(self%interval)
+  end subroutine prepare
+
+  !> Flights in large pages of memory, before anything is written to them.
+  subroutine lay_out(flight, number)
+    type(flight_type), allocatable, target, intent(out) :: flight(:)
+    integer, intent(in) :: number
+
+    allocate (flight(number))
+    call prefer_large_pages(c_loc(flight), int(number, c_size_t)*storage_size(flight)/8)
+    flight = idle
+  end subroutine lay_out
+
+  !> First those in the urns, then those in the channels.
+  subroutine take_over(self, particles)
+    class(excursion_type), intent(inout) :: self
+    type(particles_type), intent(inout) :: particles
+    integer :: first, i, k, b
+    logical :: from_channels
+
+    do k = 1, 2
+      from_channels = k == 2
+      do first = 1, self%number, start_chunk
+        do b = 1, self%batches
+          call reserve_visits(self%visits(b), start_chunk)
+        end do
+        do i = first, min(first + start_chunk - 1, self%number)
+          b = min(side_at(self%table, particles%x(i)), self%batches)
+          call launch(self%table, i, particles%x(i), particles%y(i), particles%ux(i), &
+            particles%uy(i), from_channels, self%flight(i), self%visits(b), self%known_hits)
+        end do
+        do b = 1, self%batches
+          if (from_channels) call leave_channels(self%disc(b), self%visits(b))
+          call finish_visits(self, b)
+        end do
+      end do
+    end do
+    deallocate (particles%x, particles%y, particles%ux, particles%uy)
+    call new_calendar(self%calendar, self%number, self%interval)
+    do i = 1, self%number
+      call write_down(self, i)
+    end do
+  end subroutine take_over
+
+  !> Puts the next event of a particle into the calendar, or, inside a gate, lets that count it.
+  subroutine write_down(self, i)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: i
+
+    associate (flight => self%flight(i))
+      select case (flight%heading)
+      case (to_gate)
+        call schedule(self%calendar, self%flight, i, flight%time)
+      case (to_return)
+        call schedule(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
+      case (in_gate)
+        call hold(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
+      case default
+        continue
+      end select
+    end associate
+  end subroutine write_down
+
+  !> Visits of a batch: from the urn's entrance to its exit, into flights.
+  subroutine finish_visits(self, b)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: b
+
+    associate (v => self%visits(b))
+      call cross_urns(self%disc(b), v)
+      self%known_hits = self%known_hits + v%all_hits
+      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
+        v%y, v%along, v%across, v%through)
+    end associate
+  end subroutine finish_visits
+
+  subroutine live(self, duration, history)
+    class(excursion_type), intent(inout) :: self
+    real(wp), intent(in) :: duration
+    type(history_type), intent(inout) :: history
+    real(wp) :: began, limit, ends, due
+    integer :: done, b
+
+    began = self%now
+    limit = min(self%now + duration, self%page)
+    call next_due(self%calendar, self%flight, min(limit, self%gate(1)%counted%next, &
+      self%gate(2)%counted%next), due)
+    ends = min(limit, due + self%lookahead, max(due, began) + self%window)
+    call open_until(self%calendar, self%flight, ends)
+    call reserve_visits(self%visits(1), self%calendar%sorted + self%gate(1)%counted%count &
+      + self%gate(2)%counted%count)
+    call reserve_history(history, self%calendar%sorted, 0)
+    call look_up(self%number, self%flight, self%calendar%sorted, self%calendar%particle, &
+      self%calendar%due_time, self%middle)
+    call walk(self, began, ends, self%calendar%sorted, self%calendar%due_time, &
+      self%calendar%particle, self%middle, self%number, self%flight, history, done)
+    call drop_done(self%calendar, done)
+    if (self%batches == 2) call part_visits(self%visits(1), self%visits(2))
+    do b = 1, self%batches
+      associate (v => self%visits(b))
+        call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
+          v%y, v%along, v%across)
+        call leave_channels(self%disc(b), v)
+        call finish_visits(self, b)
+        call schedule_all(self%calendar, self%flight, v%count, v%particle, v%time)
+      end associate
+    end do
+    self%now = ends
+    history%duration = ends - began
+    history%collisions = self%known_hits - self%told_hits
+    self%told_hits = self%known_hits
+  end subroutine live
+
+  subroutine turn_page(self)
+    class(excursion_type), intent(inout) :: self
+
+    call turn_calendar(self%calendar, self%flight)
+    self%flight%time = self%flight%time - self%page
+    call turn_clock(self)
+  end subroutine turn_page
+
+  !> All events before `ends`, in the order of time; gathers the visits that begin with them. `done`
+  !> of the `last` sorted ones were.
+  subroutine walk(self, began, ends, last, due_time, particle, middle, number, flight, history, &
+    done)
+    type(excursion_type), intent(inout) :: self
+    real(wp), intent(in) :: began, ends
+    integer, intent(in) :: last, particle(last)
+    real(wp), intent(in) :: due_time(last), middle(last)
+    integer, intent(in) :: number
+    type(flight_type), intent(inout) :: flight(number)
+    type(history_type), intent(inout) :: history
+    integer, intent(out) :: done
+    real(wp) :: time
+    integer :: at, i, urn
+    logical :: logging
+
+    ! A copy, which the compiler may keep in a register while it writes to `self`.
+    logging = history%logging
+    do at = 1, last
+      time = due_time(at)
+      if (time >= ends) exit
+      i = particle(at)
+      do while (min(self%gate(1)%counted%next, self%gate(2)%counted%next) <= time)
+        call cross_channel1(self, began, history)
+      end do
+      urn = flight(i)%urn
+      if (flight(i)%heading == to_gate) then
+        flight(i)%heading = in_gate
+        call enter(self%gate(urn), middle(at), i)
+        if (logging) call record_event(history, time - began, event_entry, urn, i)
+        if (must_turn(self%gate(urn))) then
+          if (.not. more_enter_now(last, due_time, particle, number, flight, at)) &
+            call reverse(self, urn, time, began, history)
+        end if
+      else
+        call record_crossing(history, time - began, crossing_of(urn, ungated), i)
+        call send(self%visits(1), i, self%beyond(urn), ungated)
+      end if
+    end do
+    done = at - 1
+    do while (min(self%gate(1)%counted%next, self%gate(2)%counted%next) < ends)
+      call cross_channel1(self, began, history)
+    end do
+  end subroutine walk
+
+  !> Whether another particle enters the same gate at the very same time as the event `at`.
+  pure function more_enter_now(last, due_time, particle, number, flight, at) result(more)
+    integer, intent(in) :: last, particle(last), number, at
+    real(wp), intent(in) :: due_time(last)
+    type(flight_type), intent(in) :: flight(number)
+    logical :: more
+    integer :: other, i
+
+    more = .false.
+    do other = at + 1, last
+      if (due_time(other) > due_time(at)) exit
+      i = particle(other)
+      more = flight(i)%heading == to_gate .and. flight(i)%urn == flight(particle(at))%urn
+      if (more) exit
+    end do
+  end function more_enter_now
+
+  !> A gate reverses: all counted go back to their urn, as long as they have been in the channel.
+  subroutine reverse(self, urn, time, began, history)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: urn
+    real(wp), intent(in) :: time, began
+    type(history_type), intent(inout) :: history
+    integer :: first, last
+
+    associate (counted => self%gate(urn)%counted, v => self%visits(1))
+      call record_reversal(history, time - began, urn, counted%count)
+      first = v%count + 1
+      last = v%count + counted%count
+      v%count = last
+      v%particle(first:last) = counted%who(:counted%count)
+      v%urn(first:last) = urn
+      v%channel(first:last) = gated
+      v%turned(first:last) = time
+    end associate
+    call turned_back(self%gate(urn))
+  end subroutine reverse
+
+  !> The next particle of channel 1 crosses its middle line, or hits the end wall there.
+  subroutine cross_channel1(self, began, history)
+    type(excursion_type), intent(inout) :: self
+    real(wp), intent(in) :: began
+    type(history_type), intent(inout) :: history
+    real(wp) :: time
+    integer :: urn, i
+
+    urn = first_to_cross(self%gate)
+    time = self%gate(urn)%counted%next
+    call cross_first(self%gate(urn), i)
+    call record_crossing(history, time - began, crossing_of(urn, gated), i)
+    if (self%beyond(urn) == urn) self%known_hits = self%known_hits + 1
+    call send(self%visits(1), i, self%beyond(urn), gated)
+  end subroutine cross_channel1
+
+  !> Puts a particle into the batch: it goes straight to `urn` through `channel`.
+  pure subroutine send(visits, i, urn, channel)
+    type(visits_type), intent(inout) :: visits
+    integer, intent(in) :: i, urn, channel
+    integer :: count
+
+    count = visits%count + 1
+    visits%count = count
+    visits%particle(count) = i
+    visits%urn(count) = urn
+    visits%channel(count) = channel
+    visits%turned(count) = never
+  end subroutine send
+
+  subroutine all_particles(self, first, last, particles)
+    class(excursion_type), intent(in) :: self
+    integer, intent(in) :: first, last
+    type(particles_type), intent(out) :: particles
+    integer :: i, k, side
+    integer(int64) :: hits
+    real(wp) :: position(2), velocity(2)
+
+    call allocate_particles(particles, last - first + 1)
+    do i = first, last
+      k = i - first + 1
+      side = self%flight(i)%urn
+      call locate(self%disc(side), self%flight(i), self%now, position, velocity, hits)
+      particles%x(k) = position(1)
+      particles%ux(k) = velocity(1)
+      if (self%flight(i)%heading /= parked_in_channel) then
+        particles%x(k) = -x_direction(side)*(position(1) - self%table%urn(side)%centre)
+        particles%ux(k) = -x_direction(side)*velocity(1)
+      end if
+      particles%y(k) = position(2)
+      particles%uy(k) = velocity(2)
+    end do
+  end subroutine all_particles
+
+  function collisions(self) result(total)
+    class(excursion_type), intent(in) :: self
+    integer(int64) :: total
+    real(wp) :: position(2), velocity(2)
+    integer(int64) :: hits
+    integer :: i
+
+    total = self%known_hits
+    do i = 1, self%number
+      call locate(self%disc(self%flight(i)%urn), self%flight(i), self%now, position, velocity, hits)
+      total = total + hits
+    end do
+  end function collisions
+
+  function trapped(self) result(total)
+    class(excursion_type), intent(in) :: self
+    integer(int64) :: total
+
+    total = count(self%flight%heading == parked_in_urn .or. self%flight%heading == &
+      parked_in_channel)
+  end function trapped
+
+  subroutine pass_own(self, stream)
+    class(excursion_type), intent(inout) :: self
+    type(stream_type), intent(inout) :: stream
+    integer :: i
+
+    call stream%pass('known_hits', self%known_hits)
+    call stream%pass('told_hits', self%told_hits)
+    call stream%pass('heading', self%flight%heading)
+    call stream%pass('urn', self%flight%urn)
+    call stream%pass('due', self%flight%due)
+    call stream%pass('time', self%flight%time)
+    call stream%pass('y', self%flight%y)
+    call stream%pass('along', self%flight%along)
+    call stream%pass('across', self%flight%across)
+    call stream%pass('length', self%flight%length)
+    call stream%pass('through', self%flight%through)
+    if (.not. stream%reading .or. stream%failed()) return
+    call new_calendar(self%calendar, self%number, self%interval)
+    do i = 1, self%number
+      if (self%flight(i)%heading == to_gate .or. self%flight(i)%heading == to_return) &
+        call schedule(self%calendar, self%flight, i, self%flight(i)%due)
+    end do
+  end subroutine pass_own
+
+end module battery_excursion

@@ -1,0 +1,440 @@
+!> The engine `reservoir`: urns without memory. The gates and channels are exact, the urns are not.
+!>
+!> A particle that enters an urn stays for an exponential time of mean pi A / (w + w'), the mean of
+!> the true visits, and leaves through channel 1 with probability w / (w + w'), at a height uniform
+!> on the opening, in a direction of the cosine law: the sine of its angle to the channel is uniform
+!> in (-1, 1). All three are drawn anew, whatever it did before. That is what the theory assumes of
+!> an urn, so the difference to `excursion` is what the shape of the urn does.
+!>
+!> **Ticks.** Exponential times forget, so nobody's end of stay has to be known ahead. Each of the n
+!> particles that are in an urn or on the way into one ticks at the rate 1/mean; together they tick
+!> at n/mean, and who it is, is drawn among them. One that is in its urn leaves it with the tick;
+!> one that is still on its way does not heed it. That is exact, and there is no calendar to keep.
+!> If one urn is larger than the other, all tick at the rate of the smaller one, and those in the
+!> larger heed their share of the ticks.
+!> Ticks belong to the order of events and to the seed alone, not to the windows.
+!>
+!> **What is not there.** There are no walls in an urn. `collisions` takes the mean for them,
+!> (arc left)/(pi A) hits per time spent in an urn, and the true hits in the channels: so a
+!> run of so many collisions is about as long as that of another engine. Nobody has a place in an
+!> urn: `particles` draws one, uniform in the urn, from the seed, the time and the particle's
+!> number; it is another one at each time.
+module battery_reservoir
+  use battery_kinds, only: wp, int32, int64, pi
+  use battery_powers, only: power_above
+  use battery_table, only: gated, ungated, beyond, alike, area_of_urn, arc_length, mean_visit
+  use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, &
+    whereabouts, passed_walls, pass_draws, from_gate, from_return, in_gate, to_return, parked
+  use battery_random, only: new_random
+  use battery_queue, only: queue_type, empty_queue, push, pop, shift_queue, pass_queue
+  use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
+  use battery_engine, only: engine_type, particles_type, allocate_particles, turn_clock
+  use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
+    record_reversal, crossing_of, event_entry
+  use battery_stream, only: stream_type
+  implicit none (type, external)
+  private
+  public :: reservoir_type
+
+  !> About so many events make a window.
+  real(wp), parameter :: window_events = 100.0_wp
+
+  !> And no more ticks than this.
+  real(wp), parameter :: window_ticks = 1.0e6_wp
+
+  type, extends(engine_type) :: reservoir_type
+    private
+    type(stay_type), allocatable :: stay(:)
+    !> When each enters its urn, if it is not on its way into a channel. Apart from the rest, since
+    !> each tick asks for it, of anybody.
+    real(wp), allocatable :: entered(:)
+    !> Those that tick: `member(:members)`.
+    integer :: members = 0
+    integer(int32), allocatable :: member(:)
+    !> When the next of them ticks.
+    real(wp) :: next_tick = huge(1.0_wp)
+    !> Those in channel 2 on their way to the periodic line.
+    type(queue_type) :: returning
+    type(draws_type) :: draws
+    !> Longest window, mean time between ticks of a member, half lengths of the channels, and a time
+    !> that any clock within a page can tell from none.
+    real(wp) :: window = 0.0_wp, mean_stay = 0.0_wp, half(2) = 0.0_wp, shortest = 0.0_wp
+    !> Where one is that has crossed a line from each side.
+    integer :: beyond(2) = 0
+    !> Whether the urns differ; the share of its ticks that one in each urn heeds; hits per time in
+    !> each urn, and the greater of the two rates.
+    logical :: uneven = .false.
+    real(wp) :: heeded(2) = 1.0_wp, urn_rate(2) = 0.0_wp, hit_rate = 0.0_wp
+    !> Wall hits, as if all that move had been in the urn of more hits all the time but for the
+    !> passages before their present stay, and all passages would be whole: never less than there
+    !> were. What is left over of those that are not whole; what histories have told of them.
+    integer(int64) :: known_hits = 0, told_hits = 0
+    real(wp) :: fraction = 0.0_wp
+    !> How many move on, that is, are not parked.
+    integer :: moving = 0
+  contains
+    procedure :: prepare
+    procedure :: take_over
+    procedure :: live
+    procedure :: turn_page
+    procedure :: pass_own
+    procedure :: particles => all_particles
+    procedure :: collisions
+    procedure :: trapped
+  end type reservoir_type
+
+contains
+
+  !> Sizes and lengths that follow from the table and the number of particles.
+  subroutine prepare(self)
+    class(reservoir_type), intent(inout) :: self
+    real(wp) :: stay(2), interval
+    integer :: side
+
+    do side = 1, 2
+      self%beyond(side) = beyond(self%table, side)
+      stay(side) = mean_visit(self%table, side)
+      self%urn_rate(side) = arc_length(self%table, side)/(pi*area_of_urn(self%table, side))
+    end do
+    self%uneven = .not. alike(self%table)
+    self%mean_stay = minval(stay)
+    self%heeded = self%mean_stay/stay
+    self%hit_rate = maxval(self%urn_rate)
+    self%half = 0.5_wp*self%table%channel%length
+    interval = self%mean_stay + 0.25_wp*pi*self%table%channel(gated)%length
+    self%page = power_above(4.0_wp*interval)
+    self%shortest = epsilon(1.0_wp)*self%page
+    ! Where stays are much shorter than passages, those in the channels tick most of the time.
+    self%window = min(min(window_events/real(self%number, wp), 2.0_wp)*interval, &
+      window_ticks/real(self%number, wp)*self%mean_stay)
+    if (allocated(self%stay)) deallocate (self%stay, self%entered, self%member)
+    allocate (self%stay(self%number), self%entered(self%number), self%member(self%number))
+    call empty_queue(self%returning)
+    self%members = 0
+    self%next_tick = huge(1.0_wp)
+    self%draws%next_tick = block_length + 1
+    self%draws%next_exit = block_length + 1
+    self%known_hits = 0
+    self%told_hits = 0
+    self%fraction = 0.0_wp
+  end subroutine prepare
+
+  subroutine take_over(self, particles)
+    class(reservoir_type), intent(inout) :: self
+    type(particles_type), intent(inout) :: particles
+    integer :: i
+
+    self%draws%random = new_random(self%seed)
+    do i = 1, self%number
+      call take_in(self%table, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i), &
+        self%stay(i), self%entered(i))
+      associate (stay => self%stay(i))
+        select case (stay%heading)
+        case (in_gate)
+          call hold(self%gate(stay%urn), stay%time + self%half(gated)/stay%along, i)
+          self%known_hits = self%known_hits + hits_to_come(self, stay)
+        case (to_return)
+          call push(self%returning, stay%time + self%half(ungated)/stay%along, i)
+          self%known_hits = self%known_hits + hits_to_come(self, stay)
+        case (from_gate, from_return)
+          call join(self, i)
+          self%known_hits = self%known_hits + int(stay%hits, int64)
+        case default
+          continue
+        end select
+        ! The time in the channel before the start is no time of this run.
+        if (stay%heading /= parked) self%fraction = self%fraction - self%hit_rate*stay%time
+      end associate
+    end do
+    self%moving = self%number - count(self%stay%heading == parked)
+    call wind_up(self, 0.0_wp)
+  end subroutine take_over
+
+  !> Wall hits of the passage of a particle after the start.
+  pure function hits_to_come(self, stay) result(hits)
+    type(reservoir_type), intent(in) :: self
+    type(stay_type), intent(in) :: stay
+    integer(int64) :: hits
+
+    hits = int(stay%hits, int64) - passed_walls(self%table, stay, -stay%time)
+  end function hits_to_come
+
+  subroutine live(self, duration, history)
+    class(reservoir_type), intent(inout) :: self
+    real(wp), intent(in) :: duration
+    type(history_type), intent(inout) :: history
+    real(wp) :: began, ends, whole
+
+    began = self%now
+    ends = min(began + min(duration, self%window), self%page)
+    call reserve_history(history, 64, 64)
+    call walk(self, began, ends, history)
+    self%now = ends
+    self%fraction = self%fraction + self%hit_rate*real(self%moving, wp)*(ends - began)
+    whole = aint(self%fraction)
+    self%known_hits = self%known_hits + int(whole, int64)
+    self%fraction = self%fraction - whole
+    history%duration = ends - began
+    history%collisions = self%known_hits - self%told_hits
+    self%told_hits = self%known_hits
+  end subroutine live
+
+  subroutine turn_page(self)
+    class(reservoir_type), intent(inout) :: self
+
+    call shift_queue(self%returning, self%page)
+    self%stay%time = self%stay%time - self%page
+    self%entered = self%entered - self%page
+    if (self%members > 0) self%next_tick = self%next_tick - self%page
+    call turn_clock(self)
+  end subroutine turn_page
+
+  !> All events before `ends`, in the order of time. Crossings come before a tick at one time; no
+  !> two ticks are at one time.
+  subroutine walk(self, began, ends, history)
+    type(reservoir_type), intent(inout) :: self
+    real(wp), intent(in) :: began, ends
+    type(history_type), intent(inout) :: history
+    real(wp) :: time, crossing, place
+    integer :: at
+
+    do
+      crossing = min(self%gate(1)%counted%next, self%gate(2)%counted%next, self%returning%next)
+      time = self%next_tick
+      if (crossing <= time) then
+        if (crossing >= ends) exit
+        call cross_line(self, crossing, began, history)
+        cycle
+      end if
+      if (time >= ends) exit
+      place = self%draws%who(self%draws%next_tick - 1)*real(self%members, wp)
+      at = min(1 + int(place), self%members)
+      if (self%entered(self%member(at)) <= time) then
+        if (.not. self%uneven) then
+          call leave_urn(self, at, time, began, history)
+        else if (place - real(at - 1, wp) <= self%heeded(self%stay(self%member(at))%urn)) then
+          ! What was hit less than in the other urn.
+          associate (urn => self%stay(self%member(at))%urn)
+            self%fraction = self%fraction - (self%hit_rate - self%urn_rate(urn))*(time &
+              - self%entered(self%member(at)))
+          end associate
+          call leave_urn(self, at, time, began, history)
+        end if
+      end if
+      call wind_up(self, time)
+    end do
+  end subroutine walk
+
+  !> Member `at` leaves its urn at `time`, into one of the channels.
+  subroutine leave_urn(self, at, time, began, history)
+    type(reservoir_type), intent(inout) :: self
+    integer, intent(in) :: at
+    real(wp), intent(in) :: time, began
+    type(history_type), intent(inout) :: history
+    integer :: i, k, urn
+    real(wp) :: inverse
+
+    i = self%member(at)
+    if (self%draws%next_exit > block_length) call draw_exits(self%draws, self%table)
+    k = self%draws%next_exit
+    self%draws%next_exit = k + 1
+    inverse = self%draws%inverse(k)
+    associate (stay => self%stay(i))
+      self%fraction = self%fraction + (self%draws%hits(k) - self%hit_rate*(self%entered(i) &
+        - stay%time))
+      stay%time = time
+      stay%y = self%draws%y(k)
+      stay%along = self%draws%along(k)
+      stay%across = self%draws%across(k)
+      stay%hits = self%draws%hits(k)
+      urn = stay%urn
+      stay%heading = int(merge(in_gate, to_return, self%draws%channel(k) == gated), int32)
+    end associate
+    self%member(at) = self%member(self%members)
+    self%members = self%members - 1
+    if (self%draws%channel(k) == gated) then
+      call enter(self%gate(urn), time + self%half(gated)*inverse, i)
+      if (history%logging) call record_event(history, time - began, event_entry, urn, i)
+      if (must_turn(self%gate(urn))) call reverse(self, urn, time, began, history)
+    else
+      call push(self%returning, time + self%half(ungated)*inverse, i)
+    end if
+  end subroutine leave_urn
+
+  !> Draws when the next tick comes after `time`.
+  subroutine wind_up(self, time)
+    type(reservoir_type), intent(inout) :: self
+    real(wp), intent(in) :: time
+
+    if (self%draws%next_tick > block_length) call draw_ticks(self%draws)
+    self%next_tick = huge(1.0_wp)
+    if (self%members > 0) self%next_tick = time + self%shortest &
+      + self%mean_stay*self%draws%wait(self%draws%next_tick)/real(self%members, wp)
+    self%draws%next_tick = self%draws%next_tick + 1
+  end subroutine wind_up
+
+  !> One more particle ticks from now on.
+  subroutine join(self, i)
+    type(reservoir_type), intent(inout) :: self
+    integer, intent(in) :: i
+
+    self%members = self%members + 1
+    self%member(self%members) = int(i, int32)
+  end subroutine join
+
+  !> A gate reverses: all counted go back to their urn, as long as they have been in the channel.
+  subroutine reverse(self, urn, time, began, history)
+    type(reservoir_type), intent(inout) :: self
+    integer, intent(in) :: urn
+    real(wp), intent(in) :: time, began
+    type(history_type), intent(inout) :: history
+    real(wp) :: hits, per_width
+    integer :: place, i
+
+    per_width = 1.0_wp/self%table%channel(gated)%width
+    associate (counted => self%gate(urn)%counted)
+      call record_reversal(history, time - began, urn, counted%count)
+      do place = 1, counted%count
+        i = counted%who(place)
+        hits = aint(abs(self%stay(i)%y + self%stay(i)%across*(2.0_wp*(time - self%stay(i)%time))) &
+          *per_width + 0.5_wp)
+        self%fraction = self%fraction + (hits - self%stay(i)%hits)
+        self%stay(i)%hits = hits
+        self%entered(i) = 2.0_wp*time - self%stay(i)%time
+        self%stay(i)%heading = from_gate
+        call join(self, i)
+      end do
+    end associate
+    call turned_back(self%gate(urn))
+  end subroutine reverse
+
+  !> The next of all crosses its line, or hits the end wall there, and goes on to the urn beyond.
+  !> With one more to tick, the next tick comes so much sooner.
+  subroutine cross_line(self, time, began, history)
+    type(reservoir_type), intent(inout) :: self
+    real(wp), intent(in) :: time, began
+    type(history_type), intent(inout) :: history
+    integer :: i, urn, channel
+
+    urn = first_to_cross(self%gate)
+    channel = merge(gated, ungated, self%gate(urn)%counted%next <= time)
+    if (channel == gated) then
+      call cross_first(self%gate(urn), i)
+    else
+      call pop(self%returning, i)
+      urn = self%stay(i)%urn
+    end if
+    call record_crossing(history, time - began, crossing_of(urn, channel), i)
+    if (self%beyond(urn) == urn) self%known_hits = self%known_hits + 1
+    associate (stay => self%stay(i))
+      stay%urn = int(self%beyond(urn), int32)
+      stay%heading = int(merge(from_gate, from_return, channel == gated), int32)
+      self%entered(i) = stay%time + 2.0_wp*self%half(channel)/stay%along
+    end associate
+    call join(self, i)
+    if (self%members == 1) then
+      call wind_up(self, time)
+    else
+      self%next_tick = time + (self%next_tick - time)*(real(self%members - 1, wp) &
+        /real(self%members, wp))
+    end if
+  end subroutine cross_line
+
+  subroutine all_particles(self, first, last, particles)
+    class(reservoir_type), intent(in) :: self
+    integer, intent(in) :: first, last
+    type(particles_type), intent(out) :: particles
+    real(wp) :: place(4)
+    integer(int64) :: key
+    integer :: i, k
+
+    key = self%seed + ishft(self%pages, 20) + int(self%now/self%page*2.0_wp**61, int64)
+    call allocate_particles(particles, last - first + 1)
+    do i = first, last
+      k = i - first + 1
+      place = whereabouts(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
+      particles%x(k) = place(1)
+      particles%y(k) = place(2)
+      particles%ux(k) = place(3)
+      particles%uy(k) = place(4)
+    end do
+  end subroutine all_particles
+
+  function collisions(self) result(total)
+    class(reservoir_type), intent(in) :: self
+    integer(int64) :: total
+    real(wp) :: outside
+    integer :: i
+
+    total = self%known_hits
+    outside = 0.0_wp
+    do i = 1, self%number
+      associate (stay => self%stay(i))
+        select case (stay%heading)
+        case (from_gate, from_return)
+          outside = outside + (min(self%entered(i), self%now) - stay%time)
+          if (self%now < self%entered(i)) total = total + passed_walls(self%table, stay, self%now &
+            - stay%time) - int(stay%hits, int64)
+        case (parked)
+          total = total + passed_walls(self%table, stay, self%now - stay%time)
+        case default
+          outside = outside + (self%now - stay%time)
+          total = total + passed_walls(self%table, stay, self%now - stay%time) &
+            - int(stay%hits, int64)
+        end select
+      end associate
+    end do
+    if (self%uneven) outside = outside + missed_time(self)
+    total = max(total + floor(self%fraction - self%hit_rate*outside + 0.5_wp, int64), 0_int64)
+    total = min(total, self%known_hits + merge(huge(total) - self%known_hits, 0_int64, &
+      self%moving < self%number))
+  end function collisions
+
+  !> Urns that differ: the time in the urn of more hits that would have as many as are missed in the
+  !> other.
+  pure function missed_time(self) result(time)
+    class(reservoir_type), intent(in) :: self
+    real(wp) :: time
+    integer :: i
+
+    time = 0.0_wp
+    do i = 1, self%number
+      associate (stay => self%stay(i))
+        if (stay%heading /= from_gate .and. stay%heading /= from_return) cycle
+        time = time + (1.0_wp - self%urn_rate(stay%urn)/self%hit_rate)*max(self%now &
+          - self%entered(i), 0.0_wp)
+      end associate
+    end do
+  end function missed_time
+
+  function trapped(self) result(total)
+    class(reservoir_type), intent(in) :: self
+    integer(int64) :: total
+
+    total = self%number - self%moving
+  end function trapped
+
+  subroutine pass_own(self, stream)
+    class(reservoir_type), intent(inout) :: self
+    type(stream_type), intent(inout) :: stream
+
+    call stream%pass('time', self%stay%time)
+    call stream%pass('y', self%stay%y)
+    call stream%pass('along', self%stay%along)
+    call stream%pass('across', self%stay%across)
+    call stream%pass('hits', self%stay%hits)
+    call stream%pass('heading', self%stay%heading)
+    call stream%pass('urn', self%stay%urn)
+    call stream%pass('entered', self%entered)
+    call stream%pass('members', self%members)
+    call stream%pass('member', self%member(:self%members))
+    call stream%pass('next_tick', self%next_tick)
+    call pass_queue(self%returning, stream)
+    call pass_draws(self%draws, stream)
+    call stream%pass('known_hits', self%known_hits)
+    call stream%pass('told_hits', self%told_hits)
+    call stream%pass('fraction', self%fraction)
+    call stream%pass('moving', self%moving)
+  end subroutine pass_own
+
+end module battery_reservoir

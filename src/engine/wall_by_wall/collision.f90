@@ -1,0 +1,192 @@
+!> The engine `collision`: every wall collision is an event, and every particle has its own clock.
+!>
+!> A particle is where it was at its last event; it is moved when it has its next one. The earliest
+!> event of all stands at the root of a tournament. Crossings of chords, of the middle line and of
+!> the periodic line are events too, but no collisions. An event costs O(log N), whatever it is,
+!> except a reversal, which brings all those counted in a gate to its time.
+module battery_collision
+  use battery_kinds, only: wp, int64
+  use battery_bounce, only: walls_type, motion_type, fly, hit_arc, hit_channel, meets_arc, &
+    meets_wall, meets_nothing
+  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
+    meet, end_instant, count_hits, longest_window
+  use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, shift_times
+  use battery_engine, only: particles_type, turn_clock
+  use battery_history, only: history_type, reserve_history
+  use battery_stream, only: stream_type
+  implicit none (type, external)
+  private
+  public :: collision_type
+
+  !> A window is at most so many urn radii long, and has about so many events at most.
+  real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp
+
+  type, extends(wall_by_wall_type) :: collision_type
+    private
+    type(motion_type), allocatable :: motion(:)
+    !> When each has its next event.
+    type(tournament_type) :: tournament
+    !> The same where there is no tournament yet.
+    real(wp), allocatable :: due(:)
+    !> Longest window.
+    real(wp) :: window = 0.0_wp
+  contains
+    procedure :: prepare
+    procedure :: live
+    procedure :: turn_page
+    procedure :: pass_own
+    procedure :: motion_now
+    procedure :: write_down
+    procedure :: take_over
+  end type collision_type
+
+contains
+
+  subroutine prepare(self)
+    class(collision_type), intent(inout) :: self
+
+    call prepare_walls(self)
+    self%window = longest_window(self, window_radii, window_events)
+    if (allocated(self%motion)) deallocate (self%motion)
+    if (allocated(self%due)) deallocate (self%due)
+    allocate (self%motion(self%number))
+    allocate (self%due(self%number), source=huge(1.0_wp))
+  end subroutine prepare
+
+  subroutine take_over(self, particles)
+    class(collision_type), intent(inout) :: self
+    type(particles_type), intent(inout) :: particles
+
+    call take_in(self, particles)
+    call begin_tournament(self)
+  end subroutine take_over
+
+  subroutine begin_tournament(self)
+    class(collision_type), intent(inout) :: self
+
+    call new_tournament(self%tournament, self%due)
+    deallocate (self%due)
+  end subroutine begin_tournament
+
+  subroutine live(self, duration, history)
+    class(collision_type), intent(inout) :: self
+    real(wp), intent(in) :: duration
+    type(history_type), intent(inout) :: history
+    real(wp) :: began, ends
+    integer(int64) :: hits
+
+    began = self%now
+    ends = min(began + min(duration, self%window), self%page)
+    call reserve_history(history, 64, 64)
+    do
+      call bounce_until(self%walls, self%number, self%motion, self%tournament, ends, hits)
+      call count_hits(self, history, hits)
+      if (self%tournament%node(1)%time >= ends) exit
+      self%now = self%tournament%node(1)%time
+      call live_instant(self, began, history)
+    end do
+    self%now = ends
+    history%duration = ends - began
+    history%collisions = history%collisions_seen
+  end subroutine live
+
+  !> The hot loop: wall collisions, until something else is due or the window ends. They touch only
+  !> the particle that has one.
+  pure subroutine bounce_until(walls, number, motion, tournament, ends, hits)
+    type(walls_type), intent(in) :: walls
+    integer, intent(in) :: number
+    type(motion_type), intent(inout) :: motion(number)
+    type(tournament_type), intent(inout) :: tournament
+    real(wp), intent(in) :: ends
+    integer(int64), intent(out) :: hits
+    real(wp) :: time, wait
+    integer :: i
+
+    hits = 0
+    do
+      time = tournament%node(1)%time
+      i = tournament%node(1)%particle
+      if (time >= ends .or. motion(i)%next > meets_wall) exit
+      call fly(motion(i), time - motion(i)%time)
+      if (motion(i)%next == meets_arc) then
+        call hit_arc(walls, motion(i), wait)
+      else
+        call hit_channel(walls, motion(i), wait)
+      end if
+      motion(i)%time = time
+      call set_time(tournament, i, time + wait)
+      hits = hits + 1
+    end do
+  end subroutine bounce_until
+
+  !> Everything that is due now, then what the gates decide.
+  subroutine live_instant(self, began, history)
+    type(collision_type), intent(inout) :: self
+    real(wp), intent(in) :: began
+    type(history_type), intent(inout) :: history
+    real(wp) :: wait
+    integer :: i, first
+
+    first = history%events + 1
+    do while (self%tournament%node(1)%time <= self%now)
+      i = self%tournament%node(1)%particle
+      call fly(self%motion(i), self%now - self%motion(i)%time)
+      self%motion(i)%time = self%now
+      call meet(self, history, self%now - began, i, self%motion(i), wait)
+      call set_time(self%tournament, i, self%now + wait)
+    end do
+    call end_instant(self, self%now - began, first, history)
+  end subroutine live_instant
+
+  pure function motion_now(self, i) result(motion)
+    class(collision_type), intent(in) :: self
+    integer, intent(in) :: i
+    type(motion_type) :: motion
+
+    motion = self%motion(i)
+    if (motion%next /= meets_nothing) call fly(motion, self%now - motion%time)
+    motion%time = self%now
+  end function motion_now
+
+  subroutine write_down(self, i, motion, wait)
+    class(collision_type), intent(inout) :: self
+    integer, intent(in) :: i
+    type(motion_type), intent(in) :: motion
+    real(wp), intent(in) :: wait
+
+    self%motion(i) = motion
+    if (allocated(self%due)) then
+      self%due(i) = self%now + wait
+    else
+      call set_time(self%tournament, i, self%now + wait)
+    end if
+  end subroutine write_down
+
+  subroutine turn_page(self)
+    class(collision_type), intent(inout) :: self
+
+    self%motion%time = self%motion%time - self%page
+    call shift_times(self%tournament, self%page)
+    call turn_clock(self)
+  end subroutine turn_page
+
+  subroutine pass_own(self, stream)
+    class(collision_type), intent(inout) :: self
+    type(stream_type), intent(inout) :: stream
+    integer :: i
+
+    call pass_counts(self, stream)
+    call stream%pass('x', self%motion%x)
+    call stream%pass('y', self%motion%y)
+    call stream%pass('ux', self%motion%ux)
+    call stream%pass('uy', self%motion%uy)
+    call stream%pass('time', self%motion%time)
+    call stream%pass('side', self%motion%side)
+    call stream%pass('chamber', self%motion%chamber)
+    call stream%pass('next', self%motion%next)
+    if (.not. stream%reading) self%due = [(time_of(self%tournament, i), i=1, self%number)]
+    call stream%pass('due', self%due)
+    call begin_tournament(self)
+  end subroutine pass_own
+
+end module battery_collision

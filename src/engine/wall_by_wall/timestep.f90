@@ -1,0 +1,359 @@
+!> The engine `timestep`: all particles move by a fixed step, and walls are seen at its end.
+!>
+!> What one would write first, here to be measured against: it is wrong by one order of the step.
+!> After each step, for each particle that is not well inside its urn:
+!> - Beyond the arc of its urn it is put back by mirroring it in the circle, along the ray from the
+!>   centre, and its velocity is reflected there; beyond a wall of its channel it is mirrored in the
+!>   wall, as often as it takes. That is a wall collision. The places and normals of these are wrong
+!>   by as much as the particle has gone too far.
+!> - Beyond the chord of an opening, between the channel's walls and on its way out, it has entered
+!>   the channel; short of the chord it has left it. Beyond the middle line or the periodic line it
+!>   has crossed that. Gates count at the end of the step: crossings first, then all entries, then
+!>   they decide (`battery_gate`). All events of a step happen at its end.
+!>
+!> **Corners.** Only the place at the end of a step counts. So a path that meets a wall less than a
+!> step from a corner may slip past it into the channel, or out of it. Where a change of rooms shows
+!> that the chord was crossed beyond its ends, that is counted in `slips`. Every place that a
+!> step can end at is one of the cases above: nobody is ever outside of the table at the end of a
+!> step, however long it is, as long as it is shorter than the radius and than half a channel.
+!>
+!> A stop that falls into a step (a snapshot, the end of the run) makes that step shorter.
+module battery_timestep
+  use battery_kinds, only: wp, int8, int64
+  use battery_text, only: to_text
+  use battery_table, only: table_type, gated, ungated, in_urn, in_gate, in_return, x_direction, &
+    alike
+  use battery_bounce, only: motion_type, side_type
+  use battery_channel, only: fold
+  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, pass_counts, end_instant, &
+    count_hits, enter_gate, cross_over
+  use battery_history, only: history_type, reserve_history
+  use battery_stream, only: stream_type
+  implicit none (type, external)
+  private
+  public :: timestep_type
+
+  !> The last step before a stop may be longer by this share of it, lest another follow that is
+  !> almost nothing.
+  real(wp), parameter :: stretch = 1.0e-3_wp
+
+  !> A window is at most so many urn radii long, and has about so many moves of particles.
+  real(wp), parameter :: window_radii = 2.0_wp, window_moves = 262144.0_wp
+
+  type, extends(wall_by_wall_type) :: timestep_type
+    private
+    !> Times that a particle went round a corner through the wall, as far as that could be seen.
+    integer(int64), public :: slips = 0
+    real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
+    integer(int8), allocatable :: side(:), chamber(:)
+    !> Who is not well inside an urn.
+    logical, allocatable :: busy(:)
+    !> Whether both urns have the same size.
+    logical :: one_size = .true.
+    !> Steps in a window.
+    integer :: window = 1
+  contains
+    procedure :: supports
+    procedure :: prepare
+    procedure :: live
+    procedure :: pass_own
+    procedure :: motion_now
+    procedure :: write_down
+  end type timestep_type
+
+contains
+
+  !> The step must not jump over a gate or out of an urn.
+  pure function supports(self, table) result(reason)
+    class(timestep_type), intent(in) :: self
+    type(table_type), intent(in) :: table
+    character(len=:), allocatable :: reason
+    real(wp) :: longest
+
+    longest = min(minval(table%urn%radius), 0.5_wp*table%channel(gated)%length)
+    if (table%sides == 2) longest = min(longest, 0.5_wp*table%channel(ungated)%length)
+    reason = ''
+    if (.not. self%time_step > 0.0_wp .or. self%time_step >= longest) reason = &
+      'its time_step must be above 0 and below '//to_text(longest) &
+      //', the least of urn_radius and half of each channel''s length'
+  end function supports
+
+  subroutine prepare(self)
+    class(timestep_type), intent(inout) :: self
+    integer :: number
+
+    call prepare_walls(self)
+    number = self%number
+    self%window = int(max(1.0_wp, min(window_moves/real(number, wp), &
+      window_radii*maxval(self%table%urn%radius)/self%time_step)))
+    self%slips = 0
+    self%one_size = alike(self%table)
+    if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%side, self%chamber, &
+      self%busy)
+    allocate (self%x(number), self%y(number), self%ux(number), self%uy(number))
+    allocate (self%side(number), self%chamber(number), self%busy(number))
+  end subroutine prepare
+
+  subroutine live(self, duration, history)
+    class(timestep_type), intent(inout) :: self
+    real(wp), intent(in) :: duration
+    type(history_type), intent(inout) :: history
+    real(wp) :: began, step, since
+    integer(int64) :: hits
+    integer :: turn
+
+    began = self%now
+    hits = self%hits
+    since = 0.0_wp
+    call reserve_history(history, 64, 64)
+    do turn = 1, self%window
+      if (began + since >= self%page) exit
+      step = self%time_step
+      if (duration - since < (1.0_wp + stretch)*step) step = max(duration - since, 0.0_wp)
+      if (turn > 1 .and. .not. step > 0.0_wp) exit
+      since = since + step
+      self%now = began + since
+      call move_all(self%walls%side(1), self%number, step, self%x, self%y, self%ux, self%uy, &
+        self%chamber, self%busy)
+      if (.not. self%one_size) call look_again(self)
+      call look_around(self, since, history)
+    end do
+    history%duration = since
+    history%collisions = self%hits - hits
+  end subroutine live
+
+  !> Straight on by `step`; who may have met something is busy.
+  pure subroutine move_all(w, number, step, x, y, ux, uy, chamber, busy)
+    !> Of side 1; what is busy on the other side is right if the urns are alike.
+    type(side_type), intent(in) :: w
+    integer, intent(in) :: number
+    real(wp), intent(in) :: step, ux(number), uy(number)
+    real(wp), intent(inout) :: x(number), y(number)
+    integer(int8), intent(in) :: chamber(number)
+    logical, intent(out) :: busy(number)
+    real(wp) :: qx, radius2, chord1, chord2, centre
+    integer :: i
+
+    ! Copies that the compiler may keep in registers.
+    radius2 = w%radius2
+    chord1 = w%chord(gated)
+    chord2 = w%chord(ungated)
+    centre = w%centre
+    do i = 1, number
+      x(i) = x(i) + ux(i)*step
+      y(i) = y(i) + uy(i)*step
+      qx = abs(x(i)) - centre
+      busy(i) = qx**2 + y(i)**2 > radius2 .or. qx <= -chord1 .or. qx >= chord2
+    end do
+    do i = 1, number
+      busy(i) = busy(i) .or. chamber(i) /= in_urn
+    end do
+  end subroutine move_all
+
+  !> Urns of unequal size: who is busy in urn 2.
+  pure subroutine look_again(self)
+    type(timestep_type), intent(inout) :: self
+    integer :: i
+
+    do i = 1, self%number
+      if (self%side(i) == 2 .and. self%chamber(i) == in_urn) &
+        call find_busy(self%walls%side(2), self%x(i), self%y(i), self%busy(i))
+    end do
+  end subroutine look_again
+
+  !> Whether one of an urn may have met something.
+  pure subroutine find_busy(w, x, y, busy)
+    type(side_type), intent(in) :: w
+    real(wp), intent(in) :: x, y
+    logical, intent(out) :: busy
+    real(wp) :: qx
+
+    qx = abs(x) - w%centre
+    busy = qx**2 + y**2 > w%radius2 .or. qx <= -w%chord(gated) .or. qx >= w%chord(ungated)
+  end subroutine find_busy
+
+  !> Puts the particles right at the end of a step, and lets the gates decide.
+  subroutine look_around(self, since, history)
+    type(timestep_type), intent(inout) :: self
+    real(wp), intent(in) :: since
+    type(history_type), intent(inout) :: history
+    integer :: i, first
+
+    first = history%events + 1
+    do i = 1, self%number
+      if (.not. self%busy(i)) cycle
+      if (self%chamber(i) == in_urn) then
+        call live_in_urn(self, i, since, history)
+      else
+        call live_in_channel(self, i, since, history)
+      end if
+    end do
+    call end_instant(self, since, first, history)
+  end subroutine look_around
+
+  !> A particle of an urn that is beyond the arc or beyond a chord.
+  subroutine live_in_urn(self, i, since, history)
+    type(timestep_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp), intent(in) :: since
+    type(history_type), intent(inout) :: history
+    real(wp) :: out, qx, vx, distance, outward, factor
+
+    out = x_direction(self%side(i))
+    associate (w => self%walls%side(self%side(i)), half => self%walls%half, x => self%x(i), &
+      y => self%y(i), ux => self%ux(i), uy => self%uy(i))
+      qx = out*x - w%centre
+      vx = out*ux
+      if (qx <= -w%chord(gated) .and. vx < 0.0_wp .and. abs(y) < half(gated)) then
+        call go_in(self, i, in_gate, half(gated), (qx + w%chord(gated))/vx)
+        call enter_gate(self, history, since, i, self%motion_now(i))
+      else if (qx >= w%chord(ungated) .and. vx > 0.0_wp .and. abs(y) < half(ungated)) then
+        call go_in(self, i, in_return, half(ungated), (qx - w%chord(ungated))/vx)
+      else if (qx**2 + y**2 > w%radius2) then
+        distance = hypot(qx, y)
+        outward = (qx*vx + y*uy)/distance
+        ! In a segment beyond a chord it may have come out of the channel into the wall.
+        outward = max(outward, 0.0_wp)
+        vx = vx - 2.0_wp*outward*qx/distance
+        uy = uy - 2.0_wp*outward*y/distance
+        factor = 1.5_wp - 0.5_wp*(vx**2 + uy**2)
+        ux = out*factor*vx
+        uy = factor*uy
+        factor = 2.0_wp*sqrt(w%radius2)/distance - 1.0_wp
+        x = out*(w%centre + factor*qx)
+        y = factor*y
+        call count_hits(self, history, 1_int64)
+      end if
+    end associate
+  end subroutine live_in_urn
+
+  !> From an urn into a channel whose half width is `half`; it crossed the chord `ago`.
+  subroutine go_in(self, i, chamber, half, ago)
+    type(timestep_type), intent(inout) :: self
+    integer, intent(in) :: i, chamber
+    real(wp), intent(in) :: half, ago
+
+    if (abs(self%y(i) - self%uy(i)*ago) > half) self%slips = self%slips + 1
+    self%chamber(i) = int(chamber, int8)
+  end subroutine go_in
+
+  !> A particle of a channel: walls, lines, and the way out.
+  subroutine live_in_channel(self, i, since, history)
+    type(timestep_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp), intent(in) :: since
+    type(history_type), intent(inout) :: history
+    real(wp) :: out, depth, ahead, half, qx
+    logical :: inside_gate, inward
+
+    out = x_direction(self%side(i))
+    inside_gate = self%chamber(i) == in_gate
+    ! On its way to the far end: such a particle cannot leave.
+    inward = merge(out, -out, inside_gate)*self%ux(i) < 0.0_wp
+    associate (w => self%walls%side(self%side(i)), x => self%x(i))
+      half = merge(self%walls%half(gated), self%walls%half(ungated), inside_gate)
+      ! How far it is beyond the chord, and short of the line.
+      depth = merge(w%gate_end - out*x, out*x - w%return_begin, inside_gate)
+      ahead = merge(out*x, w%return_end - out*x, inside_gate)
+      qx = out*x - w%centre
+      if (.not. inward .and. depth < 0.0_wp .and. qx**2 + self%y(i)**2 <= w%radius2) then
+        call go_out(self, i, half, depth)
+        return
+      end if
+      if (abs(self%y(i)) > half) call mirror(self, i, half, history)
+      if (.not. inward) then
+        if (depth < 0.0_wp) call go_out(self, i, half, 0.0_wp)
+      else if (ahead < 0.0_wp) then
+        call go_over(self, i, since, history)
+      end if
+    end associate
+  end subroutine live_in_channel
+
+  !> Mirrors a particle in the walls of its channel until it is between them.
+  subroutine mirror(self, i, half, history)
+    type(timestep_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp), intent(in) :: half
+    type(history_type), intent(inout) :: history
+    real(wp) :: height, turned, hits
+
+    call fold(self%y(i), 2.0_wp*half, height, turned, hits)
+    self%y(i) = height
+    self%uy(i) = turned*self%uy(i)
+    call count_hits(self, history, int(hits, int64))
+  end subroutine mirror
+
+  !> From a channel into its urn; `depth` is how far it is beyond the chord, or 0 if it was in the
+  !> wall beside the channel.
+  subroutine go_out(self, i, half, depth)
+    type(timestep_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp), intent(in) :: half, depth
+    real(wp) :: ago
+
+    ago = 0.0_wp
+    if (abs(self%ux(i)) > 0.0_wp) ago = -depth/abs(self%ux(i))
+    if (abs(self%y(i) - self%uy(i)*ago) > half) self%slips = self%slips + 1
+    self%chamber(i) = int(in_urn, int8)
+  end subroutine go_out
+
+  !> Over the line of its channel, or back from the end wall.
+  subroutine go_over(self, i, since, history)
+    type(timestep_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp), intent(in) :: since
+    type(history_type), intent(inout) :: history
+    integer :: from
+
+    from = self%side(i)
+    self%side(i) = self%walls%beyond(from)
+    if (self%side(i) == from) then
+      self%x(i) = -self%x(i)
+      self%ux(i) = -self%ux(i)
+    else if (self%chamber(i) == in_return) then
+      ! From one end of the table to the other.
+      self%x(i) = self%x(i) - x_direction(from)*sum(self%walls%side%return_end)
+    end if
+    call cross_over(self, history, since, i, from, int(self%chamber(i)))
+  end subroutine go_over
+
+  pure function motion_now(self, i) result(motion)
+    class(timestep_type), intent(in) :: self
+    integer, intent(in) :: i
+    type(motion_type) :: motion
+
+    motion = motion_type(x=self%x(i), y=self%y(i), ux=self%ux(i), uy=self%uy(i), &
+      side=self%side(i), chamber=self%chamber(i))
+  end function motion_now
+
+  subroutine write_down(self, i, motion, wait)
+    class(timestep_type), intent(inout) :: self
+    integer, intent(in) :: i
+    type(motion_type), intent(in) :: motion
+    real(wp), intent(in) :: wait
+
+    self%x(i) = motion%x
+    self%y(i) = motion%y
+    self%ux(i) = motion%ux
+    self%uy(i) = motion%uy
+    self%side(i) = motion%side
+    self%chamber(i) = motion%chamber
+    ! For the walls that it meets, the end of each step is looked at.
+    self%busy(i) = wait <= self%time_step
+  end subroutine write_down
+
+  subroutine pass_own(self, stream)
+    class(timestep_type), intent(inout) :: self
+    type(stream_type), intent(inout) :: stream
+
+    call pass_counts(self, stream)
+    call stream%pass('slips', self%slips)
+    call stream%pass('x', self%x)
+    call stream%pass('y', self%y)
+    call stream%pass('ux', self%ux)
+    call stream%pass('uy', self%uy)
+    call stream%pass('side', self%side)
+    call stream%pass('chamber', self%chamber)
+  end subroutine pass_own
+
+end module battery_timestep

@@ -1,0 +1,272 @@
+!> What the engines have in common in which a particle has an event at every wall.
+!>
+!> Such an engine knows when events happen; here is what they do to the gates, to the counts and to
+!> the history. It hands over the particle that has an event (`meet`), goes on until no other event
+!> is due at that same instant, and only then are the gates asked whether they turn (`end_instant`).
+!> Whatever the order in which the events of the instant came, that decides as the rule of
+!> `battery_gate` does.
+module battery_wall_by_wall
+  use battery_kinds, only: wp, int64
+  use battery_table, only: gated, ungated, in_gate
+  use battery_bounce, only: walls_type, motion_type, new_walls, put_down, take_off, hit_arc, &
+    hit_channel, enter_channel, leave_channel, cross_line, turn_back, heads_for_middle, &
+    time_to_middle, is_trapped, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, &
+    meets_line
+  use battery_gate, only: hold, enter, undecided, decide, cross, turned_back
+  use battery_engine, only: engine_type, particles_type, allocate_particles
+  use battery_history, only: history_type, record_crossing, record_event, record_reversal, &
+    order_events, crossing_of, event_entry
+  use battery_stream, only: stream_type
+  implicit none (type, external)
+  private
+  public :: wall_by_wall_type, prepare_walls, take_in, pass_counts, meet, end_instant, count_hits, &
+    enter_gate, cross_over, longest_window
+
+  type, abstract, extends(engine_type) :: wall_by_wall_type
+    type(walls_type) :: walls
+    !> N1 - N2.
+    integer :: difference = 0
+    !> Wall collisions since the start.
+    integer(int64) :: hits = 0
+  contains
+    procedure :: take_over => take_in
+    procedure :: particles => all_particles
+    procedure :: collisions
+    procedure :: trapped
+    !> Where a particle is now, and how it moves.
+    procedure(motion_interface), deferred :: motion_now
+    !> Takes note of a particle now, and of the time until its next event.
+    procedure(write_down_interface), deferred :: write_down
+  end type wall_by_wall_type
+
+  abstract interface
+    pure function motion_interface(self, i) result(motion)
+      import :: wall_by_wall_type, motion_type
+      implicit none (type, external)
+      class(wall_by_wall_type), intent(in) :: self
+      integer, intent(in) :: i
+      type(motion_type) :: motion
+    end function motion_interface
+
+    subroutine write_down_interface(self, i, motion, wait)
+      import :: wall_by_wall_type, motion_type, wp
+      implicit none (type, external)
+      class(wall_by_wall_type), intent(inout) :: self
+      integer, intent(in) :: i
+      type(motion_type), intent(in) :: motion
+      real(wp), intent(in) :: wait
+    end subroutine write_down_interface
+  end interface
+
+contains
+
+  !> What follows from the table.
+  subroutine prepare_walls(self)
+    class(wall_by_wall_type), intent(inout) :: self
+
+    self%walls = new_walls(self%table)
+    self%page = self%walls%page
+    self%difference = 0
+    self%hits = 0
+  end subroutine prepare_walls
+
+  !> At most so many radii of the larger urn, and about as many events.
+  pure function longest_window(self, radii, events) result(window)
+    class(wall_by_wall_type), intent(in) :: self
+    real(wp), intent(in) :: radii
+    !> Events in all.
+    real(wp), intent(in) :: events
+    real(wp) :: window
+
+    window = maxval(self%table%urn%radius)*min(radii, events/real(self%number, wp))
+  end function longest_window
+
+  !> Takes in the particles. In a gate and on its way to the other one a particle is counted from
+  !> the start, but only an entry can make a gate turn.
+  subroutine take_in(self, particles)
+    class(wall_by_wall_type), intent(inout) :: self
+    type(particles_type), intent(inout) :: particles
+    type(motion_type) :: motion
+    real(wp) :: wait
+    integer :: i
+
+    do i = 1, self%number
+      motion = put_down(self%table, particles%x(i), particles%y(i), particles%ux(i), &
+        particles%uy(i))
+      call take_off(self%walls, motion, wait)
+      self%difference = self%difference + merge(1, -1, motion%side == 1)
+      if (heads_for_middle(motion)) call hold(self%gate(motion%side), self%now &
+        + time_to_middle(motion), i)
+      call self%write_down(i, motion, wait)
+    end do
+  end subroutine take_in
+
+  !> The event of a particle, which has been moved to it, `since` the window began. `wait` is how
+  !> long it takes to its next.
+  subroutine meet(self, history, since, particle, motion, wait)
+    class(wall_by_wall_type), intent(inout) :: self
+    type(history_type), intent(inout) :: history
+    real(wp), intent(in) :: since
+    integer, intent(in) :: particle
+    type(motion_type), intent(inout) :: motion
+    real(wp), intent(out) :: wait
+    integer :: side, chamber
+
+    select case (motion%next)
+    case (meets_arc)
+      call hit_arc(self%walls, motion, wait)
+      call count_hits(self, history, 1_int64)
+    case (meets_wall)
+      call hit_channel(self%walls, motion, wait)
+      call count_hits(self, history, 1_int64)
+    case (meets_gate)
+      call enter_channel(self%walls, motion, wait)
+      call enter_gate(self, history, since, particle, motion)
+    case (meets_return)
+      call enter_channel(self%walls, motion, wait)
+    case (meets_urn)
+      call leave_channel(self%walls, motion, wait)
+    case (meets_line)
+      side = motion%side
+      chamber = motion%chamber
+      call cross_line(self%walls, motion, wait)
+      call cross_over(self, history, since, particle, side, chamber)
+    case default
+      wait = huge(1.0_wp)
+    end select
+  end subroutine meet
+
+  !> A particle has come into the gate of its side.
+  subroutine enter_gate(self, history, since, particle, motion)
+    class(wall_by_wall_type), intent(inout) :: self
+    type(history_type), intent(inout) :: history
+    !> Since the window began.
+    real(wp), intent(in) :: since
+    integer, intent(in) :: particle
+    type(motion_type), intent(in) :: motion
+
+    call enter(self%gate(motion%side), self%now + time_to_middle(motion), particle)
+    if (history%logging) call record_event(history, since, event_entry, int(motion%side), &
+      particle)
+  end subroutine enter_gate
+
+  !> A particle has come to the line of its channel, from `chamber` of `side`.
+  subroutine cross_over(self, history, since, particle, side, chamber)
+    class(wall_by_wall_type), intent(inout) :: self
+    type(history_type), intent(inout) :: history
+    !> Since the window began.
+    real(wp), intent(in) :: since
+    integer, intent(in) :: particle, side, chamber
+
+    if (chamber == in_gate) then
+      call cross(self%gate(side), particle)
+      call record_crossing(history, since, crossing_of(side, gated), particle)
+    else
+      call record_crossing(history, since, crossing_of(side, ungated), particle)
+    end if
+    if (self%walls%beyond(side) == side) then
+      call count_hits(self, history, 1_int64)
+    else
+      self%difference = self%difference + merge(-2, 2, side == 1)
+    end if
+  end subroutine cross_over
+
+  !> `hits` wall collisions, and the state right after them.
+  subroutine count_hits(self, history, hits)
+    class(wall_by_wall_type), intent(inout) :: self
+    type(history_type), intent(inout) :: history
+    integer(int64), intent(in) :: hits
+
+    self%hits = self%hits + hits
+    history%collision_spread_sum = history%collision_spread_sum + hits*abs(self%difference)
+    history%collisions_seen = history%collisions_seen + hits
+  end subroutine count_hits
+
+  !> The gates decide, and the log of the instant, events `first` and later, is put in order.
+  subroutine end_instant(self, since, first, history)
+    class(wall_by_wall_type), intent(inout) :: self
+    !> Since the window began.
+    real(wp), intent(in) :: since
+    integer, intent(in) :: first
+    type(history_type), intent(inout) :: history
+    integer :: side
+    logical :: turns
+
+    if (undecided(self%gate)) then
+      do side = 1, 2
+        call decide(self%gate(side), turns)
+        if (turns) call turn_gate(self, side, since, history)
+      end do
+    end if
+    if (history%events > first) call order_events(history, first)
+  end subroutine end_instant
+
+  !> All those counted in the gate of a side turn back.
+  subroutine turn_gate(self, side, since, history)
+    class(wall_by_wall_type), intent(inout) :: self
+    integer, intent(in) :: side
+    !> Since the window began.
+    real(wp), intent(in) :: since
+    type(history_type), intent(inout) :: history
+    type(motion_type) :: motion
+    real(wp) :: wait
+    integer :: member, i
+
+    associate (counted => self%gate(side)%counted)
+      call record_reversal(history, since, side, counted%count)
+      do member = 1, counted%count
+        i = counted%who(member)
+        motion = self%motion_now(i)
+        call turn_back(self%walls, motion, wait)
+        call self%write_down(i, motion, wait)
+      end do
+    end associate
+    call turned_back(self%gate(side))
+  end subroutine turn_gate
+
+  subroutine all_particles(self, first, last, particles)
+    class(wall_by_wall_type), intent(in) :: self
+    integer, intent(in) :: first, last
+    type(particles_type), intent(out) :: particles
+    type(motion_type) :: motion
+    integer :: i, k
+
+    call allocate_particles(particles, last - first + 1)
+    do i = first, last
+      k = i - first + 1
+      motion = self%motion_now(i)
+      particles%x(k) = motion%x
+      particles%y(k) = motion%y
+      particles%ux(k) = motion%ux
+      particles%uy(k) = motion%uy
+    end do
+  end subroutine all_particles
+
+  function collisions(self) result(total)
+    class(wall_by_wall_type), intent(in) :: self
+    integer(int64) :: total
+
+    total = self%hits
+  end function collisions
+
+  function trapped(self) result(total)
+    class(wall_by_wall_type), intent(in) :: self
+    integer(int64) :: total
+    integer :: i
+
+    total = 0
+    do i = 1, self%number
+      if (is_trapped(self%motion_now(i))) total = total + 1
+    end do
+  end function trapped
+
+  !> The counts, through a stream.
+  subroutine pass_counts(self, stream)
+    class(wall_by_wall_type), intent(inout) :: self
+    type(stream_type), intent(inout) :: stream
+
+    call stream%pass('difference', self%difference)
+    call stream%pass('hits', self%hits)
+  end subroutine pass_counts
+
+end module battery_wall_by_wall
