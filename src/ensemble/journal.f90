@@ -20,7 +20,7 @@ module battery_journal
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
     write_single, read_single
-  use battery_task_result, only: task_result_type, task_complete, to_record, &
+  use battery_task_result, only: task_result_type, task_complete, to_record, is_result, &
     from_record
   use battery_engine, only: engine_state_type
   use battery_simulation, only: simulation_type, setup_type, save_simulation, restore_simulation
@@ -214,13 +214,25 @@ contains
     integer :: k, own
 
     call read_records(file_of(journal, 'rank', file), records, good_size)
-    allocate (results(count(records%owner == journal%owner)))
+    allocate (results(count([(is_own(records(k)), k=1, size(records))])))
     own = 0
     do k = 1, size(records)
-      if (records(k)%owner /= journal%owner) cycle
+      if (.not. is_own(records(k))) cycle
       own = own + 1
       results(own) = from_record(records(k))
     end do
+
+  contains
+
+    !> The plan belongs to this input, too, but is no result.
+    pure function is_own(record) result(yes)
+      type(record_type), intent(in) :: record
+      logical :: yes
+
+      yes = record%owner == journal%owner
+      if (yes) yes = is_result(record)
+    end function is_own
+
   end subroutine read_rank_file
 
   !> A task is finished: its result is written at once, so that nothing that happens to the program
