@@ -61,7 +61,7 @@ TOO_MUCH: dict[str, dict[str, dict[str, Any]]] = {
         "output": {"final_state": ".true."},
     },
     "&scan replicas: the results of 9000000 tasks": {"scan": {"replicas": 9_000_000}},
-    "&particles number: 2147483647 particles": {"particles": {"number": 2_147_483_647}},
+    "&particles number: 200000000 particles": {"particles": {"number": 200_000_000}},
     "&scan number: 100000000 particles": {"scan": {"number": "100000000, 200000000"}},
 }
 
