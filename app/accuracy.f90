@@ -6,6 +6,7 @@
 program accuracy
   use battery_probe, only: argument
   use battery_probe_trajectory, only: trajectory_main, reversal_main
+  use battery_probe_events, only: events_main
   use battery_probe_lyapunov, only: lyapunov_main
   use battery_probe_visits, only: visits_main
   use battery_probe_stability, only: stability_main
@@ -14,6 +15,8 @@ program accuracy
   select case (argument(1))
   case ('trajectory')
     call trajectory_main()
+  case ('events')
+    call events_main()
   case ('reversal')
     call reversal_main()
   case ('lyapunov')
@@ -24,6 +27,8 @@ program accuracy
     call stability_main()
   case default
     print '(a)', 'usage: accuracy trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...', &
+      '       accuracy events ENGINE STEP SHAPE RADIUS WIDTH1 LENGTH1 WIDTH2 LENGTH2 FILE '// &
+      'NUMBER THRESHOLD CLOCK DURATION', &
       '       accuracy reversal ENGINE STEP FILE NUMBER TIME ...', &
       '       accuracy lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]', &
       '       accuracy visits WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]', &

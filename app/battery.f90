@@ -1,15 +1,17 @@
 !> The program `battery`: arguments, plan, ensemble, exit code.
 program battery
-  use, intrinsic :: iso_fortran_env, only: error_unit, output_unit
-  use battery_error, only: error_type, exit_success
+  use battery_error, only: error_type, exit_success, exit_failure
   use battery_command_line, only: command_line_type, read_command_line, usage_text, version_text
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
-    share_error
-  use battery_ensemble, only: run_ensemble
-  use battery_namelist_input, only: read_namelist
+    share_error, ranks_on_node
+  use battery_ensemble, only: run_ensemble, heed_time_limit
+  use battery_limits, only: spare_address_space
+  use battery_needs, only: check_needs
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
+  use battery_plan_sharing, only: read_plan_once
   use battery_signals, only: watch_signals, leave
+  use battery_terminal, only: guard_streams, say, complain, all_was_printed
   implicit none (type, external)
 
   type(command_line_type) :: command_line
@@ -18,6 +20,8 @@ program battery
   integer :: exit_code
 
   exit_code = exit_success
+  call guard_streams()
+  call spare_address_space()
   call watch_signals()
   call open_communicator(communicator)
   call read_command_line(command_line, error)
@@ -29,8 +33,12 @@ program battery
     end if
   end if
   if (allocated(error)) then
-    if (communicator%rank == 0) write (error_unit, '(a)') error%message
+    if (communicator%rank == 0) call complain(error%message)
     exit_code = error%code
+  end if
+  if (.not. all_was_printed()) then
+    call complain('battery: not all could be printed; what was written is as it should be')
+    if (exit_code == exit_success) exit_code = exit_failure
   end if
   call close_communicator(communicator)
   call leave(exit_code)
@@ -38,21 +46,26 @@ program battery
 contains
 
   subroutine answer()
-    if (command_line%version) write (output_unit, '(a)') version_text()
-    if (command_line%help) write (output_unit, '(a)') usage_text()
+    if (command_line%version) call say(version_text())
+    if (command_line%help) call say(usage_text())
   end subroutine answer
 
   subroutine run()
     type(plan_type) :: plan
+    integer :: sharing
 
-    call read_namelist(command_line%file, plan, error)
+    sharing = ranks_on_node(communicator)
+    call read_plan_once(command_line%file, communicator, plan, error)
+    if (allocated(error)) return
+    call heed_time_limit(plan)
+    call check_needs(plan, sharing, error)
     call share_error(communicator, error)
     if (allocated(error)) return
     if (.not. command_line%check) then
       call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
         error)
     else if (communicator%rank == 0) then
-      call print_outlook(plan, communicator%size, error)
+      call print_outlook(plan, communicator%size, sharing, error)
     end if
     call share_error(communicator, error)
   end subroutine run

@@ -5,7 +5,7 @@
 !> then, as when it computes, then takes part. JSON with rates and latencies.
 module battery_bench_board
   use battery_kinds, only: dp, int64
-  use battery_signals, only: wall_seconds
+  use battery_clocks, only: wall_seconds
   use battery_communicator, only: communicator_type, board_type, open_communicator, &
     close_communicator, open_board, close_board, take_task, add_to_board, read_board, help_board, &
     summary_of, wait_for_all, tasks_finished

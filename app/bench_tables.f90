@@ -8,7 +8,7 @@ module battery_bench
   use battery_history, only: history_type
   use battery_engines, only: new_engine
   use battery_initial_state, only: random_particles
-  use battery_signals, only: wall_seconds
+  use battery_clocks, only: wall_seconds
   use battery_bench_board, only: bench_board
   use battery_bench_rows, only: case_type, rate_type, cost_of_collision, cost_of_visit, &
     cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor, &

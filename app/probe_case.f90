@@ -7,7 +7,7 @@ module battery_probe_case
   use battery_random, only: hashed_uniform
   use battery_engine, only: engine_type, particles_type
   use battery_history, only: history_type
-  use battery_signals, only: wall_seconds
+  use battery_clocks, only: wall_seconds
   use battery_probe, only: precision_name, started, list, say
   implicit none (type, external)
   private
@@ -116,7 +116,7 @@ contains
       do i = 1, one%number
         if (.not. all(ieee_is_finite([p%x(i), p%y(i), p%ux(i), p%uy(i)]))) then
           nan = nan + 1
-        else if (region_at(one%table, p%x(i), p%y(i), 1.0e4_wp*epsilon(1.0_wp)) == outside) then
+        else if (chamber_at(one%table, p%x(i), p%y(i), 1.0e4_wp*epsilon(1.0_wp)) == outside) then
           lost = lost + 1
         else
           off = max(off, abs(hypot(p%ux(i), p%uy(i)) - 1.0_wp))
@@ -176,11 +176,11 @@ contains
         x = 2.0_wp*hashed_uniform(int(i, int64), count) - 1.0_wp
         y = 2.0_wp*hashed_uniform(int(i, int64), count + 1) - 1.0_wp
         count = count + 2
-        if (x**2 + y**2 < 1.0_wp .and. -x < table%chord1_distance .and. x &
-          < table%chord2_distance) exit
+        if (x**2 + y**2 < 1.0_wp .and. -x < table%urn(1)%chord(1) .and. x &
+          < table%urn(1)%chord(2)) exit
       end do
       angle = 2.0_wp*pi*hashed_uniform(int(i, int64), count)
-      particles%x(i) = (table%urn_centre + x)*merge(1.0_wp, -1.0_wp, modulo(i, 2) == 0)
+      particles%x(i) = (table%urn(1)%centre + x)*merge(1.0_wp, -1.0_wp, modulo(i, 2) == 0)
       particles%y(i) = y
       particles%ux(i) = cos(angle)
       particles%uy(i) = sin(angle)

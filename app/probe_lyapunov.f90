@@ -8,11 +8,11 @@
 module battery_probe_lyapunov
   use battery_kinds, only: wp, dp, int64, pi
   use battery_text, only: to_text
-  use battery_table, only: table_type
+  use battery_table, only: table_type, x_direction
   use battery_random, only: hashed_uniform
   use battery_bounce, only: walls_type, motion_type, new_walls, take_off, fly, hit_arc, &
-    hit_channel, enter_channel, leave_channel, cross_middle_line, cross_periodic_line, &
-    on_side_one, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_middle, &
+    hit_channel, enter_channel, leave_channel, cross_line, put_down, &
+    meets_arc, meets_wall, meets_gate, meets_return, meets_urn, &
     meets_nothing
   use battery_engine, only: particles_type
   use battery_error, only: error_type
@@ -36,7 +36,7 @@ contains
   !> half of the time alone.
   subroutine lyapunov_main()
     type(table_type) :: table
-    type(flight_type) :: flight
+    type(motion_type) :: flight
     type(particles_type) :: particles
     type(error_type), allocatable :: error
     real(wp) :: duration, rate, sums(2), late
@@ -53,8 +53,8 @@ contains
     end if
     do i = 1, number
       call place(table, i, flight)
-      if (allocated(particles%x)) flight = flight_type(x=particles%x(i), y=particles%y(i), &
-        ux=particles%ux(i), uy=particles%uy(i))
+      if (allocated(particles%x)) flight = put_down(table, particles%x(i), particles%y(i), &
+        particles%ux(i), particles%uy(i))
       call follow(table, flight, duration, rate, late)
       sums = sums + [rate, rate**2]
     end do
@@ -69,7 +69,7 @@ contains
   subroutine place(table, i, flight)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
-    type(flight_type), intent(out) :: flight
+    type(motion_type), intent(out) :: flight
     integer(int64) :: count
     real(wp) :: x, y, angle
 
@@ -81,14 +81,14 @@ contains
       if (x**2 + y**2 < 0.9_wp) exit
     end do
     angle = 2.0_wp*pi*hashed_uniform(int(i, int64), count)
-    flight = flight_type(x=sign(table%urn_centre, real(modulo(i, 2), wp) - 0.5_wp) + x, y=y, &
-      ux=cos(angle), uy=sin(angle))
+    flight = put_down(table, sign(table%urn(1)%centre, real(modulo(i, 2), wp) - 0.5_wp) + x, y, &
+      cos(angle), sin(angle))
   end subroutine place
 
   !> The growth rate along one path; `late` grows by that of the second half.
   subroutine follow(table, flight, duration, rate, late)
     type(table_type), intent(in) :: table
-    type(flight_type), intent(inout) :: flight
+    type(motion_type), intent(inout) :: flight
     real(wp), intent(in) :: duration
     real(wp), intent(out) :: rate
     real(wp), intent(inout) :: late
@@ -97,7 +97,7 @@ contains
     real(wp) :: wait, time, half, half_time
 
     walls = new_walls(table)
-    call take_off(table, walls, flight, wait)
+    call take_off(walls, flight, wait)
     time = 0.0_wp
     half = 0.0_wp
     half_time = 0.0_wp
@@ -119,15 +119,15 @@ contains
   !> What the particle meets, and what that does to its neighbour.
   subroutine pass(walls, flight, tangent, wait)
     type(walls_type), intent(in) :: walls
-    type(flight_type), intent(inout) :: flight
+    type(motion_type), intent(inout) :: flight
     type(tangent_type), intent(inout) :: tangent
     real(wp), intent(out) :: wait
     real(wp) :: qx, side
 
     select case (flight%next)
     case (meets_arc)
-      side = merge(-1.0_wp, 1.0_wp, on_side_one(flight))
-      qx = side*flight%x - walls%centre
+      side = x_direction(flight%side)
+      qx = side*flight%x - walls%side(flight%side)%centre
       call bounce_apart(tangent, abs(qx*side*flight%ux + flight%y*flight%uy))
       call hit_arc(walls, flight, wait)
     case (meets_wall)
@@ -137,10 +137,8 @@ contains
       call enter_channel(walls, flight, wait)
     case (meets_urn)
       call leave_channel(walls, flight, wait)
-    case (meets_middle)
-      call cross_middle_line(walls, flight, wait)
     case default
-      call cross_periodic_line(walls, flight, wait)
+      call cross_line(walls, flight, wait)
     end select
   end subroutine pass
 

@@ -9,7 +9,7 @@ module battery_probe_stability
   use battery_table, only: table_type
   use battery_history, only: history_type, event_entry
   use battery_engine, only: particles_type
-  use battery_signals, only: wall_seconds
+  use battery_clocks, only: wall_seconds
   use battery_probe, only: argument, real_argument, integer_argument, paper_table, started
   use battery_probe_case, only: case_type, live, tell, crossings, alone, first_event, scattered, &
     engine_name, step, most_seconds
@@ -40,14 +40,16 @@ contains
   subroutine whispering()
     type(case_type) :: one
     type(table_type) :: table
+    real(wp) :: centre
     real(wp) :: angle
     integer :: k
 
     if (engine_name == 'reservoir') return
     table = paper_table(0.3_wp, 0.01_wp)
+    centre = table%urn(1)%centre
     do k = 3, 12
       angle = 10.0_wp**(-k)
-      call live(one, 'whispering', angle, table, 10, alone(table%urn_centre, 1.0_wp, &
+      call live(one, 'whispering', angle, table, 10, alone(centre, 1.0_wp, &
         -cos(angle), -sin(angle)), 3.0_wp, 0.5_wp/angle)
       call tell(one, first_event(one))
     end do
@@ -65,7 +67,7 @@ contains
 
     if (engine_name == 'reservoir') return
     table = paper_table(0.3_wp, 0.01_wp)
-    corner = [0.5_wp, 0.5_wp*table%channel1_width]
+    corner = [0.5_wp, 0.5_wp*table%channel(1)%width]
     wrong = 0
     worst = 0.0_wp
     do shot = 1, 10
@@ -99,15 +101,17 @@ contains
   subroutine along_the_axis()
     type(case_type) :: one
     type(table_type) :: table
+    real(wp) :: centre
     real(wp) :: slope
     integer :: k
 
     if (engine_name == 'reservoir') return
     table = paper_table(0.3_wp, 0.01_wp)
+    centre = table%urn(1)%centre
     do k = 3, 16
       slope = 10.0_wp**(-k)
       if (k == 16) slope = 0.0_wp
-      call live(one, 'along the axis', slope, table, 10, alone(table%urn_centre, 0.0_wp, 1.0_wp, &
+      call live(one, 'along the axis', slope, table, 10, alone(centre, 0.0_wp, 1.0_wp, &
         slope), 100.0_wp, 10.0_wp)
       call tell(one, one%particles%y(1))
     end do
@@ -136,15 +140,17 @@ contains
   subroutine diameter()
     type(case_type) :: one
     type(table_type) :: table
+    real(wp) :: centre
 
     if (engine_name == 'reservoir') return
     table = paper_table(0.3_wp, 0.01_wp)
-    call live(one, 'upright diameter', 0.0_wp, table, 10, alone(table%urn_centre, 0.0_wp, 0.0_wp, &
+    centre = table%urn(1)%centre
+    call live(one, 'upright diameter', 0.0_wp, table, 10, alone(centre, 0.0_wp, 0.0_wp, &
       1.0_wp), 2000.0_wp, 10.0_wp)
-    call tell(one, abs(one%particles%x(1) - table%urn_centre))
-    call live(one, 'slanted diameter', 1.0_wp, table, 10, alone(table%urn_centre, 0.0_wp, 0.6_wp, &
+    call tell(one, abs(one%particles%x(1) - centre))
+    call live(one, 'slanted diameter', 1.0_wp, table, 10, alone(centre, 0.0_wp, 0.6_wp, &
       0.8_wp), 2000.0_wp, 10.0_wp)
-    call tell(one, abs(0.8_wp*(one%particles%x(1) - table%urn_centre) - 0.6_wp*one%particles%y(1)))
+    call tell(one, abs(0.8_wp*(one%particles%x(1) - centre) - 0.6_wp*one%particles%y(1)))
   end subroutine diameter
 
   !> Four particles enter gate 2 at one time, two by two exactly; T = 0, 1, 2 and 3. In how many of
@@ -297,13 +303,13 @@ contains
 
     far = 0.0_wp
     do i = 1, size(particles%x)
-      qx = abs(particles%x(i)) - table%urn_centre
-      if (qx <= -table%chord1_distance) then
-        far = max(far, abs(particles%y(i)) - 0.5_wp*table%channel1_width)
-      else if (qx >= table%chord2_distance) then
-        far = max(far, abs(particles%y(i)) - 0.5_wp*table%channel2_width)
+      qx = abs(particles%x(i)) - table%urn(1)%centre
+      if (qx <= -table%urn(1)%chord(1)) then
+        far = max(far, abs(particles%y(i)) - 0.5_wp*table%channel(1)%width)
+      else if (qx >= table%urn(1)%chord(2)) then
+        far = max(far, abs(particles%y(i)) - 0.5_wp*table%channel(2)%width)
       else
-        far = max(far, hypot(qx, particles%y(i)) - table%urn_radius)
+        far = max(far, hypot(qx, particles%y(i)) - table%urn(1)%radius)
       end if
     end do
   end function beyond

@@ -12,7 +12,7 @@ module battery_probe_visits
   use, intrinsic :: iso_fortran_env, only: real32
   use battery_kinds, only: wp, dp, int64
   use battery_text, only: to_text
-  use battery_table, only: table_type
+  use battery_table, only: table_type, gated, ungated
   use battery_random, only: hashed_uniform
   use battery_disc, only: disc_type, new_disc, cross_urns
   use battery_visits, only: visits_type, reserve_visits
@@ -97,14 +97,14 @@ contains
     integer(int64), intent(in) :: first
     integer, intent(in) :: n, bits
     real(dp), intent(out) :: found(numbers, n)
-    type(urn_type) :: urn
+    type(disc_type) :: disc
     type(visits_type) :: visits
     real(wp) :: place, sine, width1, width2
     integer :: j
 
-    urn = new_urn(table)
-    width1 = table%channel1_width
-    width2 = table%channel2_width
+    disc = new_disc(table, 1)
+    width1 = table%channel(1)%width
+    width2 = table%channel(2)%width
     call reserve_visits(visits, n)
     visits%count = n
     do j = 1, n
@@ -115,16 +115,17 @@ contains
       visits%time(j) = 0.0_wp
       visits%passage(j) = 0.0_wp
       visits%hits(j) = 0.0_wp
-      visits%opening(j) = merge(1.0_wp, -1.0_wp, place < width1)
+      visits%channel(j) = merge(gated, ungated, place < width1)
       visits%y(j) = merge(place - 0.5_wp*width1, place - width1 - 0.5_wp*width2, place < width1)
-      visits%x(j) = merge(table%chord1_distance, -table%chord2_distance, place < width1)
-      visits%along(j) = -visits%opening(j)*sqrt((1.0_wp - sine)*(1.0_wp + sine))
+      visits%x(j) = merge(table%urn(1)%chord(1), -table%urn(1)%chord(2), place < width1)
+      visits%along(j) = merge(-1.0_wp, 1.0_wp, place < width1)*sqrt((1.0_wp - sine) &
+        *(1.0_wp + sine))
       visits%across(j) = sine
     end do
-    call cross_urns(urn, visits)
+    call cross_urns(disc, visits)
     do j = 1, n
-      found(:, j) = real([visits%opening(j), visits%y(j), visits%along(j), visits%across(j), &
-        visits%length(j), visits%hits(j)], dp)
+      found(:, j) = real([merge(1.0_wp, -1.0_wp, visits%channel(j) == gated), visits%y(j), &
+        visits%along(j), visits%across(j), visits%length(j), visits%hits(j)], dp)
     end do
   end subroutine visit
 
@@ -180,8 +181,8 @@ contains
     real(wp) :: k(3)
     real(wp) :: x, y, ux, uy, s, c, n, radius
 
-    radius = table%urn_radius
-    x = merge(table%chord1_distance, -table%chord2_distance, visit(1) > 0.0_dp)
+    radius = table%urn(1)%radius
+    x = merge(table%urn(1)%chord(1), -table%urn(1)%chord(2), visit(1) > 0.0_dp)
     y = visit(2)
     ux = visit(1)*visit(3)
     uy = visit(4)
@@ -205,7 +206,7 @@ contains
     if (other(6) < mine(6)) first = other
     k = conditions(table, first)
     k(2) = k(1)
-    room = 0.5_wp*merge(table%channel1_width, table%channel2_width, first(1) > 0.0_dp) &
+    room = 0.5_wp*merge(table%channel(1)%width, table%channel(2)%width, first(1) > 0.0_dp) &
       - abs(first(2))
   end function least_room
 
@@ -221,8 +222,8 @@ contains
 
     text = '{"precision": "'//precision_name()//'", "visits": '//to_text(count)// &
       ', "input_bits": '//to_text(bits)//', "channel1_width": ' &
-      //to_text(real(table%channel1_width, dp))//', "channel2_width": ' &
-      //to_text(real(table%channel2_width, dp))//', "seconds_per_visit": '//to_text(spent/count)
+      //to_text(real(table%channel(1)%width, dp))//', "channel2_width": ' &
+      //to_text(real(table%channel(2)%width, dp))//', "seconds_per_visit": '//to_text(spent/count)
     if (comparing) then
       text = text//', "same": '//to_text(finding%same)//', "corner": '//to_text(finding%corner) &
         //', "wrong": '//to_text(finding%wrong)//', "worst": '//to_text(real(finding%worst, dp)) &

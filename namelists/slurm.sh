@@ -4,7 +4,9 @@
 #SBATCH --time=04:00:00
 #SBATCH --requeue
 #SBATCH --open-mode=append
-# Two minutes before the limit every rank is told to save its state.
+# Two minutes before the limit every rank is told to save its state, by the signal that loses
+# nothing; so does &limits wall_minutes. SIGTERM under mpirun leaves ranks one second only, unless
+# it is called with --mca odls_base_sigkill_timeout 60.
 #SBATCH --signal=USR1@120
 
 # Exit code 3: stopped early, state saved. The job goes back into the queue and goes on.

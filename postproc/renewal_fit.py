@@ -16,6 +16,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -189,18 +190,35 @@ def checks(gate: RenewalGate, shares: Floats, errors: Floats) -> list[dict[str, 
     return [dict(zip(names, row, strict=True)) for row in rows]
 
 
+def read_solutions(path: Path) -> tuple[Floats, Floats]:
+    """Return what `--data` has kept: the rows of the grid, and the share of each."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # it only warns of an empty file
+            table = np.loadtxt(cli.existing_file(path), delimiter=",", ndmin=2)
+    except (ValueError, UserWarning) as problem:
+        raise cli.InputError(f"{path}: not the numbers of a fit: {problem}") from problem
+    wanted = (len(grid()), grid().shape[1] + 1)
+    if table.shape != wanted or not np.isfinite(table).all():
+        raise cli.InputError(f"{path}: not the {wanted[0]} rows of {wanted[1]} numbers of a fit")
+    return table[:, :-1], table[:, -1]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, fit, check, write."""
     options = cli.parser("renewal_fit", __doc__)
-    options.add_argument("--entries", type=int, help="simulate the checks anew, so many entries")
-    options.add_argument("--processes", type=int, default=2, help="how many at a time")
+    options.add_argument(
+        "--entries", type=cli.integer(1), help="simulate the checks anew, so many entries"
+    )
+    options.add_argument(
+        "--processes", type=cli.integer(1, 4096), default=2, help="how many at a time"
+    )
     options.add_argument(
         "--data", type=Path, metavar="FILE.csv", help="keep the solutions here; reuse them"
     )
     given: argparse.Namespace = options.parse_args(arguments)
     if given.data and given.data.exists():
-        *columns, shares = np.loadtxt(given.data, delimiter=",").T
-        rows = np.column_stack(columns)
+        rows, shares = read_solutions(given.data)
     else:
         rows = grid()
         shares = solve(rows, given.processes)

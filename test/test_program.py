@@ -150,7 +150,7 @@ BAD_WHOLE = {
     "no threshold": ("&particles\n number = 5\n/\n", ["&gate threshold", "missing"]),
     "N < 1": (
         "&particles\n number = 0\n/\n&gate\n threshold = 1\n/\n",
-        ["&particles number = 0", "from 1 up"],
+        ["&particles number = 0", "from 1 to 200000000"],
     ),
     "T < 0": (
         "&particles\n number = 5\n/\n&gate\n threshold = -1\n/\n",

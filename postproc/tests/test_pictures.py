@@ -12,7 +12,7 @@ import pytest
 
 from postproc import cli, compare, currents, figures, film, report, scene
 from postproc.results import Results, Snapshot, mean_and_error
-from postproc.tests.fabricate import fabricate
+from postproc.tests.fabricate import fabricate, seal
 from postproc.theory import Circuit
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def test_not_hdf5(
 def test_damaged_file(run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "half.h5"
     path.write_bytes(run_file.read_bytes()[:5000])
-    assert "damaged" in _one_line(currents.main, path, capsys)
+    assert "it has no digest at its end" in _one_line(currents.main, path, capsys)
 
 
 @pytest.mark.parametrize("main", READERS)
@@ -106,6 +106,7 @@ def test_a_series_without_one_of_its_flows(
     with h5py.File(path, "r+") as file:
         del file["series/flow2_12"]
         del file["snapshots/uy"]
+    seal(path)
     assert "has no series/flow2_12" in _one_line(currents.main, path, capsys)
     assert "has no snapshots/uy" in _one_line(scene.main, path, capsys)
 
@@ -146,6 +147,7 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
             file[name][1, 0] = 2 if name == "task_status" else np.nan
         for name in ("series/urn1_number", "snapshots/x"):
             file[name][0], file[name][1, 0] = np.nan, np.nan
+    seal(path)
     with Results(path) as results:
         assert results.task(None, None) == (1, 1)
         assert results.task(2, None) == (1, 1)

@@ -15,7 +15,7 @@ import pytest
 from postproc import cli, film, report, warn
 from postproc.results import Results, Snapshot
 from postproc.scene import Table
-from postproc.tests.fabricate import fabricate
+from postproc.tests.fabricate import fabricate, seal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -68,6 +68,7 @@ def test_page_escapes_the_namelist(tmp_path: Path) -> None:
     with h5py.File(path, "r+") as file:
         text = file.attrs["namelist"].decode() + "! <script>alert(1)</script>\n"
         file.attrs["namelist"] = np.bytes_(text)
+    seal(path)
     assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 0
     assert "<script>alert" not in (tmp_path / "odd.html").read_text()
 

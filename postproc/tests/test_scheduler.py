@@ -116,4 +116,6 @@ def test_program_prints_and_draws(tmp_path: object, capsys: pytest.CaptureFixtur
 
 @pytest.mark.parametrize("wrong", [["--ranks", "0"], ["--seconds", "0"], ["--latency", "-1"]])
 def test_bad_numbers_are_refused(wrong: list[str]) -> None:
-    assert cli.run(scheduler.main, wrong) == 2
+    with pytest.raises(SystemExit) as left:
+        cli.run(scheduler.main, wrong)
+    assert left.value.code == 2

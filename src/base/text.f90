@@ -47,7 +47,8 @@ contains
     !> Beyond this, fewer digits could round to more than there is.
     real(real32), parameter :: nearly_huge = 1.0e38_real32
 
-    do digits = merge(1, 9, abs(number) < nearly_huge), 9
+    do digits = first_digits(abs(number) < nearly_huge, abs(number) >= tiny(number), &
+      precision(number), 9), 9
       write (layout, '(a, i0, a)') '(es40.', digits - 1, 'e3)'
       write (buffer, layout) number
       if (.not. abs(number) <= huge(number)) exit
@@ -66,7 +67,8 @@ contains
     !> Beyond this, fewer digits could round to more than there is.
     real(real64), parameter :: nearly_huge = 1.0e307_real64
 
-    do digits = merge(1, 17, abs(number) < nearly_huge), 17
+    do digits = first_digits(abs(number) < nearly_huge, abs(number) >= tiny(number), &
+      precision(number), 17), 17
       write (layout, '(a, i0, a)') '(es40.', digits - 1, 'e3)'
       write (buffer, layout) number
       if (.not. abs(number) <= huge(number)) exit
@@ -75,6 +77,17 @@ contains
     end do
     text = plain_notation(trim(adjustl(buffer)))
   end function real64_text
+
+  !> How many digits are tried first. So many as are always kept give the shortest text, with zeros
+  !> at its end; numbers that have fewer digits of their own are tried from one digit up.
+  pure function first_digits(roundable, normal, kept, most) result(digits)
+    logical, intent(in) :: roundable, normal
+    integer, intent(in) :: kept, most
+    integer :: digits
+
+    digits = merge(kept, 1, normal)
+    if (.not. roundable) digits = most
+  end function first_digits
 
   pure function real128_text(number) result(text)
     real(real128), intent(in) :: number
@@ -150,12 +163,21 @@ contains
     type(string_type), intent(in) :: list(:)
     character(len=*), intent(in) :: separator
     character(len=:), allocatable :: text
-    integer :: at
+    integer :: at, length
 
-    text = ''
+    length = max(size(list) - 1, 0)*len(separator)
     do at = 1, size(list)
-      if (at > 1) text = text//separator
-      text = text//list(at)%text
+      length = length + len(list(at)%text)
+    end do
+    allocate (character(len=length) :: text)
+    length = 0
+    do at = 1, size(list)
+      if (at > 1) then
+        text(length + 1:length + len(separator)) = separator
+        length = length + len(separator)
+      end if
+      text(length + 1:length + len(list(at)%text)) = list(at)%text
+      length = length + len(list(at)%text)
     end do
   end function join
 

@@ -1,5 +1,6 @@
 !> The engines by the names they have in the namelist.
 module battery_engines
+  use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_engine, only: engine_type
   use battery_excursion, only: excursion_type
@@ -9,7 +10,7 @@ module battery_engines
   use battery_reservoir, only: reservoir_type
   implicit none (type, external)
   private
-  public :: new_engine
+  public :: new_engine, bytes_a_particle
 
 contains
 
@@ -34,5 +35,22 @@ contains
       call fatal_error(error, 'engine '''//name//''' is not known', exit_bad_input)
     end select
   end subroutine new_engine
+
+  !> Bytes that an engine takes for each particle at most, with the positions and velocities that it
+  !> starts from and where memory is taken in powers of two; not its saved state. Measured: 92, 87,
+  !> 92, 65, 89.
+  pure function bytes_a_particle(name) result(bytes)
+    character(len=*), intent(in) :: name
+    real(dp) :: bytes
+
+    select case (name)
+    case ('collision')
+      bytes = 96.0_dp
+    case ('timestep')
+      bytes = 72.0_dp
+    case default
+      bytes = 104.0_dp
+    end select
+  end function bytes_a_particle
 
 end module battery_engines

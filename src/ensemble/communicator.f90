@@ -15,12 +15,14 @@ module battery_communicator
     MPI_Allreduce, &
     MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, MPI_Win_flush, &
     MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, MPI_Get_library_version, &
-    MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG
+    MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type
+  use battery_terminal, only: is_terminal, parent_is_terminal
   implicit none (type, external)
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
+  public :: ranks_on_node, output_is_terminal
   public :: share_integers, wait_for_all, summary_of, all_true, mpi_library
   public :: board_type, open_board, close_board, add_to_board, read_board
   public :: take_task, help_board
@@ -135,6 +137,28 @@ contains
 
     call MPI_Barrier(communicator%ranks)
   end subroutine wait_for_all
+
+  !> How many of the ranks share the memory of this one. Collective.
+  function ranks_on_node(communicator) result(ranks)
+    type(communicator_type), intent(in) :: communicator
+    integer :: ranks
+    type(MPI_Comm) :: node
+
+    call MPI_Comm_split_type(communicator%ranks, MPI_COMM_TYPE_SHARED, 0, MPI_INFO_NULL, node)
+    call MPI_Comm_size(node, ranks)
+    call MPI_Comm_free(node)
+  end function ranks_on_node
+
+  !> Whether what is printed goes to a terminal. A rank that Open MPI's mpirun has started writes to
+  !> a terminal of mpirun's own making, whatever mpirun itself writes to; then that is what counts.
+  function output_is_terminal() result(terminal)
+    logical :: terminal
+    integer :: length
+
+    terminal = is_terminal()
+    call get_environment_variable('OMPI_COMM_WORLD_RANK', length=length)
+    if (length > 0 .and. terminal) terminal = parent_is_terminal(unknown=terminal)
+  end function output_is_terminal
 
   !> Least, mean and greatest of one value a rank.
   function summary_of(communicator, value) result(summary)

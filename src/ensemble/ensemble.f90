@@ -5,23 +5,26 @@
 !> at once, and in the end rank 0 merges the journal into the results file. A run that is stopped or
 !> killed goes on from its journal; results depend on the plan alone, not on ranks, order or stops.
 module battery_ensemble
-  use, intrinsic :: iso_fortran_env, only: output_unit
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, &
     exit_stopped_early, exit_bad_input
   use battery_files, only: remove_file
   use battery_fingerprint, only: fingerprint_text
-  use battery_text, only: string_type
-  use battery_signals, only: wall_seconds, stop_requested, rest
+  use battery_clocks, only: wall_seconds, rest
+  use battery_terminal, only: say, complain
+  use battery_text, only: string_type, to_text
+  use battery_signals, only: stop_requested, stop_after, leave
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count, task_of, put_longest_first
   use battery_namelist_input, only: differing_keys
   use battery_communicator, only: communicator_type, board_type, open_board, close_board, &
-    take_task, add_to_board, read_board, share_error, share_integers, summary_of, tasks_finished, &
-    tasks_failed, collisions_done, stop_wanted
+    take_task, add_to_board, read_board, share_error, share_integers, share_text, summary_of, &
+    tasks_finished, tasks_failed, collisions_done, stop_wanted
   use battery_journal, only: journal_type, read_plan, begin_journal, join_journal, read_finished, &
     write_finished, remove_journal, rank_files_in, belongs_to_another, &
-    settle_journal
+    settle_journal, check_journal
+  use battery_ownership, only: ownership_type, take_ownership, give_up_ownership, is_taken_over, &
+    taken_over_text
   use battery_task, only: watch_type, run_task, seconds_between_looks
   use battery_task_result, only: task_result_type, task_failed
   use battery_screen, only: screen_type, new_screen, show_ensemble, end_progress
@@ -30,14 +33,36 @@ module battery_ensemble
   use battery_summary, only: print_summary
   implicit none (type, external)
   private
-  public :: run_ensemble
+  public :: run_ensemble, heed_time_limit
 
 contains
 
   !> Runs, or goes on with, what `plan` describes; `exit_code` is what the program should end with.
+  !> Rank 0 owns the output from before it looks at what is there until the end.
   subroutine run_ensemble(plan, communicator, overwrite, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
+    logical, intent(in) :: overwrite, quiet
+    integer, intent(out) :: exit_code
+    type(error_type), allocatable, intent(out) :: error
+    type(ownership_type) :: ownership
+
+    exit_code = exit_failure
+    if (communicator%rank == 0) call take_ownership(ownership, plan%file, error)
+    call share_error(communicator, error)
+    if (allocated(error)) return
+    call share_text(communicator, ownership%path, 0)
+    call share_text(communicator, ownership%text, 0)
+    call run_owned(plan, communicator, ownership, overwrite, quiet, exit_code, error)
+    call give_up_ownership(ownership)
+  end subroutine run_ensemble
+
+  !> Runs an ensemble whose output this run owns.
+  subroutine run_owned(plan, communicator, ownership, overwrite, quiet, exit_code, &
+      error)
+    type(plan_type), intent(in) :: plan
+    type(communicator_type), intent(in) :: communicator
+    type(ownership_type), intent(in) :: ownership
     logical, intent(in) :: overwrite, quiet
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
@@ -57,8 +82,7 @@ contains
       exit_code = exit_success
       return
     end if
-    if (plan%wall_minutes > 0.0_dp) watch%stop_at = began + stop_seconds(real(plan%wall_minutes, &
-      dp))
+    journal%ownership = ownership
     watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
     if (.not. watch%checkpoint_interval > 0.0_dp) watch%checkpoint_interval = huge(1.0_dp)
     call open_board(board, communicator, pending)
@@ -68,7 +92,14 @@ contains
     if (.not. allocated(error)) &
       call finish(plan, communicator, journal, board, watch, began, quiet, exit_code, error)
     call close_board(board)
-  end subroutine run_ensemble
+  end subroutine run_owned
+
+  !> From now on the run stops in time for `wall_minutes`.
+  subroutine heed_time_limit(plan)
+    type(plan_type), intent(in) :: plan
+
+    if (plan%wall_minutes > 0.0_dp) call stop_after(stop_seconds(real(plan%wall_minutes, dp)))
+  end subroutine heed_time_limit
 
   !> Seconds until the run must begin to stop, so that it has ended before `wall_minutes`.
   pure function stop_seconds(wall_minutes) result(seconds)
@@ -106,20 +137,22 @@ contains
     !> Fills `numbers`: 1 if all is complete, rank files of earlier starts; and `pending`.
     subroutine look_for_results(numbers)
       integer, intent(out) :: numbers(2)
+      type(error_type), allocatable :: damage
       type(journal_type) :: earlier
       logical, allocatable :: finished(:)
       logical :: found
 
       numbers = 0
+      call check_journal(journal_folder(plan), error)
+      if (allocated(error)) return
       if (overwrite) then
         call discard(plan, error)
         if (allocated(error)) return
       end if
-      call look_at_results_file()
+      call look_at_results_file(damage)
       if (allocated(error)) return
       if (complete) then
-        if (.not. quiet) write (output_unit, '(a)') plan%file &
-          //' is complete; --overwrite runs it again'
+        if (.not. quiet) call say(plan%file//' is complete; --overwrite runs it again')
         numbers(1) = 1
         call remove_journal(journal_folder(plan), error)
         return
@@ -127,25 +160,42 @@ contains
       call look_at_journal(found)
       if (allocated(error)) return
       numbers(2) = rank_files_in(journal_folder(plan))
+      if (numbers(2) > huge(numbers) - communicator%size) then
+        call fatal_error(error, journal_folder(plan)//'/rank_'//to_text(numbers(2) - 1) &
+          //': leaves no number for another file; remove it')
+        return
+      end if
       allocate (finished(task_count(plan)), source=.false.)
-      call join_journal(earlier, journal_folder(plan), plan%fingerprint, 0, 0, numbers(2))
+      call join_journal(earlier, journal_folder(plan), plan%fingerprint, numbers(2), 0, 0)
       call read_finished(earlier, finished)
+      if (allocated(damage)) then
+        if (.not. (found .or. any(finished))) then
+          call move_alloc(damage, error)
+          return
+        end if
+        if (.not. quiet) call say(plan%file//' is damaged, and is written anew from ' &
+          //journal_folder(plan))
+      end if
       call begin_journal(journal_folder(plan), plan%text, plan%fingerprint, &
-        plan%initial_fingerprint, error)
+        plan%initial_fingerprint, numbers(2) + communicator%size, error)
       if (allocated(error)) return
       pending = longest_first(plan, finished)
-      if ((found .or. any(finished)) .and. .not. quiet) write (output_unit, '(a, i0, a, i0, a)') &
-        'going on: ', count(finished), ' of ', size(finished), ' tasks are finished'
-      flush (output_unit)
+      if ((found .or. any(finished)) .and. .not. quiet) call say('going on: ' &
+        //to_text(count(finished))//' of '//to_text(size(finished))//' tasks are finished')
     end subroutine look_for_results
 
-    !> Results must be of this input.
-    subroutine look_at_results_file()
+    !> Results must be of this input; `damage` says what a results file cannot be read for.
+    subroutine look_at_results_file(damage)
+      type(error_type), allocatable, intent(out) :: damage
       character(len=:), allocatable :: before, initial_fingerprint
       logical :: found
 
       call existing_results(plan%file, before, initial_fingerprint, found, complete, error)
-      if (found .and. .not. allocated(error)) call compare(plan, before, initial_fingerprint, error)
+      if (allocated(error)) then
+        if (error%code == exit_failure) call move_alloc(error, damage)
+      else if (found) then
+        call compare(plan, before, initial_fingerprint, error)
+      end if
     end subroutine look_at_results_file
 
     !> A journal must be of this input; if its plan is damaged, its other files must not say that
@@ -241,6 +291,11 @@ contains
       call add_to_board(board, tasks_finished, 1_int64, before)
     end do
     if (.not. allocated(error)) call settle_journal(journal, error)
+    ! Its rank 0 may be dead: nobody can be told any more.
+    if (allocated(error) .and. is_taken_over(journal%ownership)) then
+      call complain(error%message)
+      call leave(exit_failure)
+    end if
     ! The others must not wait for a rank that has failed.
     if (allocated(error)) then
       call add_to_board(board, stop_wanted, 1_int64, before)
@@ -257,7 +312,7 @@ contains
 
       stopping = read_board(board, stop_wanted) > 0
       if (stopping) return
-      stopping = wall_seconds() >= watch%stop_at .or. stop_requested()
+      stopping = stop_requested()
       if (stopping) call add_to_board(board, stop_wanted, 1_int64, before)
     end function must_stop
 
@@ -303,7 +358,11 @@ contains
     if (read_board(board, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
     if (communicator%rank == 0) then
-      call merge_results(plan, journal, communicator%size, results, failures, error)
+      if (is_taken_over(journal%ownership)) then
+        call fatal_error(error, taken_over_text(journal%ownership))
+      else
+        call merge_results(plan, journal, communicator%size, results, failures, error)
+      end if
       if (.not. allocated(error)) call print_summary(plan, results, failures, communicator%size, &
         busy, wall_seconds() - began, read_board(board, collisions_done), all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then

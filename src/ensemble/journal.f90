@@ -8,14 +8,16 @@
 !> Every record carries the fingerprint of the input that it belongs to, a state that of the build
 !> of the program as well: what others have left is never taken for this run's.
 module battery_journal
-  use battery_kinds, only: wp, dp, int8, int64
-  use battery_error, only: error_type
+  use battery_kinds, only: dp, int8, int64
+  use battery_error, only: error_type, fatal_error
   use battery_build_information, only: git_commit, program_version
   use battery_fingerprint, only: fingerprint_of
   use battery_text, only: string_type, to_text
   use battery_background_sync, only: sync_type, begin_sync, end_sync
-  use battery_files, only: make_folder, sync_file, remove_file, publish_file, is_folder, &
-    file_exists, files_like
+  use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
+    files_like
+  use battery_journal_folder, only: numbers_in, check_journal, remove_journal
+  use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
     write_single, read_single
   use battery_task_result, only: task_result_type, task_complete, to_record, &
@@ -25,15 +27,17 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_finished, read_rank_file
-  public :: rank_files_in, belongs_to_another, settle_journal
+  public :: rank_files_in, rank_files_of, belongs_to_another, settle_journal, check_journal
   public :: write_finished, write_state, read_state, remove_states, remove_journal
 
   type :: journal_type
     character(len=:), allocatable :: folder
     !> Fingerprint of the input.
     integer(int64) :: owner = 0
-    !> Rank files that there may be, of all starts of this ensemble.
-    integer :: rank_files = 0
+    !> Rank files of earlier starts have smaller numbers; this start's ranks have the next ones.
+    integer :: first_file = 0, ranks = 0
+    !> That of this run; a rank that outlives it writes no more when another has taken over.
+    type(ownership_type) :: ownership
     !> This rank's own file, and the length of what is written in it.
     integer :: mine = 0
     integer(int64) :: written = 0
@@ -66,6 +70,7 @@ contains
     integer :: k
 
     call read_single(folder//'/plan', plan, found)
+    if (found) found = is_plan(plan)
     initial_fingerprint = 0
     namelist = ''
     if (.not. found) return
@@ -76,20 +81,40 @@ contains
     end do
   end subroutine read_plan
 
-  !> How many rank files there may be: one more than the greatest number of any that is there.
+  !> Whether a record is a plan, and no result or state.
+  pure function is_plan(record) result(yes)
+    type(record_type), intent(in) :: record
+    logical :: yes
+
+    yes = size(record%reals) == 0 .and. size(record%integers) <= 1
+  end function is_plan
+
+  !> The next free number of a rank file: beyond any that is there, and beyond those that earlier
+  !> starts had for their ranks, whether they were used or not.
   function rank_files_in(folder) result(rank_files)
     character(len=*), intent(in) :: folder
     integer :: rank_files
-    type(string_type), allocatable :: names(:)
-    integer :: k, number, status
+    type(record_type) :: plan
+    logical :: found
 
-    rank_files = 0
-    names = files_like(folder, 'rank_*')
-    do k = 1, size(names)
-      read (names(k)%text(6:), *, iostat=status) number
-      if (status == 0) rank_files = max(rank_files, number + 1)
-    end do
+    rank_files = 1 + maxval([-1, numbers_in(folder)])
+    call read_single(folder//'/plan', plan, found)
+    if (.not. found) return
+    if (.not. is_plan(plan) .or. size(plan%integers) == 0) return
+    if (plan%integers(1) < huge(rank_files)) rank_files = max(rank_files, int(plan%integers(1)))
   end function rank_files_in
+
+  !> Numbers of the rank files that a journal may have, in any order. Those of this start are not
+  !> looked for in the folder: on a network disk a list of it may be old.
+  function rank_files_of(journal) result(numbers)
+    type(journal_type), intent(in) :: journal
+    integer, allocatable :: numbers(:)
+    integer :: k
+
+    numbers = numbers_in(journal%folder)
+    numbers = [pack(numbers, numbers < journal%first_file), (journal%first_file + k, k=0, &
+      journal%ranks - 1)]
+  end function rank_files_of
 
   !> Whether any file in the folder holds a good record of another input, where the plan itself
   !> cannot tell.
@@ -123,9 +148,11 @@ contains
   end function state_owner
 
   !> Rank 0 writes the plan before any rank writes anything else.
-  subroutine begin_journal(folder, namelist, owner, initial_fingerprint, error)
+  subroutine begin_journal(folder, namelist, owner, initial_fingerprint, rank_files, error)
     character(len=*), intent(in) :: folder, namelist
     integer(int64), intent(in) :: owner, initial_fingerprint
+    !> Those that this start's ranks may make included.
+    integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: plan
     integer :: k
@@ -134,7 +161,8 @@ contains
     if (allocated(error)) return
     plan%owner = owner
     plan%tag = initial_fingerprint
-    allocate (plan%integers(0), plan%reals(0), plan%bytes(len(namelist)))
+    plan%integers = [int(rank_files, int64)]
+    allocate (plan%reals(0), plan%bytes(len(namelist)))
     do k = 1, len(namelist)
       plan%bytes(k) = int(merge(iachar(namelist(k:k)) - 256, iachar(namelist(k:k)), &
         iachar(namelist(k:k)) > 127), int8)
@@ -152,7 +180,8 @@ contains
 
     journal%folder = folder
     journal%owner = owner
-    journal%rank_files = rank_files + ranks
+    journal%first_file = rank_files
+    journal%ranks = ranks
     journal%mine = rank_files + rank
   end subroutine join_journal
 
@@ -162,18 +191,20 @@ contains
     type(journal_type), intent(in) :: journal
     logical, intent(inout) :: finished(:)
     type(task_result_type), allocatable :: results(:)
+    integer, allocatable :: files(:)
     integer :: file, k
 
-    do file = 0, journal%rank_files - 1
-      call read_rank_file(journal, file, results)
+    files = rank_files_of(journal)
+    do file = 1, size(files)
+      call read_rank_file(journal, files(file), results)
       do k = 1, size(results)
         if (results(k)%task < 1 .or. results(k)%task > size(finished)) cycle
-        finished(results(k)%task) = results(k)%status == task_complete
+        if (results(k)%status == task_complete) finished(results(k)%task) = .true.
       end do
     end do
   end subroutine read_finished
 
-  !> Results of this input in rank file `file`, counted from 0; none if there is no such file.
+  !> Results of this input in the rank file of that number; none if there is no such file.
   subroutine read_rank_file(journal, file, results)
     type(journal_type), intent(in) :: journal
     integer, intent(in) :: file
@@ -201,6 +232,8 @@ contains
     type(record_type) :: record
     character(len=:), allocatable :: name
 
+    call check_ownership(journal, error)
+    if (allocated(error)) return
     record = to_record(found)
     record%owner = journal%owner
     name = file_of(journal, 'rank', journal%mine)
@@ -215,6 +248,15 @@ contains
     call end_sync(journal%sync, error)
     if (.not. allocated(error)) call remove_states(journal, found%task, error)
   end subroutine write_finished
+
+  !> A rank whose run has lost the output writes nothing.
+  subroutine check_ownership(journal, error)
+    type(journal_type), intent(in) :: journal
+    type(error_type), allocatable, intent(out) :: error
+
+    if (is_taken_over(journal%ownership)) call fatal_error(error, &
+      taken_over_text(journal%ownership))
+  end subroutine check_ownership
 
   !> Waits until all results of this rank are on the disk.
   subroutine settle_journal(journal, error)
@@ -244,6 +286,8 @@ contains
     type(record_type) :: record
     character(len=:), allocatable :: name
 
+    call check_ownership(journal, error)
+    if (allocated(error)) return
     stream = new_stream()
     call pass_simulation(simulation, simulation%setup, stream, error)
     if (allocated(error)) return
@@ -300,22 +344,5 @@ contains
     end subroutine read_own
 
   end subroutine read_state
-
-  !> Removes the journal with all its files, the plan last. A folder that holds anything else stays.
-  subroutine remove_journal(folder, error)
-    character(len=*), intent(in) :: folder
-    type(error_type), allocatable, intent(out) :: error
-    type(string_type), allocatable :: names(:)
-    integer :: k
-
-    if (.not. is_folder(folder)) return
-    names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
-      files_like(folder, 'task_*.b'), files_like(folder, 'plan.new'), files_like(folder, 'plan')]
-    do k = 1, size(names)
-      call remove_file(folder//'/'//names(k)%text, error)
-      if (allocated(error)) return
-    end do
-    if (size(files_like(folder, '*')) == 0) call remove_file(folder, error)
-  end subroutine remove_journal
 
 end module battery_journal

@@ -2,15 +2,15 @@
 module battery_merge
   use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
-  use battery_kinds, only: dp
+  use battery_kinds, only: dp, int64
   use battery_build_information, only: program_version, git_commit
-  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_error, only: error_type, exit_failure
   use battery_files, only: file_exists
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count, task_of
   use battery_task, only: task_type
   use battery_task_result, only: task_result_type
-  use battery_journal, only: journal_type, read_rank_file
+  use battery_journal, only: journal_type, read_rank_file, rank_files_of
   use battery_communicator, only: mpi_library
   use battery_metadata, only: metadata_type, read_metadata
   use battery_results, only: results_type, new_results, task_complete, task_failed
@@ -65,6 +65,7 @@ contains
     type(string_type), allocatable, intent(out) :: failures(:)
     type(task_result_type), allocatable :: found(:)
     type(task_type) :: task
+    integer, allocatable :: files(:)
     integer :: file, k
 
     allocate (failures(task_count(plan)))
@@ -78,11 +79,13 @@ contains
       results%channel2_width(task%point) = real(task%setup%table%channel(2)%width, dp)
       results%seed(task%replica, task%point) = task%seed
     end do
-    do file = 0, journal%rank_files - 1
-      call read_rank_file(journal, file, found)
+    files = rank_files_of(journal)
+    do file = 1, size(files)
+      call read_rank_file(journal, files(file), found)
       do k = 1, size(found)
         if (found(k)%task < 1 .or. found(k)%task > task_count(plan)) cycle
         task = task_of(plan, found(k)%task)
+        if (results%task_status(task%replica, task%point) == task_complete) cycle
         call place(plan, found(k), task, results)
         if (allocated(failures(found(k)%task)%text)) deallocate (failures(found(k)%task)%text)
         if (found(k)%status == task_failed) failures(found(k)%task)%text = found(k)%message
@@ -128,6 +131,7 @@ contains
     type(task_type), intent(in) :: task
     type(results_type), intent(inout) :: results
     integer :: n, entries, k, q
+    integer(int64) :: at
 
     n = task%number
     entries = size(found%series_urn1_number)
@@ -141,7 +145,8 @@ contains
     if (size(found%snapshots) > 0) then
       call room_for_snapshots(n, plan, results)
       do k = 1, size(results%snapshot_time)
-        call unpack_state(found%snapshots(4*n*(k - 1) + 1:4*n*k), n, &
+        at = 4_int64*n*(k - 1)
+        call unpack_state(found%snapshots(at + 1:at + 4_int64*n), n, &
           results%snapshot_x(:, k, task%replica, task%point), &
           results%snapshot_y(:, k, task%replica, task%point), &
           results%snapshot_ux(:, k, task%replica, task%point), &
@@ -263,7 +268,8 @@ contains
   end function unknown
 
   !> What stands under the name of the output file: nothing, or results of which input, complete or
-  !> not. Anything else there is an error.
+  !> not. Anything else there is an error: with the code `exit_failure` if it is a results file that
+  !> is damaged, else with `exit_bad_input`.
   subroutine existing_results(file, input_text, initial_fingerprint, found, complete, error)
     character(len=*), intent(in) :: file
     character(len=:), allocatable, intent(out) :: input_text
@@ -279,12 +285,14 @@ contains
     found = file_exists(file)
     if (.not. found) return
     call read_metadata(file, input_text, status, error, initial_fingerprint)
-    if (allocated(error)) then
-      call fatal_error(error, file &
-        //' is there already, and is not a results file of this program; ' &
-        //'name another output file, or discard it with --overwrite', exit_bad_input)
+    complete = .not. allocated(error) .and. status == 'complete'
+    if (.not. allocated(error)) return
+    if (error%code == exit_failure) then
+      error%message = error%message//'; there is no journal to write it anew from: ' &
+        //'remove the file, or compute it again with --overwrite'
     else
-      complete = status == 'complete'
+      error%message = error%message//', but is there already; name another output file, ' &
+        //'move it away, or discard it with --overwrite'
     end if
   end subroutine existing_results
 

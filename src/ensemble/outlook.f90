@@ -1,21 +1,25 @@
 !> What a plan will do and cost, before it is run: tasks, parameters, time from a short calibration,
 !> memory.
 module battery_outlook
-  use, intrinsic :: iso_fortran_env, only: output_unit
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
   use battery_engine, only: particles_type
   use battery_initial_state, only: random_particles, read_particles
   use battery_plan, only: plan_type, point_type, point_of
   use battery_screen, only: duration_text, rate_text
-  use battery_signals, only: cpu_seconds
+  use battery_clocks, only: cpu_seconds
+  use battery_limits, only: memory_type, memory_left
+  use battery_needs, only: needs_type, needs_of
+  use battery_room, only: base_bytes, size_text
+  use battery_signals, only: stop_requested, stopped_before_start
+  use battery_terminal, only: say
   use battery_simulation, only: simulation_type, begin_simulation, step
   use battery_task, only: task_type
   use battery_tasks, only: task_count, task_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: print_outlook, bytes_per_particle
+  public :: print_outlook
 
   !> Tasks tried for the calibration, and seconds spent on each.
   integer, parameter :: most_tries = 5
@@ -23,66 +27,44 @@ module battery_outlook
 
 contains
 
-  !> Prints the plan and what it will cost on `ranks` ranks.
-  subroutine print_outlook(plan, ranks, error)
+  !> Prints the plan and what it will cost on `ranks` ranks, `sharing` of them on one machine.
+  subroutine print_outlook(plan, ranks, sharing, error)
     type(plan_type), intent(in) :: plan
-    integer, intent(in) :: ranks
+    integer, intent(in) :: ranks, sharing
     type(error_type), allocatable, intent(out) :: error
+    type(memory_type) :: left
+    type(needs_type) :: needs
     real(dp) :: seconds, rate
 
+    left = memory_left(sharing)
+    needs = needs_of(plan, left)
     call print_parameters(plan)
-    call calibrate(plan, seconds, rate, error)
+    call calibrate(plan, needs%number, seconds, rate, error)
     if (allocated(error)) return
-    write (output_unit, '(a)') 'speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)'
-    write (output_unit, '(a)') 'time:       about '//duration_text(seconds*max(1.0_dp, &
-      real(ceiling(real(task_count(plan), dp)/ranks), dp)))//' on '//counted(ranks, 'rank')
-    write (output_unit, '(a)') 'memory:     about ' &
-      //megabytes(bytes_per_particle()*greatest_number(plan) + 30.0e6_dp) &
-      //' a rank; rank 0 about '//megabytes(result_bytes(plan))//' more at the end'
-    write (output_unit, '(a)') 'results:    '//plan%file, 'nothing was written'
+    call say('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
+    call say('time:       about '//duration_text(seconds*max(1.0_dp, &
+      real(ceiling(real(task_count(plan), dp)/ranks), dp)))//' on '//counted(ranks, 'rank'))
+    call print_memory(needs, left)
+    call say('results:    '//plan%file)
+    call say('nothing was written')
   end subroutine print_outlook
 
-  !> Bytes that the engines take per particle, the initial state included.
-  pure function bytes_per_particle() result(bytes)
-    real(dp) :: bytes
+  !> What a rank takes while it runs, what rank 0 takes at the end, and what there is.
+  subroutine print_memory(needs, left)
+    type(needs_type), intent(in) :: needs
+    type(memory_type), intent(in) :: left
+    !> Bytes that a process has taken when it asks what is left.
+    real(dp), parameter :: taken = 30.0e6_dp
 
-    bytes = 120.0_dp
-  end function bytes_per_particle
-
-  !> Bytes of all results, which rank 0 brings together, with the arrays of the results file.
-  pure function result_bytes(plan) result(bytes)
-    type(plan_type), intent(in) :: plan
-    real(dp) :: bytes
-    !> Bytes a task, and a particle's state.
-    real(dp), parameter :: bytes_a_task = 400.0_dp, bytes_a_state = 32.0_dp
-    integer :: states
-
-    states = size(plan%snapshot_times) + merge(1, 0, plan%final_state)
-    bytes = task_count(plan)*(bytes_a_task + 2.0_dp*states*bytes_a_state*greatest_number(plan))
-    if (plan%series_interval > 0.0_wp .and. plan%duration > 0.0_wp) bytes = bytes &
-      + task_count(plan)*80.0_dp*plan%duration/plan%series_interval
-  end function result_bytes
-
-  pure function megabytes(bytes) result(text)
-    real(dp), intent(in) :: bytes
-    character(len=:), allocatable :: text
-
-    text = to_text(ceiling(bytes/1.0e6_dp, int64))//' MB'
-  end function megabytes
-
-  !> Particles of the largest system.
-  pure function greatest_number(plan) result(number)
-    type(plan_type), intent(in) :: plan
-    integer :: number
-    type(point_type) :: point
-    integer :: at
-
-    number = 0
-    do at = 1, plan%point_count
-      point = point_of(plan, at)
-      number = max(number, point%number)
-    end do
-  end function greatest_number
+    call say('memory:     about '//size_text(taken + base_bytes + needs%particles + needs%series &
+      + needs%estimated_series + needs%snapshots + needs%final_state + needs%events) &
+      //' a rank; rank 0 about '//size_text(taken + base_bytes + needs%merge)//' at the end; ' &
+      //'there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
+    if (needs%events > 0.0_dp) call say('            events take about '//size_text(needs%events) &
+      //' of it; a run whose events outgrow the memory fails')
+    if (needs%too_large > 0) call say('            '//counted(needs%too_large, 'point') &
+      //' with up to '//to_text(needs%greatest)//' particles need more: their tasks will fail')
+  end subroutine print_memory
 
   subroutine print_parameters(plan)
     type(plan_type), intent(in) :: plan
@@ -104,29 +86,29 @@ contains
       least%urn1_number = min(least%urn1_number, point%urn1_number)
       most%urn1_number = max(most%urn1_number, point%urn1_number)
     end do
-    write (output_unit, '(a)') 'tasks:      '//to_text(task_count(plan))//' (' &
-      //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)'
-    write (output_unit, '(a)') 'shape:      '//plan%shape//', urn radius ' &
+    call say('tasks:      '//to_text(task_count(plan))//' (' &
+      //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)')
+    call say('shape:      '//plan%shape//', urn radius ' &
       //to_text(plan%urn_radius)//', channel 1 '//to_text(plan%channel1_length) &
-      //' long, channel 2 '//to_text(plan%channel2_length)
-    write (output_unit, '(a)') 'engine:     '//plan%engine
-    write (output_unit, '(a)') 'N:          '//range_text(to_text(least%number), &
-      to_text(most%number))
-    write (output_unit, '(a)') 'T:          '//range_text(to_text(least%threshold), &
-      to_text(most%threshold))
-    write (output_unit, '(a)') 'w:          '//range_text(to_text(least%channel1_width), &
-      to_text(most%channel1_width))
-    write (output_unit, '(a)') 'w'':         '//range_text(to_text(least%channel2_width), &
-      to_text(most%channel2_width))
-    write (output_unit, '(a)') 'urn 1:      '//range_text(to_text(least%urn1_number), &
-      to_text(most%urn1_number))//' particles at the start'
+      //' long, channel 2 '//to_text(plan%channel2_length))
+    call say('engine:     '//plan%engine)
+    call say('N:          '//range_text(to_text(least%number), &
+      to_text(most%number)))
+    call say('T:          '//range_text(to_text(least%threshold), &
+      to_text(most%threshold)))
+    call say('w:          '//range_text(to_text(least%channel1_width), &
+      to_text(most%channel1_width)))
+    call say('w'':         '//range_text(to_text(least%channel2_width), &
+      to_text(most%channel2_width)))
+    call say('urn 1:      '//range_text(to_text(least%urn1_number), &
+      to_text(most%urn1_number))//' particles at the start')
     if (plan%duration > 0.0_wp) then
-      write (output_unit, '(a)') 'length:     '//to_text(plan%duration) &
-        //' time units each, the first ' //to_text(plan%transient_duration)//' not averaged'
+      call say('length:     '//to_text(plan%duration) &
+        //' time units each, the first ' //to_text(plan%transient_duration)//' not averaged')
     else
-      write (output_unit, '(a)') 'length:     '//rate_text(real(plan%collisions, dp)) &
+      call say('length:     '//rate_text(real(plan%collisions, dp)) &
         //' collisions each, the first ' &
-        //rate_text(real(plan%transient_collisions, dp))//' not averaged'
+        //rate_text(real(plan%transient_collisions, dp))//' not averaged')
     end if
   end subroutine print_parameters
 
@@ -149,23 +131,31 @@ contains
   end function range_text
 
   !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the plan.
-  subroutine calibrate(plan, seconds, rate, error)
+  subroutine calibrate(plan, most, seconds, rate, error)
     type(plan_type), intent(in) :: plan
+    !> Particles of the largest task that there is memory for; larger ones are passed over.
+    integer, intent(in) :: most
     real(dp), intent(out) :: seconds, rate
     type(error_type), allocatable, intent(out) :: error
-    integer :: tries, k
+    type(task_type) :: task
+    integer :: tries, tried, k
     real(dp) :: one_seconds, one_rate
 
     tries = min(most_tries, task_count(plan))
+    tried = 0
     seconds = 0.0_dp
     rate = 0.0_dp
     do k = 1, tries
-      call try(task_of(plan, 1 + int(int(task_count(plan) - 1, int64)*(k - 1)/max(tries - 1, 1))), &
-        one_seconds, one_rate, error)
+      task = task_of(plan, 1 + int(int(task_count(plan) - 1, int64)*(k - 1)/max(tries - 1, 1)))
+      if (task%number > most) cycle
+      call try(task, one_seconds, one_rate, error)
       if (allocated(error)) return
-      seconds = seconds + one_seconds/tries
-      rate = rate + one_rate/tries
+      tried = tried + 1
+      seconds = seconds + one_seconds
+      rate = rate + one_rate
     end do
+    seconds = seconds/max(tried, 1)
+    rate = rate/max(tried, 1)
   end subroutine calibrate
 
   !> Runs a task for a short while. Its time is that of a processor, so that other work on the
@@ -194,12 +184,16 @@ contains
     do
       call step(simulation)
       spent = cpu_seconds() - began
+      if (stop_requested()) then
+        call stopped_before_start(error)
+        return
+      end if
       if (spent > try_seconds .or. simulation%done) exit
     end do
     rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
     if (task%setup%duration > 0.0_wp) then
       seconds = spent*real(task%setup%duration, dp)/max(real(simulation%elapsed, dp) - elapsed, &
-        1.0e-30_dp)
+        tiny(1.0_dp))
     else
       seconds = real(task%setup%collisions, dp)/max(rate, 1.0e-9_dp)
     end if

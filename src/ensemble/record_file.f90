@@ -6,7 +6,9 @@
 module battery_record_file
   use battery_kinds, only: dp, int8, int64
   use battery_error, only: error_type, fatal_error
+  use battery_files, only: create_new_file
   use battery_fingerprint, only: fingerprint_start, mix_word
+  use battery_paths, only: is_file
   implicit none (type, external)
   private
   public :: record_type, append_record, read_records, write_single, read_single
@@ -26,8 +28,8 @@ module battery_record_file
 
 contains
 
-  !> Appends a record to the file `name`, which is created if it is not there; `good_size` is the
-  !> length of its good part in bytes, beyond which anything is overwritten. The record is read
+  !> Appends a record to the file `name`; `good_size` is the length of its good part in bytes,
+  !> beyond which anything is overwritten; where that is 0 the file is made anew. The record is read
   !> back: on a full disk gfortran reports neither the write nor the close as failed.
   subroutine append_record(name, record, good_size, error)
     character(len=*), intent(in) :: name
@@ -40,6 +42,8 @@ contains
     character(len=256) :: reason
     logical :: good
 
+    if (good_size == 0) call create_new_file(name, error)
+    if (allocated(error)) return
     reason = 'the disk may be full'
     good = .false.
     at = good_size
@@ -84,6 +88,7 @@ contains
 
     allocate (records(0))
     good_size = 0
+    if (.not. is_file(name)) return
     open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
       status='old', iostat=status)
     if (status /= 0) return
@@ -163,15 +168,7 @@ contains
     type(record_type), intent(in) :: record
     type(error_type), allocatable, intent(out) :: error
     integer(int64) :: size_before
-    integer :: unit, status
 
-    open (newunit=unit, file=name, status='replace', access='stream', form='unformatted', &
-      iostat=status)
-    if (status == 0) close (unit, iostat=status)
-    if (status /= 0) then
-      call fatal_error(error, 'cannot write '''//name//'''')
-      return
-    end if
     size_before = 0
     call append_record(name, record, size_before, error)
   end subroutine write_single

@@ -3,10 +3,11 @@
 !> On a terminal one line that is written over and over; in a log a plain line now and then. Only
 !> rank 0 speaks.
 module battery_screen
-  use, intrinsic :: iso_fortran_env, only: output_unit
   use battery_kinds, only: dp, int64
-  use battery_communicator, only: board_type, read_board, tasks_finished, collisions_done
-  use battery_signals, only: wall_seconds, is_terminal
+  use battery_clocks, only: wall_seconds
+  use battery_communicator, only: board_type, read_board, output_is_terminal, tasks_finished, &
+    collisions_done
+  use battery_terminal, only: say, say_partly
   implicit none (type, external)
   private
   public :: screen_type, new_screen, show_ensemble, end_progress, duration_text, rate_text
@@ -35,7 +36,7 @@ contains
     type(screen_type) :: screen
 
     screen%speaks = speaks
-    screen%terminal = is_terminal()
+    screen%terminal = output_is_terminal()
     screen%tasks = tasks
     screen%finished_before = finished_before
     screen%ranks = ranks
@@ -82,13 +83,11 @@ contains
       //duration_text(left)//' left'
     line = bar_of(share, screen_width - len_trim(buffer) - 2)//trim(buffer)
     if (screen%terminal) then
-      write (output_unit, '(a)', advance='no') achar(13)//line//repeat(' ', max(0, screen_width &
-        - len(line)))
+      call say_partly(achar(13)//line//repeat(' ', max(0, screen_width - len(line))))
       screen%line_open = .true.
     else
-      write (output_unit, '(a)') line
+      call say(line)
     end if
-    flush (output_unit)
   end subroutine show_progress
 
   !> A bar as wide as there is room for, within reason, with two blanks behind it.
@@ -110,8 +109,7 @@ contains
   subroutine end_progress(screen)
     type(screen_type), intent(inout) :: screen
 
-    if (screen%line_open) write (output_unit, '(a)', advance='no') &
-      achar(13)//repeat(' ', screen_width)//achar(13)
+    if (screen%line_open) call say_partly(achar(13)//repeat(' ', screen_width)//achar(13))
     screen%line_open = .false.
   end subroutine end_progress
 

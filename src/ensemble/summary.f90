@@ -1,12 +1,13 @@
 !> The summary at the end of a run: what came out, and how the ranks were used.
 module battery_summary
-  use, intrinsic :: iso_fortran_env, only: output_unit
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count
   use battery_results, only: results_type, task_complete
   use battery_screen, only: duration_text, rate_text
-  use battery_text, only: string_type, to_text
+  use battery_terminal, only: say
+  use battery_command_line, only: ways_to_stop
+  use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
   private
   public :: print_summary
@@ -31,13 +32,13 @@ contains
 
     done = count(results%task_status == task_complete)
     do task = 1, size(failures)
-      if (allocated(failures(task)%text)) write (output_unit, '(a, i0, a)') 'task ', task, &
-        ' failed: '//failures(task)%text
+      if (allocated(failures(task)%text)) call say('task '//to_text(task)//' failed: ' &
+        //failures(task)%text)
     end do
     if (quiet) return
     if (task_count(plan) <= most_rows) then
-      write (output_unit, '(a)') '     N    T       w         w''   replica       chi  +-error' &
-        //'    current 1  +-error    current 2  +-error'
+      call say('     N    T       w         w''   replica       chi  +-error' &
+        //'    current 1  +-error    current 2  +-error')
       do point = 1, size(results%number)
         do replica = 1, plan%replicas
           if (results%task_status(replica, point) == task_complete) call print_row(results, point, &
@@ -45,19 +46,18 @@ contains
         end do
       end do
     end if
-    write (output_unit, '(i0, a, i0, a)') done, ' of ', task_count(plan), ' tasks are complete'
-    write (output_unit, '(a, i0, a, 3(i0, a))') 'ranks ', ranks, ', busy ', &
-      nint(100.0_dp*busy(1)), ' / ', &
-      nint(100.0_dp*busy(2)), ' / ', nint(100.0_dp*busy(3)), ' % (least, mean, greatest)'
-    write (output_unit, '(a)') rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp)) &
-      //' collisions/s in '//duration_text(seconds)
+    call say(to_text(done)//' of '//to_text(task_count(plan))//' tasks are complete')
+    call say('ranks '//to_text(ranks)//', busy '//to_text(nint(100.0_dp*busy(1)))//' / ' &
+      //to_text(nint(100.0_dp*busy(2)))//' / '//to_text(nint(100.0_dp*busy(3))) &
+      //' % (least, mean, greatest)')
+    call say(rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
+      //duration_text(seconds))
     if (done > 0) call print_slowest(results)
     if (sum(results%trapped, mask=results%task_status == task_complete) > 0) &
-      write (output_unit, &
-      '(a)') 'some particles are on orbits that never leave: see the dataset trapped'
-    if (.not. all_done) write (output_unit, &
-      '(a)') 'stopped early, the state is saved: the same command goes on'
-    write (output_unit, '(a)') 'results: '//plan%file
+      call say('some particles are on orbits that never leave: see the dataset trapped')
+    if (.not. all_done) &
+      call say('stopped early, the state is saved: the same command goes on'//new_line_character//ways_to_stop)
+    call say('results: '//plan%file)
   end subroutine print_summary
 
   !> The task that took the most time of a processor.
@@ -67,23 +67,41 @@ contains
 
     at = maxloc(results%cpu_seconds, mask=results%task_status == task_complete)
     associate (r => at(1), p => at(2))
-      write (output_unit, '(a, i0, a, i0, a)') 'slowest task: ' &
-        //duration_text(results%cpu_seconds(r, p))//' of a processor, N = ', results%number(p), &
-        ', T = ', results%threshold(p), ', w = '//to_text(results%channel1_width(p)) &
-        //', w'' = '//to_text(results%channel2_width(p))//', replica '//to_text(r)
+      call say('slowest task: '//duration_text(results%cpu_seconds(r, p)) &
+        //' of a processor, N = '//to_text(results%number(p))//', T = ' &
+        //to_text(results%threshold(p))//', w = '//to_text(results%channel1_width(p)) &
+        //', w'' = '//to_text(results%channel2_width(p))//', replica '//to_text(r))
     end associate
   end subroutine print_slowest
 
   subroutine print_row(results, p, r)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, r
+    character(len=160) :: row
 
-    write (output_unit, &
-      '(i6, i5, f8.4, f11.6, i10, f10.5, f9.5, 2(f13.5, f9.5))') results%number(p), &
-      results%threshold(p), results%channel1_width(p), results%channel2_width(p), r, &
-      results%chi(r, p), &
-      results%chi_error(r, p), results%current1(r, p), results%current1_error(r, p), &
-      results%current2(r, p), results%current2_error(r, p)
+    write (row, '(i6, i5, 2a, i10, f10.5, f9.5, 4a)') results%number(p), &
+      results%threshold(p), column(results%channel1_width(p), 8, 4), &
+      column(results%channel2_width(p), 11, 6), r, results%chi(r, p), results%chi_error(r, p), &
+      column(results%current1(r, p), 13, 5), column(results%current1_error(r, p), 9, 5), &
+      column(results%current2(r, p), 13, 5), column(results%current2_error(r, p), 9, 5)
+    call say(trim(row))
   end subroutine print_row
+
+  !> A number in `width` places, `digits` of them after the point; with an exponent if it is too
+  !> large for that, or so small that nothing of it would be seen.
+  pure function column(number, width, digits) result(text)
+    real(dp), intent(in) :: number
+    integer, intent(in) :: width, digits
+    character(len=width) :: text
+    character(len=16) :: layout
+
+    write (layout, '(a, i0, a, i0, a)') '(f', width, '.', digits, ')'
+    write (text, layout) number
+    if (index(text, 'NaN') > 0) return
+    if (index(text, '*') == 0 .and. .not. (abs(number) > 0.0_dp .and. abs(number) &
+      < 1.0e-3_dp*0.1_dp**digits)) return
+    write (layout, '(a, i0, a, i0, a)') '(es', width, '.', min(width - 7, digits), ')'
+    write (text, layout) number
+  end function column
 
 end module battery_summary

@@ -1,9 +1,10 @@
 !> One task of an ensemble, from its particles to its result.
 module battery_task
   use battery_kinds, only: dp, int64
-  use battery_error, only: error_type, fatal_error
+  use battery_error, only: error_type, fatal_error, exit_stopped_early
   use battery_engine, only: particles_type
-  use battery_signals, only: wall_seconds, cpu_seconds, stop_requested
+  use battery_clocks, only: wall_seconds, cpu_seconds
+  use battery_signals, only: stop_requested
   use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, &
     verify
   use battery_initial_state, only: random_particles, read_particles
@@ -31,8 +32,7 @@ module battery_task
 
   !> What a running task looks at from time to time.
   type :: watch_type
-    !> When the run must have stopped, and how often states are saved, in seconds of `wall_seconds`.
-    real(dp) :: stop_at = huge(1.0_dp)
+    !> How often states are saved, and when next, in seconds of `wall_seconds`.
     real(dp) :: checkpoint_interval = huge(1.0_dp)
     real(dp) :: next_checkpoint = huge(1.0_dp)
     real(dp) :: next_look = 0.0_dp
@@ -111,6 +111,8 @@ contains
       watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
     end do
     watch%busy = watch%busy + wall_seconds() - began
+    ! A task that was stopped before it had a state begins anew.
+    if (allocated(trouble)) stopped = trouble%code == exit_stopped_early
     if (stopped .or. allocated(error)) return
     if (.not. allocated(trouble)) call verify(simulation, trouble)
     if (allocated(trouble)) then
@@ -130,8 +132,7 @@ contains
       now = wall_seconds()
       call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
       told = simulation%observer%collisions
-      if (stop_requested() .or. now >= watch%stop_at) call add_to_board(board, stop_wanted, &
-        1_int64, before)
+      if (stop_requested()) call add_to_board(board, stop_wanted, 1_int64, before)
       watch%stopping = read_board(board, stop_wanted) > 0
       after = wall_seconds()
       watch%next_look = after + min(longest_interval, max((after - now)/look_share, &

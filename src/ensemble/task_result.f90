@@ -47,6 +47,7 @@ contains
     type(averages_type) :: averages
     type(particles_type) :: particles
     real(dp) :: unknown
+    integer(int64) :: n
     integer :: k
 
     unknown = ieee_value(unknown, ieee_quiet_nan)
@@ -86,13 +87,13 @@ contains
         found%event_times = real(events%time(:events%count), dp)
       end if
     end associate
-    allocate (found%snapshots(0), found%final_state(0))
-    do k = 1, simulation%snapshots_taken
-      found%snapshots = [found%snapshots, flat(simulation%snapshot(k))]
-    end do
     ! A run by collisions may end before the time of a snapshot.
-    k = 4*simulation%engine%number*(size(simulation%snapshot) - simulation%snapshots_taken)
-    found%snapshots = [found%snapshots, spread(unknown, 1, k)]
+    n = 4_int64*simulation%engine%number
+    allocate (found%snapshots(n*size(simulation%snapshot)), source=unknown)
+    do k = 1, simulation%snapshots_taken
+      found%snapshots(n*(k - 1) + 1:n*k) = flat(simulation%snapshot(k))
+    end do
+    allocate (found%final_state(0))
     if (final_state) then
       call simulation%engine%particles(1, simulation%engine%number, particles)
       found%final_state = flat(particles)

@@ -191,10 +191,9 @@ contains
     call stream%pass('next', queue%next)
     call stream%pass('in_order', queue%in_order)
     if (stream%failed()) return
-    do while (queue%room < queue%count)
+    do while (queue%room < max(queue%count, 1))
       call grow(queue)
     end do
-    if (queue%room == 0) return
     call stream%pass('time', queue%time(:queue%count))
     call stream%pass('who', queue%who(:queue%count))
   end subroutine pass_queue

@@ -52,6 +52,8 @@ module battery_observer
     !> The series: interval (0: none), what is left of it, entries so far.
     real(wp) :: series_interval = 0.0_wp, series_left = huge(1.0_wp)
     integer :: entries = 0
+    !> Whether the series could not be made longer; then it stays as it is.
+    logical :: out_of_room = .false.
     integer(int64) :: series_crossings(4) = 0
     !> N1 at each entry; flows since the entry before, (4, entry).
     integer, allocatable :: series_urn1_number(:)
@@ -61,17 +63,25 @@ module battery_observer
 contains
 
   !> An observer of `number` particles, `urn1_number` of them in half 1; a series if
-  !> `series_interval` > 0, whose first entry is the start.
-  pure function new_observer(number, urn1_number, two_halves, series_interval) result(observer)
+  !> `series_interval` > 0, whose first entry is the start. Blocks begin `unit` long (if
+  !> absent, 1): a length of the table, so that one scaled by a power of two has the same blocks.
+  pure function new_observer(number, urn1_number, two_halves, series_interval, unit) &
+    result(observer)
     integer, intent(in) :: number, urn1_number
     logical, intent(in) :: two_halves
     real(wp), intent(in) :: series_interval
+    real(wp), intent(in), optional :: unit
     type(observer_type) :: observer
 
     observer%number = number
     observer%urn1_number = urn1_number
     observer%two_halves = two_halves
     observer%series_interval = series_interval
+    if (present(unit)) then
+      observer%chi_blocks%length = unit
+      observer%current1_blocks%length = unit
+      observer%current2_blocks%length = unit
+    end if
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
     if (series_interval > 0.0_wp) then
       observer%series_left = series_interval
@@ -173,21 +183,34 @@ contains
 
   pure subroutine write_entry(observer)
     type(observer_type), intent(inout) :: observer
-    integer :: room
 
+    if (observer%entries == size(observer%series_urn1_number)) call lengthen_series(observer)
+    observer%series_left = observer%series_interval
+    if (observer%out_of_room) return
     observer%entries = observer%entries + 1
-    if (observer%entries > size(observer%series_urn1_number)) then
-      room = max(256, size(observer%series_urn1_number))
-      observer%series_urn1_number = [observer%series_urn1_number, spread(0, 1, room)]
-      observer%series_flow = reshape([observer%series_flow, spread(0.0_wp, 1, 4*room)], &
-        [4, size(observer%series_urn1_number)])
-    end if
     observer%series_urn1_number(observer%entries) = observer%urn1_number
     observer%series_flow(:, observer%entries) = &
       real(observer%series_crossings, wp)/observer%series_interval
     observer%series_crossings = 0
-    observer%series_left = observer%series_interval
   end subroutine write_entry
+
+  !> Makes the series twice as long, if there is memory for it.
+  pure subroutine lengthen_series(observer)
+    type(observer_type), intent(inout) :: observer
+    integer, allocatable :: urn1_number(:)
+    real(wp), allocatable :: flow(:, :)
+    integer :: room, status
+
+    room = observer%entries + max(256, observer%entries)
+    allocate (urn1_number(room), stat=status)
+    if (status == 0) allocate (flow(4, room), stat=status)
+    observer%out_of_room = status /= 0
+    if (observer%out_of_room) return
+    urn1_number(:observer%entries) = observer%series_urn1_number
+    flow(:, :observer%entries) = observer%series_flow
+    call move_alloc(urn1_number, observer%series_urn1_number)
+    call move_alloc(flow, observer%series_flow)
+  end subroutine lengthen_series
 
   !> Averages over all that was measured.
   pure function averages_of(observer) result(averages)

@@ -12,6 +12,15 @@ module battery_command_line
   character(len=*), parameter :: usage_line = &
     'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, battery --version'
 
+  !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
+  !> second to save their states.
+  character(len=*), parameter, public :: ways_to_stop = &
+    'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. mpirun kills its' &
+    //new_line_character &
+    //'ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its last' &
+    //new_line_character &
+    //'checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
+
   !> What is to be done.
   type :: command_line_type
     !> The namelist file; empty if help or version is asked for.
@@ -134,7 +143,9 @@ contains
       //'  0  every task is complete'//nl &
       //'  1  the run failed, or some tasks did; finished ones are kept'//nl &
       //'  2  bad command line or input: all problems are listed, nothing was written'//nl &
-      //'  3  stopped early, state saved; the same command goes on'//nl//nl &
+      //'  3  stopped early, state saved; the same command goes on'//nl &
+      //'mpirun itself says 1 where it was told to stop.'//nl//nl &
+      //'To stop a run: '//ways_to_stop//nl//nl &
       //'Groups and keys of the namelist, with their defaults:'//nl//nl &
       //keys_text()
   end function usage_text

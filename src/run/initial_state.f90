@@ -1,21 +1,25 @@
 !> Where the particles start: at random in the urns, or as a file says.
 module battery_initial_state
-  use, intrinsic :: iso_fortran_env, only: iostat_end
   use battery_kinds, only: wp, int64, pi
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_text, only: string_type, to_text, join, new_line_character
-  use battery_table, only: table_type, gated, ungated, chamber_at, outside, x_direction
+  use battery_files, only: read_text
+  use battery_numbers, only: read_decimal
+  use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
+  use battery_text, only: to_text, new_line_character
+  use battery_table, only: table_type, gated, ungated, chamber_at, outside, try_point, &
+    x_direction
   use battery_engine, only: particles_type
+  use battery_signals, only: stop_requested, stopped_before_start
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform_fine
   implicit none (type, external)
   private
-  public :: random_particles, read_particles
+  public :: random_particles, read_particles, parse_particles, are_inside
 
-  !> Problems of an initial file that are told one by one.
-  integer, parameter :: most_problems = 20
+  !> What sets the numbers of a line apart, beside commas.
+  character(len=*), parameter :: blanks = ' '//achar(9)
 
-  !> Longest line of an initial file.
-  integer, parameter :: longest_line = 1024
+  !> Particles or lines between two looks at whether the run must stop.
+  integer, parameter :: particles_between_looks = 65536
 
 contains
 
@@ -27,7 +31,7 @@ contains
     !> From 0 to 2**32 - 1.
     integer(int64), intent(in) :: seed
     type(particles_type), intent(out) :: particles
-    !> No memory, or no generator.
+    !> No memory, no generator, or a stop was asked for.
     type(error_type), allocatable, intent(out) :: error
     type(generator_type) :: generator
     integer :: at, status
@@ -43,11 +47,15 @@ contains
     call new_generator(generator, seed, error)
     if (allocated(error)) return
     do at = 1, number
+      if (mod(at, particles_between_looks) == 0) then
+        if (stop_requested()) exit
+      end if
       call place_in_urn(generator, table, merge(1, 2, at <= urn1_number), particles%x(at), &
         particles%y(at))
       call draw_direction(generator, particles%ux(at), particles%uy(at))
     end do
     call free_generator(generator)
+    if (stop_requested()) call stopped_before_start(error)
   end subroutine random_particles
 
   !> A point uniform in an urn: in the disc, on the inner side of both chords.
@@ -57,17 +65,17 @@ contains
     integer, intent(in) :: side
     real(wp), intent(out) :: x, y
     !> Coordinates from the centre; `inward` goes to channel 1.
-    real(wp) :: inward
+    real(wp) :: inward, across, up
+    logical :: inside
 
-    associate (urn => table%urn(side))
-      do
-        inward = urn%radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-        y = urn%radius*(2.0_wp*real(uniform_fine(generator), wp) - 1.0_wp)
-        if (inward**2 + y**2 >= urn%radius**2) cycle
-        if (inward < urn%chord(gated) .and. -inward < urn%chord(ungated)) exit
-      end do
-      x = x_direction(side)*(urn%centre - inward)
-    end associate
+    do
+      across = real(uniform_fine(generator), wp)
+      up = real(uniform_fine(generator), wp)
+      call try_point(table%urn(side)%radius, -table%urn(side)%chord(ungated), &
+        table%urn(side)%chord(gated), across, up, inward, y, inside)
+      if (inside) exit
+    end do
+    x = x_direction(side)*(table%urn(side)%centre - inward)
   end subroutine place_in_urn
 
   !> A direction uniform on the circle.
@@ -81,60 +89,92 @@ contains
     uy = sin(angle)
   end subroutine draw_direction
 
-  !> `number` particles from a file with a line `x y ux uy` for each; speeds are made 1. Empty lines
-  !> and lines that begin with # are passed over. All problems come back in one error.
+  !> `number` particles from a file, as `parse_particles` reads its text.
   subroutine read_particles(file, table, number, particles, error)
     character(len=*), intent(in) :: file
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
-    type(string_type), allocatable :: problems(:)
-    character(len=longest_line) :: line
-    character(len=256) :: message
+    character(len=:), allocatable :: text
+
+    call read_text(file, text, error)
+    if (allocated(error)) then
+      error%code = exit_bad_input
+    else
+      call parse_particles(text, file, table, number, particles, error)
+    end if
+  end subroutine read_particles
+
+  !> `number` particles from a text with a line `x y ux uy` for each; speeds are made 1. Empty lines
+  !> and lines that begin with # are passed over. All problems come back in one error; in it `name`
+  !> stands for the file.
+  subroutine parse_particles(text, name, table, number, particles, error)
+    character(len=*), intent(in) :: text, name
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: number
+    type(particles_type), intent(out) :: particles
+    type(error_type), allocatable, intent(out) :: error
+    type(remarks_type) :: remarks
     character(len=:), allocatable :: problem
     real(wp) :: state(4)
-    integer :: unit, status, line_number, count
+    integer(int64) :: first, last, next
+    integer :: line, count, status
 
-    allocate (problems(0), particles%x(number), particles%y(number))
-    allocate (particles%ux(number), particles%uy(number))
-    open (newunit=unit, file=file, status='old', action='read', iostat=status, iomsg=message)
+    allocate (particles%x(number), stat=status)
+    if (status == 0) allocate (particles%y(number), stat=status)
+    if (status == 0) allocate (particles%ux(number), stat=status)
+    if (status == 0) allocate (particles%uy(number), stat=status)
     if (status /= 0) then
-      call fatal_error(error, file//': cannot be read: '//trim(message), exit_bad_input)
+      call fatal_error(error, 'no memory for '//to_text(number)//' particles')
       return
     end if
-    line_number = 0
+    next = 1
+    line = 0
     count = 0
-    do
-      read (unit, '(a)', iostat=status, iomsg=message) line
-      if (status /= 0) exit
-      line_number = line_number + 1
-      if (line == '' .or. index(adjustl(line), '#') == 1) cycle
+    do while (next <= len(text, int64))
+      first = next
+      last = index(text(first:), new_line_character, kind=int64) + first - 1
+      if (last < first) last = len(text, int64) + 1
+      next = last + 1
+      line = line + 1
+      if (mod(line, particles_between_looks) == 0) then
+        if (stop_requested()) then
+          call stopped_before_start(error)
+          return
+        end if
+      end if
+      ! The end of a line that was written under Windows.
+      if (last > first) last = merge(last - 1, last, text(last - 1:last - 1) == achar(13))
+      first = first + verify(text(first:last - 1)//'.', blanks, kind=int64) - 1
+      if (first >= last) cycle
+      if (text(first:first) == '#') cycle
       count = count + 1
-      call read_line(line, table, state, problem)
+      call read_line(text(first:last - 1), table, state, problem)
       if (problem /= '') then
-        call add(file//', line '//to_text(line_number)//': '//problem)
+        call add_remark(remarks, line, problem)
       else if (count <= number) then
         call keep(state, count, particles)
       end if
     end do
-    close (unit)
-    if (status /= iostat_end) call add(file//': cannot be read: '//trim(message))
-    if (count /= number) call add(file//': has '//to_text(count)//' particles; allowed: ' &
-      //to_text(number)//', as &particles number says')
-    if (size(problems) > 0) call report(problems, error)
+    if (count /= number) call add_remark(remarks, 0, 'has '//to_text(count) &
+      //' particles; allowed: '//to_text(number)//', as &particles number says')
+    if (remarks%count > 0) call fatal_error(error, remarks_text(remarks, name), exit_bad_input)
+  end subroutine parse_particles
 
-  contains
+  !> Whether all particles are inside a table.
+  pure function are_inside(table, particles) result(inside)
+    type(table_type), intent(in) :: table
+    type(particles_type), intent(in) :: particles
+    logical :: inside
+    integer :: at
 
-    subroutine add(text)
-      character(len=*), intent(in) :: text
-      type(string_type) :: one
-
-      one%text = text
-      problems = [problems, one]
-    end subroutine add
-
-  end subroutine read_particles
+    inside = .false.
+    do at = 1, size(particles%x)
+      if (chamber_at(table, particles%x(at), particles%y(at), 0.0_wp) == outside) return
+    end do
+    inside = .true.
+  end function are_inside
 
   !> Takes over one particle; its velocity is made 1 long.
   pure subroutine keep(state, at, particles)
@@ -156,60 +196,76 @@ contains
     type(table_type), intent(in) :: table
     real(wp), intent(out) :: state(4)
     character(len=:), allocatable, intent(out) :: problem
-    integer :: status, columns
+    !> Beyond this, squares are not finite.
+    real(wp), parameter :: far = 0.25_wp*sqrt(huge(1.0_wp))
+    integer :: first(4), last(4), k
 
     state = 0.0_wp
-    problem = ''
-    columns = count_columns(line)
-    if (columns /= 4) then
-      problem = 'has '//to_text(columns)//' columns; allowed: 4, x y ux uy'
+    call find_columns(line, first, last, problem)
+    if (problem /= '') return
+    do k = 1, 4
+      call read_decimal(line(first(k):last(k)), state(k), problem)
+      if (problem == '') cycle
+      problem = 'is not four finite numbers: '//shown_text(line(first(k):last(k)))//' '//problem
       return
-    end if
-    if (verify(trim(line), ' +-.0123456789dDeE,'//achar(9)//achar(13)) > 0) then
-      problem = 'is not four finite numbers: '//trim(line)
-      return
-    end if
-    read (line, *, iostat=status) state
-    if (status /= 0 .or. .not. all(abs(state) <= huge(state))) then
-      problem = 'is not four finite numbers: '//trim(line)
-    else if (.not. (hypot(state(3), state(4)) > tiny(1.0_wp) .and. &
-      hypot(state(3), state(4)) <= huge(1.0_wp))) then
+    end do
+    if (maxval(abs(state(3:))) > 0.5_wp*huge(1.0_wp)) then
+      problem = 'has a speed that is not finite; allowed: any above 0'
+    else if (.not. hypot(state(3), state(4)) > tiny(1.0_wp)) then
       problem = 'has the speed '//to_text(hypot(state(3), state(4)))//'; allowed: any above 0'
+    else if (maxval(abs(state(:2))) > far) then
+      problem = outside_text(state)
     else if (chamber_at(table, state(1), state(2), 0.0_wp) == outside) then
-      problem = 'lies outside the table: x = '//to_text(state(1))//', y = '//to_text(state(2))
+      problem = outside_text(state)
     end if
   end subroutine read_line
 
-  !> How many words a line has, set apart by blanks, tabs or commas.
-  pure function count_columns(line) result(columns)
+  pure function outside_text(state) result(text)
+    real(wp), intent(in) :: state(4)
+    character(len=:), allocatable :: text
+
+    text = 'lies outside the table: x = '//to_text(state(1))//', y = '//to_text(state(2))
+  end function outside_text
+
+  !> Where the four columns of a line are, set apart by blanks or by one comma with or without
+  !> blanks; `problem` says what is wrong with them.
+  pure subroutine find_columns(line, first, last, problem)
     character(len=*), intent(in) :: line
-    integer :: columns
-    character(len=*), parameter :: apart = ' ,'//achar(9)//achar(13)
-    integer :: at
+    integer, intent(out) :: first(4), last(4)
+    character(len=:), allocatable, intent(out) :: problem
+    integer :: at, length, columns
+    logical :: after_comma
 
-    logical :: in_word, was_in_word
-
+    problem = ''
     columns = 0
-    was_in_word = .false.
-    do at = 1, len(line)
-      in_word = scan(line(at:at), apart) == 0
-      if (in_word .and. .not. was_in_word) columns = columns + 1
-      was_in_word = in_word
+    after_comma = .true.
+    at = 1
+    do while (at <= len(line))
+      if (scan(line(at:at), blanks) == 1) then
+        at = at + 1
+      else if (line(at:at) == ',') then
+        if (after_comma) problem = 'has a comma without a number before it'
+        after_comma = .true.
+        at = at + 1
+      else
+        length = scan(line(at:), blanks//',') - 1
+        if (length < 0) length = len(line) - at + 1
+        columns = columns + 1
+        if (columns <= 4) then
+          first(columns) = at
+          last(columns) = at + length - 1
+        end if
+        after_comma = .false.
+        at = at + length
+      end if
     end do
-  end function count_columns
-
-  !> One error from a list of problems; beyond `most_problems` only their number.
-  subroutine report(problems, error)
-    type(string_type), intent(in) :: problems(:)
-    type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: message
-    integer :: shown
-
-    shown = min(size(problems), most_problems)
-    message = join(problems(:shown), new_line_character)
-    if (shown < size(problems)) message = message//new_line_character//'... and ' &
-      //to_text(size(problems) - shown)//' more; the last: '//problems(size(problems))%text
-    call fatal_error(error, message, exit_bad_input)
-  end subroutine report
+    if (after_comma .and. problem == '') problem = 'has a comma without a number behind it'
+    if (problem == '' .and. columns /= 4) problem = 'has '//to_text(columns) &
+      //' columns; allowed: 4, x y ux uy'
+    if (problem /= '') then
+      first = 1
+      last = 0
+    end if
+  end subroutine find_columns
 
 end module battery_initial_state

@@ -2,24 +2,31 @@
 !> file, line, group, key, value and what is allowed.
 module battery_namelist_input
   use battery_kinds, only: wp, int64
-  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_fingerprint, only: fingerprint_of, mix_word
   use battery_text, only: to_text, new_line_character
-  use battery_files, only: read_text, is_folder, is_writable, file_exists, folder_of
+  use battery_file_text, only: read_text, read_input
+  use battery_files, only: is_writable, file_exists
+  use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
+    follow_links
   use battery_engine, only: particles_type
-  use battery_namelist_text, only: remark_type
+  use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_namelist_settings, only: settings_type, read_settings, find_setting
-  use battery_initial_state, only: read_particles
+  use battery_initial_state, only: read_particles, are_inside
   use battery_plan, only: plan_type, point_type, problem_type, complete_plan, point_of, &
     table_of
   implicit none (type, external)
   private
   public :: read_namelist, parse_namelist, differing_keys, file_fingerprint
 
+  !> Bytes of the longest namelist; what is longer is no namelist.
+  integer(int64), parameter :: longest_namelist = 64000000_int64
+
 contains
 
   !> The plan that a file describes. Looks at files too: the initial file must be good, and
-  !> the results must have a place to go. Writes nothing.
+  !> the results must have a place to go. Writes nothing. The file may be a pipe, which can be read
+  !> once only, so one rank calls this and passes on what it found.
   subroutine read_namelist(file, plan, error)
     character(len=*), intent(in) :: file
     type(plan_type), intent(out) :: plan
@@ -28,9 +35,9 @@ contains
     character(len=:), allocatable :: text
     type(settings_type) :: settings
 
-    call read_text(file, text, error)
+    call read_input(file, longest_namelist, text, error)
     if (allocated(error)) then
-      error%code = exit_bad_input
+      if (error%code == exit_failure) error%code = exit_bad_input
       return
     end if
     call read_settings(text, settings)
@@ -195,9 +202,9 @@ contains
         step = (range%reals(2) - range%reals(1))/max(count - 1, 1)
         list = [(range%reals(1) + at*step, at=0, count - 1)]
         if (count > 1) list(count) = range%reals(2)
-        if (any(list > huge(1)) .and. (name == 'number' .or. name == 'threshold')) then
+        if (any(list > range%key%most) .and. (name == 'number' .or. name == 'threshold')) then
           call add_problem(settings, problem_type('scan', name//'_range', &
-            to_text(maxval(list)), 'numbers up to '//to_text(huge(1))))
+            to_text(maxval(list)), 'numbers up to '//to_text(range%key%most)))
           list = [real(wp) ::]
         end if
       end if
@@ -222,36 +229,62 @@ contains
       'transient_collisions', 'is given beside duration', 'transient_duration'))
   end subroutine check_pairs
 
-  !> The results must have a place to go.
+  !> The results must have a place to go, which is no input's; an output that is a link is what it
+  !> points to.
   subroutine check_files(settings, plan)
     type(settings_type), intent(inout) :: settings
-    type(plan_type), intent(in) :: plan
-    character(len=:), allocatable :: folder
+    type(plan_type), intent(inout) :: plan
+    type(error_type), allocatable :: trouble
+    character(len=:), allocatable :: folder, reason
 
+    if (is_pipe_or_device(plan%initial_file)) call add_problem(settings, problem_type('particles', &
+      'initial_file', ''''//plan%initial_file//''': this is a pipe or a device', 'a file'))
     if (plan%file == '') return
+    call follow_links(plan%file, trouble)
     folder = folder_of(plan%file)
-    if (.not. is_folder(folder)) then
-      call refuse('the folder '//folder//' does not exist')
+    reason = ''
+    if (allocated(trouble)) then
+      reason = trouble%message
+    else if (.not. is_folder(folder)) then
+      reason = 'the folder '//folder//' does not exist'
     else if (.not. is_writable(folder)) then
-      call refuse('the folder '//folder//' cannot be written to')
+      reason = 'the folder '//folder//' cannot be written to'
     else if (is_folder(plan%file)) then
-      call refuse('this is a folder')
-    else if (plan%file == plan%input_file .or. plan%file == plan%initial_file) then
-      call refuse('this is an input file')
-    else if (file_exists(plan%file)) then
-      if (.not. is_writable(plan%file)) call refuse('the file cannot be written to')
+      reason = 'this is a folder'
+    else if (is_pipe_or_device(plan%file)) then
+      reason = 'this is a pipe or a device'
+    else if (file_exists(plan%file) .and. .not. is_writable(plan%file)) then
+      reason = 'the file cannot be written to'
+    else if (is_folder(plan%file//'.part')) then
+      reason = 'there is a folder '//plan%file//'.part'
     end if
-
-  contains
-
-    subroutine refuse(reason)
-      character(len=*), intent(in) :: reason
-
-      call add_problem(settings, problem_type('output', 'file', ''''//plan%file//''': '//reason, &
-        'a file in a folder that exists and can be written to'))
-    end subroutine refuse
-
+    if (reason == '') reason = trouble_with_input(plan%file, plan%input_file)
+    if (reason == '' .and. plan%initial_file /= '') &
+      reason = trouble_with_input(plan%file, plan%initial_file)
+    if (reason /= '') call add_problem(settings, problem_type('output', 'file', ''''//plan%file &
+      //''': '//reason, 'a file in a folder that exists and can be written to'))
   end subroutine check_files
+
+  !> Whether what is written for an output would spoil an input, by whatever names and links; empty:
+  !> it would not.
+  function trouble_with_input(file, input) result(reason)
+    character(len=*), intent(in) :: file, input
+    character(len=:), allocatable :: reason
+
+    reason = ''
+    if (file == input .or. same_file(file, input)) then
+      reason = 'this is an input file'
+    else if (same_file(file//'.part', input)) then
+      reason = file//'.part, under which it is written first, is an input file'
+    else if (same_file(file//'.owner', input)) then
+      reason = file//'.owner, which says who writes it, is an input file'
+    else if (same_file(file//'.tasks', real_folder_of(input)) .or. &
+      same_file(file//'.tasks', folder_of(input))) then
+      reason = 'the folder '//file//'.tasks, which is removed in the end, has an input file in it'
+    else if (same_file(file//'.tasks', input)) then
+      reason = file//'.tasks, a folder for what is unfinished, is an input file'
+    end if
+  end function trouble_with_input
 
   !> The initial file must suit the table of every point; its problems join those of the namelist.
   !> It says how many start in urn 1.
@@ -259,22 +292,27 @@ contains
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable, intent(inout) :: error
     type(point_type) :: point, before
-    integer :: at, urn1_number
+    type(particles_type) :: particles
+    integer :: at
 
     if (plan%initial_file == '') return
     if (allocated(error)) then
       point = point_type(plan%number, 0, 0, plan%channel1_width, plan%channel2_width)
-      call try_initial_file(plan, point, urn1_number, error)
+      call try_initial_file(plan, point, particles, error)
       return
     end if
-    do at = 1, plan%point_count
-      point = point_of(plan, at)
-      if (at > 1 .and. same_widths(point, before)) cycle
-      call try_initial_file(plan, point, urn1_number, error)
+    before = point_of(plan, 1)
+    call try_initial_file(plan, before, particles, error)
+    do at = 2, plan%point_count
       if (allocated(error)) return
+      point = point_of(plan, at)
+      if (same_widths(point, before)) cycle
+      ! Read again only to say what is wrong.
+      if (.not. are_inside(table_of(plan, point), particles)) &
+        call try_initial_file(plan, point, particles, error)
       before = point
     end do
-    plan%urn1_number = urn1_number
+    if (.not. allocated(error)) plan%urn1_number = count(particles%x < 0.0_wp)
   end subroutine check_initial_file
 
   !> Whether two points have the same table.
@@ -288,23 +326,22 @@ contains
 
   !> Reads the initial file for one point; adds its problems to those there are. Where the widths or
   !> the number of the point are themselves wrong, there is nothing to hold the file against.
-  subroutine try_initial_file(plan, point, urn1_number, error)
+  subroutine try_initial_file(plan, point, particles, error)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
-    integer, intent(out) :: urn1_number
+    type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: trouble
-    type(particles_type) :: particles
     character(len=:), allocatable :: message
 
-    urn1_number = 0
+    ! That is said already, and reading it might never end.
+    if (is_pipe_or_device(plan%initial_file)) return
     if (file_exists(plan%initial_file)) then
       if (point%number < 1 .or. .not. max(point%channel1_width, point%channel2_width) &
         < 2.0_wp*plan%urn_radius) return
     end if
     call read_particles(plan%initial_file, table_of(plan, point), max(point%number, 0), particles, &
       trouble)
-    urn1_number = count(particles%x < 0.0_wp)
     if (.not. allocated(trouble)) return
     message = plan%input_file//': &particles initial_file = '''//plan%initial_file &
       //''' cannot be used:'//new_line_character//trouble%message
@@ -316,44 +353,29 @@ contains
   subroutine add_problem(settings, problem)
     type(settings_type), intent(inout) :: settings
     type(problem_type), intent(in) :: problem
-    type(remark_type) :: remark
-    integer :: place
+    integer :: place, line
     character(len=:), allocatable :: joint
 
     place = find_setting(settings, problem%group, problem%key)
     if (problem%group == 'scan' .and. .not. settings%all(place)%given .and. &
       problem%key /= 'replicas') place = find_setting(settings, 'scan', problem%key//'_range')
-    if (settings%all(place)%given) remark%line = settings%all(place)%line
+    line = 0
+    if (settings%all(place)%given) line = settings%all(place)%line
     ! A key that was refused already is not refused again.
     if (settings%all(place)%given .and. .not. settings%all(place)%known) return
     joint = ' = '
     if (index(problem%value, 'is ') == 1) joint = ' '
-    remark%text = '&'//problem%group//' '//settings%all(place)%key%name//joint &
-      //problem%value//'; allowed: '//problem%allowed
-    settings%problems = [settings%problems, remark]
+    call add_remark(settings%problems, line, '&'//problem%group//' ' &
+      //settings%all(place)%key%name//joint//problem%value//'; allowed: '//problem%allowed)
   end subroutine add_problem
 
   !> One error from all problems, in the order of the lines; none if there are none.
   subroutine report(name, problems, error)
     character(len=*), intent(in) :: name
-    type(remark_type), intent(in) :: problems(:)
+    type(remarks_type), intent(in) :: problems
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: message
-    logical :: told(size(problems))
-    integer :: turn, next
 
-    if (size(problems) == 0) return
-    told = .false.
-    message = ''
-    do turn = 1, size(problems)
-      next = minloc(problems%line, dim=1, mask=.not. told)
-      told(next) = .true.
-      if (turn > 1) message = message//new_line_character
-      message = message//name
-      if (problems(next)%line > 0) message = message//', line '//to_text(problems(next)%line)
-      message = message//': '//problems(next)%text
-    end do
-    call fatal_error(error, message, exit_bad_input)
+    if (problems%count > 0) call fatal_error(error, remarks_text(problems, name), exit_bad_input)
   end subroutine report
 
   !> The keys in which two inputs differ, one a line with both values; empty if they make the same
@@ -395,7 +417,7 @@ contains
     character(len=*), intent(in) :: canonical
     character(len=:), allocatable :: text
 
-    text = trim(adjustl(canonical))
+    text = shown_text(trim(adjustl(canonical)))
     if (text == '') text = 'not given'
   end function value_text
 

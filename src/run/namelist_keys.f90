@@ -1,7 +1,7 @@
 !> All groups and keys of the namelist, each declared once: its type, what is allowed, its default
 !> and what it means. Reading, checking, the help text and the comparison of inputs all use this.
 module battery_namelist_keys
-  use battery_kinds, only: wp
+  use battery_kinds, only: wp, int64
   use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
   private
@@ -12,6 +12,13 @@ module battery_namelist_keys
   integer, parameter :: integer_key = 1, real_key = 2, text_key = 3, logical_key = 4, &
     integer_list_key = 5, real_list_key = 6, range_key = 7
 
+  !> Most particles: the engines keep up to ten numbers a particle in one array, whose indices have
+  !> 32 bits.
+  integer(int64), parameter, public :: most_particles = 200000000_int64
+
+  !> Most of whole numbers that may be long: they have 18 digits, so that sums of a few fit.
+  integer(int64), parameter :: most_long = 999999999999999999_int64
+
   type :: key_type
     character(len=:), allocatable :: group, name
     integer :: kind = integer_key
@@ -20,6 +27,8 @@ module battery_namelist_keys
     !> Least number that is allowed, and whether it is itself forbidden.
     real(wp) :: least = -huge(1.0_wp)
     logical :: above = .false.
+    !> Most of a whole number.
+    integer(int64) :: most = huge(1)
     !> Words that are allowed, set apart by blanks; empty: any.
     character(len=:), allocatable :: choices
     !> What it means.
@@ -57,11 +66,12 @@ contains
     type(key_type), allocatable :: keys(:)
 
     keys = [ &
-      key('particles', 'number', integer_key, 'none', 'how many particles', least=1.0_wp), &
+      key('particles', 'number', integer_key, 'none', 'how many particles', least=1.0_wp, &
+      most=most_particles), &
       key('particles', 'urn1_number', integer_key, 'none', 'how many start in urn 1; else half', &
       least=0.0_wp), &
       key('particles', 'seed', integer_key, '1', 'base seed of the random numbers', &
-      least=0.0_wp), &
+      least=0.0_wp, most=most_long), &
       key('particles', 'initial_file', text_key, '''''', 'file with x y ux uy of each particle')]
   end function particles_keys
 
@@ -79,9 +89,10 @@ contains
     keys = [ &
       key('run', 'engine', text_key, '''excursion''', 'how the particles are moved', &
       choices='excursion collision synchronous timestep reservoir'), &
-      key('run', 'collisions', integer_key, '100000000', 'wall collisions in all', least=1.0_wp), &
+      key('run', 'collisions', integer_key, '100000000', 'wall collisions in all', least=1.0_wp, &
+      most=most_long), &
       key('run', 'transient_collisions', integer_key, 'none', &
-      'those before the averages begin; else half', least=0.0_wp), &
+      'those before the averages begin; else half', least=0.0_wp, most=most_long), &
       key('run', 'duration', real_key, '0', 'length in time instead of collisions; 0: none', &
       least=0.0_wp), &
       key('run', 'transient_duration', real_key, '0', 'time before the averages begin', &
@@ -100,8 +111,10 @@ contains
       least=0.0_wp), &
       key('scan', 'threshold_fraction_range', range_key, 'none', 'the same, evenly spaced', &
       least=0.0_wp), &
-      key('scan', 'number', integer_list_key, 'none', 'numbers of particles', least=1.0_wp), &
-      key('scan', 'number_range', range_key, 'none', 'the same, evenly spaced', least=1.0_wp), &
+      key('scan', 'number', integer_list_key, 'none', 'numbers of particles', least=1.0_wp, &
+      most=most_particles), &
+      key('scan', 'number_range', range_key, 'none', 'the same, evenly spaced', least=1.0_wp, &
+      most=most_particles), &
       key('scan', 'channel1_width', real_list_key, 'none', 'widths of channel 1', above=0.0_wp), &
       key('scan', 'channel1_width_range', range_key, 'none', 'the same, evenly spaced', &
       above=0.0_wp), &
@@ -139,11 +152,13 @@ contains
       least=0.0_wp, decides=.false.)]
   end function limits_keys
 
-  !> One key; `least` is the least number allowed, `above` a bound that is not allowed itself.
-  pure function key(group, name, kind, default, meaning, least, above, choices, decides)
+  !> One key; `least` is the least number allowed, `above` a bound that is not allowed itself,
+  !> `most` the most of a whole number.
+  pure function key(group, name, kind, default, meaning, least, above, most, choices, decides)
     character(len=*), intent(in) :: group, name, default, meaning
     integer, intent(in) :: kind
     real(wp), intent(in), optional :: least, above
+    integer(int64), intent(in), optional :: most
     character(len=*), intent(in), optional :: choices
     logical, intent(in), optional :: decides
     type(key_type) :: key
@@ -157,6 +172,7 @@ contains
     if (present(least)) key%least = least
     if (present(above)) key%least = above
     key%above = present(above)
+    if (present(most)) key%most = most
     if (present(choices)) key%choices = choices
     if (present(decides)) key%decides = decides
   end function key
@@ -238,6 +254,7 @@ contains
       text = ' from '//to_text(key%least)//' up'
       if (key%above) text = ' above '//to_text(key%least)
     end if
+    if (key%most < huge(1)) text = text(:len(text) - 3)//' to '//to_text(key%most)
   end function bound_text
 
   !> `a b c` as `'a', 'b', 'c'`.

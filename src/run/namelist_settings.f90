@@ -3,7 +3,8 @@
 module battery_namelist_settings
   use battery_kinds, only: wp, int64
   use battery_text, only: string_type, to_text, join, is_one_of, closest_word
-  use battery_namelist_text, only: value_type, entry_type, group_type, remark_type, split_namelist
+  use battery_remarks, only: remarks_type, add_remark, shown_text
+  use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist
   use battery_namelist_values, only: read_integer, read_real, read_logical
   use battery_namelist_keys, only: key_type, namelist_keys, group_names, keys_of_group, find_key, &
     allowed_text, integer_key, real_key, text_key, logical_key, integer_list_key, real_list_key, &
@@ -36,7 +37,7 @@ module battery_namelist_settings
   !> All keys with their values, and what is wrong.
   type :: settings_type
     type(setting_type), allocatable :: all(:)
-    type(remark_type), allocatable :: problems(:)
+    type(remarks_type) :: problems
   end type settings_type
 
 contains
@@ -62,7 +63,7 @@ contains
       if (place == 0) then
         call refuse_key(keys, entries(at), settings%problems)
       else if (settings%all(place)%given) then
-        call add(settings%problems, entries(at)%line, name_of(entries(at)) &
+        call add_remark(settings%problems, entries(at)%line, name_of(entries(at)) &
           //' = '//written_text(entries(at)%values)//': is given again; allowed: once (line ' &
           //to_text(settings%all(place)%line)//')')
       else
@@ -75,23 +76,28 @@ contains
   subroutine check_groups(keys, groups, problems)
     type(key_type), intent(in) :: keys(:)
     type(group_type), intent(in) :: groups(:)
-    type(remark_type), allocatable, intent(inout) :: problems(:)
+    type(remarks_type), intent(inout) :: problems
     type(string_type), allocatable :: names(:)
-    integer :: at, before
+    !> Line in which each group is first; 0: none.
+    integer, allocatable :: first_line(:)
+    integer :: at, name
 
     names = group_names(keys)
+    allocate (first_line(size(names)), source=0)
     do at = 1, size(groups)
-      if (.not. is_one_of(groups(at)%name, names)) then
-        call add(problems, groups(at)%line, '&'//groups(at)%name//': there is no such group' &
-          //suggestion('&', groups(at)%name, names)//'; allowed: &'//join(names, ', &'))
-        cycle
-      end if
-      do before = 1, at - 1
-        if (groups(before)%name /= groups(at)%name) cycle
-        call add(problems, groups(at)%line, '&'//groups(at)%name &
-          //': is given again; allowed: once (line '//to_text(groups(before)%line)//')')
-        exit
+      do name = 1, size(names)
+        if (names(name)%text == groups(at)%name) exit
       end do
+      if (name > size(names)) then
+        call add_remark(problems, groups(at)%line, '&'//shown_text(groups(at)%name) &
+          //': there is no such group'//suggestion('&', groups(at)%name, names) &
+          //'; allowed: &'//join(names, ', &'))
+      else if (first_line(name) > 0) then
+        call add_remark(problems, groups(at)%line, '&'//groups(at)%name &
+          //': is given again; allowed: once (line '//to_text(first_line(name))//')')
+      else
+        first_line(name) = groups(at)%line
+      end if
     end do
   end subroutine check_groups
 
@@ -99,7 +105,7 @@ contains
   subroutine refuse_key(keys, entry, problems)
     type(key_type), intent(in) :: keys(:)
     type(entry_type), intent(in) :: entry
-    type(remark_type), allocatable, intent(inout) :: problems(:)
+    type(remarks_type), intent(inout) :: problems
     type(string_type), allocatable :: names(:)
     character(len=:), allocatable :: elsewhere
     integer :: at
@@ -112,7 +118,7 @@ contains
       if (keys(at)%name == entry%key) elsewhere = ' (it belongs to &'//keys(at)%group//')'
     end do
     if (elsewhere == '') elsewhere = suggestion('', entry%key, names)
-    call add(problems, entry%line, name_of(entry)//' = ' &
+    call add_remark(problems, entry%line, name_of(entry)//' = ' &
       //written_text(entry%values)//': there is no such key'//elsewhere &
       //'; allowed: '//join(names, ', '))
   end subroutine refuse_key
@@ -130,7 +136,7 @@ contains
     type(entry_type), intent(in) :: entry
     character(len=:), allocatable :: name
 
-    name = '&'//entry%group//' '//entry%key
+    name = '&'//entry%group//' '//shown_text(entry%key)
   end function name_of
 
   !> The default of a key; it goes through the same reading as an input.
@@ -138,10 +144,10 @@ contains
     type(key_type), intent(in) :: key
     type(setting_type), intent(out) :: setting
     type(entry_type) :: entry
-    type(remark_type), allocatable :: problems(:)
+    type(remarks_type) :: problems
 
     setting%key = key
-    allocate (setting%integers(0), setting%reals(0), problems(0))
+    allocate (setting%integers(0), setting%reals(0))
     setting%text = ''
     setting%canonical = ''
     if (key%default == 'none') return
@@ -159,28 +165,35 @@ contains
   subroutine take_entry(entry, setting, problems)
     type(entry_type), intent(in) :: entry
     type(setting_type), intent(inout) :: setting
-    type(remark_type), allocatable, intent(inout) :: problems(:)
-    character(len=:), allocatable :: wrong, written
-    integer :: at
+    type(remarks_type), intent(inout) :: problems
+    character(len=:), allocatable :: wrong
+    type(string_type), allocatable :: written(:)
+    integer :: at, count
 
     setting%given = .true.
     setting%line = entry%line
-    wrong = wrong_count(setting%key%kind, size(entry%values))
+    count = size(entry%values)
+    wrong = wrong_count(setting%key%kind, count)
     if (wrong == '') then
-      setting%canonical = ''
-      setting%integers = [integer(int64) ::]
-      setting%reals = [real(wp) ::]
-      do at = 1, size(entry%values)
-        call take_value(entry%values(at), setting, wrong)
+      deallocate (setting%integers, setting%reals)
+      allocate (written(count))
+      allocate (setting%integers(merge(count, 0, is_whole(setting%key))))
+      allocate (setting%reals(merge(count, 0, is_real(setting%key))))
+      do at = 1, count
+        call take_value(entry%values(at), at, setting, written(at)%text, wrong)
         if (wrong /= '') exit
       end do
+    end if
+    if (wrong == '') then
+      setting%canonical = join(written, ' ')
+      if (is_whole(setting%key) .or. is_real(setting%key)) setting%canonical = ' ' &
+        //setting%canonical
     end if
     if (wrong == '' .and. setting%key%kind == range_key) wrong = wrong_range(setting%reals)
     setting%known = wrong == ''
     if (wrong == '') return
-    written = written_text(entry%values)
-    call add(problems, entry%line, name_of(entry)//' = '//written//': '//wrong//'; allowed: ' &
-      //allowed_text(setting%key))
+    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values)//': ' &
+      //wrong//'; allowed: '//allowed_text(setting%key))
   end subroutine take_entry
 
   !> What is wrong with the number of values; empty: nothing.
@@ -199,47 +212,53 @@ contains
     end if
   end function wrong_count
 
-  !> Adds one value to a setting; `wrong` says what is wrong with it.
-  subroutine take_value(value, setting, wrong)
+  !> Whether a key takes whole numbers.
+  pure function is_whole(key) result(yes)
+    type(key_type), intent(in) :: key
+    logical :: yes
+
+    yes = key%kind == integer_key .or. key%kind == integer_list_key
+  end function is_whole
+
+  !> Whether a key takes reals.
+  pure function is_real(key) result(yes)
+    type(key_type), intent(in) :: key
+    logical :: yes
+
+    yes = key%kind == real_key .or. key%kind == real_list_key .or. key%kind == range_key
+  end function is_real
+
+  !> Puts value number `at` into a setting; `written` is its one way of writing, `wrong` says what
+  !> is wrong with it.
+  subroutine take_value(value, at, setting, written, wrong)
     type(value_type), intent(in) :: value
+    integer, intent(in) :: at
     type(setting_type), intent(inout) :: setting
-    character(len=:), allocatable, intent(out) :: wrong
-    integer(int64) :: whole
-    real(wp) :: number
+    character(len=:), allocatable, intent(out) :: written, wrong
 
     wrong = ''
     select case (setting%key%kind)
     case (integer_key, integer_list_key)
-      call read_integer(value, whole, wrong)
+      call read_integer(value, setting%integers(at), wrong)
       if (wrong /= '') return
-      setting%integers = [setting%integers, whole]
-      setting%canonical = setting%canonical//' '//to_text(whole)
-      wrong = out_of_bounds(setting%key, real(whole, wp))
-      if (wrong == '' .and. whole > huge(1) .and. .not. takes_long(setting%key)) &
-        wrong = 'is beyond '//to_text(huge(1))
+      written = to_text(setting%integers(at))
+      wrong = out_of_bounds(setting%key, real(setting%integers(at), wp))
+      if (setting%integers(at) > setting%key%most) wrong = 'is beyond '//to_text(setting%key%most)
     case (real_key, real_list_key, range_key)
-      call read_real(value, number, wrong)
+      call read_real(value, setting%reals(at), wrong)
       if (wrong /= '') return
-      setting%reals = [setting%reals, number]
-      setting%canonical = setting%canonical//' '//to_text(number)
-      wrong = out_of_bounds(setting%key, number)
+      written = to_text(setting%reals(at))
+      wrong = out_of_bounds(setting%key, setting%reals(at))
     case (logical_key)
       call read_logical(value, setting%flag, wrong)
-      setting%canonical = to_text(setting%flag)
+      written = to_text(setting%flag)
     case default
-      setting%text = value%text
-      setting%canonical = ''''//value%text//''''
+      ! Blanks at the end are no part of a text, as everywhere in Fortran, which pads with them.
+      written = ''''//trim(value%text)//''''
       wrong = wrong_text(setting%key, value)
+      if (wrong == '') setting%text = trim(value%text)
     end select
   end subroutine take_value
-
-  !> Keys whose whole numbers may have 18 digits.
-  pure function takes_long(key) result(yes)
-    type(key_type), intent(in) :: key
-    logical :: yes
-
-    yes = index(key%name, 'collisions') > 0 .or. key%name == 'seed'
-  end function takes_long
 
   pure function out_of_bounds(key, number) result(wrong)
     type(key_type), intent(in) :: key
@@ -261,11 +280,28 @@ contains
       wrong = 'is not a text in quotes'
     else if (len(value%text) > longest_text) then
       wrong = 'has '//to_text(len(value%text))//' letters, more than '//to_text(longest_text)
+    else if (has_control_sign(value%text)) then
+      wrong = 'has a control character'
+    else if (index(value%text, ' ') == 1 .and. value%text /= '') then
+      wrong = 'begins with a blank'
     else if (key%choices /= '') then
-      if (value%text == '' .or. index(value%text, ' ') > 0 .or. &
-        index(' '//key%choices//' ', ' '//value%text//' ') == 0) wrong = 'is not known'
+      if (value%text == '' .or. index(trim(value%text), ' ') > 0 .or. &
+        index(' '//key%choices//' ', ' '//trim(value%text)//' ') == 0) wrong = 'is not known'
     end if
   end function wrong_text
+
+  !> Whether a text has a sign in it that is not to be seen: a tab, a line end, a delete.
+  pure function has_control_sign(text) result(yes)
+    character(len=*), intent(in) :: text
+    logical :: yes
+    integer, parameter :: first_visible = 32, delete = 127
+    integer :: at
+
+    yes = .false.
+    do at = 1, len(text)
+      yes = yes .or. iachar(text(at:at)) < first_visible .or. iachar(text(at:at)) == delete
+    end do
+  end function has_control_sign
 
   !> A range has a whole number of values.
   pure function wrong_range(range) result(wrong)
@@ -311,16 +347,5 @@ contains
     end do
     error stop 'a key is asked for that is not declared'
   end function find_setting
-
-  subroutine add(problems, line, text)
-    type(remark_type), allocatable, intent(inout) :: problems(:)
-    integer, intent(in) :: line
-    character(len=*), intent(in) :: text
-    type(remark_type) :: one
-
-    one%line = line
-    one%text = text
-    problems = [problems, one]
-  end subroutine add
 
 end module battery_namelist_settings

@@ -1,14 +1,13 @@
 !> Splits the text of a namelist file into groups, keys and values.
 !>
-!> Fortran's own namelist input takes a misspelt group or a missing `/` for the end of the file and
-!> the last of two equal keys for the right one, and it stops at the first mistake. This reads the
-!> same syntax (comments, both quotes, lists, repeat counts, `/` or `&end`, any case), but remembers
-!> the lines and goes on after a mistake. It does not know which groups and keys there should be.
+!> The syntax is that of Fortran's own namelist input (comments, both quotes, lists, repeat counts,
+!> `/` or `&end`, any case), but lines are remembered, and the reading goes on after a mistake.
 module battery_namelist_text
   use battery_text, only: to_text, lower_case
+  use battery_remarks, only: remarks_type, add_remark, shown_text
   implicit none (type, external)
   private
-  public :: value_type, entry_type, group_type, remark_type, split_namelist
+  public :: value_type, entry_type, group_type, split_namelist
 
   !> Most values of one key, repeats counted.
   integer, parameter, public :: most_values = 100000
@@ -27,22 +26,20 @@ module battery_namelist_text
     type(value_type), allocatable :: values(:)
   end type entry_type
 
-  !> `&group ... /`.
   type :: group_type
     character(len=:), allocatable :: name
     integer :: line = 0
   end type group_type
 
-  !> A mistake in the syntax, and where.
-  type :: remark_type
-    integer :: line = 0
-    character(len=:), allocatable :: text
-  end type remark_type
-
-  !> Where the reading is.
+  !> Where the reading is, and what was read so far.
   type :: reader_type
     character(len=:), allocatable :: text
     integer :: at = 1, line = 1
+    !> The first of them count.
+    type(group_type), allocatable :: groups(:)
+    type(entry_type), allocatable :: entries(:)
+    integer :: group_count = 0, entry_count = 0
+    type(remarks_type) :: remarks
   end type reader_type
 
   character(len=1), parameter :: tab = achar(9), line_end = achar(10), return_sign = achar(13)
@@ -58,10 +55,11 @@ contains
     character(len=*), intent(in) :: text
     type(group_type), allocatable, intent(out) :: groups(:)
     type(entry_type), allocatable, intent(out) :: entries(:)
-    type(remark_type), allocatable, intent(out) :: remarks(:)
+    type(remarks_type), intent(out) :: remarks
     type(reader_type) :: reader
+    integer :: at
 
-    allocate (groups(0), entries(0), remarks(0))
+    allocate (reader%groups(count([(text(at:at) == '&', at=1, len(text))])), reader%entries(64))
     reader%text = text
     ! A mark of the byte order that some editors put first.
     if (index(text, char(239)//char(187)//char(191)) == 1) reader%at = 4
@@ -69,28 +67,29 @@ contains
       call skip_blanks(reader)
       if (at_end(reader)) exit
       if (next_sign(reader) == '&') then
-        call read_group(reader, groups, entries, remarks)
+        call read_group(reader)
       else
-        call remark(remarks, reader%line, 'text outside of any group: '//rest_of_line(reader) &
-          //'; a group begins with &name and ends with /')
+        call add_remark(reader%remarks, reader%line, 'text outside of any group: ' &
+          //rest_of_line(reader)//'; a group begins with &name and ends with /')
         call skip_line(reader)
       end if
     end do
+    groups = reader%groups(:reader%group_count)
+    entries = reader%entries(:reader%entry_count)
+    remarks = reader%remarks
   end subroutine split_namelist
 
   !> Reads from the `&` of a group to behind its end.
-  subroutine read_group(reader, groups, entries, remarks)
+  subroutine read_group(reader)
     type(reader_type), intent(inout) :: reader
-    type(group_type), allocatable, intent(inout) :: groups(:)
-    type(entry_type), allocatable, intent(inout) :: entries(:)
-    type(remark_type), allocatable, intent(inout) :: remarks(:)
     type(group_type) :: group
 
     reader%at = reader%at + 1
     group%line = reader%line
     call read_name(reader, group%name)
     group%name = lower_case(group%name)
-    groups = [groups, group]
+    reader%group_count = reader%group_count + 1
+    reader%groups(reader%group_count) = group
     do
       call skip_blanks(reader, commas=.true.)
       if (at_end(reader)) exit
@@ -99,61 +98,81 @@ contains
         reader%at = reader%at + 1
         return
       case ('&')
-        if (lower_case(peek(reader, 4)) /= '&end') exit
+        if (index(lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 3))), '&end') &
+          /= 1) exit
         reader%at = reader%at + 4
         return
       case default
-        call read_entry(reader, group%name, entries, remarks)
+        call read_entry(reader, group%name)
       end select
     end do
-    call remark(remarks, group%line, '&'//group%name//': the / that ends the group is missing')
+    call add_remark(reader%remarks, group%line, '&'//shown_text(group%name) &
+      //': the / that ends the group is missing')
   end subroutine read_group
 
   !> Reads `key = values`.
-  subroutine read_entry(reader, group, entries, remarks)
+  subroutine read_entry(reader, group)
     type(reader_type), intent(inout) :: reader
     character(len=*), intent(in) :: group
-    type(entry_type), allocatable, intent(inout) :: entries(:)
-    type(remark_type), allocatable, intent(inout) :: remarks(:)
     type(entry_type) :: entry
+    character(len=:), allocatable :: name
 
     entry%group = group
     entry%line = reader%line
     call read_name(reader, entry%key)
     entry%key = lower_case(entry%key)
-    allocate (entry%values(0))
+    name = '&'//shown_text(group)//' '//shown_text(entry%key)
     if (entry%key == '') then
-      call remark(remarks, reader%line, &
-        '&'//group//': a key was expected at: '//rest_of_line(reader))
+      call add_remark(reader%remarks, reader%line, &
+        '&'//shown_text(group)//': a key was expected at: '//rest_of_line(reader))
       call skip_line(reader)
       return
     end if
     call skip_blanks(reader)
     if (next_sign(reader) == '(' .or. next_sign(reader) == '%') then
-      call remark(remarks, reader%line, '&'//group//' '//entry%key &
-        //': parts of a key cannot be set; allowed: the whole list, '//entry%key//' = 1, 2, ...')
+      call add_remark(reader%remarks, reader%line, name//': parts of a key cannot be set; ' &
+        //'allowed: the whole list, '//shown_text(entry%key)//' = 1, 2, ...')
       call skip_line(reader)
       return
     end if
     if (next_sign(reader) /= '=') then
-      call remark(remarks, entry%line, '&'//group//' '//entry%key//': = is missing')
+      call add_remark(reader%remarks, entry%line, name//': = is missing')
       return
     end if
     reader%at = reader%at + 1
-    call read_values(reader, entry, remarks)
-    entries = [entries, entry]
+    call read_values(reader, name, entry%values)
+    call add_entry(reader, entry)
   end subroutine read_entry
 
-  !> Reads the values of a key, up to the next key or the end of the group.
-  subroutine read_values(reader, entry, remarks)
+  !> Adds an entry to those read so far.
+  subroutine add_entry(reader, entry)
     type(reader_type), intent(inout) :: reader
-    type(entry_type), intent(inout) :: entry
-    type(remark_type), allocatable, intent(inout) :: remarks(:)
+    type(entry_type), intent(in) :: entry
+    type(entry_type), allocatable :: more(:)
+
+    if (reader%entry_count == size(reader%entries)) then
+      allocate (more(2*reader%entry_count))
+      more(:reader%entry_count) = reader%entries
+      call move_alloc(more, reader%entries)
+    end if
+    reader%entry_count = reader%entry_count + 1
+    reader%entries(reader%entry_count) = entry
+  end subroutine add_entry
+
+  !> Reads the values of a key, up to the next key or the end of the group.
+  subroutine read_values(reader, name, values)
+    type(reader_type), intent(inout) :: reader
+    !> Group and key.
+    character(len=*), intent(in) :: name
+    type(value_type), allocatable, intent(out) :: values(:)
+    type(value_type), allocatable :: found(:)
     type(value_type) :: value
-    integer :: repeats
+    integer :: repeats, count
     character(len=:), allocatable :: problem
     logical :: after_comma
 
+    allocate (found(8))
+    count = 0
     after_comma = .true.
     do
       call skip_blanks(reader)
@@ -173,22 +192,40 @@ contains
       after_comma = .false.
       if (problem /= '') then
         call complain(problem)
-      else if (size(entry%values) + repeats > most_values) then
+      else if (count + repeats > most_values) then
         call complain('too many values; allowed: '//to_text(most_values))
       else
-        entry%values = [entry%values, spread(value, 1, repeats)]
+        call add_values(found, count, value, repeats)
       end if
     end do
+    values = found(:count)
 
   contains
 
     subroutine complain(text)
       character(len=*), intent(in) :: text
 
-      call remark(remarks, reader%line, '&'//entry%group//' '//entry%key//': '//text)
+      call add_remark(reader%remarks, reader%line, name//': '//text)
     end subroutine complain
 
   end subroutine read_values
+
+  !> Adds a value so many times to the first `count`.
+  pure subroutine add_values(values, count, value, repeats)
+    type(value_type), allocatable, intent(inout) :: values(:)
+    integer, intent(inout) :: count
+    type(value_type), intent(in) :: value
+    integer, intent(in) :: repeats
+    type(value_type), allocatable :: more(:)
+
+    if (count + repeats > size(values)) then
+      allocate (more(max(2*size(values), count + repeats)))
+      more(:count) = values(:count)
+      call move_alloc(more, values)
+    end if
+    values(count + 1:count + repeats) = value
+    count = count + repeats
+  end subroutine add_values
 
   !> Reads one value, with how often it is repeated.
   subroutine read_value(reader, value, repeats, problem)
@@ -206,7 +243,7 @@ contains
     if (star > 1) then
       if (verify(word(:star - 1), '0123456789') == 0) then
         if (star > 8) then
-          problem = 'too many values: '//word
+          problem = 'too many values: '//shown_text(word)
           return
         end if
         read (word(:star - 1), *) repeats
@@ -230,22 +267,30 @@ contains
     character(len=:), allocatable, intent(out) :: text
     character(len=:), allocatable, intent(inout) :: problem
     character(len=1) :: quote
+    character(len=:), allocatable :: letters
+    integer :: count
 
     quote = next_sign(reader)
     reader%at = reader%at + 1
-    text = ''
+    count = index(reader%text(reader%at:), line_end)
+    if (count == 0) count = len(reader%text) - reader%at + 1
+    allocate (character(len=count) :: letters)
+    count = 0
     do
       if (at_end(reader) .or. next_sign(reader) == line_end) then
-        problem = 'the quote that ends '//quote//text//' is missing in its line'
-        return
+        problem = 'the quote that ends '//quote//shown_text(letters(:count)) &
+          //' is missing in its line'
+        exit
       end if
       if (next_sign(reader) == quote) then
         reader%at = reader%at + 1
-        if (next_sign(reader) /= quote) return
+        if (next_sign(reader) /= quote) exit
       end if
-      text = text//next_sign(reader)
+      count = count + 1
+      letters(count:count) = next_sign(reader)
       reader%at = reader%at + 1
     end do
+    text = letters(:count)
   end subroutine read_quoted
 
   !> Whether a name and = come next: then the values have ended.
@@ -296,22 +341,19 @@ contains
     integer :: length
 
     length = index(reader%text(reader%at:), line_end)
-    if (length == 0) then
-      reader%at = len(reader%text) + 1
-    else
-      reader%at = reader%at + length - 1
-    end if
+    if (length == 0) length = len(reader%text) - reader%at + 2
+    reader%at = reader%at + length - 1
   end subroutine skip_line
 
+  !> The rest of a line, to be shown.
   pure function rest_of_line(reader) result(rest)
     type(reader_type), intent(in) :: reader
     character(len=:), allocatable :: rest
-    type(reader_type) :: ahead
-    integer, parameter :: shown = 60
+    integer :: length
 
-    ahead = reader
-    call skip_line(ahead)
-    rest = reader%text(reader%at:min(ahead%at - 1, reader%at + shown))
+    length = index(reader%text(reader%at:), line_end) - 1
+    if (length < 0) length = len(reader%text) - reader%at + 1
+    rest = shown_text(trim(reader%text(reader%at:reader%at + length - 1)))
     if (rest == '') rest = 'the end of the line'
   end function rest_of_line
 
@@ -321,8 +363,8 @@ contains
     character(len=:), allocatable, intent(out) :: name
     integer :: length
 
-    length = 0
-    if (.not. at_end(reader)) length = verify(reader%text(reader%at:)//' ', name_signs) - 1
+    length = verify(reader%text(reader%at:), name_signs) - 1
+    if (length < 0) length = len(reader%text) - reader%at + 1
     name = reader%text(reader%at:reader%at + length - 1)
     reader%at = reader%at + length
   end subroutine read_name
@@ -333,7 +375,8 @@ contains
     character(len=:), allocatable, intent(out) :: word
     integer :: length
 
-    length = scan(reader%text(reader%at:)//' ', value_ends) - 1
+    length = scan(reader%text(reader%at:), value_ends) - 1
+    if (length < 0) length = len(reader%text) - reader%at + 1
     word = reader%text(reader%at:reader%at + length - 1)
     reader%at = reader%at + length
   end subroutine read_word
@@ -347,30 +390,10 @@ contains
     if (.not. at_end(reader)) sign = reader%text(reader%at:reader%at)
   end function next_sign
 
-  pure function peek(reader, length) result(ahead)
+  pure logical function at_end(reader)
     type(reader_type), intent(in) :: reader
-    integer, intent(in) :: length
-    character(len=:), allocatable :: ahead
 
-    ahead = reader%text(reader%at:min(len(reader%text), reader%at + length - 1))
-  end function peek
-
-  pure function at_end(reader) result(ended)
-    type(reader_type), intent(in) :: reader
-    logical :: ended
-
-    ended = reader%at > len(reader%text)
+    at_end = reader%at > len(reader%text)
   end function at_end
-
-  pure subroutine remark(remarks, line, text)
-    type(remark_type), allocatable, intent(inout) :: remarks(:)
-    integer, intent(in) :: line
-    character(len=*), intent(in) :: text
-    type(remark_type) :: one
-
-    one%line = line
-    one%text = text
-    remarks = [remarks, one]
-  end subroutine remark
 
 end module battery_namelist_text

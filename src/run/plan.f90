@@ -11,6 +11,7 @@ module battery_plan
   use battery_kinds, only: wp, int64
   use battery_text, only: to_text
   use battery_table, only: table_type, new_table, shape_circuit, shape_urn
+  use battery_bounds, only: whole_of, can_count_hits
   use battery_simulation, only: setup_type
   use battery_seeds, only: task_seed
   implicit none (type, external)
@@ -75,6 +76,27 @@ module battery_plan
     integer(int64) :: initial_fingerprint = 0, fingerprint = 0
   end type plan_type
 
+  ! Lengths and times, whose bounds follow from each other: `plan_lengths.f90`.
+  interface
+    module subroutine check_widths(plan, problems)
+      implicit none (type, external)
+      type(plan_type), intent(in) :: plan
+      type(problem_type), allocatable, intent(inout) :: problems(:)
+    end subroutine check_widths
+
+    pure module subroutine check_times(plan, problems)
+      implicit none (type, external)
+      type(plan_type), intent(in) :: plan
+      type(problem_type), allocatable, intent(inout) :: problems(:)
+    end subroutine check_times
+
+    pure module subroutine add(problems, group, key, value, allowed)
+      implicit none (type, external)
+      type(problem_type), allocatable, intent(inout) :: problems(:)
+      character(len=*), intent(in) :: group, key, value, allowed
+    end subroutine add
+  end interface
+
 contains
 
   !> Fills in what was not given, checks how the components fit together and counts the points.
@@ -86,6 +108,7 @@ contains
     call fill_defaults(plan)
     call check_given(plan, problems)
     call check_widths(plan, problems)
+    call check_times(plan, problems)
     call check_length(plan, problems)
     call check_step(plan, problems)
     call check_output(plan, problems)
@@ -148,40 +171,6 @@ contains
       'nothing, since &particles initial_file is given')
   end subroutine check_given
 
-  !> Openings must fit into the urn.
-  subroutine check_widths(plan, problems)
-    type(plan_type), intent(in) :: plan
-    type(problem_type), allocatable, intent(inout) :: problems(:)
-    integer :: at
-
-    if (size(plan%scan_channel1_width) == 0) call check('table', 'channel1_width', &
-      plan%channel1_width)
-    if (size(plan%scan_channel2_width) == 0) call check('table', 'channel2_width', &
-      plan%channel2_width)
-    do at = 1, size(plan%scan_channel1_width)
-      call check('scan', 'channel1_width', plan%scan_channel1_width(at))
-    end do
-    do at = 1, size(plan%scan_channel2_width)
-      call check('scan', 'channel2_width', plan%scan_channel2_width(at))
-    end do
-    do at = 1, size(plan%scan_urn1_fraction)
-      if (plan%scan_urn1_fraction(at) > 1.0_wp) call add(problems, 'scan', 'urn1_fraction', &
-        to_text(plan%scan_urn1_fraction(at)), 'numbers from 0 to 1')
-    end do
-
-  contains
-
-    subroutine check(group, key, width)
-      character(len=*), intent(in) :: group, key
-      real(wp), intent(in) :: width
-
-      if (width < 2.0_wp*plan%urn_radius) return
-      call add(problems, group, key, to_text(width), 'below 2 urn_radius, which is ' &
-        //to_text(2.0_wp*plan%urn_radius))
-    end subroutine check
-
-  end subroutine check_widths
-
   !> The run is longer than its transient.
   pure subroutine check_length(plan, problems)
     type(plan_type), intent(inout) :: plan
@@ -189,7 +178,7 @@ contains
 
     if (plan%transient_collisions < 0) plan%transient_collisions = plan%collisions/2
     if (plan%duration > 0.0_wp) then
-      if (plan%transient_duration >= plan%duration) &
+      if (plan%transient_duration > whole_of(plan%duration)) &
         call add(problems, 'run', 'transient_duration', to_text(plan%transient_duration), &
         'below duration, which is '//to_text(plan%duration))
     else
@@ -230,6 +219,7 @@ contains
       if (plan%snapshot_times(at) > plan%snapshot_times(at - 1)) cycle
       call add(problems, 'output', 'snapshot_times', to_text(plan%snapshot_times(at)), &
         'times that grow; the one before is '//to_text(plan%snapshot_times(at - 1)))
+      exit
     end do
     if (plan%duration > 0.0_wp .and. size(plan%snapshot_times) > 0) then
       if (plan%snapshot_times(size(plan%snapshot_times)) > plan%duration) &
@@ -340,16 +330,12 @@ contains
         call add(problems, 'particles', 'urn1_number', to_text(point%urn1_number), &
           to_text(point%number)//', all particles, since the shape ''urn'' has one urn')
       end if
+      if (.not. can_count_hits(table_of(plan, point), point%number, plan%duration)) &
+        call add(problems, 'particles', 'number', to_text(point%number), &
+        'fewer, or wider openings: such visits have more wall collisions than can be counted')
       if (size(problems) > 0) return
     end do
   end subroutine check_points
-
-  pure subroutine add(problems, group, key, value, allowed)
-    type(problem_type), allocatable, intent(inout) :: problems(:)
-    character(len=*), intent(in) :: group, key, value, allowed
-
-    problems = [problems, problem_type(group, key, value, allowed)]
-  end subroutine add
 
   !> The table of a point.
   pure function table_of(plan, point) result(table)

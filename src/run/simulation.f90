@@ -4,19 +4,23 @@
 !> which the averages leave out. `step` goes on by one window, so that the caller can save the
 !> state, show the progress or stop between any two.
 module battery_simulation
-  use battery_kinds, only: wp, int8, int32, int64
+  use battery_kinds, only: wp, dp, int32, int64
+  use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: table_type, chamber_at, outside
+  use battery_table, only: table_type, chamber_at, outside, half_length
   use battery_engine, only: engine_type, particles_type, allocate_particles
   use battery_history, only: history_type
   use battery_observer, only: end_series, observer_type, averages_type, new_observer, observe, &
     begin_measuring, averages_of, pass_observer
   use battery_engines, only: new_engine
+  use battery_event_log, only: event_log_type, append_events, pass_events
   use battery_stream, only: stream_type
+  use battery_room, only: check_room, enough_room, particle_bytes, bytes_an_entry, bytes_a_state, &
+    bytes_an_event
   implicit none (type, external)
   private
-  public :: setup_type, simulation_type, event_log_type, begin_simulation, step, progress, verify
+  public :: setup_type, simulation_type, begin_simulation, step, progress, verify
   public :: pass_simulation
 
   !> What is simulated; the particles come apart from it.
@@ -39,13 +43,6 @@ module battery_simulation
     logical :: event_log = .false.
   end type setup_type
 
-  !> The event log of a run: times since its start; kinds, places and particles as in the engine.
-  type :: event_log_type
-    integer :: count = 0
-    real(wp), allocatable :: time(:)
-    integer(int32), allocatable :: kind(:), where(:), particle(:)
-  end type event_log_type
-
   type :: simulation_type
     type(setup_type) :: setup
     class(engine_type), allocatable :: engine
@@ -66,7 +63,20 @@ module battery_simulation
     !> Snapshots as (particle, snapshot).
     type(particles_type), allocatable :: snapshot(:)
     type(event_log_type) :: events
+    !> Whether the run was given up since its series or its event log outgrew the memory, and for
+    !> how many entries and events there is room for sure.
+    logical :: out_of_room = .false.
+    integer(int64) :: sure_room = 1000000
   end type simulation_type
+
+  !> A sum of times is right up to this share of it.
+  real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
+
+  !> Most entries of the series in one window: signals are heard between windows.
+  integer, parameter :: most_entries = 2**20
+
+  !> Most entries and most events that are kept: eight numbers of each are counted at most.
+  integer, parameter :: most_kept = 2**28 - 1
 
   !> The exact count of collisions is taken at least this often, even if nothing seems to happen.
   integer, parameter :: windows_between_counts = 20000
@@ -86,12 +96,15 @@ contains
     if (allocated(error)) return
     urn1_number = count(particles%x < 0.0_wp)
     simulation%observer = new_observer(size(particles%x), urn1_number, &
-      setup%table%sides == 2, setup%series_interval)
-    call check_room(size(particles%x), error)
+      setup%table%sides == 2, setup%series_interval, &
+      power_below(maxval(setup%table%urn%radius)))
+    call check_room(bytes_to_come(simulation, size(particles%x)), &
+      'the engine of '//to_text(size(particles%x))//' particles and what is kept of them', error)
     if (allocated(error)) return
+    allocate (simulation%snapshot(size(setup%snapshot_times)))
+    call keep_start(simulation, particles)
     call simulation%engine%start(setup%table, setup%threshold, particles, setup%start_time)
     simulation%history%logging = setup%event_log
-    allocate (simulation%snapshot(size(setup%snapshot_times)))
     call set_target(simulation)
     call reach_stops(simulation)
   end subroutine begin_simulation
@@ -112,21 +125,49 @@ contains
       //''' cannot simulate this table: '//reason)
   end subroutine make_engine
 
-  !> Whether the memory that an engine of so many particles takes beside them can be had; engines
-  !> allocate without asking, which would end the program.
-  subroutine check_room(number, error)
-    integer, intent(in) :: number
-    type(error_type), allocatable, intent(out) :: error
-    !> Bytes a particle, at most, of any engine (measured: 58 of `collision`).
-    integer(int64), parameter :: bytes = 80
-    !> Volatile, so that the compiler does not find the attempt useless.
-    integer(int8), allocatable, volatile :: room(:)
-    integer :: status
+  !> The snapshot at the start is what the engine is given, not what it makes of it.
+  pure subroutine keep_start(simulation, particles)
+    type(simulation_type), intent(inout) :: simulation
+    type(particles_type), intent(in) :: particles
 
-    allocate (room(bytes*number), stat=status)
-    if (status /= 0) call fatal_error(error, 'no memory for the engine of '//to_text(number) &
-      //' particles')
-  end subroutine check_room
+    if (.not. snapshots_left(simulation)) return
+    if (simulation%setup%snapshot_times(1) > 0.0_wp) return
+    simulation%snapshots_taken = 1
+    simulation%snapshot(1) = particles
+  end subroutine keep_start
+
+  !> Bytes that a simulation will take of which the particles are there already: its engine, and its
+  !> snapshots and series as far as they are known.
+  pure function bytes_to_come(simulation, number) result(bytes)
+    type(simulation_type), intent(in) :: simulation
+    integer, intent(in) :: number
+    real(dp) :: bytes
+    !> Bytes of the positions and velocities of a particle.
+    real(dp), parameter :: there = 32.0_dp
+
+    associate (setup => simulation%setup)
+      bytes = particle_bytes(setup%engine, number) - there*number &
+        + bytes_a_state*size(setup%snapshot_times)*number
+      if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
+        bytes = bytes + bytes_an_entry*real(setup%duration/setup%series_interval, dp)
+    end associate
+  end function bytes_to_come
+
+  !> Gives the run up where its series or its event log could not be brought home if they doubled.
+  subroutine look_for_room(simulation)
+    type(simulation_type), intent(inout) :: simulation
+
+    associate (s => simulation)
+      if (int(s%observer%entries, int64) + s%events%count < s%sure_room .and. &
+        .not. (s%out_of_room .or. s%observer%out_of_room)) return
+      s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. &
+        max(s%observer%entries, s%events%count) > most_kept
+      if (.not. s%out_of_room) s%out_of_room = .not. enough_room(2.0_dp &
+        *(bytes_an_entry*s%observer%entries + bytes_an_event*s%events%count))
+      s%sure_room = 2*s%sure_room
+      if (s%out_of_room) s%done = .true.
+    end associate
+  end subroutine look_for_room
 
   !> Goes on by one window.
   subroutine step(simulation)
@@ -134,7 +175,10 @@ contains
 
     call simulation%engine%advance(time_to_stop(simulation), simulation%history)
     call observe(simulation%observer, simulation%history)
-    if (simulation%history%events > 0) call append_events(simulation)
+    if (simulation%history%events > 0) &
+      call append_events(simulation%events, simulation%history, simulation%elapsed, &
+      simulation%out_of_room)
+    call look_for_room(simulation)
     simulation%elapsed = simulation%elapsed + simulation%history%duration
     if (simulation%setup%duration > 0.0_wp) then
       call reach_stops(simulation)
@@ -150,8 +194,11 @@ contains
     real(wp) :: time
 
     time = huge(1.0_wp)
+    if (simulation%setup%series_interval > 0.0_wp) &
+      time = most_entries*simulation%setup%series_interval
     if (snapshots_left(simulation)) &
-      time = simulation%setup%snapshot_times(simulation%snapshots_taken + 1) - simulation%elapsed
+      time = min(time, simulation%setup%snapshot_times(simulation%snapshots_taken + 1) &
+      - simulation%elapsed)
     if (simulation%setup%duration > 0.0_wp) then
       time = min(time, simulation%setup%duration - simulation%elapsed)
       if (.not. simulation%observer%measuring) &
@@ -172,7 +219,7 @@ contains
     real(wp), intent(in) :: time
     logical :: reached
 
-    reached = simulation%elapsed >= time - 64.0_wp*epsilon(time)*max(1.0_wp, time)
+    reached = simulation%elapsed >= time - rounding*time
   end function reached
 
   subroutine take_snapshots(simulation)
@@ -201,7 +248,8 @@ contains
     end if
     if (reached(simulation, simulation%setup%duration)) then
       call end_series(simulation%observer, &
-        64.0_wp*epsilon(1.0_wp)*max(1.0_wp, simulation%setup%duration))
+        min(rounding*max(maxval(simulation%setup%table%urn%radius), simulation%setup%duration), &
+        0.5_wp*simulation%setup%series_interval))
       simulation%collisions = simulation%engine%collisions()
       simulation%done = .true.
     end if
@@ -254,29 +302,6 @@ contains
       0_int64)
   end subroutine count_collisions
 
-  subroutine append_events(simulation)
-    type(simulation_type), intent(inout) :: simulation
-    integer :: total, room
-
-    associate (log => simulation%events, history => simulation%history)
-      if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), &
-        log%particle(0))
-      total = log%count + history%events
-      if (total > size(log%time)) then
-        room = max(total, 2*size(log%time), 1024) - size(log%time)
-        log%time = [log%time, spread(0.0_wp, 1, room)]
-        log%kind = [log%kind, spread(0_int32, 1, room)]
-        log%where = [log%where, spread(0_int32, 1, room)]
-        log%particle = [log%particle, spread(0_int32, 1, room)]
-      end if
-      log%time(log%count + 1:total) = simulation%elapsed + history%event_time(:history%events)
-      log%kind(log%count + 1:total) = history%event_kind(:history%events)
-      log%where(log%count + 1:total) = history%event_where(:history%events)
-      log%particle(log%count + 1:total) = history%event_particle(:history%events)
-      log%count = total
-    end associate
-  end subroutine append_events
-
   !> Share of the run that is done, 0 to 1.
   pure function progress(simulation) result(share)
     type(simulation_type), intent(in) :: simulation
@@ -293,32 +318,52 @@ contains
     share = min(share, 1.0_wp)
   end function progress
 
-  !> What every run must end with: all particles inside the table at speed 1, and as many in each
-  !> half as the crossings say.
+  !> What every run must end with: all particles inside the table at speed 1 (coordinates are as
+  !> sharp as the table is long), and as many in each half as the crossings say. One that is on a
+  !> counted line just then may be in either: what happens at the very end is not made any more.
   subroutine verify(simulation, error)
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
     integer, parameter :: chunk = 65536
-    real(wp), parameter :: tolerance = 1.0e4_wp*epsilon(1.0_wp)
+    real(wp), parameter :: share = 1.0e4_wp*epsilon(1.0_wp)
     type(particles_type) :: particles
-    integer :: first, last, i, lost, off_speed, urn1_number
+    real(wp) :: sharp, ends
+    integer :: first, last, i, lost, off_speed, urn1_number, on_line
     character(len=200) :: text
 
+    if (simulation%out_of_room) then
+      call fatal_error(error, 'no memory for the series and the event log: given up after ' &
+        //to_text(simulation%observer%entries)//' entries and '//to_text(simulation%events%count) &
+        //' events; a longer &output series_interval, no event_log or a shorter run takes less')
+      return
+    end if
+    ends = half_length(simulation%setup%table)
+    sharp = share*ends
     lost = 0
     off_speed = 0
     urn1_number = 0
+    on_line = 0
     do first = 1, simulation%engine%number, chunk
       last = min(first + chunk - 1, simulation%engine%number)
       call simulation%engine%particles(first, last, particles)
       do i = 1, last - first + 1
-        if (chamber_at(simulation%setup%table, particles%x(i), particles%y(i), &
-          tolerance*maxval(simulation%setup%table%urn%radius)) == outside) lost = lost + 1
-        if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= tolerance) &
+        if (chamber_at(simulation%setup%table, particles%x(i), particles%y(i), sharp) == outside) &
+          lost = lost + 1
+        if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= share) &
           off_speed = off_speed + 1
-        if (particles%x(i) < 0.0_wp) urn1_number = urn1_number + 1
+        if (min(abs(particles%x(i)), ends - abs(particles%x(i))) <= sharp) then
+          on_line = on_line + 1
+        else if (particles%x(i) < 0.0_wp) then
+          urn1_number = urn1_number + 1
+        end if
       end do
     end do
-    if (.not. simulation%observer%two_halves) urn1_number = simulation%observer%urn1_number
+    if (simulation%observer%two_halves) then
+      ! Of those on a line as many as it takes.
+      urn1_number = max(urn1_number, min(urn1_number + on_line, simulation%observer%urn1_number))
+    else
+      urn1_number = simulation%observer%urn1_number
+    end if
     if (lost == 0 .and. off_speed == 0 .and. urn1_number == simulation%observer%urn1_number) return
     write (text, '(a, i0, a, i0, a, i0, a, i0, a)') 'check at the end of the run failed: ', lost, &
       ' particles outside the table, ', off_speed, ' with a speed that is not 1, ', urn1_number, &
@@ -345,7 +390,9 @@ contains
     end if
     call pass_observer(simulation%observer, stream)
     if (stream%reading .and. .not. stream%failed()) &
-      call check_room(simulation%observer%number, error)
+      call check_room(bytes_to_come(simulation, &
+      simulation%observer%number), 'the engine of '//to_text(simulation%observer%number) &
+      //' particles and what is kept of them', error)
     if (allocated(error)) return
     if (.not. stream%failed()) call simulation%engine%pass_state(setup%table, setup%threshold, &
       stream)
@@ -379,20 +426,5 @@ contains
       end associate
     end do
   end subroutine pass_snapshots
-
-  !> The event log so far.
-  subroutine pass_events(log, stream)
-    type(event_log_type), intent(inout) :: log
-    type(stream_type), intent(inout) :: stream
-
-    call stream%pass('events', log%count)
-    if (stream%failed() .or. log%count == 0) return
-    if (stream%reading) allocate (log%time(log%count), log%kind(log%count), log%where(log%count), &
-      log%particle(log%count))
-    call stream%pass('event_time', log%time(:log%count))
-    call stream%pass('event_kind', log%kind(:log%count))
-    call stream%pass('event_where', log%where(:log%count))
-    call stream%pass('event_particle', log%particle(:log%count))
-  end subroutine pass_events
 
 end module battery_simulation

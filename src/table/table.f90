@@ -16,10 +16,14 @@ module battery_table
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
   public :: gated, ungated, outside, in_urn, in_gate, in_return
   public :: side_at, chamber_at, beyond, x_direction, is_open, alike
-  public :: area_of_urn, area, perimeter, arc_length, mean_visit, shortest_excursion
+  public :: area_of_urn, area, perimeter, arc_length, half_length, mean_visit, shortest_excursion
+  public :: try_point, longest_run
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
+
+  !> No run is longer, in radii of an urn: beyond, the clock would not resolve an urn.
+  real(wp), parameter :: longest_run = 1.0e15_wp
 
   !> The channels: that with the gates, and that which closes the circuit.
   integer, parameter :: gated = 1, ungated = 2
@@ -117,7 +121,7 @@ contains
   end function beyond
 
   !> Whether a channel lets anybody through.
-  pure function is_open(channel)
+  elemental function is_open(channel)
     type(channel_type), intent(in) :: channel
     logical :: is_open
 
@@ -195,6 +199,15 @@ contains
     end associate
   end function perimeter
 
+  !> |x| at the far end of the table, on the side that is longer.
+  pure function half_length(table) result(length)
+    type(table_type), intent(in) :: table
+    real(wp) :: length
+
+    length = maxval(table%urn%centre + table%urn%radius)
+    if (is_open(table%channel(ungated))) length = maxval(table%urn%periodic_line)
+  end function half_length
+
   !> Mean length of a visit to an urn that is entered evenly through its openings.
   pure function mean_visit(table, side) result(time)
     type(table_type), intent(in) :: table
@@ -226,6 +239,23 @@ contains
       end associate
     end do
   end function shortest_excursion
+
+  !> A point about the centre of an urn whose chords lie at x = `lower` < 0 and `upper` > 0, from
+  !> two numbers `across` and `up` uniform in [0, 1]: uniform in the urn where it is `inside`, which
+  !> is so more than two times in five. Between near chords it is looked for there alone.
+  pure subroutine try_point(radius, lower, upper, across, up, x, y, inside)
+    real(wp), intent(in) :: radius, lower, upper, across, up
+    real(wp), intent(out) :: x, y
+    logical, intent(out) :: inside
+
+    if (upper - lower < radius) then
+      x = lower + (upper - lower)*across
+    else
+      x = radius*(2.0_wp*across - 1.0_wp)
+    end if
+    y = radius*(2.0_wp*up - 1.0_wp)
+    inside = x**2 + y**2 < radius**2 .and. lower < x .and. x < upper
+  end subroutine try_point
 
   !> The side of a point; the middle line belongs to side 2, if there is one.
   elemental function side_at(table, x) result(side)

@@ -2,18 +2,20 @@
 !> plain way to move a particle, wall by wall, in more digits than the program has.
 module scenes
   use battery_kinds, only: wp, int64
-  use battery_table, only: table_type, new_table, shape_circuit, shape_urn, chamber_at, outside, &
-    in_urn, in_gate
+  use battery_table, only: table_type, new_table, shape_circuit, chamber_at, side_at, outside, &
+    in_urn, in_gate, beyond, x_direction
   use battery_engine, only: engine_type, particles_type
   use battery_history, only: history_type, event_entry, event_reversal, event_crossing1, &
     event_crossing2
+  use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
   public :: qp, table_3_4_5, uneven_table, paper_table, draw, scatter, pick, mirrored_x, &
     mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
   public :: log_type, run_for, same_log, tally
   public :: plain_type, plain_start, plain_run
-  public :: bounce_through
+  public :: save_engine, restore_engine
+  public :: bounce_through, facing, channel_of
 
   !> Kind of the reference computations.
   integer, parameter :: qp = selected_real_kind(30)
@@ -40,7 +42,7 @@ module scenes
   !> All particles of a circuit, moved together from wall hit to wall hit.
   type :: plain_type
     type(table_type) :: table
-    integer :: threshold = 0
+    integer :: threshold(2) = 0
     real(qp) :: now = 0.0_qp
     integer(int64) :: hits = 0
     real(qp), allocatable :: x(:), y(:), ux(:), uy(:)
@@ -107,21 +109,21 @@ contains
     logical, intent(in) :: everywhere
     type(particles_type), intent(out) :: particles
     integer(int64) :: state
-    integer :: i, region
+    integer :: i, chamber
     real(wp) :: a, b, height
 
     state = 1 + modulo(7919_int64*int(seed, int64), 2147483646_int64)
     particles = of_particles(spread(0.0_wp, 1, number))
-    height = max(table%urn_radius, 0.5_wp*table%channel1_width)
+    height = maxval(table%urn%radius)
     do i = 1, number
       do
         call draw(state, a)
         call draw(state, b)
-        particles%x(i) = (2.0_wp*a - 1.0_wp)*table%periodic_line
+        particles%x(i) = (2.0_wp*a - 1.0_wp)*maxval(table%urn%periodic_line)
         particles%y(i) = (2.0_wp*b - 1.0_wp)*height
-        region = region_at(table, particles%x(i), particles%y(i), 0.0_wp)
-        if (everywhere .and. region /= outside) exit
-        if (region == urn_one .or. region == urn_two) exit
+        chamber = chamber_at(table, particles%x(i), particles%y(i), 0.0_wp)
+        if (everywhere .and. chamber /= outside) exit
+        if (chamber == in_urn) exit
       end do
       call draw(state, a)
       a = 8.0_wp*atan(1.0_wp)*a
@@ -297,13 +299,36 @@ contains
       .and. all(abs(a%time(:n) - b%time(:n)) <= tolerance*exp(rate*a%time(:n)))
   end function same_log
 
+  !> The state of an engine, written and ready to be read.
+  subroutine save_engine(engine, state)
+    class(engine_type), intent(inout) :: engine
+    type(stream_type), intent(out) :: state
+
+    state = new_stream()
+    call engine%pass_state(engine%table, engine%gate%threshold, state)
+    state = stream_of(state%word(:state%length))
+  end subroutine save_engine
+
+  !> An engine that goes on from a state; step and seed are set already.
+  subroutine restore_engine(engine, table, threshold, state)
+    class(engine_type), intent(inout) :: engine
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold
+    type(stream_type), intent(in) :: state
+    type(stream_type) :: stream
+
+    stream = state
+    call engine%pass_state(table, [threshold, threshold], stream)
+    if (stream%failed()) error stop 'a state was not restored'
+  end subroutine restore_engine
+
   ! ---- The plain way: wall by wall.
 
   !> Takes over particles; those in a gate that head for the other one are counted.
   subroutine plain_start(plain, table, threshold, particles)
     type(plain_type), intent(out) :: plain
     type(table_type), intent(in) :: table
-    integer, intent(in) :: threshold
+    integer, intent(in) :: threshold(2)
     type(particles_type), intent(in) :: particles
     real(qp) :: speed
     integer :: i
@@ -320,17 +345,14 @@ contains
       speed = sqrt(plain%ux(i)**2 + plain%uy(i)**2)
       plain%ux(i) = plain%ux(i)/speed
       plain%uy(i) = plain%uy(i)/speed
-      select case (region_at(table, particles%x(i), particles%y(i), 1.0_wp))
-      case (urn_one)
-        plain%room(i) = in_urn1
-      case (urn_two)
-        plain%room(i) = in_urn2
-      case (gate_one)
+      select case (chamber_at(table, particles%x(i), particles%y(i), 1.0_wp))
+      case (in_urn)
+        plain%room(i) = merge(in_urn1, in_urn2, side_at(table, particles%x(i)) == 1)
+      case (in_gate)
         plain%room(i) = in_channel1
-        plain%counted(i) = merge(1, 0, plain%ux(i) > 0.0_qp)
-      case (gate_two)
-        plain%room(i) = in_channel1
-        plain%counted(i) = merge(2, 0, plain%ux(i) < 0.0_qp)
+        associate (side => side_at(table, particles%x(i)))
+          plain%counted(i) = merge(side, 0, x_direction(side)*plain%ux(i) < 0.0_qp)
+        end associate
       case default
         plain%room(i) = in_channel2
       end select
@@ -375,24 +397,27 @@ contains
     real(qp), intent(out) :: wait
     integer, intent(out) :: what
     real(qp) :: x, ux, y, uy, across, middle, chord
+    integer :: side
 
     x = plain%x(i)
     y = plain%y(i)
     ux = plain%ux(i)
     uy = plain%uy(i)
     associate (table => plain%table)
+      side = merge(1, 2, x < 0.0_qp)
       if (plain%room(i) == in_urn1 .or. plain%room(i) == in_urn2) then
-        if (plain%room(i) == in_urn2) then
+        side = merge(1, 2, plain%room(i) == in_urn1)
+        if (side == 2) then
           x = -x
           ux = -ux
         end if
-        call next_in_urn(table, x + real(table%urn_centre, qp), y, ux, uy, wait, what)
+        call next_in_urn(table, side, x + real(table%urn(side)%centre, qp), y, ux, uy, wait, what)
         return
       end if
       if (plain%room(i) == in_channel1) then
         middle = 0.0_qp
-        chord = 0.5_qp*real(table%channel1_length, qp)
-        across = 0.5_qp*real(table%channel1_width, qp)
+        chord = 0.5_qp*real(table%channel(1)%length, qp)
+        across = 0.5_qp*real(table%channel(1)%width, qp)
         if (x*ux < 0.0_qp) then
           wait = -x/ux
           what = 3
@@ -401,9 +426,9 @@ contains
           what = 1
         end if
       else
-        middle = real(table%periodic_line, qp)
-        chord = real(table%urn_centre, qp) + real(table%chord2_distance, qp)
-        across = 0.5_qp*real(table%channel2_width, qp)
+        middle = real(table%urn(side)%periodic_line, qp)
+        chord = real(table%urn(side)%centre, qp) + real(table%urn(side)%chord(2), qp)
+        across = 0.5_qp*real(table%channel(2)%width, qp)
         if (x*ux > 0.0_qp) then
           wait = (middle - abs(x))/max(abs(ux), tiny(ux))
           what = 3
@@ -423,25 +448,26 @@ contains
   end subroutine next_event
 
   !> The same in an urn's own frame, channel 1 at +x.
-  pure subroutine next_in_urn(table, x, y, ux, uy, wait, what)
+  pure subroutine next_in_urn(table, side, x, y, ux, uy, wait, what)
     type(table_type), intent(in) :: table
+    integer, intent(in) :: side
     real(qp), intent(in) :: x, y, ux, uy
     real(qp), intent(out) :: wait
     integer, intent(out) :: what
     real(qp) :: b, radius, hit_x, hit_y
 
-    radius = real(table%urn_radius, qp)
+    radius = real(table%urn(side)%radius, qp)
     b = x*ux + y*uy
     wait = -b + sqrt(max(b**2 + (radius - hypot(x, y))*(radius + hypot(x, y)), 0.0_qp))
     hit_x = x + ux*wait
     hit_y = y + uy*wait
     what = 0
-    if (hit_x > 0.0_qp .and. abs(hit_y) < 0.5_qp*real(table%channel1_width, qp)) then
+    if (hit_x > 0.0_qp .and. abs(hit_y) < 0.5_qp*real(table%channel(1)%width, qp)) then
       what = 1
-      wait = (real(table%chord1_distance, qp) - x)/ux
-    else if (hit_x < 0.0_qp .and. abs(hit_y) < 0.5_qp*real(table%channel2_width, qp)) then
+      wait = (real(table%urn(side)%chord(1), qp) - x)/ux
+    else if (hit_x < 0.0_qp .and. abs(hit_y) < 0.5_qp*real(table%channel(2)%width, qp)) then
       what = 2
-      wait = -(real(table%chord2_distance, qp) + x)/ux
+      wait = -(real(table%urn(side)%chord(2), qp) + x)/ux
     end if
   end subroutine next_in_urn
 
@@ -465,7 +491,7 @@ contains
         plain%room(i) = in_channel1
         plain%counted(i) = gate
         call note(log, plain%now, event_entry, gate, i)
-        if (count(plain%counted == gate) > plain%threshold) then
+        if (count(plain%counted == gate) > plain%threshold(gate)) then
           call note(log, plain%now, event_reversal, gate, count(plain%counted == gate))
           log%reversals = log%reversals + 1
           log%bounce_backs = log%bounce_backs + count(plain%counted == gate)
@@ -481,12 +507,13 @@ contains
         plain%counted(i) = 0
         plain%x(i) = 0.0_qp
         call note(log, plain%now, event_crossing1, gate, i)
-        if (plain%table%shape == shape_urn) then
+        if (beyond(plain%table, 1) == 1) then
           plain%ux(i) = -plain%ux(i)
           plain%hits = plain%hits + 1
         end if
       else
-        plain%x(i) = -sign(real(plain%table%periodic_line, qp), plain%x(i))
+        plain%x(i) = -sign(real(plain%table%urn(merge(2, 1, plain%x(i) < 0.0_qp))%periodic_line, &
+          qp), plain%x(i))
         call note(log, plain%now, event_crossing2, 33 - gate, i)
       end if
     end select
@@ -496,14 +523,15 @@ contains
     type(plain_type), intent(inout) :: plain
     integer, intent(in) :: i
     real(qp) :: nx, ny, along
+    integer :: side
 
     plain%hits = plain%hits + 1
     if (plain%room(i) == in_channel1 .or. plain%room(i) == in_channel2) then
       plain%uy(i) = -plain%uy(i)
       return
     end if
-    nx = real(plain%table%urn_centre, qp)
-    nx = plain%x(i) - merge(-nx, nx, plain%room(i) == in_urn1)
+    side = merge(1, 2, plain%room(i) == in_urn1)
+    nx = plain%x(i) - x_direction(side)*real(plain%table%urn(side)%centre, qp)
     ny = plain%y(i)
     along = 2.0_qp*(nx*plain%ux(i) + ny*plain%uy(i))/(nx**2 + ny**2)
     plain%ux(i) = plain%ux(i) - along*nx
@@ -542,7 +570,7 @@ contains
     hits = 0
     opening = 0
     do
-      call next_in_urn(table, x, y, ux, uy, wait, what)
+      call next_in_urn(table, 1, x, y, ux, uy, wait, what)
       if (length + wait >= longest) what = 3
       if (what == 3) wait = longest - length
       x = x + wait*ux
@@ -558,5 +586,21 @@ contains
       if (hits >= most) exit
     end do
   end subroutine bounce_through
+
+  !> The way along x, in the frame of an urn, to a channel; 0 for none.
+  elemental function facing(channel) result(way)
+    integer(int64), intent(in) :: channel
+    real(wp) :: way
+
+    way = merge(1.0_wp, merge(-1.0_wp, 0.0_wp, channel == 2), channel == 1)
+  end function facing
+
+  !> The channel that lies this way, 1 or -1.
+  elemental function channel_of(way) result(channel)
+    real(wp), intent(in) :: way
+    integer(int64) :: channel
+
+    channel = merge(1_int64, 2_int64, way > 0.0_wp)
+  end function channel_of
 
 end module scenes

@@ -3,7 +3,7 @@
 module battery_launch
   use battery_kinds, only: wp, int16, int64
   use battery_table, only: table_type, gated, ungated, in_urn, in_return, side_at, chamber_at, &
-    x_direction
+    x_direction, longest_run
   use battery_calendar, only: flight_type
   use battery_flight, only: to_return, in_gate, parked_in_channel
   use battery_visits, only: visits_type
@@ -31,7 +31,7 @@ contains
     real(wp) :: outward, depth, width, length, turned, passed, height
     !> Slower passages, longer than any run, and those with more wall hits than an integer can
     !> count, are taken for endless.
-    real(wp), parameter :: longest_passage = 1.0e15_wp, most_hits = 4.0e18_wp
+    real(wp), parameter :: most_hits = 4.0e18_wp
 
     side = side_at(table, x)
     chamber = chamber_at(table, x, y, huge(1.0_wp))
@@ -54,7 +54,7 @@ contains
       outward = x_direction(side)*ux
     end if
     flight%urn = int(side, int16)
-    if (.not. abs(ux)*min(longest_passage, most_hits*width) > length) then
+    if (.not. abs(ux)*min(longest_run*table%urn(side)%radius, most_hits*width) > length) then
       flight%heading = parked_in_channel
       flight%y = y
       flight%along = x

@@ -39,6 +39,9 @@ module battery_reservoir
   !> About so many events make a window.
   real(wp), parameter :: window_events = 100.0_wp
 
+  !> And no more ticks than this.
+  real(wp), parameter :: window_ticks = 1.0e6_wp
+
   type, extends(engine_type) :: reservoir_type
     private
     type(stay_type), allocatable :: stay(:)
@@ -101,7 +104,9 @@ contains
     interval = self%mean_stay + 0.25_wp*pi*self%table%channel(gated)%length
     self%page = power_above(4.0_wp*interval)
     self%shortest = epsilon(1.0_wp)*self%page
-    self%window = min(window_events/real(self%number, wp), 2.0_wp)*interval
+    ! Where stays are much shorter than passages, those in the channels tick most of the time.
+    self%window = min(min(window_events/real(self%number, wp), 2.0_wp)*interval, &
+      window_ticks/real(self%number, wp)*self%mean_stay)
     if (allocated(self%stay)) deallocate (self%stay, self%entered, self%member)
     allocate (self%stay(self%number), self%entered(self%number), self%member(self%number))
     call empty_queue(self%returning)

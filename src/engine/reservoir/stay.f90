@@ -2,7 +2,7 @@
 module battery_stay
   use battery_kinds, only: wp, int32, int64, pi
   use battery_table, only: table_type, gated, ungated, in_urn, in_return, side_at, chamber_at, &
-    x_direction
+    x_direction, longest_run, try_point
   use battery_channel, only: fold
   use battery_stream, only: stream_type
   use battery_random, only: random_type, draw_uniform, hashed_uniform
@@ -97,7 +97,7 @@ contains
     real(wp) :: outward, depth, width, length, turned, hits
     !> Slower passages, longer than any run, and those with more wall hits than an integer can
     !> count, are taken for endless.
-    real(wp), parameter :: longest_passage = 1.0e15_wp, most_hits = 4.0e18_wp
+    real(wp), parameter :: most_hits = 4.0e18_wp
 
     side = side_at(table, x)
     chamber = chamber_at(table, x, y, huge(1.0_wp))
@@ -114,7 +114,7 @@ contains
       depth = abs(x) - table%urn(side)%centre - table%urn(side)%chord(ungated)
       outward = x_direction(side)*ux
     end if
-    if (.not. abs(ux)*min(longest_passage, most_hits*width) > length) then
+    if (.not. abs(ux)*min(longest_run*table%urn(side)%radius, most_hits*width) > length) then
       stay%heading = int(parked, int32)
       stay%along = x
     else if (outward > 0.0_wp) then
@@ -211,15 +211,15 @@ contains
     real(wp) :: place(4)
     integer(int64) :: turn
     real(wp) :: x, y, angle
+    logical :: inside
 
     turn = ishft(count, 20)
     associate (urn => table%urn(side))
       do
-        x = urn%radius*(2.0_wp*hashed_uniform(key, turn) - 1.0_wp)
-        y = urn%radius*(2.0_wp*hashed_uniform(key, turn + 1) - 1.0_wp)
+        call try_point(urn%radius, -urn%chord(gated), urn%chord(ungated), &
+          hashed_uniform(key, turn), hashed_uniform(key, turn + 1), x, y, inside)
         turn = turn + 2
-        if (x**2 + y**2 >= urn%radius**2) cycle
-        if (-x < urn%chord(gated) .and. x < urn%chord(ungated)) exit
+        if (inside) exit
       end do
       angle = 2.0_wp*pi*hashed_uniform(key, turn)
       place = [urn%centre + x, y, cos(angle), sin(angle)]

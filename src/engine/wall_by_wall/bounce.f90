@@ -12,7 +12,7 @@ module battery_bounce
   use battery_kinds, only: wp, int8
   use battery_powers, only: power_above
   use battery_table, only: table_type, gated, ungated, in_urn, in_gate, in_return, side_at, &
-    chamber_at, beyond, x_direction
+    chamber_at, beyond, is_open, x_direction
   implicit none (type, external)
   private
   public :: walls_type, side_type, motion_type, new_walls, put_down, take_off, fly, hit_arc, hit_channel
@@ -84,7 +84,7 @@ contains
     end do
     walls%half = 0.5_wp*table%channel%width
     longest = max(2.0_wp*maxval(table%urn%radius), maxval(hypot(table%channel%length, &
-      table%channel%width)))
+      table%channel%width), mask=is_open(table%channel)))
     walls%page = power_above(4.0_wp*longest)
     walls%shortest = epsilon(1.0_wp)*walls%page
   end function new_walls

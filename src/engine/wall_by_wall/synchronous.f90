@@ -31,7 +31,8 @@ module battery_synchronous
   integer, parameter :: in_x = 1, in_y = 2, in_ux = 3, in_uy = 4, in_left = 5
 
   !> A window is at most so many urn radii long, and has about so many events at most.
-  real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp
+  real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp, &
+    window_moves = 1.0e9_wp
 
   type, extends(wall_by_wall_type) :: synchronous_type
     private
@@ -63,8 +64,9 @@ contains
     integer :: number
 
     call prepare_walls(self)
-    self%window = longest_window(self, window_radii, window_events)
     number = self%number
+    self%window = longest_window(self, window_radii, min(window_events, &
+      window_moves/real(number, wp)))
     if (allocated(self%field)) deallocate (self%field, self%side, self%chamber, self%next, &
       self%kept_ux, self%kept_uy)
     allocate (self%field(row_length, in_left, (number + row_length - 1)/row_length), &

@@ -1,0 +1,60 @@
+!> Probe of any table: the event log of a run, and where the particles are at its end.
+module battery_probe_events
+  use battery_kinds, only: wp
+  use battery_error, only: error_type
+  use battery_text, only: to_text
+  use battery_table, only: table_type, new_table, shape_circuit, shape_urn
+  use battery_engine, only: engine_type, particles_type
+  use battery_history, only: history_type
+  use battery_initial_state, only: read_particles
+  use battery_probe, only: argument, real_argument, integer_argument, precision_name, started, &
+    list, say, stop_at
+  implicit none (type, external)
+  private
+  public :: events_main
+
+contains
+
+  !> `events ENGINE STEP SHAPE RADIUS WIDTH1 LENGTH1 WIDTH2 LENGTH2 FILE NUMBER THRESHOLD CLOCK
+  !> DURATION`: one line. Engines that draw random numbers have the seed 1.
+  subroutine events_main()
+    class(engine_type), allocatable :: engine
+    type(history_type) :: history
+    type(table_type) :: table
+    type(particles_type) :: particles, found
+    type(error_type), allocatable :: error
+    real(wp), allocatable :: time(:)
+    integer, allocatable :: what(:, :)
+    real(wp) :: elapsed, duration
+    integer :: k
+
+    if (argument(4) /= 'circuit' .and. argument(4) /= 'urn') call stop_at('unknown shape')
+    table = new_table(merge(shape_circuit, shape_urn, argument(4) == 'circuit'), &
+      real_argument(5), real_argument(6), real_argument(7), real_argument(8), real_argument(9))
+    call read_particles(argument(10), table, int(integer_argument(11)), particles, error)
+    if (allocated(error)) call stop_at(error%message)
+    call started(argument(2), table, int(integer_argument(12)), particles, real_argument(3), &
+      engine, real_argument(13))
+    duration = real_argument(14)
+    history%logging = .true.
+    allocate (time(0), what(3, 0))
+    elapsed = 0.0_wp
+    do while (duration - elapsed > 4.0_wp*epsilon(1.0_wp)*duration)
+      call engine%advance(duration - elapsed, history)
+      do k = 1, history%events
+        time = [time, elapsed + history%event_time(k)]
+        what = reshape([what, int(history%event_kind(k)), int(history%event_where(k)), &
+          int(history%event_particle(k))], [3, size(time)])
+      end do
+      elapsed = elapsed + history%duration
+    end do
+    call engine%particles(1, engine%number, found)
+    call say('{"precision": "'//precision_name()//'", "engine": "'//argument(2)//'", "trapped": ' &
+      //to_text(engine%trapped())//', "hits": '//to_text(engine%collisions())//', "time": ' &
+      //list(time)//', "kind": '//list(real(what(1, :), wp))//', "where": ' &
+      //list(real(what(2, :), wp))//', "particle": '//list(real(what(3, :), wp))//', "x": ' &
+      //list(found%x)//', "y": '//list(found%y)//', "ux": '//list(found%ux)//', "uy": ' &
+      //list(found%uy)//'}')
+  end subroutine events_main
+
+end module battery_probe_events

@@ -1,0 +1,97 @@
+!> What is wrong with an input file, with its lines; collected, and told in their order.
+module battery_remarks
+  use battery_text, only: to_text, new_line_character
+  implicit none (type, external)
+  private
+  public :: remarks_type, add_remark, remarks_text, shown_text
+
+  !> So many are told one by one, beyond that only how many there are.
+  integer, parameter, public :: most_told = 50
+
+  !> Most letters of a word of the file that a remark repeats.
+  integer, parameter :: most_letters = 80
+
+  !> One thing that is wrong, and its line; 0: it has none.
+  type :: remark_type
+    integer :: line = 0
+    character(len=:), allocatable :: text
+  end type remark_type
+
+  !> All that is wrong.
+  type :: remarks_type
+    integer :: count = 0
+    !> The first `count` count.
+    type(remark_type), allocatable, private :: all(:)
+  end type remarks_type
+
+contains
+
+  !> Adds what is wrong with a line, or with the whole file if the line is 0.
+  pure subroutine add_remark(remarks, line, text)
+    type(remarks_type), intent(inout) :: remarks
+    integer, intent(in) :: line
+    character(len=*), intent(in) :: text
+    type(remark_type), allocatable :: more(:)
+    integer :: at
+
+    if (.not. allocated(remarks%all)) allocate (remarks%all(16))
+    if (remarks%count == size(remarks%all)) then
+      allocate (more(2*size(remarks%all)))
+      do at = 1, remarks%count
+        more(at)%line = remarks%all(at)%line
+        call move_alloc(remarks%all(at)%text, more(at)%text)
+      end do
+      call move_alloc(more, remarks%all)
+    end if
+    remarks%count = remarks%count + 1
+    remarks%all(remarks%count)%line = line
+    remarks%all(remarks%count)%text = text
+  end subroutine add_remark
+
+  !> All remarks about the file `name`, one a line in the order of its lines, those without a line
+  !> first; of many, the first ones, the last one and how many there are. Empty: none.
+  pure function remarks_text(remarks, name) result(text)
+    type(remarks_type), intent(in) :: remarks
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: text
+    logical, allocatable :: told(:)
+    integer :: turn, next, last
+
+    text = ''
+    allocate (told(remarks%count), source=.false.)
+    do turn = 1, min(remarks%count, most_told)
+      next = minloc(remarks%all(:remarks%count)%line, dim=1, mask=.not. told)
+      told(next) = .true.
+      if (turn > 1) text = text//new_line_character
+      text = text//one_text(remarks%all(next), name)
+    end do
+    if (remarks%count <= most_told) return
+    last = maxloc(remarks%all(:remarks%count)%line, dim=1, mask=.not. told, back=.true.)
+    text = text//new_line_character//'... and '//to_text(remarks%count - most_told) &
+      //' more; the last: '//one_text(remarks%all(last), name)
+  end function remarks_text
+
+  pure function one_text(remark, name) result(text)
+    type(remark_type), intent(in) :: remark
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: text
+
+    text = name
+    if (remark%line > 0) text = text//', line '//to_text(remark%line)
+    text = text//': '//remark%text
+  end function one_text
+
+  !> A word of a file as it may be shown: shortened, and without signs that steer a terminal.
+  pure function shown_text(word) result(shown)
+    character(len=*), intent(in) :: word
+    character(len=:), allocatable :: shown
+    integer :: at
+
+    shown = word(:min(len(word), most_letters))
+    do at = 1, len(shown)
+      if (iachar(shown(at:at)) < 32 .or. iachar(shown(at:at)) == 127) shown(at:at) = '?'
+    end do
+    if (len(word) > most_letters) shown = shown//' ...'
+  end function shown_text
+
+end module battery_remarks

@@ -1,0 +1,73 @@
+!> The files of a journal by their names: which are there, which are in the way, their removal.
+module battery_journal_folder
+  use battery_error, only: error_type, fatal_error
+  use battery_files, only: files_like, is_folder, remove_file
+  use battery_text, only: string_type, to_text
+  implicit none (type, external)
+  private
+  public :: numbers_in, check_journal, remove_journal
+
+contains
+
+  !> Numbers of the rank files in the folder, in any order. Names with anything else than a
+  !> number that a rank can have are not ours.
+  function numbers_in(folder) result(numbers)
+    character(len=*), intent(in) :: folder
+    integer, allocatable :: numbers(:)
+    type(string_type), allocatable :: names(:)
+    integer :: k, found, status
+
+    names = files_like(folder, 'rank_*')
+    allocate (numbers(size(names)))
+    found = 0
+    do k = 1, size(names)
+      read (names(k)%text(6:), *, iostat=status) numbers(found + 1)
+      if (status /= 0) cycle
+      if (names(k)%text /= 'rank_'//to_text(numbers(found + 1))) cycle
+      if (numbers(found + 1) >= 0 .and. numbers(found + 1) < huge(1)) found = found + 1
+    end do
+    numbers = numbers(:found)
+  end function numbers_in
+
+  !> A folder under the name of one of our files is in the way of all that follows.
+  subroutine check_journal(folder, error)
+    character(len=*), intent(in) :: folder
+    type(error_type), allocatable, intent(out) :: error
+    type(string_type), allocatable :: names(:)
+    integer :: k
+
+    names = files_of_ours(folder)
+    do k = 1, size(names)
+      if (.not. is_folder(folder//'/'//names(k)%text)) cycle
+      call fatal_error(error, folder//'/'//names(k)%text &
+        //': is a folder where a file should be; remove it')
+      return
+    end do
+  end subroutine check_journal
+
+  !> Names of all files of ours in the folder, the plan last.
+  function files_of_ours(folder) result(names)
+    character(len=*), intent(in) :: folder
+    type(string_type), allocatable :: names(:)
+
+    names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
+      files_like(folder, 'task_*.b'), files_like(folder, 'plan.new'), files_like(folder, 'plan')]
+  end function files_of_ours
+
+  !> Removes the journal with all its files, the plan last. A folder that holds anything else stays.
+  subroutine remove_journal(folder, error)
+    character(len=*), intent(in) :: folder
+    type(error_type), allocatable, intent(out) :: error
+    type(string_type), allocatable :: names(:)
+    integer :: k
+
+    if (.not. is_folder(folder)) return
+    names = files_of_ours(folder)
+    do k = 1, size(names)
+      call remove_file(folder//'/'//names(k)%text, error)
+      if (allocated(error)) return
+    end do
+    if (size(files_like(folder, '*')) == 0) call remove_file(folder, error)
+  end subroutine remove_journal
+
+end module battery_journal_folder

@@ -1,0 +1,175 @@
+!> The memory that a plan needs, set against what there is before anything is run.
+module battery_needs
+  use battery_kinds, only: wp, dp, pi
+  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_limits, only: memory_type, memory_left
+  use battery_plan, only: plan_type, point_type, point_of, table_of
+  use battery_room, only: particle_bytes, bytes_an_entry, bytes_a_state, bytes_an_event, &
+    bytes_a_task, merged_entry, merged_state, base_bytes, most_numbers, size_text
+  use battery_table, only: area_of_urn
+  use battery_tasks, only: task_count
+  use battery_text, only: to_text, new_line_character
+  implicit none (type, external)
+  private
+  public :: needs_type, needs_of, check_needs
+
+  !> Bytes by what takes them, those of a task at its largest point that fits into memory.
+  type :: needs_type
+    real(dp) :: particles = 0.0_dp, series = 0.0_dp, snapshots = 0.0_dp, final_state = 0.0_dp
+    !> Events are not known beforehand, nor is a series without a duration: these are estimates.
+    real(dp) :: events = 0.0_dp, estimated_series = 0.0_dp
+    !> What rank 0 takes at the end.
+    real(dp) :: merge = 0.0_dp
+    !> Particles of the smallest and of the largest point, of the largest that fits, and how many
+    !> points do not.
+    integer :: least = 0, greatest = 0, number = 0, too_large = 0
+    !> Entries of the series, if known.
+    real(dp) :: entries = 0.0_dp
+  end type needs_type
+
+contains
+
+  !> What a plan needs where `left` is all that a rank can have.
+  function needs_of(plan, left) result(needs)
+    type(plan_type), intent(in) :: plan
+    type(memory_type), intent(in) :: left
+    type(needs_type) :: needs
+    type(point_type) :: point
+    real(dp) :: others, tasks
+    integer :: at
+
+    needs%least = huge(1)
+    do at = 1, plan%point_count
+      point = point_of(plan, at)
+      needs%least = min(needs%least, point%number)
+      needs%greatest = max(needs%greatest, point%number)
+      if (particle_bytes(plan%engine, point%number) + base_bytes > left%bytes) then
+        needs%too_large = needs%too_large + 1
+      else
+        needs%number = max(needs%number, point%number)
+      end if
+    end do
+    if (needs%number == 0) needs%number = needs%least
+    tasks = real(task_count(plan), dp)
+    others = real(plan%point_count - needs%too_large, dp)*plan%replicas - 1.0_dp
+    others = max(others, 0.0_dp)
+    needs%particles = particle_bytes(plan%engine, needs%number)
+    needs%snapshots = bytes_a_state*size(plan%snapshot_times)*needs%number
+    if (plan%final_state) needs%final_state = bytes_a_state*needs%number
+    needs%merge = bytes_a_task*tasks + (needs%snapshots + needs%final_state) &
+      *(1.0_dp + others*merged_state/bytes_a_state)
+    if (plan%series_interval > 0.0_wp) then
+      needs%entries = 1.0_dp + real(length_of(plan, needs%number), dp)/real(plan%series_interval, &
+        dp)
+      if (plan%duration > 0.0_wp) then
+        needs%series = bytes_an_entry*needs%entries
+      else
+        needs%estimated_series = bytes_an_entry*needs%entries
+      end if
+      needs%merge = needs%merge + needs%series*(1.0_dp + others*merged_entry/bytes_an_entry)
+    end if
+    if (plan%event_log) needs%events = bytes_an_event*events_of(plan)
+  end function needs_of
+
+  !> Length of a run in time: as given, or from the mean time between the wall collisions of a
+  !> particle in an urn, pi r/2.
+  pure function length_of(plan, number) result(length)
+    type(plan_type), intent(in) :: plan
+    integer, intent(in) :: number
+    real(wp) :: length
+
+    length = plan%duration
+    if (.not. length > 0.0_wp) length = real(plan%collisions, wp)*0.5_wp*pi*plan%urn_radius/number
+  end function length_of
+
+  !> Events of a run, if particles leave a well mixed urn: each enters a gate at the rate w/(pi A)
+  !> and crosses a line no more often than it enters a channel.
+  function events_of(plan) result(events)
+    type(plan_type), intent(in) :: plan
+    real(dp) :: events
+    type(point_type) :: point
+
+    point = point_of(plan, 1)
+    events = real(point%number, dp)*real(length_of(plan, point%number) &
+      *(2.0_wp*point%channel1_width + point%channel2_width)/(pi*area_of_urn(table_of(plan, &
+      point), 1)), dp)
+  end function events_of
+
+  !> An error that names the keys which ask for more than `left`: more for one task, more for rank 0
+  !> at the end, or more than can be counted. Points of a scan that are too large for the memory
+  !> fail alone, unless there are no others.
+  subroutine check_needs(plan, sharing, error)
+    type(plan_type), intent(in) :: plan
+    !> Ranks that share the machine's memory.
+    integer, intent(in) :: sharing
+    type(error_type), allocatable, intent(out) :: error
+    type(memory_type) :: left
+    type(needs_type) :: needs
+    character(len=:), allocatable :: problems
+
+    left = memory_left(sharing)
+    needs = needs_of(plan, left)
+    problems = ''
+    if (needs%too_large == plan%point_count) then
+      call add(merge('scan     ', 'particles', size(plan%scan_number) > 0), 'number', &
+        to_text(needs%least)//' particles', needs%particles + base_bytes)
+    else
+      if (needs%entries > most_numbers .and. needs%series > 0.0_dp) then
+        call add_text('&output series_interval asks for more entries than can be counted; ' &
+          //'allowed: '//to_text(nint(most_numbers)))
+      else
+        call check('series_interval', 'a series of '//to_text(nint(min(needs%entries, &
+          most_numbers)))//' entries', needs%series, merged_entry/bytes_an_entry)
+      end if
+      if (real(size(plan%snapshot_times), dp)*needs%number > most_numbers) then
+        call add_text('&output snapshot_times asks for more states than can be counted; ' &
+          //'allowed: '//to_text(nint(most_numbers))//', snapshots times particles')
+      else
+        call check('snapshot_times', to_text(size(plan%snapshot_times))//' snapshots', &
+          needs%snapshots, merged_state/bytes_a_state)
+      end if
+      call check('final_state', 'final states', needs%final_state, merged_state/bytes_a_state)
+      if (problems == '' .and. needs%merge + base_bytes > left%bytes) &
+        call add('scan', 'replicas', 'the results of '//to_text(task_count(plan))//' tasks', &
+        needs%merge + base_bytes)
+    end if
+    if (problems /= '') call fatal_error(error, problems, exit_bad_input)
+
+  contains
+
+    !> A part of one task, and of all tasks on rank 0, where each further one takes `share` of it.
+    subroutine check(key, what, bytes, share)
+      character(len=*), intent(in) :: key, what
+      real(dp), intent(in) :: bytes, share
+      real(dp) :: all_tasks
+
+      if (.not. bytes > 0.0_dp) return
+      all_tasks = bytes*(1.0_dp + share*(real(task_count(plan), dp) - 1.0_dp))
+      if (needs%too_large > 0) all_tasks = bytes
+      if (needs%particles + bytes + base_bytes > left%bytes) then
+        call add('output', key, what//' beside '//to_text(needs%number)//' particles', &
+          needs%particles + bytes + base_bytes)
+      else if (all_tasks + base_bytes > left%bytes) then
+        call add('output', key, what//' of each of '//to_text(task_count(plan))//' tasks', &
+          all_tasks + base_bytes)
+      end if
+    end subroutine check
+
+    subroutine add(group, key, what, bytes)
+      character(len=*), intent(in) :: group, key, what
+      real(dp), intent(in) :: bytes
+
+      call add_text('&'//trim(group)//' '//key//': '//what//' need '//size_text(bytes) &
+        //' of memory; there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
+    end subroutine add
+
+    subroutine add_text(text)
+      character(len=*), intent(in) :: text
+
+      if (problems /= '') problems = problems//new_line_character
+      problems = problems//plan%input_file//': '//text
+    end subroutine add_text
+
+  end subroutine check_needs
+
+end module battery_needs

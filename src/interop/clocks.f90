@@ -1,0 +1,44 @@
+!> Clocks, and waiting.
+module battery_clocks
+  use, intrinsic :: iso_c_binding, only: c_int
+  use battery_kinds, only: dp, int64
+  implicit none (type, external)
+  private
+  public :: wall_seconds, cpu_seconds, rest
+
+  interface
+    function c_usleep(microseconds) result(status) bind(c, name='usleep')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: microseconds
+      integer(c_int) :: status
+    end function c_usleep
+  end interface
+
+contains
+
+  !> Seconds on a clock that never goes back; differences mean something, the value does not.
+  function wall_seconds() result(seconds)
+    real(dp) :: seconds
+    integer(int64) :: ticks, rate
+
+    call system_clock(ticks, rate)
+    seconds = real(ticks, dp)/real(rate, dp)
+  end function wall_seconds
+
+  !> Seconds of processor time that this process has used.
+  function cpu_seconds() result(seconds)
+    real(dp) :: seconds
+
+    call cpu_time(seconds)
+  end function cpu_seconds
+
+  !> Leaves the processor to others for a while, up to a second; a signal may end it early.
+  subroutine rest(seconds)
+    real(dp), intent(in) :: seconds
+    integer(c_int) :: status
+
+    status = c_usleep(int(1.0e6_dp*min(seconds, 0.99_dp), c_int))
+  end subroutine rest
+
+end module battery_clocks

@@ -1,0 +1,123 @@
+!> The whole of a file, or of what comes through a pipe, as one text.
+module battery_file_text
+  use, intrinsic :: iso_c_binding, only: c_int, c_int64_t, c_char, c_null_char
+  use battery_kinds, only: int64
+  use battery_error, only: error_type, fatal_error, exit_stopped_early
+  use battery_paths, only: is_folder, is_pipe_or_device, system_message
+  use battery_signals, only: stop_requested
+  use battery_text, only: to_text
+  implicit none (type, external)
+  private
+  public :: read_text, read_input
+
+  !> What `read_some` says besides a number of bytes: at the end, not yet.
+  integer(int64), parameter :: at_end = 0, not_yet = -2
+
+  interface
+    function c_open_input(path) result(descriptor) bind(c, name='battery_open_input')
+      import :: c_char, c_int
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int) :: descriptor
+    end function c_open_input
+
+    function c_size_of(descriptor) result(bytes) bind(c, name='battery_size_of')
+      import :: c_int, c_int64_t
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: descriptor
+      integer(c_int64_t) :: bytes
+    end function c_size_of
+
+    function c_read_some(descriptor, bytes, room) result(length) bind(c, name='battery_read_some')
+      import :: c_char, c_int, c_int64_t
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: descriptor
+      integer(c_int64_t), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: bytes(room)
+      integer(c_int64_t) :: length
+    end function c_read_some
+
+    function c_close(descriptor) result(status) bind(c, name='battery_close')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: descriptor
+      integer(c_int) :: status
+    end function c_close
+  end interface
+
+contains
+
+  !> The whole of a file as one text, its line ends as they are.
+  subroutine read_text(path, text, error)
+    character(len=*), intent(in) :: path
+    character(len=:), allocatable, intent(out) :: text
+    type(error_type), allocatable, intent(out) :: error
+
+    text = ''
+    if (is_folder(path)) then
+      call fatal_error(error, path//': is a folder, not a file')
+    else if (is_pipe_or_device(path)) then
+      call fatal_error(error, path//': is a pipe or a device, not a file')
+    else
+      call read_all(path, huge(0_int64), text, error)
+    end if
+  end subroutine read_text
+
+  !> The whole of a file, or of what comes through a pipe, up to `most` bytes.
+  subroutine read_input(path, most, text, error)
+    character(len=*), intent(in) :: path
+    integer(int64), intent(in) :: most
+    character(len=:), allocatable, intent(out) :: text
+    !> Code `exit_stopped_early` if a signal came while nothing came through the pipe.
+    type(error_type), allocatable, intent(out) :: error
+
+    text = ''
+    if (is_folder(path)) then
+      call fatal_error(error, path//': is a folder, not a file')
+    else
+      call read_all(path, most, text, error)
+    end if
+  end subroutine read_input
+
+  !> Reads to the end.
+  subroutine read_all(path, most, text, error)
+    character(len=*), intent(in) :: path
+    integer(int64), intent(in) :: most
+    character(len=:), allocatable, intent(inout) :: text
+    type(error_type), allocatable, intent(out) :: error
+    integer(int64), parameter :: least_room = 4096_int64
+    character(len=:), allocatable :: larger
+    integer(c_int) :: descriptor, status
+    integer(int64) :: filled, length
+
+    descriptor = c_open_input(path//c_null_char)
+    if (descriptor < 0) then
+      call fatal_error(error, path//': cannot be read: '//system_message())
+      return
+    end if
+    deallocate (text)
+    allocate (character(len=max(least_room, min(c_size_of(descriptor) + 1, most))) :: text)
+    filled = 0
+    do
+      if (filled == len(text, int64)) then
+        allocate (character(len=2*filled) :: larger)
+        larger(:filled) = text
+        call move_alloc(larger, text)
+      end if
+      length = c_read_some(descriptor, text(filled + 1:), len(text, int64) - filled)
+      if (length > 0) filled = filled + length
+      if (length == not_yet .and. .not. stop_requested()) cycle
+      if (length <= 0 .or. filled > most) exit
+    end do
+    if (filled > most) then
+      call fatal_error(error, path//': does not end after '//to_text(most)//' bytes')
+    else if (length == not_yet) then
+      call fatal_error(error, path//': stopped while nothing came out of it', exit_stopped_early)
+    else if (length /= at_end) then
+      call fatal_error(error, path//': cannot be read: '//system_message())
+    end if
+    status = c_close(descriptor)
+    text = text(:filled)
+  end subroutine read_all
+
+end module battery_file_text

@@ -1,0 +1,114 @@
+/* What files.f90 needs of the system where a structure, a constant or errno is involved: here the
+   compiler knows them. A result is 0 or an error number unless said otherwise. */
+#define _GNU_SOURCE
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <fnmatch.h>
+#include <limits.h>
+#include <poll.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+/* The number of the error that came last. */
+int battery_errno(void) { return errno; }
+
+/* Whether the disk is at fault for the error that came last: it fails, is full, a quota is used up,
+   a file is too large. */
+int battery_is_disk_error(void) {
+  return errno == EIO || errno == EFBIG || errno == ENOSPC || errno == EDQUOT;
+}
+
+/* Removes a file, a link or an empty folder; one that is not there is no error. */
+int battery_remove(const char *path) {
+  return remove(path) == 0 || errno == ENOENT || errno == ENOTDIR ? 0 : errno;
+}
+
+/* What a path names, links followed: 0 nothing, 1 a file, 2 a folder, 3 anything else. */
+int battery_kind_of(const char *path) {
+  struct stat found;
+  if (stat(path, &found) != 0) return 0;
+  return S_ISREG(found.st_mode) ? 1 : S_ISDIR(found.st_mode) ? 2 : 3;
+}
+
+/* Whether two paths name one and the same thing. */
+int battery_same_file(const char *one, const char *other) {
+  struct stat left, right;
+  return stat(one, &left) == 0 && stat(other, &right) == 0 && left.st_dev == right.st_dev
+    && left.st_ino == right.st_ino;
+}
+
+/* Follows the links that stand under a name to the last name, which need not be there; `path` has
+   `room` bytes. */
+int battery_follow(char *path, int room) {
+  char target[PATH_MAX], joined[2 * PATH_MAX + 1];
+  const int most_links = 40;
+  for (int link = 0; link < most_links; link++) {
+    ssize_t length = readlink(path, target, sizeof target - 1);
+    if (length < 0) return errno == EINVAL || errno == ENOENT ? 0 : errno;
+    target[length] = '\0';
+    char *slash = strrchr(path, '/');
+    int folder = target[0] == '/' || slash == NULL ? 0 : (int)(slash - path) + 1;
+    snprintf(joined, sizeof joined, "%.*s%s", folder, path, target);
+    if (strlen(joined) >= (size_t)room) return ENAMETOOLONG;
+    strcpy(path, joined);
+  }
+  return ELOOP;
+}
+
+/* Bytes of the longest path. */
+int battery_longest_path(void) { return PATH_MAX; }
+
+/* The folder a path lies in, its links resolved; `folder` has `room` bytes, PATH_MAX or more. */
+int battery_real_folder(const char *path, char *folder, int room) {
+  if (room < PATH_MAX) return ENAMETOOLONG;
+  if (realpath(path, folder) == NULL) return errno;
+  char *slash = strrchr(folder, '/');
+  if (slash != NULL) slash[slash == folder ? 1 : 0] = '\0';
+  return 0;
+}
+
+/* Makes an empty file anew: what had that name, a link too, is removed and not written through. */
+int battery_create_new(const char *path) {
+  if (unlink(path) != 0 && errno != ENOENT) return errno;
+  int descriptor = open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
+  if (descriptor < 0) return errno;
+  return close(descriptor) == 0 ? 0 : errno;
+}
+
+/* Opens a file or a pipe for reading, without waiting for one who writes; negative: an error. */
+int battery_open_input(const char *path) {
+  return open(path, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
+}
+
+/* Size in bytes of what is open, as far as it is known. */
+int64_t battery_size_of(int descriptor) {
+  struct stat found;
+  return fstat(descriptor, &found) == 0 && S_ISREG(found.st_mode) ? (int64_t)found.st_size : 0;
+}
+
+/* Reads up to `room` bytes. Gives their number, 0 at the end, -1 on an error, -2 where nothing came
+   for a tenth of a second. */
+int64_t battery_read_some(int descriptor, char *bytes, int64_t room) {
+  struct pollfd source = {.fd = descriptor, .events = POLLIN};
+  const int tenth_of_a_second = 100;
+  if (poll(&source, 1, tenth_of_a_second) == 0) return -2;
+  ssize_t length = read(descriptor, bytes, (size_t)room);
+  if (length < 0 && (errno == EAGAIN || errno == EINTR)) return -2;
+  return length;
+}
+
+int battery_close(int descriptor) { return close(descriptor); }
+
+/* The next name in an open folder that matches a pattern of `*` and `?`; NULL at the end. */
+const char *battery_next_like(DIR *folder, const char *pattern) {
+  for (;;) {
+    struct dirent *entry = readdir(folder);
+    if (entry == NULL) return NULL;
+    if (fnmatch(pattern, entry->d_name, FNM_PERIOD | FNM_NOESCAPE) == 0) return entry->d_name;
+  }
+}

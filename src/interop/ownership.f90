@@ -1,0 +1,254 @@
+!> One run owns an output: a file beside it (`FILE.h5.owner`) says which, on which machine, since
+!> when, and is locked as long as that process lives.
+!>
+!> The lock is the kernel's and ends with the process, however that ends; then the next run takes
+!> over at once. Where the file system has no locks, or has them for one machine only, the file's
+!> time is set anew every few seconds: an owner that missed three of these beats is dead. Beats are
+!> watched by the watcher's own clock, so that clocks need not agree.
+!>
+!> Ranks that outlive their rank 0 may still write: each asks the file before it does
+!> (`is_taken_over`), no two starts write to the same rank file, and what is written over is made
+!> anew, so that two never write into one file.
+module battery_ownership
+  use, intrinsic :: iso_c_binding, only: c_int, c_int64_t, c_double, c_char, c_ptr, c_null_char, &
+    c_null_ptr, c_associated
+  use battery_kinds, only: dp
+  use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
+  use battery_files, only: is_disk_error
+  use battery_paths, only: system_message
+  use battery_clocks, only: wall_seconds, rest
+  use battery_signals, only: stop_requested, process_number
+  use battery_text, only: to_text
+  implicit none (type, external)
+  private
+  public :: ownership_type, habits_type, take_ownership, give_up_ownership, is_taken_over
+  public :: owner_text, taken_over_text
+
+  !> What an attempt came to, as in `owner.c`.
+  integer(c_int), parameter :: taken = 0, held = 1, doubtful = 2, again = 3, not_a_file = 5
+
+  !> Bytes of the longest text of an owner, and of the name of a machine in it.
+  integer, parameter :: longest_text = 256, longest_host = 128
+
+  !> Beats that a dead owner missed, and seconds between two attempts.
+  real(dp), parameter :: missed_beats = 3.0_dp, pause = 0.05_dp
+
+  !> How an output is owned.
+  type :: habits_type
+    !> Seconds to wait for the end of another owner, and between two beats.
+    real(dp) :: patience = 5.0_dp, interval = 3.0_dp
+    !> False: as on a file system without locks.
+    logical :: with_locks = .true.
+  end type habits_type
+
+  !> What was seen of another owner.
+  type :: watch_type
+    real(dp) :: began = 0.0_dp, last_beat = 0.0_dp
+    integer(c_int64_t) :: beat(4) = 0
+    !> What its file says.
+    character(len=longest_text) :: holder = c_null_char
+    logical :: owner_lives = .false.
+  end type watch_type
+
+  !> An output that is owned, or that another rank owns.
+  type :: ownership_type
+    !> The file, and what it says while this run owns it; not allocated: nothing is owned.
+    character(len=:), allocatable :: path, text
+    !> The file and its beat, on rank 0 alone.
+    type(c_ptr), private :: handle = c_null_ptr
+  end type ownership_type
+
+  interface
+    function c_own(path, text, interval, with_locks, insist, beat, holder, room, owner) &
+      result(outcome) bind(c, name='battery_own')
+      import :: c_char, c_int, c_int64_t, c_double, c_ptr
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*), text(*)
+      real(c_double), value, intent(in) :: interval
+      integer(c_int), value, intent(in) :: with_locks, insist
+      integer(c_int64_t), intent(inout) :: beat(4)
+      integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: holder(room)
+      type(c_ptr), intent(inout) :: owner
+      integer(c_int) :: outcome
+    end function c_own
+
+    function c_still_owns(owner) result(yes) bind(c, name='battery_still_owns')
+      import :: c_int, c_ptr
+      implicit none (type, external)
+      type(c_ptr), value, intent(in) :: owner
+      integer(c_int) :: yes
+    end function c_still_owns
+
+    subroutine c_disown(owner) bind(c, name='battery_disown')
+      import :: c_ptr
+      implicit none (type, external)
+      type(c_ptr), value, intent(in) :: owner
+    end subroutine c_disown
+
+    subroutine c_read_owner(path, text, room) bind(c, name='battery_read_owner')
+      import :: c_char, c_int
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: text(room)
+    end subroutine c_read_owner
+
+    subroutine c_host_name(name, room) bind(c, name='battery_host_name')
+      import :: c_char, c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(inout) :: name(room)
+    end subroutine c_host_name
+  end interface
+
+contains
+
+  !> Makes this process the owner of the output `file`. Where another run owns it, waits a while for
+  !> that to end, and takes over from a dead one.
+  subroutine take_ownership(ownership, file, error, habits, text)
+    type(ownership_type), intent(out) :: ownership
+    character(len=*), intent(in) :: file
+    !> Code `exit_bad_input` where another run owns it, `exit_stopped_early` where a signal came.
+    type(error_type), allocatable, intent(out) :: error
+    !> For tests; and what the file is to say.
+    type(habits_type), intent(in), optional :: habits
+    character(len=*), intent(in), optional :: text
+    type(habits_type) :: usual
+    type(watch_type) :: watch
+    integer(c_int) :: outcome
+
+    if (present(habits)) usual = habits
+    ownership%path = file//'.owner'
+    ownership%text = owner_text()
+    if (present(text)) ownership%text = text
+    watch%began = wall_seconds()
+    watch%last_beat = watch%began
+    do
+      call try_to_own(ownership, usual, watch, outcome)
+      select case (outcome)
+      case (taken)
+        return
+      case (held, doubtful)
+        if (wall_seconds() - watch%began > usual%patience .and. watch%owner_lives) then
+          call fatal_error(error, file//': '//owned_by(watch%holder) &
+            //'; wait for its end, or stop it', exit_bad_input)
+          return
+        end if
+      case (again)
+        continue
+      case (not_a_file)
+        call fatal_error(error, ownership%path//': is not a file that a run has left; remove it', &
+          exit_bad_input)
+        return
+      case default
+        call fatal_error(error, ownership%path//': cannot be written: '//system_message(), &
+          merge(exit_failure, exit_bad_input, is_disk_error()))
+        return
+      end select
+      if (stop_requested()) then
+        call fatal_error(error, 'stopped while it waited: '//owned_by(watch%holder), &
+          exit_stopped_early)
+        return
+      end if
+      call rest(pause)
+    end do
+  end subroutine take_ownership
+
+  !> One attempt; what it shows of another owner is noted in `watch`.
+  subroutine try_to_own(ownership, habits, watch, outcome)
+    type(ownership_type), intent(inout) :: ownership
+    type(habits_type), intent(in) :: habits
+    type(watch_type), intent(inout) :: watch
+    integer(c_int), intent(out) :: outcome
+    integer(c_int64_t) :: beat(4)
+    logical :: insist
+
+    insist = wall_seconds() - watch%last_beat > missed_beats*habits%interval
+    beat = watch%beat
+    outcome = c_own(ownership%path//c_null_char, ownership%text//c_null_char, &
+      real(habits%interval, c_double), merge(1_c_int, 0_c_int, habits%with_locks), &
+      merge(1_c_int, 0_c_int, insist), beat, watch%holder, longest_text, ownership%handle)
+    select case (outcome)
+    case (taken)
+      if (.not. insist) return
+      ! Of two that took over at once, the later one has it.
+      call rest(0.5_dp)
+      if (c_still_owns(ownership%handle) == 1) return
+      call give_up_ownership(ownership)
+      outcome = again
+    case (held)
+      watch%owner_lives = .true.
+    case (doubtful)
+      if (all(beat == watch%beat)) return
+      ! A beat after the first look: the owner lives.
+      watch%owner_lives = any(watch%beat /= 0)
+      watch%last_beat = wall_seconds()
+      watch%beat = beat
+    case default
+      continue
+    end select
+  end subroutine try_to_own
+
+  !> The output is free for others; without an ownership, does nothing.
+  subroutine give_up_ownership(ownership)
+    type(ownership_type), intent(inout) :: ownership
+
+    if (c_associated(ownership%handle)) call c_disown(ownership%handle)
+    ownership%handle = c_null_ptr
+  end subroutine give_up_ownership
+
+  !> Whether the output is another run's now: then nothing may be written any more. A file that is
+  !> gone tells nothing.
+  function is_taken_over(ownership) result(yes)
+    type(ownership_type), intent(in) :: ownership
+    logical :: yes
+    character(len=longest_text) :: now
+    integer :: length
+
+    yes = .false.
+    if (.not. allocated(ownership%path)) return
+    call c_read_owner(ownership%path//c_null_char, now, longest_text)
+    length = index(now, c_null_char) - 1
+    yes = length > 0 .and. now(:length) /= ownership%text
+  end function is_taken_over
+
+  !> What a run says that has lost its output.
+  pure function taken_over_text(ownership) result(text)
+    type(ownership_type), intent(in) :: ownership
+    character(len=:), allocatable :: text
+
+    text = ownership%path//': another run has taken over; this one, '//ownership%text//', ends'
+  end function taken_over_text
+
+  !> What the file of an owner says: machine, process, time.
+  function owner_text() result(text)
+    character(len=:), allocatable :: text
+    character(len=longest_host) :: host
+    character(len=8) :: date
+    character(len=10) :: time
+
+    call c_host_name(host, longest_host)
+    call date_and_time(date, time)
+    text = host(:index(host, c_null_char) - 1)//' '//to_text(process_number())//' '//date(:4)//'-' &
+      //date(5:6)//'-'//date(7:)//' '//time(:2)//':'//time(3:4)//':'//time(5:)
+  end function owner_text
+
+  !> Who owns an output since when, in words.
+  pure function owned_by(holder) result(words)
+    character(len=*), intent(in) :: holder
+    character(len=:), allocatable :: words
+    character(len=:), allocatable :: rest
+    integer :: blank
+
+    words = 'another run is at work on it'
+    rest = holder(:max(0, index(holder, c_null_char) - 1))
+    blank = index(rest, ' ')
+    if (blank == 0) return
+    words = words//', on '//rest(:blank - 1)
+    rest = rest(blank + 1:)
+    blank = index(rest, ' ')
+    if (blank > 0) words = words//', process '//rest(:blank - 1)//', since '//rest(blank + 1:)
+  end function owned_by
+
+end module battery_ownership

@@ -1,0 +1,96 @@
+!> What the program prints. What could not be printed is remembered, and makes the run fail.
+module battery_terminal
+  use, intrinsic :: iso_c_binding, only: c_int, c_char, c_size_t
+  implicit none (type, external)
+  private
+  public :: guard_streams, say, say_partly, complain, all_was_printed, is_terminal, &
+    parent_is_terminal
+
+  !> False once something could not be printed on standard output.
+  logical :: printed = .true.
+
+  interface
+    subroutine terminal_guard() bind(c)
+      implicit none (type, external)
+    end subroutine terminal_guard
+
+    function terminal_write(to_errors, text, length) result(status) bind(c)
+      import :: c_int, c_char, c_size_t
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: to_errors
+      character(kind=c_char), intent(in) :: text(*)
+      integer(c_size_t), value, intent(in) :: length
+      integer(c_int) :: status
+    end function terminal_write
+
+    function terminal_output() result(yes) bind(c)
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int) :: yes
+    end function terminal_output
+
+    function terminal_parent_output() result(yes) bind(c)
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int) :: yes
+    end function terminal_parent_output
+  end interface
+
+contains
+
+  !> To be called before any file is opened: text never goes into a file that has taken the place of
+  !> a closed standard output or standard error.
+  subroutine guard_streams()
+    call terminal_guard()
+  end subroutine guard_streams
+
+  !> Prints a line, or several, on standard output.
+  subroutine say(text)
+    character(len=*), intent(in) :: text
+
+    call say_partly(text//new_line('a'))
+  end subroutine say
+
+  !> Prints on standard output without ending the line.
+  subroutine say_partly(text)
+    character(len=*), intent(in) :: text
+
+    ! After a failure nothing more is tried: a text with a hole in it would say something else.
+    if (printed) printed = terminal_write(0_c_int, text, len(text, c_size_t)) == 0
+  end subroutine say_partly
+
+  !> Prints a line, or several, on standard error; where that fails nobody can be told.
+  subroutine complain(text)
+    character(len=*), intent(in) :: text
+    integer(c_int) :: status
+
+    status = terminal_write(1_c_int, text//new_line('a'), len(text, c_size_t) + 1)
+  end subroutine complain
+
+  !> Whether all that was said has been printed.
+  function all_was_printed()
+    logical :: all_was_printed
+
+    all_was_printed = printed
+  end function all_was_printed
+
+  !> Whether standard output is a terminal.
+  function is_terminal()
+    logical :: is_terminal
+
+    is_terminal = terminal_output() == 1
+  end function is_terminal
+
+  !> Whether the standard output of the process that started this one is a terminal; `unknown` where
+  !> that cannot be told.
+  function parent_is_terminal(unknown)
+    logical, intent(in) :: unknown
+    logical :: parent_is_terminal
+    integer :: answer
+
+    answer = int(terminal_parent_output())
+    parent_is_terminal = answer == 1
+    if (answer < 0) parent_is_terminal = unknown
+  end function parent_is_terminal
+
+end module battery_terminal

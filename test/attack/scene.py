@@ -1,0 +1,72 @@
+"""The ensemble under attack, its undisturbed results, and a run of it that was killed half way."""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import shutil
+import signal
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from support.program import finish, namelist, run, send, start, wait_for
+
+TASKS = 4
+ENGINES = {"excursion": 30_000_000, "collision": 1_000_000, "synchronous": 200_000,
+           "timestep": 40_000, "reservoir": 40_000_000}
+
+
+def write(folder: Path, engine: str = "excursion", **groups: dict[str, Any]) -> None:
+    """Write the ensemble, some keys changed."""
+    case: dict[str, dict[str, Any]] = {
+        "particles": {"number": 200},
+        "gate": {"threshold": 3},
+        "run": {"engine": f"'{engine}'", "collisions": ENGINES[engine], "time_step": 0.004},
+        "scan": {"channel2_width": "0.01, 0.1", "replicas": TASKS // 2},
+        "output": {"file": "'out.h5'", "series_interval": 100, "snapshot_times": "0, 100",
+                   "final_state": ".true."},
+        "limits": {"checkpoint_minutes": 0.0005},
+    }
+    for group, keys in groups.items():
+        case[group] = {**case[group], **keys}
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "case.nml").write_text(namelist(**case), encoding="utf-8")
+
+
+@functools.cache
+def workshop() -> Path:
+    """Give a folder that lasts as long as this program."""
+    folder = Path(tempfile.mkdtemp(prefix="attack-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+@functools.cache
+def undisturbed(engine: str = "excursion", threshold: int = 3) -> Path:
+    """Give the results of a run that nobody disturbs."""
+    folder = workshop() / f"{engine}_{threshold}"
+    write(folder, engine, gate={"threshold": threshold})
+    found = run("--quiet", "case.nml", folder=folder)
+    assert found.returncode == 0, found.stderr
+    return folder / "out.h5"
+
+
+@functools.cache
+def half_way() -> Path:
+    """Give a folder with a run killed after a finished task, with states of the next."""
+    folder = workshop() / "half_way"
+    write(folder)
+    process = start("--quiet", "case.nml", folder=folder)
+    journal = folder / "out.h5.tasks"
+
+    def far_enough() -> bool:
+        part = journal / "rank_0"
+        return (part.exists() and part.stat().st_size > 0
+                and len(list(journal.glob("task_*.[ab]"))) == 2)
+
+    assert wait_for(far_enough, process)
+    send([process.pid], signal.SIGKILL)
+    finish(process)
+    assert far_enough()
+    return folder

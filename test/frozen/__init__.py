@@ -1,0 +1,1 @@
+"""Frozen answers: odd tables, and what every engine finds on them."""

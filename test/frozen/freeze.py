@@ -1,0 +1,174 @@
+"""Make the frozen answers anew, and check them against quadruple precision.
+
+By hand, after `make probes`: `cd test; ../build/venv/bin/python -m frozen.freeze [NAME ...]`. The
+times and places that are written are those of quadruple precision. A case is only written if the
+program finds the same events in the same order by every engine, and if events that are not of one
+instant are further apart than the tolerance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+from support.program import ROOT, namelist, run
+
+from .cases import CASES, STOCHASTIC, Case
+from .frozen_file import FOLDER, Answer, Frozen, write_frozen
+
+Differences = dict[str, tuple[float, float]]
+# So many times the greatest difference that was seen is allowed; never less than `LEAST`, and
+# never more than `MOST`, in units of the radius.
+MARGIN, LEAST, MOST = 100.0, 1.0e-12, 2.0e-6
+
+
+class NotFrozenError(Exception):
+    """An answer that cannot be kept."""
+
+
+def input_of(case: Case) -> tuple[str, str]:
+    """Give namelist and initial file."""
+    table, particles = case.table, case.particles()
+    text = namelist(
+        table={"shape": f"'{table.shape}'", "urn_radius": table.radius,
+               "channel1_width": table.width1, "channel1_length": table.length1,
+               "channel2_width": table.width2, "channel2_length": table.length2},
+        particles={"number": len(particles), "initial_file": "'start.txt'"},
+        gate={"threshold": case.threshold},
+        run={"engine": "'excursion'", "time_step": case.time_step, "duration": case.duration,
+             "start_time": case.start_time},
+        output={"file": "'out.h5'", "event_log": ".true.", "final_state": ".true."},
+    )
+    return text, "".join(" ".join(map(repr, map(float, one))) + "\n" for one in particles)
+
+
+def of_program(frozen: Frozen, engine: str) -> Answer:
+    """Run the program."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "case.nml").write_text(frozen.input_of(engine), encoding="utf-8")
+        (folder / "start.txt").write_text(frozen.particles, encoding="utf-8")
+        ended = run("--quiet", "case.nml", folder=folder)
+        if ended.returncode:
+            raise NotFrozenError(ended.stderr)
+        return read_answer(folder / "out.h5")
+
+
+def read_answer(path: Path) -> Answer:
+    """Read events and final state of a results file."""
+    with h5py.File(path) as file:
+        events = np.stack([file["events"][key][()] for key in ("kind", "where", "particle")], 1)
+        final = np.stack([file["final"][key][0, 0] for key in ("x", "y", "ux", "uy")], 1)
+        return Answer(events, file["events/time"][()], final, 0.0, 0.0)
+
+
+def of_probe(case: Case, particles: str, engine: str, precision: int = 128) -> Answer:
+    """Run the same by the probe, in quadruple precision."""
+    table = case.table
+    probe = str(ROOT / f"build/bin/accuracy-real{precision}")
+    with tempfile.NamedTemporaryFile("w", suffix=".txt") as file:
+        file.write(particles)
+        file.flush()
+        words = [engine, case.time_step, table.shape, table.radius, table.width1, table.length1,
+                 table.width2, table.length2, file.name, len(particles.splitlines()),
+                 case.threshold, case.start_time, case.duration]
+        ended = subprocess.run([probe, "events", *map(str, words)], check=True, text=True,
+                               capture_output=True, timeout=600)
+    found = json.loads(ended.stdout)
+    events = np.array([found[key] for key in ("kind", "where", "particle")], dtype=int).T
+    final = np.array([found[key] for key in ("x", "y", "ux", "uy")]).T
+    return Answer(events.reshape(-1, 3), np.array(found["time"]), final, 0.0, 0.0)
+
+
+def difference(one: Answer, other: Answer, name: str) -> tuple[float, float]:
+    """Give the greatest differences of times and places of two runs of the same events."""
+    if one.events.shape != other.events.shape or (one.events != other.events).any():
+        common = min(len(one.events), len(other.events))
+        apart = np.flatnonzero((one.events[:common] != other.events[:common]).any(1))
+        first = int(apart[0]) if apart.size else common
+        raise NotFrozenError(f"{name}: {len(one.events)} and {len(other.events)} events, which "
+                             f"differ from number {first} of t = {one.times[first - 1]}")
+    return float(abs(one.times - other.times).max()), float(abs(one.final - other.final).max())
+
+
+def settled(exact: Answer, differences: Differences, radius: float, name: str) -> Answer:
+    """Give the answer its tolerances; events must be further apart than that, or of one instant."""
+    greatest = [max(values) for values in zip(*differences.values(), strict=True)]
+    exact.tolerance, exact.final_tolerance = (
+        float(f"{max(MARGIN * value, LEAST * radius):.1e}") for value in greatest)
+    if max(exact.tolerance, exact.final_tolerance) > MOST * radius:
+        raise NotFrozenError(f"{name}: rounding grows to {max(greatest):.1e}: shorten the run")
+    gaps = np.diff(exact.times)
+    near = gaps[(gaps > 1.0e-15) & (gaps < 2 * exact.tolerance)]
+    if near.size:
+        raise NotFrozenError(f"{name}: events only {near.min():.1e} apart, {exact.tolerance:.1e} "
+                             "is the tolerance: take another seed")
+    return exact
+
+
+def freeze(case: Case) -> str:
+    """Make one file; tell what it was checked against."""
+    frozen = Frozen(*input_of(case), {})
+    notes = {}
+    told = []
+    for name, engines in (("exact", case.engines), ("timestep", ("timestep",))):
+        reference = "collision" if name == "exact" else name
+        answer = of_probe(case, frozen.particles, reference)
+        differences = {engine: difference(answer, of_program(frozen, engine), engine)
+                       for engine in engines}
+        frozen.answers[name] = settled(answer, differences, case.table.radius, name)
+        seen = ", ".join(f"{engine} {times:.1e} {places:.1e}"
+                         for engine, (times, places) in differences.items())
+        answer.engines = engines
+        notes[name] = f"{len(answer.events)} events of {reference} in real128; "
+        notes[name] += f"times and places differ by: {seen}"
+        told.append(notes[name])
+    write_frozen(FOLDER / f"{case.name}.txt", case.about, frozen, notes)
+    return "; ".join(told)
+
+
+def freeze_stochastic(case: Case) -> str:
+    """Make one file that a Fortran test reads: numbers alone, the counts before what they count."""
+    _, particles = input_of(case)
+    answer = of_probe(case, particles, "reservoir")
+    found = difference(answer, of_probe(case, particles, "reservoir", 64), "reservoir")
+    settled(answer, {"reservoir": found}, case.table.radius, "reservoir")
+    table = case.table
+    lines = [f"{len(particles.splitlines())} {len(answer.events)} {case.threshold}",
+             f"{case.duration} {answer.tolerance:.1e} {answer.final_tolerance:.1e}",
+             " ".join(map(str, (table.radius, table.width1, table.length1, table.width2,
+                                table.length2))), particles.rstrip()]
+    lines += [f"{kind} {where} {particle} {time:.15e}" for (kind, where, particle), time
+              in zip(answer.events.tolist(), answer.times.tolist(), strict=True)]
+    lines += [" ".join(f"{value:.15e}" for value in row) for row in answer.final.tolist()]
+    (FOLDER / f"{case.name}.dat").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return (f"{len(answer.events)} events of reservoir in real128; times and places of real64 "
+            f"differ by {found[0]:.1e} {found[1]:.1e}")
+
+
+def main() -> int:
+    """Make all cases, or those that are named."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("names", nargs="*", help="cases; all if none is named")
+    names = parser.parse_args().names
+    failed = 0
+    for case in CASES + STOCHASTIC:
+        if names and case.name not in names:
+            continue
+        try:
+            make = freeze_stochastic if case in STOCHASTIC else freeze
+            print(f"{case.name}: {make(case)}", flush=True)
+        except NotFrozenError as error:
+            failed += 1
+            print(f"{case.name}: NOT FROZEN: {error}", flush=True)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,312 @@
+"""Tables at the ends of what numbers can hold: the scale is free, and what cannot be is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+import pytest
+from support.program import namelist, run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from subprocess import CompletedProcess
+
+ENGINES = ["excursion", "collision", "synchronous", "timestep", "reservoir"]
+POWERS = [-200, -70, -3, 5, 64, 200]
+
+# Lengths and times of a case, all of which grow with the scale.
+TABLE = {
+    "urn_radius": 1.0,
+    "channel1_width": 0.3,
+    "channel1_length": 1.1,
+    "channel2_width": 0.2,
+    "channel2_length": 0.7,
+}
+DURATION = 50.0
+# Datasets by the power of the length that they grow with; all others stay as they are.
+LENGTHS = {
+    "time",
+    "transient_time",
+    "channel1_width",
+    "channel1_length",
+    "channel2_width",
+    "channel2_length",
+    "urn_radius",
+    "series/time",
+    "events/time",
+    "snapshots/time",
+    "snapshots/x",
+    "snapshots/y",
+    "final/x",
+    "final/y",
+}
+
+
+def calculate(
+    folder: Path,
+    table: dict[str, float] | dict[str, str],
+    engine: str = "excursion",
+    name: str = "case",
+    number: int = 60,
+    **groups: dict[str, Any],
+) -> CompletedProcess[str]:
+    """Run a case with this table."""
+    path = folder / f"{name}.nml"
+    settings = {"engine": f"'{engine}'", **groups.pop("run", {})}
+    output = {"file": f"'{name}.h5'", **groups.pop("output", {})}
+    path.write_text(
+        namelist(
+            table={key: str(value) for key, value in table.items()},
+            particles={"number": str(number), **groups.pop("particles", {})},
+            gate={"threshold": "2"},
+            run=settings,
+            output=output,
+            **groups,
+        )
+    )
+    return run(path.name, folder=folder)
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+    """Read all datasets of a results file."""
+    found = {}
+
+    def keep(name: str, item: h5py.Dataset | h5py.Group) -> None:
+        if isinstance(item, h5py.Dataset):
+            found[name] = item[()]
+
+    with h5py.File(path) as file:
+        file.visititems(keep)
+    return found
+
+
+def scaled(folder: Path, engine: str, power: int) -> dict[str, np.ndarray]:
+    """Run the case on a table whose lengths and times are 2**power as long."""
+    unit = math.ldexp(1.0, power)
+    settings = {"duration": DURATION * unit, "transient_duration": 3.0 * unit}
+    if engine == "timestep":
+        settings["time_step"] = 0.01 * unit
+    ended = calculate(
+        folder,
+        {key: repr(value * unit) for key, value in TABLE.items()},
+        engine,
+        f"scale{power}",
+        run={key: repr(value) for key, value in settings.items()},
+        output={
+            "series_interval": repr(0.7 * unit),
+            "snapshot_times": f"0, {1.5 * unit!r}, {20 * unit!r}",
+            "event_log": ".true.",
+            "final_state": ".true.",
+        },
+    )
+    assert ended.returncode == 0, ended.stderr
+    return read(folder / f"scale{power}.h5")
+
+
+def factor(name: str, power: int) -> float:
+    """Give what a dataset is multiplied by on a scaled table."""
+    if name in LENGTHS:
+        return math.ldexp(1.0, power)
+    rate = name.rsplit("/", 1)[-1].startswith(("current", "flow", "polarised_current"))
+    return math.ldexp(1.0, -power) if rate else 1.0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_power_of_two_in_all_lengths_and_times_changes_no_bit_but_the_factor(
+    tmp_path: Path, engine: str
+) -> None:
+    """Events, states, series and averages are those of the table of radius 1, to the last bit."""
+    one = scaled(tmp_path, engine, 0)
+    assert len(one["events/time"]) > 100
+    assert np.all(np.isfinite(one["chi_error"]))
+    for power in POWERS:
+        other = scaled(tmp_path, engine, power)
+        assert other.keys() == one.keys()
+        for name in one.keys() - {"cpu_seconds"}:
+            expected = one[name]
+            if expected.dtype.kind == "f":
+                expected = expected * factor(name, power)
+            np.testing.assert_array_equal(other[name], expected, f"{name} at 2**{power}")
+
+
+# In both channels, in both ways, on the way across as well, and in the urns: x y ux uy.
+PLACES = [
+    (-0.2, 0.1, 1.0, 1e-3),
+    (0.3, -0.1, 1e-13, 1.0),
+    (0.1, 0.0, 0.0, 1.0),
+    (2.6, 0.05, 0.6, 0.8),
+    (-2.6, 0.05, 0.6, -0.8),
+    (-1.5, 0.2, 0.1, 0.7),
+    (1.5, 0.7, -0.4, 0.3),
+]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_who_starts_in_a_channel_is_scaled_as_well(tmp_path: Path, engine: str) -> None:
+    """The slowest passages too: what is endless is so at any scale."""
+    found = {}
+    for power in (0, -200, 200):
+        unit = math.ldexp(1.0, power)
+        lines = [f"{x * unit!r} {y * unit!r} {ux!r} {uy!r}\n" for x, y, ux, uy in PLACES]
+        (tmp_path / "start.txt").write_text("".join(lines))
+        settings = {"duration": repr(8 * unit)}
+        if engine == "timestep":
+            settings["time_step"] = repr(0.01 * unit)
+        ended = calculate(
+            tmp_path,
+            {key: repr(value * unit) for key, value in TABLE.items()},
+            engine,
+            f"scale{power}",
+            number=len(PLACES),
+            particles={"initial_file": "'start.txt'"},
+            run=settings,
+            output={"event_log": ".true.", "final_state": ".true."},
+        )
+        assert ended.returncode == 0, ended.stderr
+        found[power] = read(tmp_path / f"scale{power}.h5")
+    for power in (-200, 200):
+        for name in (
+            "events/time",
+            "events/kind",
+            "events/particle",
+            "final/x",
+            "final/y",
+            "final/ux",
+            "final/uy",
+            "trapped",
+            "collisions",
+        ):
+            expected = found[0][name] * (factor(name, power) if name in LENGTHS else 1)
+            np.testing.assert_array_equal(found[power][name], expected, f"{name} at 2**{power}")
+
+
+@pytest.mark.parametrize("scale", ["1e-13", "1e-20", "1e-60", "1e60"])
+def test_a_run_is_as_long_as_it_is_to_be_at_any_scale(tmp_path: Path, scale: str) -> None:
+    """Fifty radii are fifty radii."""
+    unit = float(scale)
+    table = {key: repr(value * unit) for key, value in TABLE.items()}
+    ended = calculate(tmp_path, table, run={"duration": repr(50 * unit)})
+    assert ended.returncode == 0, ended.stderr
+    assert "***" not in ended.stdout
+    found = read(tmp_path / "case.h5")
+    assert found["time"][0, 0] == pytest.approx(50 * unit, rel=1e-12, abs=0)
+    assert found["collisions"][0, 0] > 500
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_snapshot_at_the_start_is_what_was_given(tmp_path: Path, engine: str) -> None:
+    """Not what an engine makes of it: to the last digit of place and direction."""
+    lines = [f"{x!r} {y!r} {ux!r} {uy!r}\n" for x, y, ux, uy in PLACES]
+    (tmp_path / "start.txt").write_text("".join(lines))
+    settings = {"duration": "2"}
+    if engine == "timestep":
+        settings["time_step"] = "0.01"
+    ended = calculate(
+        tmp_path,
+        TABLE,
+        engine,
+        number=len(PLACES),
+        particles={"initial_file": "'start.txt'"},
+        run=settings,
+        output={"snapshot_times": "0, 1"},
+    )
+    assert ended.returncode == 0, ended.stderr
+    found = read(tmp_path / "case.h5")
+    given = np.array(PLACES).T
+    given[2:] /= np.hypot(given[2], given[3])
+    for name, expected in zip(("x", "y", "ux", "uy"), given, strict=True):
+        first = np.moveaxis(found[f"snapshots/{name}"], -1, 0).reshape(len(PLACES), -1)[:, 0]
+        np.testing.assert_array_equal(first, expected, name)
+
+
+# Tables at the ends of what is allowed.
+ODD = {
+    "narrow": {"channel1_width": "1e-12", "channel2_width": "1e-12"},
+    "narrow and closed": {"channel1_width": "1e-12", "channel2_width": "0"},
+    "nearly all opening": {"channel1_width": "1.999999999999", "channel2_width": "1.999999999999"},
+    "one nearly all opening": {"channel1_width": "1.999999999999", "channel2_width": "1e-9"},
+    "long": {"channel1_length": "1e12", "channel1_width": "1.1", "channel2_width": "0"},
+    "both long": {"channel1_length": "1e6", "channel2_length": "3e6"},
+    "short": {"channel1_length": "1e-12", "channel2_length": "1e-12"},
+    "a closed channel counts for nothing": {"channel2_length": "1e300", "channel2_width": "0"},
+    "no channel 2": {"shape": "'urn'", "channel2_length": "1e300", "channel2_width": "1e300"},
+}
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous", "reservoir"])
+@pytest.mark.parametrize("case", ODD)
+def test_what_is_allowed_runs(tmp_path: Path, engine: str, case: str) -> None:
+    """No table within the bounds loses a particle, stops the program or never begins."""
+    ended = calculate(tmp_path, ODD[case], engine, number=20, run={"collisions": "100"})
+    assert ended.returncode == 0, ended.stderr
+
+
+# What no number can represent, and the key that is told.
+REFUSED = [
+    *[
+        ("channel1_width", {"channel1_width": f"1e-{k}", "channel2_width": "0"})
+        for k in (13, 16, 17, 20, 40, 160, 300)
+    ],
+    ("channel2_width", {"channel2_width": "1e-20"}),
+    ("channel1_width", {"channel1_width": "1.99999999999999"}),
+    ("channel1_width", {"channel1_length": "1e6", "channel1_width": "1e-9"}),
+    ("channel1_length", {"channel1_length": "1e300"}),
+    ("channel1_length", {"channel1_length": "1e-300"}),
+    ("channel2_length", {"channel2_length": "1e-300"}),
+    ("urn_radius", {"urn_radius": "1e160"}),
+    ("urn_radius", {"urn_radius": "1e-160"}),
+    ("duration", {"duration": "1e300"}),
+    ("duration", {"duration": "1e-300"}),
+    ("start_time", {"start_time": "1e300", "duration": "10"}),
+    ("time_step", {"engine": "'timestep'", "duration": "10", "time_step": "1e-300"}),
+    ("transient_duration", {"duration": "10", "transient_duration": "9.999999999999998"}),
+    ("number", {"channel1_width": "1e-12", "channel2_width": "0", "number": "100000000"}),
+]
+
+
+@pytest.mark.parametrize(("key", "given"), REFUSED)
+def test_what_cannot_be_represented_is_refused(
+    tmp_path: Path, key: str, given: dict[str, str]
+) -> None:
+    """Exit 2 with the one key, its value and what is allowed; nothing is written."""
+    (tmp_path / "case.nml").write_text(
+        namelist(
+            table={name: value for name, value in given.items() if name in {"urn_radius", *TABLE}},
+            particles={"number": given.get("number", "100")},
+            gate={"threshold": "2"},
+            run={
+                name: value
+                for name, value in given.items()
+                if name not in {"urn_radius", "number", *TABLE}
+            },
+        )
+    )
+    ended = run("--check", "case.nml", folder=tmp_path)
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    lines = [line for line in ended.stderr.splitlines() if f" {key} = " in line]
+    assert lines, ended.stderr
+    assert "allowed: " in lines[0]
+
+
+@pytest.mark.parametrize("engine", ENGINES[:3])
+@pytest.mark.parametrize("x", [-0.25, 0.25])
+def test_a_run_may_end_with_a_particle_on_the_counted_line(
+    tmp_path: Path, engine: str, x: float
+) -> None:
+    """What happens at the very end is not made any more, and is no fault."""
+    (tmp_path / "start.txt").write_text(f"{x} 0.0625 {math.copysign(1, -x)} 0\n")
+    (tmp_path / "case.nml").write_text(
+        namelist(
+            particles={"number": 1, "initial_file": "'start.txt'"},
+            gate={"threshold": 1},
+            run={"engine": f"'{engine}'", "duration": 0.25},
+            output={"file": "'out.h5'", "final_state": ".true."},
+        )
+    )
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert abs(file["final/x"][0, 0, 0]) < 1e-15

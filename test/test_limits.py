@@ -1,0 +1,224 @@
+"""What a run needs is planned against what there is; what cannot be printed or had is said."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from support.program import ENVIRONMENT, PATIENCE, PROGRAM, finish, namelist, run, start
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def write(folder: Path, **changes: dict[str, Any]) -> None:
+    """Write a small case with changes."""
+    groups: dict[str, dict[str, Any]] = {
+        "particles": {"number": 100},
+        "gate": {"threshold": 2},
+        "run": {"collisions": 1000},
+        "output": {"file": "'out.h5'"},
+    }
+    for group, keys in changes.items():
+        groups[group] = {**groups.get(group, {}), **keys}
+        if group == "run" and "duration" in keys:
+            del groups["run"]["collisions"]
+    (folder / "case.nml").write_text(namelist(**groups))
+
+
+def room_for(megabytes: int) -> Callable[[], None]:
+    """Leave the program so much address space."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
+
+    return limit
+
+
+TOO_MUCH: dict[str, dict[str, dict[str, Any]]] = {
+    "&output series_interval": {
+        "run": {"duration": 1000},
+        "output": {"series_interval": "1e-9"},
+    },
+    "&output series_interval: a series of 100000001 entries": {
+        "run": {"duration": 1000},
+        "output": {"series_interval": "1e-5"},
+    },
+    "&output snapshot_times: 40 snapshots": {
+        "particles": {"number": 1_000_000},
+        "run": {"duration": 1000},
+        "output": {"snapshot_times": ", ".join(str(time) for time in range(40))},
+    },
+    "&output final_state: final states of each of 200 tasks": {
+        "particles": {"number": 100_000},
+        "scan": {"replicas": 200},
+        "output": {"final_state": ".true."},
+    },
+    "&scan replicas: the results of 9000000 tasks": {"scan": {"replicas": 9_000_000}},
+    "&particles number: 2147483647 particles": {"particles": {"number": 2_147_483_647}},
+    "&scan number: 100000000 particles": {"scan": {"number": "100000000, 200000000"}},
+}
+
+
+@pytest.mark.parametrize("check", [[], ["--check"]])
+@pytest.mark.parametrize("key", TOO_MUCH)
+def test_what_does_not_fit(tmp_path: Path, key: str, check: list[str]) -> None:
+    """What does not fit into memory is exit 2, with its key, before anything is done."""
+    write(tmp_path, **TOO_MUCH[key])
+    ended = run(*check, "case.nml", folder=tmp_path, prepare=room_for(2000))
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    assert key in ended.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["case.nml"]
+
+
+def test_check_says_what_there_is(tmp_path: Path) -> None:
+    """--check says the memory that a rank takes, that there is, and by which limit."""
+    write(tmp_path)
+    ended = run("--check", "case.nml", folder=tmp_path)
+    assert "there are " in ended.stdout
+    ended = run("--check", "case.nml", folder=tmp_path, prepare=room_for(2000))
+    assert "(address space, ulimit -v)" in ended.stdout
+
+
+@pytest.mark.parametrize("megabytes", [60, 80, 100, 120, 140, 160, 180, 195, 215, 240])
+def test_little_address_space(tmp_path: Path, megabytes: int) -> None:
+    """With little address space the run is done, or ends with a message; nothing crashes."""
+    write(tmp_path)
+    ended = run("--quiet", "case.nml", folder=tmp_path, prepare=room_for(megabytes))
+    assert ended.returncode in (0, 1, 2), ended.stderr[:2000]
+    assert "Error allocating" not in ended.stderr
+    assert ended.returncode == 0 or ended.stderr != ""
+
+
+def test_an_event_log_that_outgrows_the_memory(tmp_path: Path) -> None:
+    """Events that cannot be brought home make their task fail, with a message."""
+    write(
+        tmp_path,
+        particles={"number": 10_000},
+        gate={"threshold": 100},
+        run={"collisions": 10_000_000_000, "transient_collisions": 0},
+        output={"event_log": ".true."},
+    )
+    ended = run("case.nml", folder=tmp_path, prepare=room_for(500))
+    assert ended.returncode == 1, (ended.stdout, ended.stderr[:2000])
+    assert "task 1 failed: no memory for the series and the event log" in ended.stdout
+
+
+def test_a_series_that_outgrows_the_memory(tmp_path: Path) -> None:
+    """So does a series whose length is not known beforehand."""
+    write(
+        tmp_path,
+        run={"collisions": 1_000_000_000, "transient_collisions": 0},
+        output={"series_interval": "1e-6"},
+    )
+    ended = run("case.nml", folder=tmp_path, prepare=room_for(700))
+    assert ended.returncode == 1, (ended.stdout, ended.stderr[:2000])
+    assert "task 1 failed: no memory for the series and the event log" in ended.stdout
+
+
+@pytest.mark.parametrize("output", ["full", "closed"])
+@pytest.mark.parametrize("arguments", ["--help", "--version", "--check case.nml", "case.nml"])
+def test_what_cannot_be_printed(tmp_path: Path, arguments: str, output: str) -> None:
+    """Standard output that is full or closed is exit 1 and a message; a run is complete."""
+    write(tmp_path)
+
+    def close() -> None:
+        os.close(1)
+
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [str(PROGRAM), *arguments.split()],
+            cwd=tmp_path,
+            env=ENVIRONMENT,
+            stdin=subprocess.DEVNULL,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
+            preexec_fn=close if output == "closed" else None,
+        )
+    assert ended.returncode == 1, ended.stderr
+    assert "not all could be printed" in ended.stderr
+    if arguments == "case.nml":
+        again = run("case.nml", folder=tmp_path)
+        assert again.returncode == 0
+        assert "is complete" in again.stdout
+
+
+def test_errors_that_cannot_be_printed(tmp_path: Path) -> None:
+    """Exit codes stay where standard error is full."""
+    write(tmp_path)
+    with Path("/dev/full").open("w") as full:
+        for arguments, code in ((["--nonsense"], 2), (["--quiet", "case.nml"], 0)):
+            ended = subprocess.run(
+                [str(PROGRAM), *arguments],
+                cwd=tmp_path,
+                env=ENVIRONMENT,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=full,
+                timeout=PATIENCE,
+                check=False,
+            )
+            assert ended.returncode == code
+
+
+def test_a_reader_that_has_gone(tmp_path: Path) -> None:
+    """A run whose output nobody reads any more is done all the same, and exit 1."""
+    write(tmp_path)
+    process = start("case.nml", folder=tmp_path)
+    assert process.stdout is not None
+    process.stdout.close()
+    process.stdout = None
+    assert process.wait(PATIENCE) == 1
+    assert (tmp_path / "out.h5").exists()
+    finish(process)
+
+
+LONG: dict[str, tuple[dict[str, dict[str, Any]], list[str]]] = {
+    "start": ({"particles": {"number": 20_000_000}}, []),
+    "check": ({"particles": {"number": 20_000_000}}, ["--check"]),
+    "fine series": (
+        {"run": {"duration": 1000}, "output": {"series_interval": "5e-5"}},
+        [],
+    ),
+    "synchronous": (
+        {
+            "particles": {"number": 200_000},
+            "run": {"engine": "'synchronous'", "duration": 1000},
+        },
+        [],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LONG)
+def test_a_signal_is_heard(tmp_path: Path, case: str) -> None:
+    """Whatever a run is at, a signal ends it with exit 3 long before it would be done."""
+    changes, arguments = LONG[case]
+    write(tmp_path, **changes)
+    process = start(*arguments, "case.nml", folder=tmp_path)
+    time.sleep(1.0)
+    assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    ended = finish(process)
+    assert ended.returncode == 3, (ended.stdout, ended.stderr)
+    if arguments:
+        assert "stopped by SIGTERM; nothing was written" in ended.stderr
+        assert not (tmp_path / "out.h5").exists()
+
+
+def test_wall_minutes_count_from_the_start(tmp_path: Path) -> None:
+    """A time limit that passes while particles are drawn ends the run with exit 3."""
+    write(tmp_path, particles={"number": 20_000_000}, limits={"wall_minutes": 0.005})
+    assert run("case.nml", folder=tmp_path).returncode == 3
+    ended = run("--check", "case.nml", folder=tmp_path)
+    assert ended.returncode == 3
+    assert "stopped by &limits wall_minutes; nothing was written" in ended.stderr

@@ -1,0 +1,78 @@
+"""Stopping a run so that nothing is lost: the ways that do are named, and do."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING
+
+import pytest
+from support.program import ROOT, finish, namelist, rank_processes, run, send, start, wait_for
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+WAYS = ["USR1", "wall_minutes", "--mca odls_base_sigkill_timeout 60"]
+
+
+def write(folder: Path, wall_minutes: float = 0.0) -> None:
+    """Write a long case whose state takes some time to save."""
+    (folder / "case.nml").write_text(
+        namelist(
+            particles={"number": 200_000},
+            gate={"threshold": 500},
+            run={"collisions": 100_000_000_000},
+            output={"file": "'out.h5'"},
+            limits={"wall_minutes": wall_minutes, "checkpoint_minutes": 0.01},
+        )
+    )
+
+
+def test_the_help_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
+    """--help says how to stop a run under mpirun, and what mpirun does to its ranks."""
+    text = run("--help", folder=tmp_path).stdout
+    assert all(way in text for way in WAYS)
+    assert "mpirun itself says 1" in text
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/ensembles.md", "namelists/slurm.sh"])
+def test_the_pages_name_the_ways_that_lose_nothing(page: str) -> None:
+    """So do the pages that say how to run it on a cluster."""
+    text = " ".join((ROOT / page).read_text().split())
+    assert all(way in text for way in WAYS), page
+
+
+def test_a_stopped_run_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
+    """The message of a run that its limit stopped says how to stop one by hand."""
+    write(tmp_path, wall_minutes=0.02)
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 3, ended.stderr
+    assert all(way in ended.stdout for way in WAYS)
+
+
+def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
+    """SIGUSR1 to mpirun: the state is saved, and mpirun has the program's exit code."""
+    write(tmp_path)
+    process = start("case.nml", folder=tmp_path, ranks=2)
+    assert rank_processes(process, 2)
+    # A signal that comes before the task has begun finds nothing to save.
+    assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_1.*")), process)
+    send([process.pid], signal.SIGUSR1)
+    ended = finish(process)
+    assert ended.returncode == 3, (ended.stdout, ended.stderr)
+    states = list((tmp_path / "out.h5.tasks").glob("task_1.*"))
+    assert max(path.stat().st_size for path in states) > 40 * 200_000
+    assert "stopped early, the state is saved" in ended.stdout
+
+
+def test_a_longer_grace_of_mpirun_loses_nothing(tmp_path: Path) -> None:
+    """SIGTERM to an mpirun that waits for its ranks: the state is saved, though it says 1."""
+    write(tmp_path)
+    grace = {"OMPI_MCA_odls_base_sigkill_timeout": "15"}
+    process = start("case.nml", folder=tmp_path, ranks=2, environment=grace)
+    assert rank_processes(process, 2)
+    # A signal that comes before the task has begun finds nothing to save.
+    assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_1.*")), process)
+    send([process.pid], signal.SIGTERM)
+    finish(process)
+    states = list((tmp_path / "out.h5.tasks").glob("task_1.*"))
+    assert max(path.stat().st_size for path in states) > 40 * 200_000
