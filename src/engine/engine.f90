@@ -1,11 +1,11 @@
-!> What every engine is and offers: start, advance by about one window, tell where the particles are.
+!> What every engine is and offers: start, advance by about one window, tell where particles are.
 !>
 !> An engine owns the particles, the gates and the clock. It reports what happened in a
-!> `history_type`, which the observers read. Here is what all engines have; a kind of engine adds how
-!> particles move.
+!> `history_type`, which the observers read. Here is what all engines have; a kind of engine adds
+!> how particles move.
 !>
-!> **The clock.** Time is counted within a page, a power of two, so that it resolves the same however
-!> long the run has been; at its end all clocks are set back by it, which is exact.
+!> **The clock.** Time is counted within a page, a power of two, so that it resolves the same
+!> however long the run has been; at its end all clocks are set back by it, which is exact.
 module battery_engine
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type

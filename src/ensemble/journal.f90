@@ -19,7 +19,7 @@ module battery_journal
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
     write_single, read_single
-  use battery_task_result, only: task_result_type, task_complete, to_record, is_result, &
+  use battery_task_result, only: task_result_type, task_complete, to_record, &
     from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
   use battery_stream, only: stream_type, new_stream, stream_of
@@ -178,17 +178,17 @@ contains
     type(task_result_type), allocatable, intent(out) :: results(:)
     type(record_type), allocatable :: records(:)
     integer(int64) :: good_size
+    logical :: is_one
     integer :: k, good
 
     call read_records(file_of(journal, 'rank', file), records, good_size)
-    allocate (results(count([(is_result(records(k)), k=1, size(records))])))
+    allocate (results(size(records)))
     good = 0
     do k = 1, size(records)
-      if (.not. is_result(records(k))) cycle
-      good = good + 1
-      results(good) = from_record(records(k))
+      call from_record(records(k), results(good + 1), is_one)
+      if (is_one) good = good + 1
     end do
-
+    results = results(:good)
   end subroutine read_rank_file
 
   !> A task is finished: its result is written at once, so that nothing that happens to the program

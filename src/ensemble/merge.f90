@@ -130,7 +130,7 @@ contains
     entries = size(found%series_urn1_number)
     if (entries > 0) then
       call room_for_series(entries, plan, results)
-      results%series_urn1_number(:entries, task%replica, task%point) = int(found%series_urn1_number)
+      results%series_urn1_number(:entries, task%replica, task%point) = found%series_urn1_number
       do q = 1, 4
         results%series_flow(:entries, task%replica, task%point, q) = found%series_flow(q::4)
       end do
@@ -155,9 +155,9 @@ contains
     if (plan%event_log) then
       k = size(found%event_times)
       results%event_time = found%event_times
-      results%event_kind = int(found%events(:k))
-      results%event_where = int(found%events(k + 1:2*k))
-      results%event_particle = int(found%events(2*k + 1:3*k))
+      results%event_kind = found%events(:k)
+      results%event_where = found%events(k + 1:2*k)
+      results%event_particle = found%events(2*k + 1:3*k)
     end if
   end subroutine place_arrays
 

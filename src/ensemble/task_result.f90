@@ -1,15 +1,17 @@
 !> What one task of an ensemble brings home, as a value and as a record for the disk.
 module battery_task_result
-  use battery_kinds, only: dp, int64
+  use battery_kinds, only: dp, int32, int64
   use battery_engine, only: particles_type
   use battery_observer, only: measure
-  use battery_quantities, only: measured_type, new_measured, set_average, set_count, unknown_real
+  use battery_quantities, only: measured_type, new_measured, set_average, set_count, &
+    unknown_real, fingerprint_of_quantities
+  use battery_stream, only: stream_type, new_stream, stream_of
   use battery_simulation, only: simulation_type
   use battery_record_file, only: record_type
   use battery_results, only: task_complete, task_failed, task_not_done
   implicit none (type, external)
   private
-  public :: task_result_type, result_of, failed_result, to_record, is_result, from_record
+  public :: task_result_type, result_of, failed_result, to_record, from_record
   public :: task_complete, task_failed, task_not_done
 
   type :: task_result_type
@@ -22,12 +24,12 @@ module battery_task_result
     character(len=:), allocatable :: message
     type(measured_type) :: measured
     !> Series: N1, and flows as (4, entry).
-    integer(int64), allocatable :: series_urn1_number(:)
+    integer(int32), allocatable :: series_urn1_number(:)
     real(dp), allocatable :: series_flow(:)
     !> Snapshots one after the other: x, y, ux, uy of all particles; the final state likewise.
     real(dp), allocatable :: snapshots(:), final_state(:)
     !> Events: kind, where, particle one after the other; times.
-    integer(int64), allocatable :: events(:)
+    integer(int32), allocatable :: events(:)
     real(dp), allocatable :: event_times(:)
   end type task_result_type
 
@@ -58,13 +60,13 @@ contains
     call set_average(found%measured, 'transient_time', real(simulation%transient_time, dp))
     call set_average(found%measured, 'cpu_seconds', cpu_seconds)
     associate (observer => simulation%observer, events => simulation%events)
-      found%series_urn1_number = int(observer%series_urn1_number(:observer%entries), int64)
+      found%series_urn1_number = int(observer%series_urn1_number(:observer%entries), int32)
       found%series_flow = reshape(real(observer%series_flow(:, :observer%entries), dp), &
         [4*observer%entries])
       allocate (found%events(0), found%event_times(0))
       if (events%count > 0) then
-        found%events = int([events%kind(:events%count), events%where(:events%count), &
-          events%particle(:events%count)], int64)
+        found%events = [events%kind(:events%count), events%where(:events%count), &
+          events%particle(:events%count)]
         found%event_times = real(events%time(:events%count), dp)
       end if
     end associate
@@ -105,73 +107,73 @@ contains
     allocate (failed%final_state(0), failed%events(0), failed%event_times(0))
   end function failed_result
 
-  pure function to_record(found) result(record)
+  !> A result as a record.
+  function to_record(found) result(record)
     type(task_result_type), intent(in) :: found
     type(record_type) :: record
+    type(task_result_type) :: copy
+    type(stream_type) :: stream
 
+    copy = found
+    stream = new_stream()
+    call pass_result(copy, stream)
     record%owner = found%kept
     record%tag = found%task
-    record%integers = [int(found%status, int64), size(found%series_urn1_number, kind=int64), &
-      size(found%series_flow, kind=int64), size(found%snapshots, kind=int64), &
-      size(found%final_state, kind=int64), size(found%events, kind=int64), &
-      size(found%event_times, kind=int64), found%measured%counted, found%series_urn1_number, &
-      found%events]
-    record%reals = [found%measured%average, found%measured%error, found%series_flow, &
-      found%snapshots, found%final_state, found%event_times]
-    record%bytes = int(iachar(transfer(found%message, 'a', len(found%message))), kind(record%bytes))
+    record%integers = stream%word(:stream%length)
+    allocate (record%reals(0), record%bytes(0))
   end function to_record
 
-  !> Whether a record is a result: a good record may still be a plan or a state under another name.
-  pure function is_result(record) result(yes)
+  !> The result that a record is. A good record may still be a plan or a state under another name, or
+  !> of a program that measured something else.
+  subroutine from_record(record, found, is_one)
     type(record_type), intent(in) :: record
-    logical :: yes
-    integer(int64) :: left
+    type(task_result_type), intent(out) :: found
+    !> Whether it is a result.
+    logical, intent(out) :: is_one
+    type(stream_type) :: stream
 
-    yes = .false.
-    if (size(record%integers) < integer_count .or. size(record%reals) < real_count) return
-    if (any(record%integers(6:11) < 0)) return
-    left = size(record%integers, kind=int64) - integer_count
-    if (record%integers(6) > left .or. record%integers(10) /= left - record%integers(6)) return
-    left = size(record%reals, kind=int64) - real_count
-    associate (sizes => record%integers([7, 8, 9, 11]))
-      yes = all(sizes <= left) .and. sum(min(sizes, left)) == left
-    end associate
-  end function is_result
-
-  !> The result in a record that is one.
-  pure function from_record(record) result(found)
-    type(record_type), intent(in) :: record
-    type(task_result_type) :: found
-    integer(int64) :: sizes(6), at
-    integer :: k, n
-
+    stream = stream_of(record%integers)
+    call pass_result(found, stream)
+    is_one = .not. stream%failed()
+    if (is_one) is_one = stream%at_end() .and. abs(record%tag) <= huge(found%task)
+    if (.not. is_one) return
     found%task = int(record%tag)
     found%kept = record%owner
-    found%status = int(record%integers(1))
-    allocate (character(len=size(record%bytes)) :: found%message)
-    do k = 1, size(record%bytes)
-      found%message(k:k) = achar(record%bytes(k))
+  end subroutine from_record
+
+  !> All that a result holds, into a stream or out of it.
+  subroutine pass_result(found, stream)
+    type(task_result_type), intent(inout) :: found
+    type(stream_type), intent(inout) :: stream
+    integer(int32), allocatable :: letters(:)
+    integer(int64) :: quantities
+    integer :: k
+
+    call stream%pass('status', found%status)
+    if (.not. stream%reading) letters = [(iachar(found%message(k:k)), k=1, len(found%message))]
+    call stream%pass_list('message', letters)
+    quantities = fingerprint_of_quantities()
+    call stream%pass('quantities', quantities)
+    if (stream%failed()) return
+    if (quantities /= fingerprint_of_quantities()) then
+      stream%problem = 'the result is one of other quantities'
+      return
+    end if
+    if (stream%reading) found%measured = new_measured()
+    call stream%pass('average', found%measured%average)
+    call stream%pass('error', found%measured%error)
+    call stream%pass('counted', found%measured%counted)
+    call stream%pass_list('series_urn1_number', found%series_urn1_number)
+    call stream%pass_list('series_flow', found%series_flow)
+    call stream%pass_list('snapshots', found%snapshots)
+    call stream%pass_list('final_state', found%final_state)
+    call stream%pass_list('events', found%events)
+    call stream%pass_list('event_times', found%event_times)
+    if (stream%failed() .or. .not. stream%reading) return
+    found%message = repeat(' ', size(letters))
+    do k = 1, size(letters)
+      found%message(k:k) = achar(letters(k))
     end do
-    found%measured = new_measured()
-    sizes = record%integers(2:7)
-    n = size(found%measured%average)
-    associate (r => record%reals)
-      found%measured%average = r(:n)
-      found%measured%error = r(n + 1:2*n)
-      at = 2*n
-      found%series_flow = r(at + 1:at + sizes(2))
-      at = at + sizes(2)
-      found%snapshots = r(at + 1:at + sizes(3))
-      at = at + sizes(3)
-      found%final_state = r(at + 1:at + sizes(4))
-      at = at + sizes(4)
-      found%event_times = r(at + 1:at + sizes(6))
-    end associate
-    n = size(found%measured%counted)
-    found%measured%counted = record%integers(8:7 + n)
-    at = 7 + n
-    found%series_urn1_number = record%integers(at + 1:at + sizes(1))
-    found%events = record%integers(at + sizes(1) + 1:at + sizes(1) + sizes(5))
-  end function from_record
+  end subroutine pass_result
 
 end module battery_task_result

@@ -18,8 +18,8 @@ module battery_gate
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: gate_type, new_gate, hold, enter, must_turn, undecided, decide, first_to_cross, cross_first, cross, &
-    turned_back, shift_gate, pass_gate
+  public :: gate_type, new_gate, hold, enter, must_turn, undecided, decide, turned_back
+  public :: first_to_cross, cross_first, cross, shift_gate, pass_gate
 
   type :: gate_type
     !> More than so many turn.
@@ -43,7 +43,7 @@ contains
     call empty_queue(gate%counted)
   end subroutine new_gate
 
-  !> Counts a particle that is inside from the start and heads for the middle line. That is no entry.
+  !> Counts a particle that is inside from the start and heads for the middle line: no entry.
   pure subroutine hold(gate, crossing_time, particle)
     type(gate_type), intent(inout) :: gate
     !> When it will reach the middle line, on the clock of the engine.

@@ -6,11 +6,12 @@
 module battery_quantities
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   use battery_kinds, only: dp, int64
+  use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
   implicit none (type, external)
   private
   public :: quantity_type, averaged_quantities, counted_quantities, place_of
   public :: measured_type, new_measured, set_average, set_count
-  public :: unknown_real, unknown_count
+  public :: fingerprint_of_quantities, unknown_real, unknown_count
 
   type :: quantity_type
     character(len=:), allocatable :: name, unit, meaning
@@ -114,6 +115,23 @@ contains
     if (place == 0) error stop 'a quantity is counted that is not declared'
     measured%counted(place) = count
   end subroutine set_count
+
+  !> A fingerprint of all names in their order: values that were kept with another are of other lists.
+  pure function fingerprint_of_quantities() result(fingerprint)
+    integer(int64) :: fingerprint
+    type(quantity_type), allocatable :: list(:)
+    integer :: k
+
+    fingerprint = fingerprint_start
+    list = averaged_quantities()
+    do k = 1, size(list)
+      call mix_word(fingerprint, fingerprint_of(list(k)%name))
+    end do
+    list = counted_quantities()
+    do k = 1, size(list)
+      call mix_word(fingerprint, fingerprint_of(list(k)%name))
+    end do
+  end function fingerprint_of_quantities
 
   !> NaN, which stands for a real that is not known.
   pure function unknown_real() result(value)

@@ -34,8 +34,8 @@ module battery_disc
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
   real(wp), parameter :: march_worthwhile = 0.01_wp
 
-  !> What a visit to one urn needs to know: the radius, and of each channel the distance of its chord
-  !> from the centre, its width and its length.
+  !> What a visit to one urn needs to know: the radius, and of each channel the distance of its
+  !> chord from the centre, its width and its length.
   type :: disc_type
     real(wp) :: radius, chord(2), width(2), length(2)
     !> Half widths of the openings in units of the radius, and half their angles.
@@ -140,8 +140,8 @@ contains
       visits%length, visits%through)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
-        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) call mend(disc, visits, &
-          j)
+        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) &
+          call mend(disc, visits, j)
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)

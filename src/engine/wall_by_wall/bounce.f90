@@ -15,14 +15,15 @@ module battery_bounce
     chamber_at, beyond, is_open, x_direction
   implicit none (type, external)
   private
-  public :: walls_type, side_type, motion_type, new_walls, put_down, take_off, fly, hit_arc, hit_channel
+  public :: walls_type, side_type, motion_type, new_walls, put_down, take_off, fly
+  public :: hit_arc, hit_channel
   public :: enter_channel, leave_channel, cross_line, turn_back
   public :: heads_for_middle, time_to_middle, is_trapped
   public :: meets_arc, meets_wall, meets_gate, meets_return, meets_urn, meets_line, meets_nothing
 
   !> What a particle meets next: the arc of its urn, the wall of its channel, the chord where
-  !> channel 1 or channel 2 begins, the chord where an urn begins, the line of its channel (middle or
-  !> periodic), nothing at all.
+  !> channel 1 or channel 2 begins, the chord where an urn begins, the line of its channel (the
+  !> middle line or the periodic one), nothing at all.
   integer(int8), parameter :: meets_arc = 1_int8, meets_wall = 2_int8, meets_gate = 3_int8, &
     meets_return = 4_int8, meets_urn = 5_int8, meets_line = 6_int8, meets_nothing = 7_int8
 

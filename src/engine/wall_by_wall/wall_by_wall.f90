@@ -99,6 +99,7 @@ contains
         + time_to_middle(motion), i)
       call self%write_down(i, motion, wait)
     end do
+    deallocate (particles%x, particles%y, particles%ux, particles%uy)
   end subroutine take_in
 
   !> The event of a particle, which has been moved to it, `since` the window began. `wait` is how
