@@ -12,8 +12,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from postproc import cli, style
+from postproc import cli
 from postproc.accuracy.job import ROOT, Job
+from postproc.figures import style
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

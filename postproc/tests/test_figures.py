@@ -1,4 +1,4 @@
-"""Figures of the paper: each is drawn from fabricated runs, complete and partial."""
+"""Figures of the paper: what each shows of short runs, complete and partial."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from postproc import appendix, cli, figures, maps, points
-from postproc.results import Results
-from postproc.tests.fabricate import fabricate
-from postproc.theory import Circuit, homogeneous_kind
+from postproc.figures import appendix, maps
+from postproc.reading import points
+from postproc.reading.results import Results
+from postproc.tests.commands import call
+from postproc.tests.runs import BARE, leave_out, results_of
+from postproc.theory.circuit import Circuit, homogeneous_kind
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,26 +21,19 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("runs")
-    panels = [{"threshold": threshold} for threshold in (2, 7, 18)]
-    fabricate(made / "time.h5", panels, duration=800.0)
-    slices = [
-        {"threshold": t, "channel2_width": w} for w in (0.0102, 0.0306) for t in (4, 8, 12, 18)
-    ]
-    fabricate(made / "slices.h5", slices, duration=800.0)
+    results_of(made / "time.h5", scan={"threshold": [2, 7, 18]}, particles={"urn1_number": 1000})
+    results_of(
+        made / "slices.h5", scan={"channel2_width": [0.0102, 0.0306], "threshold": [4, 8, 12, 18]}
+    )
+    grid = {"channel2_width": [0.01, 0.05, 0.09], "threshold": [2, 7, 12, 18], "replicas": 1}
     for name, first in (("homogeneous", 500), ("polarised", 1000)):
-        grid = [
-            {"threshold": t, "channel2_width": w, "urn1_number": first}
-            for w in (0.01, 0.05, 0.09)
-            for t in (2, 7, 12, 18)
-        ]
-        fabricate(made / f"{name}.h5", grid, 1, 600.0, snapshots=0, incomplete=2 * (first == 1000))
-    urns = [
-        {"number": n, "threshold": t, "channel1_width": w, "channel2_width": 0.0}
-        for n in (500, 1000)
-        for w in (0.1, 0.3)
-        for t in (3, 9, 15)
-    ]
-    fabricate(made / "urn.h5", urns, duration=300.0, snapshots=0, shape="urn")
+        path = made / f"{name}.h5"
+        results_of(path, scan=grid, particles={"urn1_number": first}, output=BARE)
+    leave_out(made / "polarised.h5", (2, 0), (11, 0))
+    urns = {"number": [500, 1000], "channel1_width": [0.1, 0.3], "threshold": [3, 9, 15]}
+    results_of(
+        made / "urn.h5", table={"shape": "urn"}, particles={"number": None}, scan=urns, output=BARE
+    )
     return made
 
 
@@ -61,13 +56,13 @@ def test_every_figure_is_drawn(
     name: str, files: tuple[str, ...], folder: Path, tmp_path: Path
 ) -> None:
     arguments = [name, *(str(folder / file) for file in files), "--output", str(tmp_path)]
-    assert cli.run(figures.main, arguments) == 0
+    assert call("figures", arguments) == 0
     assert (tmp_path / f"{name}.png").stat().st_size > 5000
     assert (tmp_path / f"{name}.pdf").stat().st_size > 5000
 
 
 def test_a_figure_without_its_file(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(figures.main, ["comp01"]) == 2
+    assert call("figures", ["comp01"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -75,7 +70,7 @@ def test_a_figure_without_its_file(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_run_of_the_other_shape(
     name: str, file: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.run(figures.main, [name, str(folder / file), "--output", str(tmp_path)]) == 2
+    assert call("figures", [name, str(folder / file), "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 

@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 
-from postproc import renewal_fit, theory
-from postproc.renewal import RENEWAL, exponential_share, fluid_share
-from postproc.renewal_fit import share_of_one
-from postproc.states import stable_spread, stationary_states
-from postproc.theory import Circuit
+from postproc.theory import renewal_fit
+from postproc.theory.circuit import Circuit, eta, homogeneous_kind
+from postproc.theory.renewal import RENEWAL, exponential_share, fluid_share
+from postproc.theory.renewal_fit import share_of_one
+from postproc.theory.states import stable_spread, stationary_states
 
 ACCURACY = 2e-5
 
@@ -163,12 +163,12 @@ def test_it_moves_the_diagram() -> None:
     assert stable_spread(near) == pytest.approx(0.623, abs=0.005)
     assert stable_spread(Circuit(1000, 15)) == pytest.approx(0.862, abs=0.001)
     four = Circuit(1000, 4, gate=RENEWAL)
-    assert theory.homogeneous_kind(four) == "unstable"
-    assert theory.homogeneous_kind(Circuit(1000, 4)) == "stable"
+    assert homogeneous_kind(four) == "unstable"
+    assert homogeneous_kind(Circuit(1000, 4)) == "stable"
 
 
 @pytest.mark.parametrize("threshold", [1, 3, 7, 15])
 def test_roots_are_zeros(threshold: int) -> None:
     circuit = Circuit(1000, threshold, gate=RENEWAL)
     for state in stationary_states(circuit):
-        assert float(theory.eta(circuit, state.urn2_number)) == pytest.approx(0.0, abs=1e-8)
+        assert float(eta(circuit, state.urn2_number)) == pytest.approx(0.0, abs=1e-8)

@@ -7,19 +7,21 @@ import shutil
 import subprocess
 from typing import TYPE_CHECKING
 
-import h5py
 import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from postproc import cli, film, report, warn
-from postproc.results import Results, Snapshot
-from postproc.scene import Table
-from postproc.tests.fabricate import fabricate
+from postproc.figures import film
+from postproc.reading.results import Results, Snapshot
+from postproc.report import warn
+from postproc.tests.commands import call
+from postproc.tests.runs import edited, leave_out, results_of
+from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+FILMED = {"series_interval": 0.2, "snapshot_times": [0.5 * at for at in range(21)]}
 BROWSER = shutil.which("chromium")
 BROWSER_OPTIONS = (
     "--headless",
@@ -40,15 +42,15 @@ cell.dispatchEvent(new MouseEvent("mouseenter"));
 
 @pytest.fixture(scope="module")
 def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    grid = [{"threshold": t, "channel2_width": w} for w in (0.01, 0.05) for t in (4, 8, 18)]
     path = tmp_path_factory.mktemp("run") / "run.h5"
-    return fabricate(path, grid, duration=1500.0, incomplete=1)
+    results_of(path, scan={"channel2_width": [0.01, 0.05], "threshold": [4, 8, 18]})
+    return leave_out(path, (5, 1))
 
 
 @pytest.fixture(scope="module")
 def page(run_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
-    assert cli.run(report.main, [str(run_file), "--output", str(folder)]) == 0
+    assert call("report", [str(run_file), "--output", str(folder)]) == 0
     return folder / "run.html"
 
 
@@ -64,11 +66,11 @@ def test_page_carries_everything(page: Path) -> None:
 
 
 def test_page_escapes_the_namelist(tmp_path: Path) -> None:
-    path = fabricate(tmp_path / "odd.h5", [{}], duration=300.0)
-    with h5py.File(path, "r+") as file:
-        text = file.attrs["namelist"].decode() + "! <script>alert(1)</script>\n"
+    path = results_of(tmp_path / "odd.h5")
+    with edited(path) as file:
+        text = file.attrs["namelist"] + "! <script>alert(1)</script>\n"
         file.attrs["namelist"] = np.bytes_(text)
-    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 0
+    assert call("report", [str(path), "--output", str(tmp_path)]) == 0
     assert "<script>alert" not in (tmp_path / "odd.html").read_text()
 
 
@@ -97,9 +99,8 @@ def test_hover_shows_the_value_and_the_console_is_silent(page: Path, tmp_path: P
 
 
 def test_report_of_the_single_urn(tmp_path: Path) -> None:
-    urns = [{"number": 500, "threshold": t, "channel2_width": 0.0} for t in (3, 9)]
-    path = fabricate(tmp_path / "urn.h5", urns, duration=300.0, snapshots=0, shape="urn")
-    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 0
+    path = results_of(tmp_path / "urn.h5", table={"shape": "urn"}, scan={"threshold": [3, 9]})
+    assert call("report", [str(path), "--output", str(tmp_path)]) == 0
 
 
 def test_replicas_that_disagree_are_noticed() -> None:
@@ -117,14 +118,14 @@ def test_a_drift_is_noticed() -> None:
 
 
 def test_rays_along_the_axis_are_noticed() -> None:
-    table = Table(channel2_width=0.01)
+    table = Circuit(4, 7, channel2_width=0.01)
     uy = np.array([0.0, 1e-4, 0.1, 1.0])
     rays = Snapshot(0.0, np.zeros(4), np.zeros(4), np.sqrt(1.0 - uy**2), uy)
     assert warn.axial(table, rays) == 2
 
 
 def test_flight_stays_on_the_table() -> None:
-    table = Table()
+    table = Circuit(3000, 7)
     random = np.random.default_rng(7)
     angle = random.uniform(0.0, 2.0 * np.pi, 3000)
     x = random.uniform(-0.5, 0.5, 3000)
@@ -142,9 +143,9 @@ def test_flight_stays_on_the_table() -> None:
 
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
 def test_film_has_all_its_frames(kind: str, tmp_path: Path) -> None:
-    path = fabricate(tmp_path / "run.h5", [{}], duration=20.0, interval=0.2, snapshots=21)
+    path = results_of(tmp_path / "run.h5", run={"duration": 20.0}, output=FILMED)
     options = [str(path), "--output", str(tmp_path), "--seconds", "1"]
-    assert cli.run(film.main, options + (["--gif"] if kind == "gif" else [])) == 0
+    assert call("film", options + (["--gif"] if kind == "gif" else [])) == 0
     made = tmp_path / f"film.{kind}"
     assert made.stat().st_size > 5000
     if kind == "mp4":
@@ -165,14 +166,14 @@ def test_no_frame_shows_a_time_without_its_particles() -> None:
 
 
 def test_film_needs_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = fabricate(tmp_path / "run.h5", [{}], duration=100.0, snapshots=1)
-    assert cli.run(film.main, [str(path), "--output", str(tmp_path)]) == 2
+    path = results_of(tmp_path / "run.h5", output={"snapshot_times": 0.0})
+    assert call("film", [str(path), "--output", str(tmp_path)]) == 2
     assert "at least two snapshots" in capsys.readouterr().err
 
 
 def test_report_of_nothing_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = fabricate(tmp_path / "none.h5", [{}], 1, duration=100.0, incomplete=1)
-    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 2
+    path = leave_out(results_of(tmp_path / "none.h5", scan={"replicas": 1}), (0, 0))
+    assert call("report", [str(path), "--output", str(tmp_path)]) == 2
     assert "no task is complete" in capsys.readouterr().err
     with Results(path) as results:
         assert results.remark == "partial run: 0 of 1 tasks"

@@ -7,8 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from postproc import cli, scheduler
-from postproc.scheduler import Network, simulate, simulate_static, task_lengths
+from postproc.speed import scheduler
+from postproc.speed.scheduler import Network, simulate, simulate_static, task_lengths
+from postproc.tests.commands import call
 
 IDEAL = Network(0.0, 1e-12)
 
@@ -106,7 +107,7 @@ def test_perfect_foresight_sorts_and_none_shuffles() -> None:
 
 def test_program_prints_and_draws(tmp_path: object, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["--ranks", "40", "--tasks", "400", "--figure", "--output", str(tmp_path)]
-    assert scheduler.main(command) == 0
+    assert call("scheduler", command) == 0
     text = capsys.readouterr().out
     found = json.loads(text[: text.index("}") + 1])
     assert found["ranks"] == 40
@@ -116,4 +117,4 @@ def test_program_prints_and_draws(tmp_path: object, capsys: pytest.CaptureFixtur
 
 @pytest.mark.parametrize("wrong", [["--ranks", "0"], ["--seconds", "0"], ["--latency", "-1"]])
 def test_bad_numbers_are_refused(wrong: list[str]) -> None:
-    assert cli.run(scheduler.main, wrong) == 2
+    assert call("scheduler", wrong) == 2

@@ -16,12 +16,12 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
-from postproc import style
 from postproc.cli import InputError
-from postproc.gates import WINDOW
-from postproc.lifetimes import first_passage, passage_times
-from postproc.points import gather
-from postproc.renewal import RENEWAL
+from postproc.figures import style
+from postproc.reading.points import gather
+from postproc.theory.chain import passage_times
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.results import Results
-    from postproc.theory import Circuit
+    from postproc.reading.results import Results, Series
+    from postproc.theory.circuit import Circuit
 
 LOW, HIGH = 0.2, 0.7  # chi at which the polarised, the homogeneous state has been left
 MIDDLE = 0.5  # starts with chi above this are polarised
@@ -94,6 +94,18 @@ def estimate(times: Sequence[float], passed: Sequence[bool]) -> tuple[float, flo
     most = stats.chi2.ppf(0.5 + 0.5 * CONFIDENCE, 2 * count + 2)
     least = stats.chi2.ppf(0.5 - 0.5 * CONFIDENCE, 2 * count)
     return mean, 2.0 * total / float(most), 2.0 * total / float(least)
+
+
+def first_passage(series: Series, number: int, barrier: float, below: bool) -> tuple[float, bool]:
+    """Return when chi first gets below (or above) `barrier` in a series, and whether it does.
+
+    Without a passage: how long the series lasts, which bounds the lifetime from below.
+    """
+    chi = np.abs(2.0 * series.urn1_number - number) / number
+    passed = np.flatnonzero(chi < barrier if below else chi > barrier)
+    if passed.size == 0:
+        return float(series.time[-1]), False
+    return float(series.time[passed[0]]), True
 
 
 def measured(files: Sequence[Results]) -> list[Lifetime]:

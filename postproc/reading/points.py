@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from postproc.results import Results
+    from postproc.reading.results import Results
 
     Floats = NDArray[np.float64]
 

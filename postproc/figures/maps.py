@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import cli, style, theory
-from postproc.gates import WINDOW
-from postproc.points import gather
-from postproc.renewal import RENEWAL
+from postproc import cli
+from postproc.figures import style
+from postproc.reading.points import gather
+from postproc.theory.circuit import transition_width
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,9 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.points import Points
-    from postproc.results import Results
-    from postproc.theory import Circuit
+    from postproc.reading.points import Points
+    from postproc.reading.results import Results
+    from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
     Line = tuple[Floats, Floats, str, str]
@@ -54,9 +56,7 @@ def edges(centres: Floats) -> Floats:
 
 def transition_line(circuit: Circuit, thresholds: Floats) -> Floats:
     """Return w' of the transition line, eq. (transition), for each T; NaN where there is none."""
-    return np.array(
-        [theory.transition_width(replace(circuit, threshold=int(one))) for one in thresholds]
-    )
+    return np.array([transition_width(replace(circuit, threshold=int(one))) for one in thresholds])
 
 
 def by_start(points: Points) -> list[tuple[str, Points]]:

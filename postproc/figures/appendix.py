@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import style, theory
-from postproc.gates import WINDOW
-from postproc.points import gather
-from postproc.renewal import RENEWAL
+from postproc.figures import style
+from postproc.reading.points import gather
+from postproc.theory.circuit import single_urn_current
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,9 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.gates import Gate
-    from postproc.points import Points
-    from postproc.results import Results
+    from postproc.reading.points import Points
+    from postproc.reading.results import Results
+    from postproc.theory.gates import Gate
 
     Floats = NDArray[np.float64]
 
@@ -38,15 +40,8 @@ def _theory(
     results: Results, group: Points, thresholds: Floats, gate: Gate, occupation: bool = False
 ) -> Floats:
     """Return the theory's current at other thresholds of a group of one N and w."""
-    return theory.single_urn_current(
-        group.number[0],
-        thresholds,
-        group.width1[0],
-        results.table_value("urn_radius"),
-        results.table_value("channel1_length"),
-        gate,
-        occupation,
-    )
+    urn = replace(results.circuit(int(group.point[0]), gate), occupation=occupation)
+    return single_urn_current(replace(urn, threshold=thresholds))
 
 
 def _groups(points: Points) -> list[tuple[int, int, Points]]:
