@@ -115,8 +115,8 @@ def figure_comp01(files: Sequence[Results]) -> Figure:
     points = gather(files)
     made = style.figure(style.PAGE, 3.4)
     left, right = made.subplots(1, 2, sharey=True)
-    for at, width in enumerate(np.unique(points.width2)):
-        group = points.where(points.width2 == width).sorted_by_threshold()
+    for at, width in enumerate(np.unique(points.channel2_width)):
+        group = points.where(points.channel2_width == width).sorted_by_threshold()
         colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
         look = {"fmt": mark, "color": colour, "mfc": "none", "elinewidth": 0.7, "ms": 3.8}
         fraction = group.threshold / group.number

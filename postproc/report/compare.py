@@ -138,7 +138,7 @@ def _mean(values: Floats) -> float:
 
 def _upper(points: Points) -> NDArray[np.bool_]:
     """Tell which points have a larger T than the one of their N, w and w' with the largest chi."""
-    lines = np.stack([points.number, points.width1, points.width2])
+    lines = np.stack([points.number, points.channel1_width, points.channel2_width])
     found = np.zeros(points.number.size, bool)
     for line in np.unique(lines, axis=1).T:
         own = np.flatnonzero((line == lines.T).all(axis=1))

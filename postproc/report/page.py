@@ -106,8 +106,8 @@ def _table_section(results: Results, points: Points) -> str:
         cells.append(
             (
                 f"{points.threshold[at]:.0f}",
-                f"{points.width2[at]:.4g}",
-                f"{points.width1[at]:.4g}",
+                f"{points.channel2_width[at]:.4g}",
+                f"{points.channel1_width[at]:.4g}",
                 f"{points.number[at]:.0f}",
                 f"{points.start[at]:.3g}",
                 _pair(points.chi[at], points.chi_error[at]),
@@ -192,8 +192,8 @@ def _map_section(points: Points) -> str:
     sections = []
     for name, part in maps.by_start(points):
         for number in np.unique(part.number):
-            for width in np.unique(part.width1):
-                chosen = part.where((part.number == number) & (part.width1 == width))
+            for width in np.unique(part.channel1_width):
+                chosen = part.where((part.number == number) & (part.channel1_width == width))
                 if chosen.number.size == 0:
                     continue
                 start = name.replace("$", "").replace(r"\chi", "chi")

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-# As in src/ensemble: operations on the board for one task and for one look, bytes on the list for
-# a task, seconds between two looks of a rank, the most looks a second of all ranks, the share of
-# the time that looks may take, and the longest time between two.
+# As in src/ensemble (a test compares those named there): operations on the board for one task and
+# for one look, bytes on the list for a task, seconds between two looks of a rank, the most looks a
+# second of all ranks, the share of the time that looks may take, and the longest time between two.
 OPERATIONS_A_TASK = 5
 OPERATIONS_A_LOOK = 2
 BYTES_A_TASK = 8

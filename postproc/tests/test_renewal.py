@@ -78,6 +78,13 @@ def test_fit_agrees_with_the_equations(
     assert 0.0 < abs(solved[3, 2.5, 3, 8] - solved[3, 2.5, 2, 8]) < 1e-4
 
 
+def test_program_renewal_gate_agrees_with_the_fit() -> None:
+    points = np.array([[2, 2.0], [7, 5.0], [1, 1.0]])
+    shares, errors = renewal_fit.simulate(points, 400_000, processes=2)
+    assert np.all(errors < 0.005)
+    assert np.all(np.abs(RENEWAL.share(*points.T) - shares) < 4 * errors)
+
+
 def test_fit_agrees_with_the_simulations_kept_with_it() -> None:
     checks = RENEWAL.fit["checks"]
     apart = [

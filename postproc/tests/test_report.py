@@ -74,6 +74,7 @@ def test_page_escapes_the_namelist(tmp_path: Path) -> None:
     assert "<script>alert" not in (tmp_path / "odd.html").read_text()
 
 
+@pytest.mark.full
 @pytest.mark.skipif(BROWSER is None, reason="no chromium here")
 def test_hover_shows_the_value_and_the_console_is_silent(page: Path, tmp_path: Path) -> None:
     hovered = tmp_path / "hovered.html"

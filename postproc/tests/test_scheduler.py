@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,17 @@ from postproc.speed import scheduler
 from postproc.speed.scheduler import Network, simulate, simulate_static, task_lengths
 from postproc.tests.commands import call
 
+SOURCES = Path(__file__).resolve().parents[2] / "src/ensemble"
 IDEAL = Network(0.0, 1e-12)
+
+
+@pytest.mark.parametrize(
+    "name", ["look_interval", "looks_a_second", "look_share", "longest_interval"]
+)
+def test_looks_are_those_of_the_program(name: str) -> None:
+    text = "".join(path.read_text(encoding="utf-8") for path in SOURCES.glob("*.f90"))
+    (value,) = re.findall(rf"\b{name} = ([\d.e]+)_dp", text)
+    assert getattr(scheduler, name.upper()) == float(value)
 
 
 def test_equal_tasks_keep_all_ranks_busy() -> None:

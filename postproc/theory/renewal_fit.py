@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,12 +11,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy import special
 
-from postproc.theory.renewal import (
-    RenewalGate,
-    coordinates,
-    exponential_share,
-    load_range,
-)
+from postproc.cli import InputError
+from postproc.theory.renewal import RenewalGate, coordinates, exponential_share, load_range
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,6 +21,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+PROGRAMS = Path(__file__).resolve().parents[2] / "build/bin"
 THRESHOLDS = (*range(2, 13), 14, 16, 18, 20, 22, 25, 30, 36, 45, 60, 80, 100)
 LOADS = 16  # a threshold
 FINE = (*range(2, 13), 60)  # thresholds at which cells of half the width are used as well
@@ -39,29 +35,26 @@ CHECKED = ((1, 1.0), (2, 2.0), (2, 5.0), (4, 3.0), (4, 12.0), (7, 5.0), (7, 12.0
 CHECKED += ((13, 17.0), (15, 12.0), (18, 12.0), (18, 20.0), (25, 24.0), (30, 40.0), (70, 75.0))
 
 
-def compiled(name: str, folder: str) -> Path:
-    """Compile one of the Fortran programs beside this file; return where it is."""
-    source, program = Path(__file__).with_name(f"{name}.f90"), Path(folder) / name
-    flags = ["-O3", "-march=native", "-ffast-math", "-funroll-loops", "-J", folder]
-    subprocess.run(["gfortran", *flags, "-o", program, source], check=True)
-    return program
-
-
-def _answers(program: Path, lines: Sequence[str]) -> Floats:
+def _answers(name: str, lines: Sequence[str]) -> Floats:
+    """Ask one of the programs of app/renewal; return the numbers of its answer, a row a line."""
     text = "".join(f"{line}\n" for line in lines)
-    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    program = PROGRAMS / name
+    try:
+        done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    except OSError as problem:
+        raise InputError(f"{program}: {problem.strerror} (make build builds it)") from problem
     return np.array([[float(word) for word in line.split()] for line in done.stdout.splitlines()])
 
 
 def solve(rows: Floats, processes: int = 1) -> Floats:
-    """Return the shares for rows (threshold, load, order, cells) by `renewal_closure.f90`."""
-    lines = [f"{x!r} {t:.0f} {order:.0f} {cells:.0f} {LONGEST}" for t, x, order, cells in rows]
-    lines = [line.replace("np.float64(", "").replace(")", "") for line in lines]
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(processes) as pool:
-        program = compiled("renewal_closure", folder)
-        return np.array(
-            [one[0, 2] for one in pool.map(lambda row: _answers(program, [row]), lines)]
-        )
+    """Return the shares for rows (threshold, load, order, cells) by `renewal_closure`."""
+    lines = [
+        f"{load!r} {threshold:.0f} {order:.0f} {cells:.0f} {LONGEST}"
+        for threshold, load, order, cells in rows.tolist()
+    ]
+    with ThreadPoolExecutor(processes) as pool:
+        answers = pool.map(lambda line: _answers("renewal_closure", [line]), lines)
+        return np.array([one[0, 2] for one in answers])
 
 
 def simulate(
@@ -70,12 +63,11 @@ def simulate(
     """Return the share that gets through and its standard error, for rows (threshold, load)."""
     shares, errors = np.empty(len(points)), np.empty(len(points))
     pieces = range(min(processes, len(points)))
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(processes) as pool:
-        program = compiled("renewal_gate", folder)
+    with ThreadPoolExecutor(processes) as pool:
 
         def run(piece: int) -> Floats:
             asked = [f"{x!r} {int(t)} {entries}" for t, x in points[piece::processes].tolist()]
-            return _answers(program, [str(seed + piece), *asked])
+            return _answers("renewal_gate", [str(seed + piece), *asked])
 
         for piece, found in zip(pieces, pool.map(run, pieces), strict=True):
             _, threshold, cycles, total, squares = found.T

@@ -1,0 +1,397 @@
+!> Share that a renewal gate lets through, without chance: moments of those inside, closed.
+!>
+!> Poisson entries at rate nu, each inside for (l/2)/cos(theta), cosine law; an entry that finds T
+!> inside empties the gate. From empty to the first emptying the number inside and the times at
+!> which they came, in cells of a width of 1/cells, obey linear equations: the probability p_n of n
+!> inside is changed by those who leave, so by the density of one of them over the cells, that one
+!> by pairs, and so on. The chain is cut at pairs (order 2) or triples (order 3): given n, joint
+!> cumulants of more are taken as zero. That is exact for T up to the order. Nobody leaves before
+!> time 1, so the equations start there, from a Poisson distribution; from then on they are
+!> integrated by Runge and Kutta's formula, in the square root of time within a cell, where the rate
+!> at which a cell that turns 1 old is left begins as a square root. Old cells are joined two by
+!> two. At the end of the time given, the survivors are emptied at the rate reached, with what its
+!> change leaves to expect. Lengths are in units of l/2, so tau = pi/2.
+module renewal_equations
+  use, intrinsic :: iso_fortran_env, only: real64
+  implicit none (type, external)
+  private
+  public :: wp, solve
+
+  integer, parameter :: wp = real64
+  integer, parameter :: most = 400 !< cells, at most
+  real(wp), parameter :: least_probability = 1e-250_wp !< below it nobody is asked who leaves
+
+contains
+
+  !> Chance to be inside at that age
+  pure elemental function stays(age) result(chance)
+    real(wp), intent(in) :: age
+    real(wp) :: chance
+    chance = 1.0_wp
+    if (age > 1.0_wp) chance = 1.0_wp/(age**2 + age*sqrt((age - 1.0_wp)*(age + 1.0_wp)))
+  end function stays
+
+  !> Mean time inside up to that age
+  pure elemental function stayed(age) result(time)
+    real(wp), intent(in) :: age
+    real(wp) :: time
+    time = age
+    if (age > 1.0_wp) time = 1.0_wp/(age + sqrt((age - 1.0_wp)*(age + 1.0_wp))) + acos(1.0_wp/age)
+  end function stayed
+
+  !> Integrates the equations of a gate fed at rate `nu` that holds `top` at most, with so many
+  !> `cells` to a unit of time, to the time `longest`; gives the `share` that gets through, and the
+  !> chance `left` that the gate lasts longer.
+  subroutine solve(nu, top, order, cells, longest, share, left)
+    real(wp), intent(in) :: nu, longest
+    integer, intent(in) :: top, order, cells
+    real(wp), intent(out) :: share, left
+    real(wp), allocatable :: state(:)
+    real(wp) :: from(most), to(most), h, t, cycle, rate, before, limit
+    integer :: k, i
+
+    h = 1.0_wp/cells
+    k = cells
+    do i = 1, k
+      from(i) = (i - 1)*h
+      to(i) = i*h
+    end do
+    call begin(state, cycle, left, nu, k, top, order)
+    t = 1.0_wp
+    rate = 1.0_wp
+    do while (t < longest .and. left > 1e-10_wp)
+      call append(state, from, to, k, top, order, t, h)
+      call pass_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
+      before = rate
+      rate = nu*state(top*length(k, order) + 1)/left
+      t = t + h
+      call merge_old(state, from, to, k, top, order, t, h)
+    end do
+    limit = rate + (rate - before)*(t - h)/h
+    if (limit > 0.5_wp*rate .and. limit < 2.0_wp*rate) then
+      rate = limit + (rate - limit)*t/(t + 1.0_wp/rate)
+    end if
+    cycle = cycle + left/rate
+    share = 1.0_wp - (top + 1)/(nu*cycle)
+  end subroutine solve
+
+  !> State at time 1, before which no one leaves: Poisson numbers, each at a place of its own. Also
+  !> the mean time `cycle` spent so far and the chance `left` that the gate was not emptied yet.
+  pure subroutine begin(state, cycle, left, nu, k, top, order)
+    real(wp), allocatable, intent(out) :: state(:)
+    real(wp), intent(out) :: cycle, left
+    real(wp), intent(in) :: nu
+    integer, intent(in) :: k, top, order
+    real(wp) :: p
+    integer :: n
+
+    allocate (state(length(k, order)*(top + 1)))
+    p = exp(-nu)
+    cycle = 0.0_wp
+    left = 0.0_wp
+    do n = 0, top
+      left = left + p
+      cycle = cycle + (1.0_wp - left)/nu
+      call fill(state(n*length(k, order) + 1:(n + 1)*length(k, order)), p, n, k, order)
+      p = p*nu/(n + 1)
+    end do
+  end subroutine begin
+
+  !> Integrates from `t` over the cell that has just been opened, `h` long, by Runge and Kutta's
+  !> formula; adds the mean time that the gate lasts within it to `cycle`, updates `left`.
+  subroutine pass_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
+    real(wp), intent(inout) :: state(:), cycle, left
+    real(wp), intent(in) :: from(:), to(:), t, h, nu
+    integer, intent(in) :: k, top, order
+    real(wp), dimension(size(state)) :: mid, slope, total
+    real(wp) :: u, du, s0, d0, d1, w0, w1
+    integer :: at, steps
+
+    steps = max(8, ceiling(6.0_wp*h*nu))
+    du = 1.0_wp/steps
+    do at = 0, steps - 1
+      u = at*du
+      s0 = survival(state, k, order, top)
+      call rates(state, slope, t, h, u, from, to, k, nu, top, order)
+      d0 = survival(slope, k, order, top)
+      total = slope
+      mid = state + 0.5_wp*du*slope
+      call rates(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
+      total = total + 2.0_wp*slope
+      mid = state + 0.5_wp*du*slope
+      call rates(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
+      total = total + 2.0_wp*slope
+      mid = state + du*slope
+      call rates(mid, slope, t, h, u + du, from, to, k, nu, top, order)
+      state = state + du/6.0_wp*(total + slope)
+      left = survival(state, k, order, top)
+      d1 = -nu*state(top*length(k, order) + 1)*2.0_wp*h*(u + du)
+      w0 = 2.0_wp*h*u
+      w1 = 2.0_wp*h*(u + du)
+      ! Simpson's rule, the middle by Hermite's interpolation
+      cycle = cycle + du/6.0_wp*(w0*s0 + w1*left &
+        + 2.0_wp*(w0 + w1)*(0.5_wp*(s0 + left) + du/8.0_wp*(d0 - d1)))
+    end do
+  end subroutine pass_cell
+
+  !> Numbers kept for each n: probability, density, pairs, triples
+  pure function length(k, order) result(count)
+    integer, intent(in) :: k, order
+    integer :: count
+    count = 1 + k
+    if (order > 1) count = count + k*k
+    if (order > 2) count = count + k*k*k
+  end function length
+
+  !> n independent ones, spread evenly
+  pure subroutine fill(part, p, n, k, order)
+    real(wp), intent(out) :: part(:)
+    real(wp), intent(in) :: p
+    integer, intent(in) :: n, k, order
+    part(1) = p
+    part(2:k + 1) = p*n/k
+    if (order > 1) part(k + 2:k + 1 + k*k) = p*n*(n - 1)/real(k, wp)**2
+    if (order > 2) part(k + 2 + k*k:) = p*n*(n - 1.0_wp)*(n - 2)/real(k, wp)**3
+  end subroutine fill
+
+  !> Chance that the gate was not emptied yet
+  pure function survival(state, k, order, top) result(total)
+    real(wp), intent(in) :: state(:)
+    integer, intent(in) :: k, order, top
+    real(wp) :: total
+    integer :: n
+    total = 0.0_wp
+    do n = 0, top
+      total = total + state(n*length(k, order) + 1)
+    end do
+  end function survival
+
+  !> Opens the cell of those who come now
+  subroutine append(state, from, to, k, top, order, t, h)
+    real(wp), allocatable, intent(inout) :: state(:)
+    real(wp), intent(inout) :: from(:), to(:)
+    integer, intent(inout) :: k
+    integer, intent(in) :: top, order
+    real(wp), intent(in) :: t, h
+    integer :: group(most), i
+    do i = 1, k
+      group(i) = i
+    end do
+    from(k + 1) = t
+    to(k + 1) = t + h
+    call regroup(state, group, k, k + 1, top, order)
+    k = k + 1
+  end subroutine append
+
+  !> Joins pairs of old cells
+  subroutine merge_old(state, from, to, k, top, order, t, h)
+    real(wp), allocatable, intent(inout) :: state(:)
+    real(wp), intent(inout) :: from(:), to(:)
+    integer, intent(inout) :: k
+    integer, intent(in) :: top, order
+    real(wp), intent(in) :: t, h
+    integer :: group(most), i, made
+    real(wp) :: age, allowed, begins(most), ends(most)
+    made = 0
+    i = 1
+    do while (i <= k)
+      made = made + 1
+      group(i) = made
+      begins(made) = from(i)
+      ends(made) = to(i)
+      if (i < k) then
+        age = t - to(i + 1)
+        allowed = h
+        if (age >= 2.0_wp) allowed = 2.0_wp*h*2.0_wp**floor(log(age)/log(2.0_wp))
+        if (to(i + 1) - from(i) <= 1.0001_wp*allowed .and. &
+            abs((to(i + 1) - from(i + 1)) - (to(i) - from(i))) < 0.01_wp*h) then
+          group(i + 1) = made
+          ends(made) = to(i + 1)
+          i = i + 1
+        end if
+      end if
+      i = i + 1
+    end do
+    if (made == k) return
+    from(:made) = begins(:made)
+    to(:made) = ends(:made)
+    call regroup(state, group, k, made, top, order)
+    k = made
+  end subroutine merge_old
+
+  !> Sums what is in cells of one group
+  subroutine regroup(state, group, k, made, top, order)
+    real(wp), allocatable, intent(inout) :: state(:)
+    integer, intent(in) :: group(:), k, made, top, order
+    real(wp), allocatable :: new(:)
+    integer :: n, a, b, i, j, l, place
+    allocate (new(length(made, order)*(top + 1)), source=0.0_wp)
+    do n = 0, top
+      a = n*length(k, order) + 1
+      b = n*length(made, order) + 1
+      new(b) = state(a)
+      do i = 1, k
+        new(b + group(i)) = new(b + group(i)) + state(a + i)
+        if (order < 2) cycle
+        do j = 1, k
+          place = b + made + group(i) + made*(group(j) - 1)
+          new(place) = new(place) + state(a + k + i + k*(j - 1))
+          if (order < 3) cycle
+          do l = 1, k
+            place = b + made + made**2 + group(i) + made*(group(j) - 1) + made**2*(group(l) - 1)
+            new(place) = new(place) + state(a + k + k*k + i + k*(j - 1) + k*k*(l - 1))
+          end do
+        end do
+      end do
+    end do
+    call move_alloc(new, state)
+  end subroutine regroup
+
+  !> Slopes at a place u within the current cell, t = t0 + h u^2
+  subroutine rates(state, slope, t0, h, u, from, to, k, nu, top, order)
+    integer, intent(in) :: k, top, order
+    real(wp), intent(in) :: state(length(k, order), 0:top), t0, h, u, from(:), to(:), nu
+    real(wp), intent(out) :: slope(length(k, order), 0:top)
+    real(wp) :: mu(k), t, out(length(k, order)), weight, own
+    integer :: i, n
+    t = t0 + h*u*u
+    weight = 2.0_wp*h*u
+    do i = 1, k
+      mu(i) = 0.0_wp
+      if (t - from(i) > 1.0_wp) then
+        own = min(to(i), t)
+        mu(i) = (stays(t - own) - stays(t - from(i)))/(stayed(t - from(i)) - stayed(t - own))
+      end if
+    end do
+    slope = 0.0_wp
+    do n = 0, top
+      call leaving(state(:, n), out, mu, n, k, order)
+      slope(:, n) = slope(:, n) - nu*state(:, n) - out
+      if (n > 0) slope(:, n - 1) = slope(:, n - 1) + out
+      if (n > 0) slope(:, n) = slope(:, n) + nu*state(:, n - 1)
+      call tagged_leave(state(:, n), slope(:, n), mu, k, order)
+      if (n > 0) call tag(state(:, n - 1), slope(:, n), nu, k, order)
+    end do
+    slope = slope*weight
+  end subroutine rates
+
+  !> Those tagged leave themselves, at the rates `mu` of their cells.
+  pure subroutine tagged_leave(state, slope, mu, k, order)
+    real(wp), intent(in) :: state(:), mu(:)
+    real(wp), intent(inout) :: slope(:)
+    integer, intent(in) :: k, order
+    integer :: i, j, l, a
+
+    do i = 1, k
+      slope(1 + i) = slope(1 + i) - mu(i)*state(1 + i)
+    end do
+    if (order > 1) then
+      do j = 1, k
+        a = 1 + k + k*(j - 1)
+        slope(a + 1:a + k) = slope(a + 1:a + k) - (mu(:k) + mu(j))*state(a + 1:a + k)
+      end do
+    end if
+    if (order > 2) then
+      do l = 1, k
+        do j = 1, k
+          a = 1 + k + k*k + k*(j - 1) + k*k*(l - 1)
+          slope(a + 1:a + k) = slope(a + 1:a + k) &
+            - (mu(:k) + mu(j) + mu(l))*state(a + 1:a + k)
+        end do
+      end do
+    end if
+  end subroutine tagged_leave
+
+  !> Those who come to a state with one fewer are tagged: in the youngest cell, `k`.
+  pure subroutine tag(state, slope, nu, k, order)
+    real(wp), intent(in) :: state(:), nu
+    real(wp), intent(inout) :: slope(:)
+    integer, intent(in) :: k, order
+    real(wp) :: own
+    integer :: i, j, a
+
+    slope(1 + k) = slope(1 + k) + nu*state(1)
+    if (order > 1) then
+      do j = 1, k
+        a = 1 + k
+        slope(a + k + k*(j - 1)) = slope(a + k + k*(j - 1)) + nu*state(1 + j)
+        slope(a + j + k*(k - 1)) = slope(a + j + k*(k - 1)) + nu*state(1 + j)
+      end do
+    end if
+    if (order > 2) then
+      do j = 1, k
+        do i = 1, k
+          own = nu*state(1 + k + i + k*(j - 1))
+          a = 1 + k + k*k
+          call add(slope(a + i + k*(j - 1) + k*k*(k - 1)), own)
+          call add(slope(a + i + k*(k - 1) + k*k*(j - 1)), own)
+          call add(slope(a + k + k*(i - 1) + k*k*(j - 1)), own)
+        end do
+      end do
+    end if
+  end subroutine tag
+
+  pure subroutine add(sum, more)
+    real(wp), intent(inout) :: sum
+    real(wp), intent(in) :: more
+
+    sum = sum + more
+  end subroutine add
+
+  !> Rate at which untagged ones leave, tagged places kept
+  pure subroutine leaving(state, out, mu, n, k, order)
+    integer, intent(in) :: n, k, order
+    real(wp), intent(in) :: state(:), mu(:)
+    real(wp), intent(out) :: out(:)
+    real(wp) :: p(k), c(k, k), mc(k), m1, p2(k, k), f, ms(k, k), s(k, k, k)
+    integer :: i, j, l
+    out = 0.0_wp
+    if (n == 0) return
+    out(1) = dot_product(mu, state(2:k + 1))
+    if (n == 1) return
+    if (order == 1) then
+      if (state(1) > least_probability) out(2:k + 1) = state(2:k + 1)*out(1)/state(1)*(n - 1.0_wp)/n
+      return
+    end if
+    do j = 1, k
+      out(1 + j) = dot_product(mu, state(1 + k + k*(j - 1) + 1:1 + k + k*j))
+    end do
+    if (n == 2) return
+    if (state(1) < least_probability) return
+    p = state(2:k + 1)/(n*state(1))
+    p2 = reshape(state(k + 2:k + 1 + k*k), [k, k])/(n*(n - 1.0_wp)*state(1))
+    do j = 1, k
+      c(:, j) = p2(:, j) - p*p(j)
+    end do
+    m1 = dot_product(mu, p)
+    mc = matmul(mu, c)
+    if (order == 2) then
+      f = n*(n - 1.0_wp)*(n - 2)*state(1)
+      do j = 1, k
+        out(1 + k + k*(j - 1) + 1:1 + k + k*j) = f*(p2(:, j)*m1 + mc*p(j) + p*mc(j))
+      end do
+      return
+    end if
+    s = reshape(state(k + 2 + k*k:), [k, k, k])
+    do l = 1, k
+      do j = 1, k
+        out(1 + k + j + k*(l - 1)) = dot_product(mu, s(:, j, l))
+      end do
+    end do
+    if (n == 3) return
+    s = s/(n*(n - 1.0_wp)*(n - 2)*state(1))
+    f = n*(n - 1.0_wp)*(n - 2)*(n - 3)*state(1)
+    do l = 1, k
+      do j = 1, k
+        ms(j, l) = sum(mu*(s(:, j, l) - p*p(j)*p(l) - c(:, j)*p(l) - c(:, l)*p(j) - c(j, l)*p))
+      end do
+    end do
+    do l = 1, k
+      do j = 1, k
+        i = 1 + k + k*k + k*(j - 1) + k*k*(l - 1)
+        out(i + 1:i + k) = f*(m1*s(:, j, l) + mc*p2(j, l) + mc(j)*p2(:, l) + mc(l)*p2(:, j) &
+          + ms(:, j)*p(l) + ms(:, l)*p(j) + ms(j, l)*p)
+      end do
+    end do
+  end subroutine leaving
+end module renewal_equations
