@@ -72,13 +72,22 @@ def test_lifetimes_are_measured_and_drawn(
     path = results_of(tmp_path / "run.h5", particles={"number": None}, scan=scan)
     with Results(path) as results:
         found = passages.measured([results])
+        made = passages.figure_lifetimes([results])
     assert [life.polarised for life in found] == [True, False] * 2
     assert [(life.passages, life.replicas) for life in found] == [(2, 2), (0, 2)] * 2
     assert all(0.0 < life.low <= life.time <= life.high < 500.0 for life in found[::2])
     assert all(life.time == pytest.approx(2000.0 / passages.BOUND) for life in found[1::2])
     assert all(math.isnan(life.low) for life in found[1::2])
-    assert call("figures", ["lifetimes", str(path), "--output", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count("at least") == 2
+    (axes,) = made.axes
+    assert axes.get_title("left") == "$T = 18$, $l = 1$"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$N$", "lifetime  (length / $v$)")
+    assert (axes.get_yscale(), axes.get_ylim()) == ("log", passages.DRAWN)
+    drawn = {(line.get_marker(), *map(tuple, line.get_data())) for line in axes.lines}
+    for life in found:
+        times = [one.time for one in found if one.polarised == life.polarised]
+        assert ("o" if life.polarised else "^", (500.0, 1000.0), tuple(times)) in drawn
+    assert len(made.legends[0].get_texts()) == 6
 
 
 def test_lifetimes_of_runs_that_end_too_early_are_not_too_short() -> None:

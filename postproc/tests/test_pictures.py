@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from postproc.figures import currents, scene
+from postproc.figures.style import VERMILION
 from postproc.reading.results import Results, Snapshot, mean_and_error
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, results_of
-from postproc.theory.circuit import Circuit
+from postproc.theory.circuit import Circuit, eta, flow1, flow2
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,9 +36,62 @@ def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
     assert call(command, [str(run_file), "--output", str(folder)]) == 0
-    suffixes = sorted(path.suffix for path in folder.iterdir())
-    assert suffixes == [".pdf", ".png"]
-    assert all(path.stat().st_size > 5000 for path in folder.iterdir())
+    assert sorted(path.name for path in folder.iterdir()) == [f"{command}.pdf", f"{command}.png"]
+    assert {path.read_bytes()[:5] for path in folder.iterdir()} == {b"\x89PNG\r", b"%PDF-"}
+
+
+def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
+    with Results(run_file) as results:
+        made = currents.figure_currents(results, 0, 1)
+        series, circuit = results.series(0, 1), results.circuit(0)
+    (axes,) = made.axes
+    assert axes.get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
+    assert axes.get_xlabel() == "time $t$  (length / $v$)"
+    assert axes.get_ylabel() == "particles per unit time"
+    assert axes.get_xlim() == (0.0, 1000.0)
+    for container, name in zip(axes.containers, currents.FLOW_LOOK, strict=True):
+        assert container.get_label() == currents.FLOW_LOOK[name][2]
+        x, y = container.lines[0].get_data()
+        assert np.all((x > 0.0) & (x < 1000.0))
+        assert y.mean() == pytest.approx(series.flows[name].mean(), rel=0.05, abs=1e-3)
+    net = [line for line in axes.lines if str(line.get_label()).startswith("net current")]
+    assert [line.get_label() for line in net] == [
+        "net current, channel 1",
+        "net current, channel 2",
+    ]
+    # the theory's state with N2 = 968.7 or its mirror image, as the run chose
+    levels = sorted(line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == "--")
+    expected = [flow(circuit, 31.273) for flow in (flow1, flow2)]
+    expected += [flow(circuit, 968.727) for flow in (flow1, flow2)]
+    expected.append(expected[3] - expected[1])
+    assert levels == pytest.approx(sorted(map(float, expected)), abs=1e-4)
+    (inset,) = axes.child_axes
+    assert (inset.get_xlabel(), inset.get_ylabel()) == ("$N_2/N$", r"$\eta$")
+    share, flow = next(line.get_data() for line in inset.lines if len(line.get_xdata()) > 2)
+    assert flow == pytest.approx(eta(circuit, 1000.0 * share))
+    reached = currents.settled_number2(circuit, series) / 1000.0
+    assert reached in [line.get_xdata()[0] for line in inset.lines if line.get_color() == VERMILION]
+
+
+def test_scene_shows_every_particle_and_counts_those_in_the_gates(run_file: Path) -> None:
+    with Results(run_file) as results:
+        circuit, snapshot = results.circuit(0), results.snapshot(0, 0, -1)
+    made = scene.figure_scene(circuit, snapshot)
+    whole, channel = made.axes
+    first = np.count_nonzero(snapshot.x < 0.0)
+    for part in ("t = 10", "N = 1000", f"N_1 = {first}", f"N_2 = {1000 - first}"):
+        assert f"${part}$" in whole.get_title("center")
+    counted = scene.counted_by(circuit, snapshot)
+    for gate, place in ((1, "left"), (2, "right")):
+        number = np.count_nonzero(counted == gate)
+        assert channel.get_title(place) == f"gate {gate}: {number} counted, $T = 7$"
+    free, ringed = (part.get_offsets().data for part in whole.collections[:2])
+    assert len(ringed) == np.count_nonzero(counted) > 0
+    drawn = np.concatenate([free, ringed])
+    particles = np.column_stack([snapshot.x, snapshot.y])
+    assert drawn[np.lexsort(drawn.T)] == pytest.approx(particles[np.lexsort(particles.T)])
+    assert channel.get_xlim() == pytest.approx((-0.625, 0.625))
+    assert len(made.legends[0].get_texts()) == 4
 
 
 def _one_line(command: list[str], path: Path, capsys: pytest.CaptureFixture[str]) -> str:
