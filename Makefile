@@ -15,6 +15,7 @@ libopenmpi-dev:      command -v mpifort
 pkg-config:          command -v pkg-config
 libhdf5-openmpi-dev: pkg-config --exists hdf5-openmpi
 libgsl-dev:          pkg-config --exists gsl
+libssl-dev:          pkg-config --exists libcrypto
 python3-venv:        python3 -c 'import ensurepip, venv'
 endef
 export PACKAGES

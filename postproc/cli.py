@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import IO, TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -24,6 +25,11 @@ class Parser(argparse.ArgumentParser):
         """Print one line, leave with exit 2."""
         self.exit(EXIT_BAD_INPUT, f"{self.prog}: error: {message} (--help explains)\n")
 
+    def _print_message(self, message: str, file: IO[str] | None = None) -> None:
+        """Print help; where argparse passes over a full device, `run` says so."""
+        (file or sys.stderr).write(message)
+        (file or sys.stderr).flush()
+
 
 def parser(name: str, description: str | None) -> Parser:
     """Return a parser for `python -m postproc.NAME`, described by the module's docstring."""
@@ -41,6 +47,43 @@ def add_output(options: argparse.ArgumentParser) -> None:
     )
 
 
+def existing_file(path: Path) -> Path:
+    """Return `path`, which must be that of a file: a pipe or a device may have no end."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, not a file")
+    if not path.is_file():
+        raise InputError(f"{path}: is a pipe or a device, not a file")
+    return path
+
+
+def integer(low: int, high: int = 2**31 - 1) -> Callable[[str], int]:
+    """Return what turns a word of the command line into an integer from `low` to `high`."""
+
+    def read(text: str) -> int:
+        value = int(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{value} must be at least {low} and at most {high}")
+        return value
+
+    read.__name__ = "int"
+    return read
+
+
+def number(low: float, high: float = 1e100) -> Callable[[str], float]:
+    """Return what turns a word of the command line into a number from `low` to `high`."""
+
+    def read(text: str) -> float:
+        value = float(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} must be at least {low} and at most {high}")
+        return value
+
+    read.__name__ = "float"
+    return read
+
+
 def output_folder(path: Path) -> Path:
     """Return the folder `path`, made if it is not there yet."""
     try:
@@ -51,9 +94,37 @@ def output_folder(path: Path) -> Path:
 
 
 def run(main: Callable[[Sequence[str] | None], int], arguments: Sequence[str] | None = None) -> int:
-    """Call `main`; turn an `InputError` into one line on standard error and exit 2."""
+    """Call `main`; turn what the user or the machine did wrong into one line and exit 2.
+
+    That is an `InputError`, and what the system says no to: a file or folder, memory, a full
+    device for what is printed.
+    """
     try:
-        return main(arguments)
+        try:
+            return main(arguments)
+        finally:
+            sys.stdout.flush()
     except InputError as problem:
-        print(f"error: {problem}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+        message = str(problem)
+    except OSError as problem:
+        message = _said(problem)
+    except MemoryError as problem:
+        message = f"not enough memory: {problem}" if str(problem) else "not enough memory"
+    _forget_output()
+    print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)
+    return EXIT_BAD_INPUT
+
+
+def _said(problem: OSError) -> str:
+    """Return what the system says, and about which file."""
+    reason = problem.strerror or str(problem)
+    return f"{problem.filename}: {reason}" if problem.filename else reason
+
+
+def _forget_output() -> None:
+    """Drop what could not be printed, or Python tries again at its end, with a traceback."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with Path(os.devnull).open("w", encoding="utf-8") as nothing:
+            os.dup2(nothing.fileno(), sys.stdout.fileno())

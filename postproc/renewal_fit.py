@@ -24,7 +24,7 @@ from postproc.theory.renewal import (
     FIT_FILE,
     RenewalGate,
 )
-from postproc.theory.renewal_fit import CHECKED, checks, fit, grid, simulate, solve
+from postproc.theory.renewal_fit import CHECKED, checks, fit, grid, read_solutions, simulate, solve
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,15 +33,18 @@ if TYPE_CHECKING:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, fit, check, write."""
     options = cli.parser("renewal_fit", __doc__)
-    options.add_argument("--entries", type=int, help="simulate the checks anew, so many entries")
-    options.add_argument("--processes", type=int, default=2, help="how many at a time")
+    options.add_argument(
+        "--entries", type=cli.integer(1), help="simulate the checks anew, so many entries"
+    )
+    options.add_argument(
+        "--processes", type=cli.integer(1, 4096), default=2, help="how many at a time"
+    )
     options.add_argument(
         "--data", type=Path, metavar="FILE.csv", help="keep the solutions here; reuse them"
     )
     given: argparse.Namespace = options.parse_args(arguments)
     if given.data and given.data.exists():
-        *columns, shares = np.loadtxt(given.data, delimiter=",").T
-        rows = np.column_stack(columns)
+        rows, shares = read_solutions(given.data)
     else:
         rows = grid()
         shares = solve(rows, given.processes)

@@ -29,26 +29,42 @@ if TYPE_CHECKING:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Simulate one run and print it; draw if asked to."""
     options = cli.parser("scheduler", __doc__)
-    options.add_argument("--ranks", type=int, default=10_000, help="default: 10000")
-    options.add_argument("--tasks", type=int, default=1_000_000, help="default: 1000000")
-    options.add_argument("--seconds", type=float, default=1.0, help="mean length of a task (1)")
     options.add_argument(
-        "--spread", type=float, default=0.3, help="standard deviation of the lengths over the mean"
+        "--ranks", type=cli.integer(1, 10**7), default=10_000, help="default: 10000"
     )
     options.add_argument(
-        "--foresight", type=float, default=0.1, help="relative error of the expected lengths (0.1)"
+        "--tasks", type=cli.integer(1, 10**8), default=1_000_000, help="default: 1000000"
+    )
+    options.add_argument(
+        "--seconds", type=cli.number(1e-12, 1e12), default=1.0, help="mean length of a task (1)"
+    )
+    options.add_argument(
+        "--spread",
+        type=cli.number(0.0, 100.0),
+        default=0.3,
+        help="standard deviation of the lengths over the mean",
+    )
+    options.add_argument(
+        "--foresight",
+        type=cli.number(0.0, 100.0),
+        default=0.1,
+        help="relative error of the expected lengths (0.1)",
     )
     options.add_argument("--order", choices=ORDERS, default="longest", help="default: longest")
-    options.add_argument("--latency", type=float, default=Network.latency, help="seconds (5e-6)")
-    options.add_argument("--service", type=float, default=Network.service, help="seconds (1e-6)")
-    options.add_argument("--seed", type=int, default=1)
+    for key, low, default in (
+        ("latency", 0.0, Network.latency),
+        ("service", 1e-12, Network.service),
+    ):
+        options.add_argument(
+            f"--{key}",
+            type=cli.number(low, 1e6),
+            default=default,
+            help=f"seconds ({default:g})",
+        )
+    options.add_argument("--seed", type=cli.integer(0, 2**63 - 1), default=1)
     options.add_argument("--figure", action="store_true", help="draw as well")
     cli.add_output(options)
     chosen = options.parse_args(arguments)
-    if min(chosen.ranks, chosen.tasks) < 1 or not min(chosen.seconds, chosen.service) > 0.0:
-        raise cli.InputError("ranks, tasks, seconds and service must be above 0")
-    if min(chosen.spread, chosen.foresight, chosen.latency) < 0.0:
-        raise cli.InputError("spread, foresight and latency must not be below 0")
     network = Network(chosen.latency, chosen.service)
     lengths = task_lengths(chosen.tasks, chosen.seconds, chosen.spread, chosen.seed)
     found = run_order(lengths, chosen.ranks, network, chosen.order, chosen.foresight)

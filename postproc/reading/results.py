@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from postproc.cli import InputError
+from postproc.cli import InputError, existing_file
+from postproc.reading.seal import check_seal
 from postproc.theory.circuit import Circuit
 from postproc.theory.gates import WINDOW
 
@@ -61,20 +62,8 @@ class Results:
     def __init__(self, path: Path) -> None:
         """Open `path`; raise `InputError` unless it holds results of this program."""
         self.path = path
-        if not path.exists():
-            raise InputError(f"{path}: no such file")
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder, not a file of results")
-        try:
-            self._file = h5py.File(path, "r")
-        except OSError as problem:
-            good = h5py.is_hdf5(path) if _readable(path) else None
-            reason = {
-                None: "cannot be read",
-                False: "not an HDF5 file",
-                True: f"damaged ({problem})",
-            }
-            raise InputError(f"{path}: {reason[good]}".splitlines()[0]) from problem
+        check_seal(existing_file(path))
+        self._file = h5py.File(path, "r")
         missing = [name for name in NEEDED if name not in self._file]
         if missing or "namelist" not in self._file.attrs:
             self._file.close()
@@ -270,15 +259,6 @@ def mean_and_error(
     error = np.maximum(np.where(count > 1, between, 0.0), within)
     empty = count == 0
     return np.where(empty, math.nan, mean), np.where(empty, math.nan, error)
-
-
-def _readable(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            file.read(1)
-    except OSError:
-        return False
-    return True
 
 
 def _text(value: object) -> str:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def parsed(path: Path) -> dict[str, Any]:
     """Read JSON with the rows of a benchmark."""
     try:
-        found = json.loads(path.read_text())
+        found = json.loads(cli.existing_file(path).read_text())
     except OSError as problem:
         raise cli.InputError(f"{path}: {problem.strerror}") from problem
     except ValueError as problem:

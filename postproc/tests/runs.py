@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import h5py
 import numpy as np
 
 from postproc.accuracy.job import Job
+from postproc.reading.seal import seal_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,9 +43,11 @@ def results_of(path: Path, **groups: dict[str, object]) -> Path:
 
 @contextmanager
 def edited(path: Path) -> Iterator[h5py.File]:
-    """Open a file of results to change it."""
+    """Open a file of results to change it, then put its seal behind it; h5py takes it away."""
     with h5py.File(path, "r+") as file:
         yield file
+    content = path.read_bytes()
+    path.write_bytes(content + seal_of(len(content), hashlib.sha256(content).hexdigest()))
 
 
 def leave_out(path: Path, *tasks: tuple[int, int]) -> Path:

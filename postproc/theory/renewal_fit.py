@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy import special
 
-from postproc.cli import InputError
+from postproc.cli import InputError, existing_file
 from postproc.theory.renewal import RenewalGate, coordinates, exponential_share, load_range
 
 if TYPE_CHECKING:
@@ -171,3 +172,17 @@ def checks(gate: RenewalGate, shares: Floats, errors: Floats) -> list[dict[str, 
     names = ("threshold", "load", "share", "error", "fit_less_share")
     rows = np.column_stack([points, shares, errors, missed]).tolist()
     return [dict(zip(names, row, strict=True)) for row in rows]
+
+
+def read_solutions(path: Path) -> tuple[Floats, Floats]:
+    """Return what `--data` has kept: the rows of the grid, and the share of each."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # it only warns of an empty file
+            table = np.loadtxt(existing_file(path), delimiter=",", ndmin=2)
+    except (ValueError, UserWarning) as problem:
+        raise InputError(f"{path}: not the numbers of a fit: {problem}") from problem
+    wanted = (len(grid()), grid().shape[1] + 1)
+    if table.shape != wanted or not np.isfinite(table).all():
+        raise InputError(f"{path}: not the {wanted[0]} rows of {wanted[1]} numbers of a fit")
+    return table[:, :-1], table[:, -1]

@@ -106,6 +106,7 @@ contains
     !> Fills `numbers`: 1 if all is complete, rank files of earlier starts; and `pending`.
     subroutine look_for_results(numbers)
       integer, intent(out) :: numbers(2)
+      type(error_type), allocatable :: damage
       type(journal_type) :: earlier
       logical, allocatable :: finished(:)
       logical :: found
@@ -115,7 +116,7 @@ contains
         call discard(plan, error)
         if (allocated(error)) return
       end if
-      call look_at_results_file()
+      call look_at_results_file(damage)
       if (allocated(error)) return
       if (complete) then
         if (.not. quiet) write (output_unit, '(a)') plan%file &
@@ -130,6 +131,14 @@ contains
       allocate (finished(task_count(plan)), source=.false.)
       call join_journal(earlier, journal_folder(plan), plan%fingerprint, 0, 0, numbers(2))
       call read_finished(earlier, finished)
+      if (allocated(damage)) then
+        if (.not. (found .or. any(finished))) then
+          call move_alloc(damage, error)
+          return
+        end if
+        if (.not. quiet) write (output_unit, '(a)') plan%file &
+          //' is damaged, and is written anew from '//journal_folder(plan)
+      end if
       call begin_journal(journal_folder(plan), plan%text, plan%fingerprint, &
         plan%initial_fingerprint, error)
       if (allocated(error)) return
@@ -139,13 +148,18 @@ contains
       flush (output_unit)
     end subroutine look_for_results
 
-    !> Results must be of this input.
-    subroutine look_at_results_file()
+    !> Results must be of this input; `damage` says what a results file cannot be read for.
+    subroutine look_at_results_file(damage)
+      type(error_type), allocatable, intent(out) :: damage
       character(len=:), allocatable :: before, initial_fingerprint
       logical :: found
 
       call existing_results(plan%file, before, initial_fingerprint, found, complete, error)
-      if (found .and. .not. allocated(error)) call compare(plan, before, initial_fingerprint, error)
+      if (allocated(error)) then
+        if (error%code == exit_failure) call move_alloc(error, damage)
+      else if (found) then
+        call compare(plan, before, initial_fingerprint, error)
+      end if
     end subroutine look_at_results_file
 
     !> A journal must be of this input; if its plan is damaged, its other files must not say that

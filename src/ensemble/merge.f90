@@ -4,7 +4,7 @@ module battery_merge
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   use battery_kinds, only: dp
   use battery_build_information, only: program_version, git_commit
-  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_error, only: error_type, exit_failure
   use battery_files, only: file_exists
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count, task_of
@@ -263,7 +263,8 @@ contains
   end function unknown
 
   !> What stands under the name of the output file: nothing, or results of which input, complete or
-  !> not. Anything else there is an error.
+  !> not. Anything else there is an error: with the code `exit_failure` if it is a results file that
+  !> is damaged, else with `exit_bad_input`.
   subroutine existing_results(file, input_text, initial_fingerprint, found, complete, error)
     character(len=*), intent(in) :: file
     character(len=:), allocatable, intent(out) :: input_text
@@ -279,12 +280,14 @@ contains
     found = file_exists(file)
     if (.not. found) return
     call read_metadata(file, input_text, status, error, initial_fingerprint)
-    if (allocated(error)) then
-      call fatal_error(error, file &
-        //' is there already, and is not a results file of this program; ' &
-        //'name another output file, or discard it with --overwrite', exit_bad_input)
+    complete = .not. allocated(error) .and. status == 'complete'
+    if (.not. allocated(error)) return
+    if (error%code == exit_failure) then
+      error%message = error%message//'; there is no journal to write it anew from: ' &
+        //'remove the file, or compute it again with --overwrite'
     else
-      complete = status == 'complete'
+      error%message = error%message//', but is there already; name another output file, ' &
+        //'move it away, or discard it with --overwrite'
     end if
   end subroutine existing_results
 

@@ -5,6 +5,7 @@
 !>
 !> A new file is made in memory and written to the disk when it is closed: after a write that failed
 !> HDF5 crashes at the end of the program, and it locks files, which some network disks refuse.
+!> Behind it comes its seal.
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
   use hdf5, only: hid_t, size_t, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
@@ -15,6 +16,7 @@ module battery_hdf5_file
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error
   use battery_files, only: file_exists, is_folder, is_readable, is_writable, folder_of
+  use battery_seal, only: seal_length, seal_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -154,20 +156,24 @@ contains
     if (status == 0) call h5fget_file_image_f(file%id, address, bytes, status)
   end subroutine get_image
 
-  !> Writes bytes to a file. Its size is asked for in the end, since the runtime library reports no
-  !> failure of what it has buffered.
+  !> Writes bytes to a file, their seal last. Its size is asked for in the end, since the runtime
+  !> library reports no failure of what it has buffered.
   subroutine write_image(name, image, error)
     character(len=*), intent(in) :: name
     integer(int8), intent(in) :: image(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=256) :: reason
+    character(len=seal_length) :: seal
     integer :: unit, status, closed
-    integer(int64) :: bytes
+    integer(int64) :: bytes, expected
 
+    call seal_of(image, seal, error)
+    if (allocated(error)) return
+    expected = seal_length + size(image, kind=int64)
     open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
       status='replace', iostat=status, iomsg=reason)
     if (status == 0) then
-      write (unit, iostat=status, iomsg=reason) image
+      write (unit, iostat=status, iomsg=reason) image, seal
       close (unit, iostat=closed)
       if (status == 0 .and. closed /= 0) then
         status = closed
@@ -176,10 +182,9 @@ contains
     end if
     if (status == 0) then
       inquire (file=name, size=bytes)
-      if (bytes /= size(image, kind=int64)) then
+      if (bytes /= expected) then
         status = 1
-        reason = 'only '//to_text(bytes)//' of '//to_text(size(image, kind=int64)) &
-          //' bytes: is the disk full?'
+        reason = 'only '//to_text(bytes)//' of '//to_text(expected)//' bytes: is the disk full?'
       end if
     end if
     if (status /= 0) call fatal_error(error, name//': cannot be written: '//trim(reason))

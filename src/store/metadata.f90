@@ -4,6 +4,7 @@ module battery_metadata
   use battery_error, only: error_type, fatal_error
   use battery_hdf5_file, only: hdf5_file_type, open_file, close_file
   use battery_hdf5_attributes, only: write_attribute, read_attribute
+  use battery_seal, only: check_seal
   implicit none (type, external)
   private
   public :: metadata_type, write_metadata, read_metadata, utc_text
@@ -86,7 +87,8 @@ contains
     call write_attribute(file, '/', name, value, error)
   end subroutine put_real
 
-  !> From which input a results file was made, and whether it is complete; an error if it is none.
+  !> From which input a results file was made, and whether it is complete, once its seal was found
+  !> right; else an error, as `check_seal` gives it.
   subroutine read_metadata(name, input_text, status, error, initial_file_fingerprint)
     character(len=*), intent(in) :: name
     character(len=:), allocatable, intent(out) :: input_text, status
@@ -98,7 +100,8 @@ contains
     input_text = ''
     status = ''
     if (present(initial_file_fingerprint)) initial_file_fingerprint = ''
-    call open_file(file, name, error)
+    call check_seal(name, error)
+    if (.not. allocated(error)) call open_file(file, name, error)
     if (allocated(error)) return
     call read_attribute(file, '/', 'namelist', input_text, error)
     if (.not. allocated(error)) call read_attribute(file, '/', 'status', status, error)

@@ -1,13 +1,15 @@
 !> The results file: what `battery_results` holds, by name, with units and named dimensions.
 !>
-!> It is written whole under another name and then renamed, so that there is always either the old
-!> file or the new one. Not known are NaN and, where an attribute `_FillValue` says so, -1.
+!> It is written whole under another name, read back and compared with its seal, and then renamed,
+!> so that there is always either the old file or the new one. Not known are NaN and, where an
+!> attribute `_FillValue` says so, -1.
 module battery_results_file
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
   use battery_files, only: publish_file, remove_file
   use battery_hdf5_file, only: hdf5_file_type, create_file, close_file, make_group
   use battery_hdf5_attributes, only: write_attribute
+  use battery_seal, only: check_seal
   use battery_hdf5_datasets, only: write_dataset
   use battery_hdf5_scales, only: make_scale, make_dimension, attach_scales
   use battery_results, only: results_type, new_results, spread_of, unknown_real, task_complete, &
@@ -56,6 +58,7 @@ contains
     call write_final(file, results, error)
     call close_file(file, other)
     if (.not. allocated(error)) call move_alloc(other, error)
+    if (.not. allocated(error)) call check_seal(temporary, error)
     if (.not. allocated(error)) call publish_file(temporary, name, error)
     if (allocated(error)) call remove_file(temporary, other)
   end subroutine write_results

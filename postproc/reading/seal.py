@@ -1,0 +1,51 @@
+"""The seal of a results file: its last 512 bytes, with the digest of all bytes before them.
+
+The program writes it (`src/store/seal.f90`), and it is right if it is the very text that the bytes
+before it ask for. HDF5 passes over it, since it lies behind what HDF5 takes for the end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING
+
+from postproc.cli import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+LENGTH = 512
+FIRST_LINE = "battery results 1"
+REMARK = "Before these 512 bytes is HDF5; head -c -512 FILE | sha256sum gives the digits above."
+MARK = b"initial_file_fingerprint"  # near the beginning of every file of the program
+PIECE = 2**20  # bytes that are read at once
+
+
+def seal_of(count: int, digits: str) -> bytes:
+    """Return the seal of `count` bytes whose SHA-256 digest is `digits`, in hexadecimal."""
+    text = f"{FIRST_LINE}\nbytes {count}\nsha256 {digits}\n{REMARK}\n"
+    return f"{text:{LENGTH - 1}}\n".encode("ascii")
+
+
+def check_seal(path: Path) -> None:
+    """Raise `InputError` unless the file is whole; an `OSError` says that it cannot be read."""
+    digest, first = hashlib.sha256(), b""
+    with path.open("rb") as file:
+        left = content = max(path.stat().st_size - LENGTH, 0)
+        while left and (piece := file.read(min(left, PIECE))):
+            digest.update(piece)
+            first = first or piece
+            left -= len(piece)
+        seal = file.read()
+    if seal == seal_of(content, digest.hexdigest()):
+        return
+    first = first or seal
+    if seal.startswith(FIRST_LINE.encode()) or REMARK.encode() in seal:
+        reason = "damaged: its digest is wrong"
+    elif MARK in first:
+        reason = "damaged, or of an earlier version: it has no digest at its end"
+    elif first.startswith(b"\x89HDF"):
+        raise InputError(f"{path}: HDF5, but not written by battery, or only a piece of its file")
+    else:
+        raise InputError(f"{path}: not an HDF5 file")
+    raise InputError(f"{path}: {reason}; battery --overwrite makes it again")

@@ -1,0 +1,112 @@
+!> SHA-256 of any number of bytes, by OpenSSL's libcrypto, which HDF5 brings along; `sha256sum` and
+!> Python's `hashlib` give the same digits.
+module battery_digest
+  use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_int8_t, c_ptr, c_null_ptr, c_associated
+  use battery_kinds, only: int8
+  implicit none (type, external)
+  private
+  public :: digest_type, begin_digest, add_to_digest, end_digest, digest_length
+
+  !> Hexadecimal digits of a digest.
+  integer, parameter :: digest_length = 64
+
+  !> A digest under way.
+  type :: digest_type
+    private
+    type(c_ptr) :: context = c_null_ptr
+    !> Whether the library has done all that it was asked for.
+    logical :: is_good = .false.
+  end type digest_type
+
+  interface
+    function c_sha256() result(method) bind(c, name='EVP_sha256')
+      import :: c_ptr
+      implicit none (type, external)
+      type(c_ptr) :: method
+    end function c_sha256
+
+    function c_new() result(context) bind(c, name='EVP_MD_CTX_new')
+      import :: c_ptr
+      implicit none (type, external)
+      type(c_ptr) :: context
+    end function c_new
+
+    function c_init(context, method, engine) result(good) bind(c, name='EVP_DigestInit_ex')
+      import :: c_ptr, c_int
+      implicit none (type, external)
+      type(c_ptr), value, intent(in) :: context, method, engine
+      integer(c_int) :: good
+    end function c_init
+
+    function c_update(context, bytes, count) result(good) bind(c, name='EVP_DigestUpdate')
+      import :: c_ptr, c_int, c_int8_t, c_size_t
+      implicit none (type, external)
+      type(c_ptr), value, intent(in) :: context
+      integer(c_int8_t), intent(in) :: bytes(*)
+      integer(c_size_t), value, intent(in) :: count
+      integer(c_int) :: good
+    end function c_update
+
+    function c_final(context, bytes, count) result(good) bind(c, name='EVP_DigestFinal_ex')
+      import :: c_ptr, c_int, c_int8_t
+      implicit none (type, external)
+      type(c_ptr), value, intent(in) :: context
+      integer(c_int8_t), intent(out) :: bytes(*)
+      integer(c_int), intent(out) :: count
+      integer(c_int) :: good
+    end function c_final
+
+    subroutine c_free(context) bind(c, name='EVP_MD_CTX_free')
+      import :: c_ptr
+      implicit none (type, external)
+      type(c_ptr), value, intent(in) :: context
+    end subroutine c_free
+  end interface
+
+contains
+
+  !> Starts a digest; `end_digest` must follow.
+  subroutine begin_digest(digest)
+    !> What is started.
+    type(digest_type), intent(out) :: digest
+
+    digest%context = c_new()
+    digest%is_good = c_associated(digest%context)
+    if (digest%is_good) digest%is_good = c_init(digest%context, c_sha256(), c_null_ptr) == 1
+  end subroutine begin_digest
+
+  !> Takes more bytes into a digest.
+  subroutine add_to_digest(digest, bytes)
+    !> A digest that was begun.
+    type(digest_type), intent(inout) :: digest
+    !> What comes next, of any number.
+    integer(int8), intent(in), contiguous :: bytes(:)
+
+    if (digest%is_good) digest%is_good = &
+      c_update(digest%context, bytes, size(bytes, kind=c_size_t)) == 1
+  end subroutine add_to_digest
+
+  !> Ends a digest.
+  subroutine end_digest(digest, text)
+    !> A digest that was begun; it cannot be gone on with.
+    type(digest_type), intent(inout) :: digest
+    !> `digest_length` hexadecimal digits, in small letters; empty if the library has failed, which
+    !> lack of memory can do.
+    character(len=:), allocatable, intent(out) :: text
+    integer(c_int8_t) :: bytes(digest_length/2)
+    integer(c_int) :: count
+    character(len=*), parameter :: digits = '0123456789abcdef'
+    integer :: k, byte
+
+    if (digest%is_good) digest%is_good = c_final(digest%context, bytes, count) == 1
+    if (c_associated(digest%context)) call c_free(digest%context)
+    digest%context = c_null_ptr
+    text = ''
+    if (.not. digest%is_good) return
+    do k = 1, size(bytes)
+      byte = iand(int(bytes(k)), 255)
+      text = text//digits(byte/16 + 1:byte/16 + 1)//digits(mod(byte, 16) + 1:mod(byte, 16) + 1)
+    end do
+  end subroutine end_digest
+
+end module battery_digest

@@ -1,0 +1,151 @@
+!> The seal of a results file: its last 512 bytes, which lie behind what HDF5 takes for the end of
+!> the file, so that readers of HDF5 pass over them.
+!>
+!> It is plain text and holds the number and the SHA-256 digest of all bytes before it, so that a
+!> file can be checked before HDF5 looks at it. Nothing else stands in it: a seal is right if it is
+!> the very text that these bytes ask for. `postproc/seal.py` writes and checks the same text.
+!>
+!> HDF5's user block, before its own head, would be the other place; but readers that look at the
+!> first bytes of a file to see what it is (`xarray.open_dataset` does) then take it for no HDF5.
+module battery_seal
+  use battery_kinds, only: int8, int64
+  use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
+  use battery_digest, only: digest_type, begin_digest, add_to_digest, end_digest, digest_length
+  use battery_files, only: is_folder, is_readable
+  implicit none (type, external)
+  private
+  public :: seal_length, seal_of, check_seal
+
+  !> Bytes of the seal.
+  integer, parameter :: seal_length = 512
+
+  !> Its first line, and the one that is said to a reader.
+  character(len=*), parameter :: first_line = 'battery results 1'
+  character(len=*), parameter :: remark = 'Before these 512 bytes is HDF5; head -c -512 FILE | ' &
+    //'sha256sum gives the digits above.'
+
+  !> An attribute that only our files have; it stands near their beginning.
+  character(len=*), parameter :: mark = 'initial_file_fingerprint'
+
+  !> Bytes that are read at once.
+  integer, parameter :: piece = 1024**2
+
+contains
+
+  !> The seal of bytes that are in memory.
+  subroutine seal_of(bytes, seal, error)
+    !> All that is to stand before the seal.
+    integer(int8), intent(in), contiguous :: bytes(:)
+    !> Its text.
+    character(len=seal_length), intent(out) :: seal
+    !> The digest could not be computed.
+    type(error_type), allocatable, intent(out) :: error
+    type(digest_type) :: digest
+    character(len=:), allocatable :: digits
+
+    call begin_digest(digest)
+    call add_to_digest(digest, bytes)
+    call end_digest(digest, digits)
+    seal = seal_text(size(bytes, kind=int64), digits)
+    if (len(digits) /= digest_length) call fatal_error(error, 'the digest cannot be computed')
+  end subroutine seal_of
+
+  !> The text of the seal of `count` bytes with a digest.
+  pure function seal_text(count, digits) result(seal)
+    integer(int64), intent(in) :: count
+    character(len=*), intent(in) :: digits
+    character(len=seal_length) :: seal
+    character(len=*), parameter :: lf = new_line('a')
+    character(len=20) :: number
+
+    write (number, '(i0)') count
+    seal = first_line//lf//'bytes '//trim(number)//lf//'sha256 '//digits//lf//remark//lf
+    seal(seal_length:) = lf
+  end function seal_text
+
+  !> Reads a file whole and compares it with its seal. The error has the code `exit_failure` if the
+  !> file was a results file and is damaged, `exit_bad_input` if it is something else. A file that
+  !> is empty, or whose first bytes are zero, is what a crash of the machine leaves, and counts as
+  !> damaged.
+  subroutine check_seal(name, error)
+    !> Path of the file.
+    character(len=*), intent(in) :: name
+    !> What is wrong with it.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=seal_length) :: seal
+    character(len=:), allocatable :: first, digits
+    integer(int64) :: bytes, content
+    integer :: unit, status
+
+    if (is_folder(name)) then
+      call fatal_error(error, name//' is a folder', exit_bad_input)
+    else if (.not. is_readable(name)) then
+      call fatal_error(error, name//' may not be read', exit_bad_input)
+    end if
+    if (allocated(error)) return
+    content = 0
+    seal = ''
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
+      status='old', iostat=status)
+    if (status == 0) then
+      inquire (unit, size=bytes)
+      content = merge(bytes - seal_length, bytes, bytes > seal_length)
+      call read_content(unit, content, first, digits, status)
+      if (status == 0 .and. content < bytes) read (unit, iostat=status) seal
+      close (unit)
+    end if
+    if (status /= 0) then
+      call fatal_error(error, name//' is damaged: it cannot be read to its end', exit_failure)
+    else if (seal == seal_text(content, digits)) then
+      return
+    else if (has_line(seal)) then
+      call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
+    else if (index(first, mark) > 0 .or. verify(first, achar(0)) == 0) then
+      call fatal_error(error, name//' is damaged, or of an earlier version: it has no digest at ' &
+        //'its end', exit_failure)
+    else
+      call fatal_error(error, name//' is not a results file of this program', exit_bad_input)
+    end if
+  end subroutine check_seal
+
+  !> Whether a seal, perhaps damaged, is one: its first line or its last is whole.
+  pure function has_line(seal) result(yes)
+    character(len=*), intent(in) :: seal
+    logical :: yes
+
+    yes = index(seal, first_line//new_line('a')) == 1 .or. index(seal, remark) > 0
+  end function has_line
+
+  !> Reads what stands before the seal.
+  subroutine read_content(unit, count, first, digits, status)
+    !> Where the file is open, at its beginning.
+    integer, intent(in) :: unit
+    !> How many bytes there are.
+    integer(int64), intent(in) :: count
+    !> The first of them.
+    character(len=:), allocatable, intent(out) :: first
+    !> The digest of all.
+    character(len=:), allocatable, intent(out) :: digits
+    !> Not 0: they cannot be read.
+    integer, intent(out) :: status
+    integer(int8), allocatable :: bytes(:)
+    type(digest_type) :: digest
+    integer(int64) :: left
+
+    status = 0
+    left = count
+    allocate (bytes(int(min(left, int(piece, int64)))))
+    first = repeat(' ', size(bytes))
+    call begin_digest(digest)
+    do while (left > 0 .and. status == 0)
+      if (left < size(bytes)) bytes = bytes(:int(left))
+      read (unit, iostat=status) bytes
+      if (left == count) first = transfer(bytes, first)
+      call add_to_digest(digest, bytes)
+      left = left - size(bytes)
+    end do
+    call end_digest(digest, digits)
+    if (status == 0 .and. len(digits) /= digest_length) status = 1
+  end subroutine read_content
+
+end module battery_seal
