@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
@@ -47,6 +48,14 @@ def add_output(options: argparse.ArgumentParser) -> None:
     )
 
 
+def add_task(options: argparse.ArgumentParser) -> None:
+    """Add a file of results, and `--point` and `--replica` that choose a task in it."""
+    options.add_argument("file", metavar="FILE.h5", type=Path)
+    for key, meaning in (("point", "parameter point"), ("replica", "replica")):
+        told = f"{meaning}, from 1 (default: the first done)"
+        options.add_argument(f"--{key}", type=integer(1), help=told)
+
+
 def existing_file(path: Path) -> Path:
     """Return `path`, which must be that of a file: a pipe or a device may have no end."""
     if not path.exists():
@@ -82,6 +91,19 @@ def number(low: float, high: float = 1e100) -> Callable[[str], float]:
 
     read.__name__ = "float"
     return read
+
+
+def finite(value: object) -> object:
+    """Return a value as JSON can hold it: numpy's numbers as Python's, NaN and infinity as None."""
+    if isinstance(value, dict):
+        return {str(key): finite(one) for key, one in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [finite(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def output_folder(path: Path) -> Path:

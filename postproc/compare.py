@@ -18,12 +18,11 @@ from __future__ import annotations
 import json
 import math
 import sys
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc import cli
-from postproc.reading.results import Results
+from postproc.reading.results import opened
 from postproc.report.compare import FLOWS, compare
 
 if TYPE_CHECKING:
@@ -36,17 +35,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
     options.add_argument("--json", action="store_true", help="print JSON")
     given = options.parse_args(arguments)
-    with ExitStack() as stack:
-        files = [stack.enter_context(Results(path)) for path in given.files]
+    with opened(given.files) as files:
         for results in files:
             results.say_if_partial()
         found = compare(files)
     if given.json:
-        rows = [
-            {key: None if value != value else value for key, value in vars(one).items()}  # noqa: PLR0124 (NaN)
-            for one in found
-        ]
-        print(json.dumps(rows, indent=2))
+        print(json.dumps(cli.finite([vars(one) for one in found]), indent=2))
         return 0
     print(
         f"{'theory':32s} {'points':>6s} {'phase':>7s} {'chi':>9s} {'upper chi':>9s} "

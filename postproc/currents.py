@@ -6,7 +6,6 @@ The picture of Fig. comp05 of PRE 103, 032119 (2021), for one task of a run that
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc import cli
@@ -21,11 +20,7 @@ if TYPE_CHECKING:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write currents.png and currents.pdf."""
     options = cli.parser("currents", __doc__)
-    options.add_argument("file", metavar="FILE.h5", type=Path)
-    options.add_argument(
-        "--point", type=int, help="parameter point, from 1 (default: the first done)"
-    )
-    options.add_argument("--replica", type=int, help="replica, from 1 (default: the first done)")
+    cli.add_task(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
     with Results(given.file) as results:

@@ -9,7 +9,6 @@ GIF with `--gif`.
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc import cli
@@ -23,11 +22,7 @@ if TYPE_CHECKING:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write film.mp4 or film.gif."""
     options = cli.parser("film", __doc__)
-    options.add_argument("file", metavar="FILE.h5", type=Path)
-    options.add_argument(
-        "--point", type=int, help="parameter point, from 1 (default: the first done)"
-    )
-    options.add_argument("--replica", type=int, help="replica, from 1 (default: the first done)")
+    cli.add_task(options)
     options.add_argument("--seconds", type=float, default=SECONDS, help="length (default: 30)")
     options.add_argument("--gif", action="store_true", help="write a GIF, not an MP4")
     cli.add_output(options)

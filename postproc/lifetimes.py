@@ -11,7 +11,6 @@ chain takes crossings as independent, though what gets through a gate comes in b
 from __future__ import annotations
 
 import json
-import math
 import sys
 from typing import TYPE_CHECKING
 
@@ -27,8 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the lifetimes of one circuit as JSON (null: it is never left)."""
     given = circuit_options("lifetimes", __doc__).parse_args(arguments)
     found = lifetimes(given_circuit(given))
-    values = {name: value if math.isfinite(value) else None for name, value in vars(found).items()}
-    print(json.dumps(values, indent=2))
+    print(json.dumps(cli.finite(vars(found)), indent=2))
     return 0
 
 

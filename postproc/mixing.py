@@ -17,14 +17,12 @@ channels are counted as in the urns, as in the paper, unless `--occupation` tell
 from __future__ import annotations
 
 import json
-import math
 import sys
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc import cli
-from postproc.reading.results import Results
+from postproc.reading.results import opened
 from postproc.report.mixing import mixing, table
 from postproc.theory.renewal import RENEWAL
 
@@ -41,8 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options.add_argument("--json", action="store_true", help="print JSON")
     given = options.parse_args(arguments)
-    with ExitStack() as stack:
-        files = [stack.enter_context(Results(path)) for path in given.files]
+    with opened(given.files) as files:
         for results in files:
             if results.shape != "circuit":
                 raise cli.InputError(f"{results.path}: a run of shape '{results.shape}'")
@@ -50,11 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results.say_if_partial()
         found = mixing(files, {"gate": RENEWAL, "occupation": given.occupation})
     if given.json:
-        rows = [
-            {key: value if math.isfinite(value) else None for key, value in one.row().items()}
-            for one in found
-        ]
-        print(json.dumps(rows, indent=2))
+        print(json.dumps(cli.finite([one.row() for one in found]), indent=2))
     else:
         print(table(found))
     return 0

@@ -9,7 +9,6 @@ turned back* if moreover its gate is the one whose count is nearer to exceeding 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc import cli
@@ -24,11 +23,7 @@ if TYPE_CHECKING:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write scene.png and scene.pdf."""
     options = cli.parser("scene", __doc__)
-    options.add_argument("file", metavar="FILE.h5", type=Path)
-    options.add_argument(
-        "--point", type=int, help="parameter point, from 1 (default: the first done)"
-    )
-    options.add_argument("--replica", type=int, help="replica, from 1 (default: the first done)")
+    cli.add_task(options)
     options.add_argument("--snapshot", type=int, help="which snapshot, from 1 (default: the last)")
     cli.add_output(options)
     given = options.parse_args(arguments)

@@ -17,7 +17,6 @@ lifetimes  lifetimes of both states against N, from series that begin in them
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +25,7 @@ from postproc.figures import appendix, maps, style
 from postproc.figures.circuits import figure_comp01, figure_comp05, figure_comp06
 from postproc.figures.model import figure_model
 from postproc.figures.passages import figure_lifetimes
-from postproc.reading.results import Results
+from postproc.reading.results import Results, opened
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -60,8 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = options.parse_args(arguments)
     if not given.files and given.name != "model":
         raise cli.InputError(f"figure {given.name} needs at least one file of results")
-    with ExitStack() as stack:
-        files = [stack.enter_context(Results(path)) for path in given.files]
+    with opened(given.files) as files:
         for results in files:
             if given.name != "model" and results.shape != SHAPES.get(given.name, "circuit"):
                 raise cli.InputError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from postproc.theory.circuit import Circuit
 from postproc.theory.gates import WINDOW
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -242,6 +244,13 @@ class Results:
         ):
             if not 0 <= index < count:
                 raise InputError(f"{self.path}: has {count} {what}(s), there is no {index + 1}")
+
+
+@contextmanager
+def opened(paths: Sequence[Path]) -> Iterator[list[Results]]:
+    """Open several files of results for a `with` statement."""
+    with ExitStack() as stack:
+        yield [stack.enter_context(Results(path)) for path in paths]
 
 
 def mean_and_error(

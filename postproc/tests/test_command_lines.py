@@ -15,7 +15,15 @@ from postproc.tests.runs import results_of
 READERS = [["currents"], ["scene"], ["report"], ["compare"], ["mixing"], ["renewal_fit", "--data"]]
 READERS += [["figures", name] for name in ("numris", "comp05", "app2", "lifetimes")]
 READERS += [["benchmarks", "compare", os.devnull]]
+COMMANDS = ["theory", "lifetimes", "currents", "scene", "figures", "compare", "mixing", "film"]
+COMMANDS += ["report", "accuracy", "benchmarks", "scaling", "scheduler", "renewal_fit"]
 ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(name, ["--help"]) == 0
+    assert f"python -m postproc.{name} [-h]" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.fixture(scope="module")

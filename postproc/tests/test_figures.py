@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,14 +9,13 @@ import pytest
 
 from postproc.figures import appendix, circuits, currents, maps, model
 from postproc.reading import points
-from postproc.reading.results import Results
+from postproc.reading.results import Results, opened
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, leave_out, results_of
 from postproc.theory.circuit import Circuit, homogeneous_kind, single_urn_current
 from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -44,12 +42,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         made / "urn.h5", table={"shape": "urn"}, particles={"number": None}, scan=urns, output=BARE
     )
     return made
-
-
-@contextmanager
-def opened(folder: Path, *names: str) -> Iterator[list[Results]]:
-    with ExitStack() as stack:
-        yield [stack.enter_context(Results(folder / f"{name}.h5")) for name in names]
 
 
 def labels_of(made: Figure) -> list[str]:
@@ -79,8 +71,8 @@ def test_a_figure_is_written(
 
 
 def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> None:
-    for names, table in (((), model.EXAMPLE), (("time",), Circuit(1000, 2))):
-        with opened(folder, *names) as files:
+    for names, table in (((), model.EXAMPLE), (("time.h5",), Circuit(1000, 2))):
+        with opened([folder / name for name in names]) as files:
             made = model.figure_model(files)
         (axes,) = made.axes
         texts = [text.get_text() for text in axes.texts if text.get_text()]
@@ -92,7 +84,7 @@ def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> N
 
 
 def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:
-    with opened(folder, "time") as files:
+    with opened([folder / "time.h5"]) as files:
         made = circuits.figure_comp05(files)
         middles = [files[0].series(at, 0).flows["flow1_12"].mean() for at in range(3)]
     assert [axes.get_title("left") for axes in made.axes] == [
@@ -107,7 +99,7 @@ def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:
 
 
 def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
-    with opened(folder, "time") as files:
+    with opened([folder / "time.h5"]) as files:
         made = circuits.figure_comp06(files)
         states = [stable_state(files[0].circuit(at)) for at in range(3)]
         numbers = files[0].series(1, 0).urn1_number
@@ -125,7 +117,7 @@ def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
 
 
 def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path) -> None:
-    with opened(folder, "slices") as files:
+    with opened([folder / "slices.h5"]) as files:
         made = circuits.figure_comp01(files)
         gathered = points.gather(files)
     left, right = made.axes
@@ -144,7 +136,7 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
 
 
 def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
-    with opened(folder, "homogeneous", "polarised") as files:
+    with opened([folder / "homogeneous.h5", folder / "polarised.h5"]) as files:
         made = maps.figure_numris(files)
         parts = [part for _, part in maps.by_start(points.gather(files))]
         lines = maps.transition_lines(parts[0], files[0].circuit(0))
@@ -172,7 +164,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
 
 def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
     drawings = (appendix.figure_app2, appendix.figure_app3, appendix.figure_app4)
-    with opened(folder, "urn") as files:
+    with opened([folder / "urn.h5"]) as files:
         by_number, relative, together = (draw(files) for draw in drawings)
         gathered = points.gather(files)
         circuits_ = [files[0].circuit(point) for point in gathered.point]

@@ -155,6 +155,16 @@ def test_a_series_without_one_of_its_flows(
     assert "has no snapshots/uy" in _one_line(["scene"], path, capsys)
 
 
+def test_a_circuit_is_read_from_values_not_from_the_namelist(tmp_path: Path) -> None:
+    table = {"urn_radius": 1.2, "channel1_width": 0.5, "channel1_length": 0.8}
+    table |= {"channel2_width": 0.2, "channel2_length": 0.6}
+    path = results_of(tmp_path / "run.h5", table=table, output=BARE)
+    with edited(path) as file:
+        file.attrs["namelist"] = "no namelist"
+    with Results(path) as results:
+        assert results.circuit(0) == Circuit(1000, 7, **table)
+
+
 def test_no_such_task(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("currents", [str(run_file), "--point", "9"]) == 2
     assert "2 point(s)" in capsys.readouterr().err
