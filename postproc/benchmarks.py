@@ -14,7 +14,6 @@ from __future__ import annotations
 import datetime
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -22,11 +21,8 @@ from postproc import cli
 from postproc.speed.benchmarks import ROOT, run, said
 from postproc.speed.changes import changes, load, table_of
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run the benchmarks, or compare two runs."""
     options = cli.parser("benchmarks", __doc__)
     parts = options.add_subparsers(dest="part", required=True, metavar="run|compare")
@@ -60,4 +56,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
 EXIT_BAD_INPUT = 2
 
@@ -115,7 +115,7 @@ def output_folder(path: Path) -> Path:
     return path
 
 
-def run(main: Callable[[Sequence[str] | None], int], arguments: Sequence[str] | None = None) -> int:
+def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = None) -> int:
     """Call `main`; turn what the user or the machine did wrong into one line and exit 2.
 
     That is an `InputError`, and what the system says no to: a file or folder, memory, a full

@@ -17,19 +17,14 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from postproc import cli
 from postproc.reading.results import opened
 from postproc.report.compare import FLOWS, compare
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Print how far each theory is from the runs."""
     options = cli.parser("compare", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
@@ -62,4 +57,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -5,19 +5,13 @@ The picture of Fig. comp05 of PRE 103, 032119 (2021), for one task of a run that
 
 from __future__ import annotations
 
-import sys
-from typing import TYPE_CHECKING
-
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.currents import figure_currents
 from postproc.reading.results import Results
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Write currents.png and currents.pdf."""
     options = cli.parser("currents", __doc__)
     cli.add_task(options)
@@ -31,4 +25,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

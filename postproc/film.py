@@ -9,17 +9,13 @@ GIF with `--gif`.
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
 
 from postproc import cli
 from postproc.figures.film import CLOSE, SECONDS, frames, joined, read_scenes, write_gif, write_mp4
 from postproc.reading.results import Results
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Write film.mp4 or film.gif."""
     options = cli.parser("film", __doc__)
     cli.add_task(options)
@@ -45,4 +41,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -11,18 +11,13 @@ chain takes crossings as independent, though what gets through a gate comes in b
 from __future__ import annotations
 
 import json
-import sys
-from typing import TYPE_CHECKING
 
 from postproc import cli
 from postproc.theory.chain import lifetimes
 from postproc.theory.options import circuit_options, given_circuit
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Print the lifetimes of one circuit as JSON (null: it is never left)."""
     given = circuit_options("lifetimes", __doc__).parse_args(arguments)
     found = lifetimes(given_circuit(given))
@@ -31,4 +26,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -17,20 +17,15 @@ channels are counted as in the urns, as in the paper, unless `--occupation` tell
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from postproc import cli
 from postproc.reading.results import opened
 from postproc.report.mixing import mixing, table
 from postproc.theory.renewal import RENEWAL
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Print how well the urns of runs mix, and what that makes of the chain's lifetimes."""
     options = cli.parser("mixing", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
@@ -54,4 +49,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,11 +24,8 @@ from postproc.theory.renewal import (
 )
 from postproc.theory.renewal_fit import CHECKED, checks, fit, grid, read_solutions, simulate, solve
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Solve, fit, check, write."""
     options = cli.parser("renewal_fit", __doc__)
     options.add_argument(
@@ -68,4 +63,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

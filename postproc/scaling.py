@@ -16,18 +16,14 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from postproc import cli
 from postproc.speed.scaling import many_ranks, overhead, speedup
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Measure what the command line asks for."""
     options = cli.parser("scaling", __doc__)
     options.add_argument("what", choices=("speedup", "overhead", "ranks"))
@@ -57,4 +53,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -8,19 +8,13 @@ turned back* if moreover its gate is the one whose count is nearer to exceeding 
 
 from __future__ import annotations
 
-import sys
-from typing import TYPE_CHECKING
-
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.scene import figure_scene
 from postproc.reading.results import Results
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Write scene.png and scene.pdf."""
     options = cli.parser("scene", __doc__)
     cli.add_task(options)
@@ -41,4 +35,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -14,19 +14,14 @@ on the number of tasks, for three ways of sharing, and on the length of a task.
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict
-from typing import TYPE_CHECKING
 
 from postproc import cli
 from postproc.figures import style
 from postproc.speed.scheduler import ORDERS, Network, draw, run_order, task_lengths
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Simulate one run and print it; draw if asked to."""
     options = cli.parser("scheduler", __doc__)
     options.add_argument(
@@ -78,4 +73,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

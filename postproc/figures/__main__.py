@@ -16,7 +16,6 @@ lifetimes  lifetimes of both states against N, from series that begin in them
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,7 +49,7 @@ FIGURES: dict[str, Drawing] = {
 SHAPES = dict.fromkeys(("app2", "app3", "app4"), "urn")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Write NAME.png and NAME.pdf."""
     options = cli.parser("figures", __doc__)
     options.add_argument("name", metavar="NAME", choices=sorted(FIGURES))
@@ -76,4 +75,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

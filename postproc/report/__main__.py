@@ -5,20 +5,15 @@ The page needs no network. Its map shows the values of a cell under the mouse.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from postproc import cli
 from postproc.figures import style
 from postproc.reading.results import Results
 from postproc.report.page import page
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Write FILE.html."""
     options = cli.parser("report", __doc__)
     options.add_argument("file", metavar="FILE.h5", type=Path)
@@ -38,4 +33,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

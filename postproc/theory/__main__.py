@@ -6,18 +6,13 @@ Options are named like the keys of the namelist; lengths are over the speed v = 
 from __future__ import annotations
 
 import json
-import sys
-from typing import TYPE_CHECKING
 
 from postproc import cli
 from postproc.theory.options import circuit_options, given_circuit
 from postproc.theory.states import describe
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Print the theory of one circuit as JSON."""
     given = circuit_options("theory", __doc__).parse_args(arguments)
     print(json.dumps(describe(given_circuit(given)), indent=2))
@@ -25,4 +20,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))
