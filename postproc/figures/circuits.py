@@ -11,7 +11,7 @@ from postproc.figures import style
 from postproc.figures.currents import binned, draw_currents
 from postproc.reading.points import gather
 from postproc.reading.results import Results
-from postproc.theory.renewal import RENEWAL
+from postproc.theory.renewal import THEORIES
 from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
@@ -28,11 +28,6 @@ MARKS = ("o", "s", "^", "D", "v", "P")
 TIME_COLOURS = (style.BLUE, style.VERMILION, style.BLACK, style.GREEN, style.PURPLE, style.ORANGE)
 MOST = 6  # points in a figure against time
 STEPS = 400  # places along the time axis of comp06
-THEORIES = (  # of comp01
-    ("--", "theory, paper", {}),
-    ("-", "theory, renewal gate", {"gate": RENEWAL}),
-    (":", "the same, channels counted", {"gate": RENEWAL, "occupation": True}),
-)
 
 
 def _with_tasks(files: Sequence[Results]) -> Points:
@@ -123,10 +118,10 @@ def figure_comp01(files: Sequence[Results]) -> Figure:
         label = f"$w' = {width:.4g}$"
         left.errorbar(fraction, group.current, group.current_error, label=label, **look)
         right.errorbar(group.chi, group.current, group.current_error, group.chi_error, **look)
-        for dashes, _, changes in THEORIES:
+        for dashes, changes in zip(style.DASHES, THEORIES.values(), strict=True):
             _draw_branch(left, right, files, group, changes, {"color": colour, "ls": dashes})
-    for dashes, label, _ in THEORIES:
-        left.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=label)
+    for dashes, name in zip(style.DASHES, THEORIES, strict=True):
+        left.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=f"theory, {name}")
     style.label_fraction(left)
     left.set_ylabel("net current (per unit time)")
     right.set_xlabel(r"mass spread $\chi$")

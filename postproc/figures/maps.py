@@ -11,8 +11,7 @@ from postproc import cli
 from postproc.figures import style
 from postproc.reading.points import gather
 from postproc.theory.circuit import transition_width
-from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL
+from postproc.theory.renewal import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,11 +28,6 @@ if TYPE_CHECKING:
     Line = tuple[Floats, Floats, str, str]
 
 POLARISED = 0.5  # starts with chi above this are called polarised
-LINES = (
-    ("--", "transition, paper", {"gate": WINDOW}),
-    ("-", "transition, renewal gate", {"gate": RENEWAL}),
-    (":", "transition, renewal gate, channels counted", {"gate": RENEWAL, "occupation": True}),
-)
 
 
 def grid(points: Points, values: Floats) -> tuple[Floats, Floats, Floats]:
@@ -82,14 +76,14 @@ def transition_lines(points: Points, circuit: Circuit) -> list[Line]:
     thresholds = np.arange(1.0, points.threshold.max() + 1.0)
     fraction = thresholds / float(circuit.number)
     return [
-        (fraction, transition_line(replace(circuit, **changes), thresholds), dashes, label)
-        for dashes, label, changes in LINES
+        (fraction, transition_line(replace(circuit, **changes), thresholds), dashes, name)
+        for dashes, (name, changes) in zip(style.DASHES, THEORIES.items(), strict=True)
     ]
 
 
 def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], colour: str) -> None:
     for fraction, widths, dashes, label in lines:
-        axes.plot(fraction, widths, color=colour, ls=dashes, lw=1.3, label=label)
+        axes.plot(fraction, widths, color=colour, ls=dashes, lw=1.3, label=f"transition, {label}")
     low, high = edges(np.unique(points.channel2_width))[[0, -1]]
     axes.set_ylim(max(low, 0.0), high)
     borders = edges(np.unique(points.threshold)) / points.number[0]

@@ -20,8 +20,7 @@ from postproc.cli import InputError
 from postproc.figures import style
 from postproc.reading.points import gather
 from postproc.theory.chain import passage_times
-from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL
+from postproc.theory.renewal import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,11 +36,7 @@ MIDDLE = 0.5  # starts with chi above this are polarised
 BOUND = 3.0  # the lifetime exceeds a third of the time in which nothing passed, at 95 %
 CONFIDENCE = 0.6827  # of the intervals drawn
 DRAWN = (3e2, 1e10)  # lifetimes that are drawn, length/v
-CHAINS = (
-    (":", "chain, paper's gate", {"gate": WINDOW}),
-    ("--", "chain, renewal gate", {"gate": RENEWAL}),
-    ("-", "chain, renewal gate, channels counted", {"gate": RENEWAL, "occupation": True}),
-)
+DASHES = (":", "--", "-")  # of the chains of `THEORIES`
 
 
 @dataclass(frozen=True)
@@ -135,7 +130,7 @@ def table(found: Sequence[Lifetime]) -> str:
         circuit = one.circuit
         left = f"{one.passages}/{one.replicas}"
         error = f"{one.low:9.3g} -{one.high:9.3g}" if one.passages else "(at least)"
-        chains = " ".join(f"{one.of_chain(changes):9.3g}" for _, _, changes in CHAINS)
+        chains = " ".join(f"{one.of_chain(changes):9.3g}" for changes in THEORIES.values())
         lines.append(
             f"{circuit.threshold:2d} {circuit.channel1_length:4g} {circuit.number:5d} "
             f"{'polarised' if one.polarised else 'homogeneous':>11s} {left:>7s} "
@@ -188,7 +183,7 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime]) -> None:
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
         numbers = np.unique([one.number for one in part])
-        for dashes, _, changes in CHAINS:
+        for dashes, changes in zip(DASHES, THEORIES.values(), strict=True):
             times = [one.of_chain(changes) for one in part]
             axes.plot(numbers, times, color=colour, ls=dashes, lw=0.9)
 
@@ -197,8 +192,8 @@ def _explain(axes: Axes) -> None:
     axes.plot([], [], "s", color=style.BLUE, label="homogeneous, measured")
     axes.plot([], [], "o", color=style.VERMILION, label="polarised, measured")
     axes.plot([], [], "^", color=style.GREY, mfc="w", label="lower bound (95 %)")
-    for dashes, label, _ in CHAINS:
-        axes.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=label)
+    for dashes, name in zip(DASHES, THEORIES, strict=True):
+        axes.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=f"chain, {name}")
 
 
 def _by_number(one: Lifetime) -> float:

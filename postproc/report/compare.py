@@ -13,8 +13,7 @@ from postproc.reading.points import gather
 from postproc.reading.results import FLOWS as RESULT_FLOWS
 from postproc.reading.results import Results
 from postproc.theory.circuit import flow1, flow2, homogeneous_kind, single_urn_current
-from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL
+from postproc.theory.renewal import THEORIES
 from postproc.theory.states import stationary_states
 
 if TYPE_CHECKING:
@@ -28,11 +27,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 POLARISED = 0.15
-THEORIES = (
-    ("paper", {"gate": WINDOW}),
-    ("renewal gate", {"gate": RENEWAL}),
-    ("renewal gate, channels counted", {"gate": RENEWAL, "occupation": True}),
-)
 
 
 FLOWS = ("dense1", "sparse1", "dense2", "sparse2")
@@ -169,4 +163,4 @@ def compare(files: Sequence[Results]) -> list[Comparison]:
     if len(shapes) > 1:
         raise cli.InputError("compare needs files of one shape, circuit or urn")
     chosen = compare_circuit if shapes == {"circuit"} else compare_urn
-    return [chosen(files, name, changes) for name, changes in THEORIES]
+    return [chosen(files, name, changes) for name, changes in THEORIES.items()]

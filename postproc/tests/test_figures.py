@@ -13,6 +13,7 @@ from postproc.reading.results import Results, opened
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, leave_out, results_of
 from postproc.theory.circuit import Circuit, homogeneous_kind, single_urn_current
+from postproc.theory.renewal import THEORIES
 from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
     assert left.get_ylabel() == "net current (per unit time)"
     assert right.get_xlabel() == r"mass spread $\chi$"
     assert right.get_xlim() == (0.0, 1.0)
-    theories = ["theory, paper", "theory, renewal gate", "the same, channels counted"]
+    theories = [f"theory, {name}" for name in THEORIES]
     assert labels_of(made) == ["$w' = 0.0102$", "$w' = 0.0306$", *theories]
     for at, width in enumerate((0.0102, 0.0306)):
         group = gathered.where(gathered.channel2_width == width)
@@ -148,7 +149,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
             shown = axes.collections[0].get_array().filled(np.nan)
             assert shown == pytest.approx(maps.grid(parts[0], drawn)[2], nan_ok=True)
             for line, (fraction, widths, _, label) in zip(axes.lines, lines, strict=True):
-                assert line.get_label() == label
+                assert line.get_label() == f"transition, {label}"
                 assert line.get_ydata() == pytest.approx(widths, nan_ok=True)
                 assert line.get_xdata() == pytest.approx(fraction)
             assert axes.get_ylim() == pytest.approx((0.0, 0.11))
@@ -159,7 +160,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
         for label in (r"mass spread $\chi$", "net current (per unit time)")
     }
     assert [axes.get_xlabel() for axes in panels[4:]] == ["$T/N$"] * 2
-    assert labels_of(made) == [label for *_, label in lines]
+    assert labels_of(made) == [f"transition, {name}" for name in THEORIES]
 
 
 def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
