@@ -158,8 +158,6 @@ class Results:
         """Return the circuit of a point, with the paper's gate unless another is given."""
         self._check_task(point, 0)
         found = {name: float(self._of_point(name, point)) for name in LENGTHS}
-        if self.shape == "urn":
-            found["channel2_width"] = 0.0
         whole = {name: int(self._of_point(name, point)) for name in ("number", "threshold")}
         return Circuit(**whole, **found, gate=gate, shape=self.shape)
 
