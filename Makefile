@@ -65,8 +65,8 @@ demo: build ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictu
 	echo "The pictures are in build/demo:"
 	ls build/demo/*.png
 
-test: build ## builds and runs every test; the last line is "N passed, M failed"
-	@$(PYTHON) test/all.py --ldflags=" $(LINK_FLAGS)" \
+test: build ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
+	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --ldflags=" $(LINK_FLAGS)" \
 	  --release=" $(RELEASE_FLAGS) $(HDF5_INCLUDE)" --debug=" $(DEBUG_FLAGS) $(HDF5_INCLUDE)"
 
 build: install information ## only builds: the program is build/bin/battery

@@ -8,13 +8,10 @@ module battery_bench_board
   use battery_clocks, only: wall_seconds
   use battery_communicator, only: communicator_type, board_type, open_communicator, &
     close_communicator, open_board, close_board, take_task, add_to_board, read_board, help_board, &
-    summary_of, wait_for_all, tasks_finished
+    help_interval, summary_of, wait_for_all, tasks_finished
   implicit none (type, external)
   private
   public :: bench_board
-
-  !> Seconds between two hands that rank 0 lends while it computes.
-  real(dp), parameter :: help_interval = 2.5e-4_dp
 
 contains
 

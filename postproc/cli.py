@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
 EXIT_BAD_INPUT = 2
 
@@ -45,6 +46,14 @@ def add_output(options: argparse.ArgumentParser) -> None:
     options.add_argument(
         "--output", metavar="DIR", type=Path, default=Path(), help="folder to write to (default: .)"
     )
+
+
+def add_task(options: argparse.ArgumentParser) -> None:
+    """Add a file of results, and `--point` and `--replica` that choose a task in it."""
+    options.add_argument("file", metavar="FILE.h5", type=Path)
+    for key, meaning in (("point", "parameter point"), ("replica", "replica")):
+        told = f"{meaning}, from 1 (default: the first done)"
+        options.add_argument(f"--{key}", type=integer(1), help=told)
 
 
 def existing_file(path: Path) -> Path:
@@ -84,6 +93,19 @@ def number(low: float, high: float = 1e100) -> Callable[[str], float]:
     return read
 
 
+def finite(value: object) -> object:
+    """Return a value as JSON can hold it: numpy's numbers as Python's, NaN and infinity as None."""
+    if isinstance(value, dict):
+        return {str(key): finite(one) for key, one in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [finite(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
 def output_folder(path: Path) -> Path:
     """Return the folder `path`, made if it is not there yet."""
     try:
@@ -93,7 +115,7 @@ def output_folder(path: Path) -> Path:
     return path
 
 
-def run(main: Callable[[Sequence[str] | None], int], arguments: Sequence[str] | None = None) -> int:
+def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = None) -> int:
     """Call `main`; turn what the user or the machine did wrong into one line and exit 2.
 
     That is an `InputError`, and what the system says no to: a file or folder, memory, a full

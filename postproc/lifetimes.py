@@ -11,158 +11,19 @@ chain takes crossings as independent, though what gets through a gate comes in b
 from __future__ import annotations
 
 import json
-import math
-import sys
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from postproc import cli, theory
-from postproc.states import stationary_states
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from postproc.results import Series
-    from postproc.theory import Circuit
-
-    Floats = NDArray[np.float64]
+from postproc import cli
+from postproc.theory.chain import lifetimes
+from postproc.theory.options import circuit_options, given_circuit
 
 
-@dataclass(frozen=True)
-class Lifetimes:
-    """Mean times until a state is left, in units of length/v.
-
-    Attributes
-    ----------
-    homogeneous, polarised : lifetimes; infinite where there is no state to go to, zero where there
-        is no such state.
-    barrier : chi of the unstable state between them, NaN without one.
-    polarised_share : probability of the stationary chain to be beyond the barrier.
-    """
-
-    homogeneous: float
-    polarised: float
-    barrier: float
-    polarised_share: float
-
-
-def log_rates(circuit: Circuit) -> tuple[Floats, Floats]:
-    """Return the logarithms of the rates of N2 -> N2 + 1 and N2 -> N2 - 1 for N2 = 0 ... N."""
-    number = int(circuit.number)
-    out = np.full(number + 1, -np.inf)
-    scale = math.log(math.pi * float(circuit.urn_area))
-    out[1:] = theory.log_outflow(circuit, np.arange(1, number + 1)) - scale
-    return out[::-1], out
-
-
-def log_weights(log_up: Floats, log_down: Floats) -> Floats:
-    """Return the logarithm of the stationary distribution of a chain, normalised."""
-    steps = log_up[:-1] - log_down[1:]
-    weights = np.concatenate([[0.0], np.cumsum(steps)])
-    weights -= weights.max()
-    return weights - np.log(np.exp(weights).sum())
-
-
-def stationary_distribution(circuit: Circuit) -> Floats:
-    """Return the probability of N2 = 0 ... N, shape (N + 1,)."""
-    return np.exp(log_weights(*log_rates(circuit)))
-
-
-def time_up(log_up: Floats, log_down: Floats, start: int, stop: int) -> float:
-    """Return the mean time from state `start` to state `stop` > start of a chain closed at 0."""
-    weights = log_weights(log_up, log_down)
-    below = np.logaddexp.accumulate(weights[:stop])
-    steps = below - weights[:stop] - log_up[:stop]
-    with np.errstate(over="ignore"):
-        return float(np.exp(steps[start:]).sum())
-
-
-def folded(log_up: Floats, log_down: Floats) -> tuple[Floats, Floats]:
-    """Return the rates of |N2 - N/2|: state j is N2 = ceil(N/2) + j or its mirror image."""
-    middle = log_up.size // 2
-    up, down = log_up[middle:].copy(), log_down[middle:].copy()
-    if log_up.size % 2:  # from N/2 either side is away
-        up[0] = np.logaddexp(up[0], down[0])
-    down[0] = -np.inf
-    return up, down
-
-
-def lifetimes(circuit: Circuit) -> Lifetimes:
-    """Return the lifetimes of the homogeneous and of the (outermost) polarised state."""
-    states = stationary_states(circuit)
-    polarised = [state for state in states if state.kind == "stable"]
-    homogeneous = theory.homogeneous_kind(circuit) != "unstable"
-    if not polarised:
-        return Lifetimes(math.inf, 0.0, math.nan, 0.0)
-    if not homogeneous and len(polarised) == 1:
-        return Lifetimes(0.0, math.inf, math.nan, 1.0)
-    number = int(circuit.number)
-    barrier = max(state.urn2_number for state in states if state.kind == "unstable")
-    if not homogeneous:
-        barrier = 0.5 * number
-    up, down = folded(*log_rates(circuit))
-    offset = (number + 1) // 2
-    wall = int(np.clip(round(barrier) - offset, 1, up.size - 1))
-    far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, up.size - 1))
-    weights = np.exp(log_weights(up, down))
-    last = up.size - 1
-    return Lifetimes(
-        time_up(up, down, 0, wall) if homogeneous else 0.0,
-        time_up(down[::-1], up[::-1], last - far, last - wall),
-        2.0 * barrier / number - 1.0,
-        float(weights[wall:].sum()),
-    )
-
-
-def passage_times(
-    circuit: Circuit, low: float, high: float, sparse: tuple[float, float] = (1.0, 1.0)
-) -> tuple[float, float]:
-    """Return the chain's mean times from chi = 0 until chi >= high, and from 1 until chi <= low.
-
-    Unlike `lifetimes` they are defined whether or not the theory has both states. `sparse` are
-    factors of what the sparser urn sends through channels 1 and 2.
-    """
-    number = int(circuit.number)
-    up, down = folded(*log_rates(circuit))
-    if sparse != (1.0, 1.0):
-        fewer = number // 2 - np.arange(up.size)  # how many the sparser urn of each state has
-        apart = (fewer > 0) & (2 * fewer < number)
-        through1, through2 = (
-            theory.flow1(circuit, fewer[apart]),
-            theory.flow2(circuit, fewer[apart]),
-        )
-        kept = (sparse[0] * through1 + sparse[1] * through2) / (through1 + through2)
-        up[apart] += np.log(kept)
-    offset, last = (number + 1) // 2, up.size - 1
-    above = int(np.clip(np.ceil(0.5 * number * (1.0 + high) - 1e-9) - offset, 1, last))
-    below = int(np.clip(np.floor(0.5 * number * (1.0 + low) + 1e-9) - offset, 0, last - 1))
-    return time_up(up, down, 0, above), time_up(down[::-1], up[::-1], 0, last - below)
-
-
-def first_passage(series: Series, number: int, barrier: float, below: bool) -> tuple[float, bool]:
-    """Return when chi first gets below (or above) `barrier` in a series, and whether it does.
-
-    Without a passage: how long the series lasts, which bounds the lifetime from below.
-    """
-    chi = np.abs(2.0 * series.urn1_number - number) / number
-    passed = np.flatnonzero(chi < barrier if below else chi > barrier)
-    if passed.size == 0:
-        return float(series.time[-1]), False
-    return float(series.time[passed[0]]), True
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Print the lifetimes of one circuit as JSON (null: it is never left)."""
-    given = theory.circuit_options("lifetimes", __doc__).parse_args(arguments)
-    found = lifetimes(theory.given_circuit(given))
-    values = {name: value if math.isfinite(value) else None for name, value in vars(found).items()}
-    print(json.dumps(values, indent=2))
+    given = circuit_options("lifetimes", __doc__).parse_args(arguments)
+    found = lifetimes(given_circuit(given))
+    print(json.dumps(cli.finite(vars(found)), indent=2))
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -17,202 +17,15 @@ channels are counted as in the urns, as in the paper, unless `--occupation` tell
 from __future__ import annotations
 
 import json
-import math
-import sys
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from postproc import cli, theory
-from postproc.lifetimes import passage_times
-from postproc.passages import HIGH, LOW, MIDDLE, measured
-from postproc.renewal import RENEWAL
-from postproc.results import FLOWS, Results
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from postproc.passages import Lifetime
-    from postproc.results import Series
-    from postproc.theory import Circuit
-
-    Floats = NDArray[np.float64]
-
-FACTOR = 0.9  # of the sparse urn's outflow in the changed chain
-OUTFLOWS = ("dense1", "sparse1", "dense2", "sparse2")
-LEAST = 50.0  # crossings below which neither ratio nor scatter is given
+from postproc import cli
+from postproc.reading.results import opened
+from postproc.report.mixing import mixing, table
+from postproc.theory.renewal import RENEWAL
 
 
-@dataclass(frozen=True)
-class Counts:
-    """Crossings out of the dense and the sparse urn in intervals of series, a row an outflow.
-
-    Attributes
-    ----------
-    measured, expected : shape (4, interval), in the order of `OUTFLOWS`; what was counted, and
-        what well mixed urns would send, by the means of both ends of an interval.
-    """
-
-    measured: Floats
-    expected: Floats
-
-    def ratio(self) -> Floats:
-        """Return measured over expected crossings of each outflow, NaN where there are few."""
-        total, mean = self.measured.sum(axis=1), self.expected.sum(axis=1)
-        enough = np.minimum(total, mean) > LEAST
-        return np.where(enough, total / np.where(enough, mean, 1.0), math.nan)
-
-    def scatter(self) -> Floats:
-        """Return the Fano factors: variance of counts about ratio x expected, over their mean."""
-        ratio = self.ratio()
-        rest = self.measured - ratio[:, None] * self.expected
-        return (rest**2).sum(axis=1) / np.maximum(self.measured.sum(axis=1), 1.0)
-
-
-@dataclass(frozen=True)
-class Mixing:
-    """What was measured at a point, and what the chains say.
-
-    Attributes
-    ----------
-    intervals : how many intervals of the series were taken.
-    ratio, scatter : of `Counts`, by name of the outflow.
-    lifetime : the polarised state's, as measured, with its circuit.
-    chain : the polarised state's lifetime by the chain.
-    chain_less : the same with the sparse urn's outflow times `FACTOR`.
-    chain_measured : the same with the measured ratios of the sparse urn's two outflows instead.
-    """
-
-    intervals: int
-    ratio: dict[str, float]
-    scatter: dict[str, float]
-    lifetime: Lifetime
-    chain: float
-    chain_less: float
-    chain_measured: float
-
-    def removed(self, changed: float) -> float:
-        """Return the share of log(chain/measured) that a change of the chain takes away.
-
-        NaN if no run has left the state, or the chain is off by less than a factor of two.
-        """
-        if not self.lifetime.passages:
-            return math.nan
-        before = math.log(self.chain / self.lifetime.time)
-        if abs(before) < math.log(2.0):
-            return math.nan
-        return 1.0 - math.log(changed / self.lifetime.time) / before
-
-    def row(self) -> dict[str, object]:
-        """Return what is printed as JSON."""
-        circuit = self.lifetime.circuit
-        return {
-            "threshold": int(circuit.threshold),
-            "channel1_length": float(circuit.channel1_length),
-            "number": int(circuit.number),
-            "intervals": self.intervals,
-            **{f"ratio_{name}": value for name, value in self.ratio.items()},
-            **{f"scatter_{name}": value for name, value in self.scatter.items()},
-            "passages": self.lifetime.passages,
-            "lifetime": self.lifetime.time,
-            "chain": self.chain,
-            "chain_less": self.chain_less,
-            "chain_measured": self.chain_measured,
-            "removed_less": self.removed(self.chain_less),
-            "removed_measured": self.removed(self.chain_measured),
-        }
-
-
-def _shares(circuit: Circuit, halves: Floats) -> Floats:
-    """Return the urns' shares of the particles (`Circuit`) where those of the halves are given."""
-    if not circuit.occupation:
-        return halves
-    everyone = np.arange(int(circuit.number) + 1.0)
-    return np.interp(halves, theory.half2_number(circuit, everyone), everyone)
-
-
-def polarised_counts(circuit: Circuit, series: Series) -> Counts:
-    """Return the crossings of one series that begins polarised, until chi falls to `LOW`."""
-    number, first = float(np.asarray(circuit.number)), series.urn1_number
-    left = np.flatnonzero(np.abs(2.0 * first - number) <= LOW * number)
-    last = int(left[0]) if left.size else first.size - 1
-    width = np.diff(series.time)[:last]
-    ahead1, back1, ahead2, back2 = (series.flows[name][1 : last + 1] * width for name in FLOWS)
-    ends = np.array([first[:last], first[1 : last + 1]])
-    first_dense = 2.0 * ends[0] > number  # as the interval begins
-    dense = np.where(first_dense, ends, number - ends)
-    counts = [
-        np.where(first_dense, one, other)
-        for one, other in ((ahead1, back1), (back1, ahead1), (ahead2, back2), (back2, ahead2))
-    ]
-    expected = [
-        width * flow(circuit, _shares(circuit, half)).mean(axis=0)
-        for flow in (theory.flow1, theory.flow2)
-        for half in (dense, number - dense)
-    ]
-    return Counts(np.array(counts), np.array(expected))
-
-
-def mixing(files: Sequence[Results], changes: dict[str, object]) -> list[Mixing]:
-    """Return what was measured at each point that begins polarised, beside one theory."""
-    found = []
-    for results in files:
-        lifetimes = {one.circuit: one for one in measured([results]) if one.polarised}
-        number, first = results.value("number"), results.value("urn1_number")
-        polarised = np.abs(2.0 * first - number) > MIDDLE * number
-        for point in np.flatnonzero(polarised & results.done.any(axis=1)):
-            given = results.circuit(int(point))
-            circuit = replace(given, **changes)
-            parts = [
-                polarised_counts(circuit, results.series(int(point), int(replica)))
-                for replica in np.flatnonzero(results.done[point])
-            ]
-            counts = Counts(
-                np.concatenate([part.measured for part in parts], axis=1),
-                np.concatenate([part.expected for part in parts], axis=1),
-            )
-            ratio = dict(zip(OUTFLOWS, counts.ratio().tolist(), strict=True))
-            scatter = dict(zip(OUTFLOWS, counts.scatter().tolist(), strict=True))
-            sparse = (ratio["sparse1"], ratio["sparse2"])
-            times = [
-                passage_times(circuit, LOW, HIGH, factors)[1]
-                for factors in ((1.0, 1.0), (FACTOR, FACTOR), sparse)
-            ]
-            found.append(Mixing(counts.measured.shape[1], ratio, scatter, lifetimes[given], *times))
-    if not found:
-        raise cli.InputError("mixing: no complete run begins polarised")
-    return found
-
-
-def table(found: Sequence[Mixing]) -> str:
-    """Return what was measured as text, a line a point."""
-    lines = [
-        f"{'':21s} {'flow over well mixed':>27s} {'Fano factor':>20s} "
-        f"{'lifetime of the polarised state':>41s} {'log removed':>15s}",
-        f"{'T':>2s} {'l':>4s} {'N':>5s} {'interv.':>7s} {'dense1':>6s} {'sparse1':>7s} "
-        f"{'dense2':>6s} {'sparse2':>7s} {'dense1':>6s} {'sparse1':>7s} {'sparse2':>7s} "
-        f"{'measured':>9s} {'chain':>9s} {f'x {FACTOR:g}':>9s} {'x ratios':>9s} "
-        f"{f'x {FACTOR:g}':>7s} {'x ratios':>8s}",
-    ]
-    for one in found:
-        circuit, ratio, scatter = one.lifetime.circuit, one.ratio, one.scatter
-        lines.append(
-            f"{circuit.threshold:2d} {circuit.channel1_length:4g} {circuit.number:5d} "
-            f"{one.intervals:7d} {ratio['dense1']:6.3f} {ratio['sparse1']:7.3f} "
-            f"{ratio['dense2']:6.3f} {ratio['sparse2']:7.3f} {scatter['dense1']:6.2f} "
-            f"{scatter['sparse1']:7.2f} {scatter['sparse2']:7.2f} {one.lifetime.time:9.3g} "
-            f"{one.chain:9.3g} {one.chain_less:9.3g} {one.chain_measured:9.3g} "
-            f"{one.removed(one.chain_less):7.2f} {one.removed(one.chain_measured):8.2f}"
-        )
-    return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Print how well the urns of runs mix, and what that makes of the chain's lifetimes."""
     options = cli.parser("mixing", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
@@ -221,8 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options.add_argument("--json", action="store_true", help="print JSON")
     given = options.parse_args(arguments)
-    with ExitStack() as stack:
-        files = [stack.enter_context(Results(path)) for path in given.files]
+    with opened(given.files) as files:
         for results in files:
             if results.shape != "circuit":
                 raise cli.InputError(f"{results.path}: a run of shape '{results.shape}'")
@@ -230,15 +42,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results.say_if_partial()
         found = mixing(files, {"gate": RENEWAL, "occupation": given.occupation})
     if given.json:
-        rows = [
-            {key: value if math.isfinite(value) else None for key, value in one.row().items()}
-            for one in found
-        ]
-        print(json.dumps(rows, indent=2))
+        print(json.dumps(cli.finite([one.row() for one in found]), indent=2))
     else:
         print(table(found))
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -8,14 +8,22 @@ complains counts as one failed test, and so does a part that breaks before it ca
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLS = ROOT / "build/venv/bin"
+# Tests run side by side, so that there are more MPI ranks than cores: who waits must not spin.
+ENVIRONMENT = {
+    **os.environ,
+    "OMPI_MCA_mpi_yield_when_idle": "1",
+    "OMPI_MCA_hwloc_base_binding_policy": "none",
+}
 
 
 @dataclass
@@ -31,6 +39,9 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     """List the parts in the order in which they run."""
     fortran = [sys.executable, "test/run", f"--ldflags={arguments.ldflags}"]
     style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml", "postproc", "test"]
+    python = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "--dist", "loadscope"]
+    if not arguments.full:
+        python += ["-m", "not full"]
     folders = [name for name in ("src", "app", "test") if any((ROOT / name).rglob("*.[fF]90"))]
     return [
         Part(
@@ -47,23 +58,24 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
             "Fortran, debug build with traps",
             [*fortran, "--flavour", "debug", f"--flags={arguments.debug}"],
         ),
-        Part("Python", [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider",
-                        "postproc", "test"]),
+        Part("Python", [*python, "postproc", "test"]),
     ]
 
 
 def run(part: Part) -> tuple[int, int]:
     """Run one part, show what it prints, and give how many tests passed and failed."""
     print(f"\n== {part.name}", flush=True)
+    begin = time.monotonic()
     process = subprocess.Popen(
-        part.command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        errors="replace",
+        part.command, cwd=ROOT, env=ENVIRONMENT, text=True, errors="replace",
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     )
     last = ""
     for line in process.stdout or ():
         print(line, end="", flush=True)
         last = line if line.strip() else last
     code = process.wait()
+    print(f"{part.name}: {time.monotonic() - begin:.0f} s")
     if part.lint:
         return (0, 1) if code else (1, 0)
     passed, failed = (count(word, last) for word in ("passed", "failed"))
@@ -88,6 +100,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--release", required=True, help="switches of the release build")
     parser.add_argument("--debug", required=True, help="switches of the debug build")
+    parser.add_argument("--full", action="store_true", help="those too that take long")
     parser.add_argument("--ldflags", default="", help="switches of the linker")
     counts = [run(part) for part in parts(parser.parse_args())]
     passed, failed = (sum(column) for column in zip(*counts, strict=True))

@@ -7,16 +7,12 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from postproc import cli, style
+from postproc import cli
 from postproc.accuracy.job import ROOT, Job
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from postproc.figures import style
 
 # each a module of this package with run(job); the page comes last, from what the others kept
 PARTS = (
@@ -36,7 +32,7 @@ def make(part: str, job: Job) -> None:
     print(f"{part}: {time.monotonic() - began:.0f} s", flush=True)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Make all parts, or those that are named."""
     known = [part for part in PARTS if there(part)]
     options = cli.parser("accuracy", __doc__)
@@ -70,4 +66,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    raise SystemExit(cli.run(main))

@@ -12,7 +12,7 @@ from postproc.cli import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from postproc.results import Results
+    from postproc.reading.results import Results
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import style
 from postproc.accuracy.events import (
     CROSSING1,
     CROSSING2,
@@ -28,9 +27,10 @@ from postproc.accuracy.events import (
     read_log,
     stories,
 )
-from postproc.results import Results
-from postproc.states import stable_spread
-from postproc.theory import Circuit
+from postproc.figures import style
+from postproc.reading.results import Results
+from postproc.theory.circuit import Circuit
+from postproc.theory.states import stable_spread
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

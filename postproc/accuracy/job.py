@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import subprocess
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import f90nml
 
-from postproc.cli import InputError, output_folder
+from postproc.cli import InputError, finite, output_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -121,16 +120,3 @@ def namelist_text(source: Path, changes: Changes) -> str:
                 groups[group][key] = list(value) if isinstance(value, tuple) else value
     groups.column_width = 100
     return f"{groups}\n"
-
-
-def finite(value: object) -> object:
-    """Return a value as JSON can hold it: numpy's numbers as Python's, NaN and infinity as None."""
-    if isinstance(value, dict):
-        return {str(key): finite(one) for key, one in value.items()}
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, (list, tuple)):
-        return [finite(one) for one in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

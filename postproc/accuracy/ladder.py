@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc.gates import WINDOW
-from postproc.lifetimes import stationary_distribution
-from postproc.renewal import RENEWAL
-from postproc.results import Results
-from postproc.states import stable_state
-from postproc.theory import Circuit, eta, half2_number, net_current2
+from postproc.reading.results import Results
+from postproc.theory.chain import stationary_distribution
+from postproc.theory.circuit import Circuit, eta, half2_number, net_current2
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
     from collections.abc import Callable

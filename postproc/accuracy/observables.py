@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import style
 from postproc.accuracy import ladder, tail
 from postproc.accuracy.ladder import QUANTITIES, Answer
+from postproc.figures import style
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postproc import style
 from postproc.accuracy.probes import EPSILON, PRECISIONS, Question, ask
 from postproc.accuracy.trajectories import (
     ASTRAY,
@@ -23,6 +22,7 @@ from postproc.accuracy.trajectories import (
     horizon,
     start_file,
 )
+from postproc.figures import style
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-from postproc import style
 from postproc.accuracy.events import CROSSING1, CROSSING2, ENTRY, outward_stays, read_log, stories
-from postproc.results import Results
-from postproc.theory import Circuit, flow2
+from postproc.figures import style
+from postproc.reading.results import Results
+from postproc.theory.circuit import Circuit, flow2
 
 if TYPE_CHECKING:
     from pathlib import Path

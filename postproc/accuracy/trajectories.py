@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postproc import style
 from postproc.accuracy.probes import EPSILON, PRECISIONS, Answer, Question, ask
+from postproc.figures import style
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from postproc import cli
-from postproc.accuracy import __main__ as accuracy
 from postproc.accuracy.job import NAMELISTS, Job, namelist_text
-from postproc.results import Results
+from postproc.reading.results import Results
+from postproc.tests.commands import call
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,5 +61,5 @@ def test_kept_numbers_are_plain_json(tmp_path: Path) -> None:
 
 
 def test_unknown_part_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(accuracy.main, ["nothing"]) == cli.EXIT_BAD_INPUT
+    assert call("accuracy", ["nothing"]) == cli.EXIT_BAD_INPUT
     assert "allowed: " in capsys.readouterr().err

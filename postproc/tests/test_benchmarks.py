@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rich.console import Console
 
-from postproc import benchmarks, cli
-from postproc.benchmark_changes import change, load
-from postproc.benchmark_figures import FORMAT, Figure, Rows, figures, summary
+from postproc import cli
+from postproc.speed import benchmarks
+from postproc.speed.bounds import FORMAT, Figure, Rows, figures, summary
+from postproc.speed.changes import change, load
+from postproc.tests.commands import call
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -120,7 +122,7 @@ def test_compare_prints_ratios_and_marks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     old, new = _file(tmp_path / "old.json"), _file(tmp_path / "new.json", faster=2.0)
-    assert cli.run(benchmarks.main, ["compare", str(old), str(new)]) == 0
+    assert call("benchmarks", ["compare", str(old), str(new)]) == 0
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 100
     lines = {line.split("  ")[1].strip(): line for line in text.splitlines() if "  " in line}
@@ -138,7 +140,7 @@ def test_a_file_compared_with_itself_has_no_mark(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = str(_file(tmp_path / "one.json"))
-    assert cli.run(benchmarks.main, ["compare", path, path]) == 0
+    assert call("benchmarks", ["compare", path, path]) == 0
     assert "\n0 of " in capsys.readouterr().out
 
 
@@ -172,7 +174,7 @@ def test_a_bad_file_is_one_line_and_exit_2(
     if text is not None:
         bad.write_text(text)
     for pair in ((bad, good), (good, bad)):
-        assert cli.run(benchmarks.main, ["compare", *map(str, pair)]) == 2
+        assert call("benchmarks", ["compare", *map(str, pair)]) == 2
         said = capsys.readouterr()
         assert said.out == ""
         assert said.err.startswith("error: ")

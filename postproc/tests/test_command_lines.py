@@ -6,48 +6,31 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
-from postproc import (
-    benchmarks,
-    cli,
-    compare,
-    currents,
-    figures,
-    mixing,
-    renewal_fit,
-    report,
-    scene,
-    scheduler,
-)
-from postproc.tests.fabricate import fabricate
+from postproc.tests.commands import call
+from postproc.tests.runs import results_of
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-READERS: dict[str, tuple[Callable[..., int], list[str]]] = {
-    "currents": (currents.main, []),
-    "scene": (scene.main, []),
-    "report": (report.main, []),
-    "compare": (compare.main, []),
-    "mixing": (mixing.main, []),
-    "numris": (figures.main, ["numris"]),
-    "comp05": (figures.main, ["comp05"]),
-    "app2": (figures.main, ["app2"]),
-    "lifetimes": (figures.main, ["lifetimes"]),
-    "renewal_fit": (renewal_fit.main, ["--data"]),
-    "benchmarks": (benchmarks.main, ["compare", os.devnull]),
-}
+READERS = [["currents"], ["scene"], ["report"], ["compare"], ["mixing"], ["renewal_fit", "--data"]]
+READERS += [["figures", name] for name in ("numris", "comp05", "app2", "lifetimes")]
+READERS += [["benchmarks", "compare", os.devnull]]
+COMMANDS = ["theory", "lifetimes", "currents", "scene", "figures", "compare", "mixing", "film"]
+COMMANDS += ["report", "accuracy", "benchmarks", "scaling", "scheduler", "renewal_fit"]
 ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(name, ["--help"]) == 0
+    assert f"python -m postproc.{name} [-h]" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a folder of things that are no whole results file."""
     folder = tmp_path_factory.mktemp("files")
-    content = bytearray(fabricate(folder / "whole.h5", [{}], duration=100.0).read_bytes())
+    content = bytearray(results_of(folder / "whole.h5").read_bytes())
     content[len(content) // 2] ^= 4
     (folder / "flipped").write_bytes(content)
     (folder / "cut").write_bytes(content[:3000])
@@ -64,19 +47,17 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 @pytest.mark.parametrize("reader", READERS)
 def test_no_whole_file(
-    files: Path, reader: str, name: str, capsys: pytest.CaptureFixture[str]
+    files: Path, reader: list[str], name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    main, words = READERS[reader]
-    assert cli.run(main, [*words, str(files / name)]) == 2
+    command, *words = reader
+    assert call(command, [*words, str(files / name)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize("option", ["ranks", "tasks", "seconds", "service", "seed", "spread"])
 @pytest.mark.parametrize("value", ["-1", "nan", "inf", "1e300", "99999999999999999999", "x"])
 def test_numbers_without_sense(option: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        cli.run(scheduler.main, ["--ranks=10", "--tasks=100", f"--{option}={value}"])
-    assert left.value.code == 2
+    assert call("scheduler", ["--ranks=10", "--tasks=100", f"--{option}={value}"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 

@@ -9,67 +9,85 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from postproc import cli, compare, figures, passages
-from postproc.gates import WINDOW
-from postproc.renewal import RENEWAL
-from postproc.results import Results
-from postproc.tests.fabricate import fabricate
+from postproc.figures import passages
+from postproc.reading.results import Results
+from postproc.report import compare
+from postproc.tests.commands import call
+from postproc.tests.runs import BARE, FORGETFUL, results_of
+from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_runs_made_by_the_papers_theory_agree_with_it(
+def test_runs_without_memory_agree_with_the_renewal_gate(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    grid = [{"threshold": threshold} for threshold in (7, 10, 14, 18)]
-    path = fabricate(tmp_path / "run.h5", grid, duration=4000.0, snapshots=0)
-    assert cli.run(compare.main, [str(path), "--json"]) == 0
+    scan = {"threshold": [5, 7, 9, 25]}
+    path = results_of(
+        tmp_path / "run.h5",
+        particles={"urn1_number": 1000},
+        run={"duration": 10000.0, **FORGETFUL},
+        scan=scan,
+        output=BARE,
+    )
+    assert call("compare", [str(path), "--json"]) == 0
     paper, renewal, counted = json.loads(capsys.readouterr().out)
-    assert paper["right_phase"] == 1.0
-    assert paper["chi"] < 0.01
-    assert renewal["chi"] > 3 * paper["chi"]
     assert counted["points"] == 4
+    assert counted["right_phase"] == 1.0
+    assert counted["chi"] < 0.01
+    assert paper["chi"] > 3 * counted["chi"]
     for name in compare.FLOWS:
-        assert paper[name] == pytest.approx(1.0, abs=0.1)
+        assert counted[name] == pytest.approx(1.0, abs=0.1)
     assert renewal["dense2"] == paper["dense2"]
-    assert renewal["dense1"] < 0.3
-    assert renewal["sparse1"] == pytest.approx(1.0, abs=0.1)
+    assert paper["dense1"] > 3.0
 
 
 def test_single_urns_are_compared_by_their_current(tmp_path: Path) -> None:
-    urns = [{"number": 500, "threshold": t, "channel2_width": 0.0} for t in (3, 6, 9)]
-    path = fabricate(tmp_path / "urn.h5", urns, duration=2000.0, snapshots=0, shape="urn")
+    path = results_of(
+        tmp_path / "urn.h5",
+        table={"shape": "urn"},
+        particles={"number": 500},
+        run={"duration": 20000.0, **FORGETFUL},
+        scan={"threshold": [4, 6, 9]},
+        output=BARE,
+    )
     with Results(path) as results:
-        paper, renewal, _ = compare.compare([results])
-    assert paper.current < 0.05 < renewal.current
+        paper, _, counted = compare.compare([results])
+    assert counted.current < 0.05 < paper.current
     assert math.isnan(paper.chi)
 
 
 def test_circuits_and_urns_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    one = fabricate(tmp_path / "one.h5", [{}], duration=300.0, snapshots=0)
-    urn = fabricate(tmp_path / "urn.h5", [{}], duration=300.0, snapshots=0, shape="urn")
-    assert cli.run(compare.main, [str(one), str(urn)]) == 2
+    one = results_of(tmp_path / "one.h5", output=BARE)
+    urn = results_of(tmp_path / "urn.h5", table={"shape": "urn"}, output=BARE)
+    assert call("compare", [str(one), str(urn)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_lifetimes_are_measured_and_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    files = []
-    for name, part in (("polarised", 1.0), ("homogeneous", 0.5)):
-        grid = [{"number": n, "threshold": 18, "urn1_number": int(part * n)} for n in (500, 1000)]
-        files.append(fabricate(tmp_path / f"{name}.h5", grid, duration=1000.0, snapshots=0))
-    with Results(files[0]) as one, Results(files[1]) as other:
-        found = passages.measured([one, other])
-    assert [life.polarised for life in found] == [True, True, False, False]
-    assert [(life.passages, life.replicas) for life in found] == [(2, 2)] * 2 + [(0, 2)] * 2
-    assert all(0.0 < life.low <= life.time <= life.high < 500.0 for life in found[:2])
-    assert all(life.time == pytest.approx(2000.0 / passages.BOUND) for life in found[2:])
-    assert all(math.isnan(life.low) for life in found[2:])
-    arguments = ["lifetimes", *map(str, files), "--output", str(tmp_path)]
-    assert cli.run(figures.main, arguments) == 0
+    scan = {"number": [500, 1000], "urn1_fraction": [1.0, 0.5], "threshold": 18}
+    path = results_of(tmp_path / "run.h5", particles={"number": None}, scan=scan)
+    with Results(path) as results:
+        found = passages.measured([results])
+        made = passages.figure_lifetimes([results])
+    assert [life.polarised for life in found] == [True, False] * 2
+    assert [(life.passages, life.replicas) for life in found] == [(2, 2), (0, 2)] * 2
+    assert all(0.0 < life.low <= life.time <= life.high < 500.0 for life in found[::2])
+    assert all(life.time == pytest.approx(2000.0 / passages.BOUND) for life in found[1::2])
+    assert all(math.isnan(life.low) for life in found[1::2])
     assert capsys.readouterr().out.count("at least") == 2
+    (axes,) = made.axes
+    assert axes.get_title("left") == "$T = 18$, $l = 1$"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$N$", "lifetime  (length / $v$)")
+    assert (axes.get_yscale(), axes.get_ylim()) == ("log", passages.DRAWN)
+    drawn = {(line.get_marker(), *map(tuple, line.get_data())) for line in axes.lines}
+    for life in found:
+        times = [one.time for one in found if one.polarised == life.polarised]
+        assert ("o" if life.polarised else "^", (500.0, 1000.0), tuple(times)) in drawn
+    assert len(made.legends[0].get_texts()) == 6
 
 
 def test_lifetimes_of_runs_that_end_too_early_are_not_too_short() -> None:
@@ -85,13 +103,18 @@ def test_lifetimes_of_runs_that_end_too_early_are_not_too_short() -> None:
     assert high - low == pytest.approx(2.0 * mean / math.sqrt(9000), rel=0.1)
 
 
-def test_measured_passages_are_those_of_the_chain(tmp_path: Path) -> None:
-    # the fabricated circuits jump at the rates of the paper's theory, as the chain does
-    grid = [{"number": 320, "threshold": 1, "urn1_number": 160}]
-    path = fabricate(tmp_path / "run.h5", grid, 30, 6000.0, interval=3.0, snapshots=0)
+def test_measured_passages_of_free_particles_are_those_of_the_chain(tmp_path: Path) -> None:
+    path = results_of(
+        tmp_path / "run.h5",
+        table={"channel1_length": 0.1, "channel2_length": 0.1},
+        particles={"number": 12},
+        run={"duration": 1500.0, **FORGETFUL},
+        scan={"threshold": 12, "urn1_fraction": [0.5, 1.0], "replicas": 100},
+        output={"series_interval": 1.0, "snapshot_times": None},
+    )
     with Results(path) as results:
-        (found,) = passages.measured([results])
-    error = 0.5 * (found.high - found.low)
-    assert found.passages > 20
-    assert found.time == pytest.approx(found.of_chain({"gate": WINDOW}), abs=4.0 * error)
-    assert 5.0 * error < abs(found.time - found.of_chain({"gate": RENEWAL}))
+        found = passages.measured([results])
+    for one in found:
+        error = 0.5 * (one.high - one.low)
+        expected = one.of_chain({"gate": RENEWAL, "occupation": True})
+        assert one.time == pytest.approx(expected, abs=4.0 * error + 1.0)

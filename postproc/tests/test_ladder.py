@@ -12,7 +12,7 @@ import pytest
 from postproc.accuracy import ladder
 from postproc.accuracy.job import Job
 from postproc.accuracy.observables import cheapest, cost, figure_observables, row
-from postproc.theory import Circuit
+from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
     from pathlib import Path

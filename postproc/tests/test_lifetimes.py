@@ -10,26 +10,28 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from postproc import cli, lifetimes, theory
-from postproc.results import Series
-from postproc.theory import Circuit
+from postproc.figures.passages import first_passage
+from postproc.reading.results import Series
+from postproc.tests.commands import call
+from postproc.theory import chain
+from postproc.theory.circuit import Circuit, half2_number, held_in_channels, in_urn
 
 
 def _generator(circuit: Circuit) -> np.ndarray:
-    up, down = (np.exp(rates) for rates in lifetimes.log_rates(circuit))
+    up, down = (np.exp(rates) for rates in chain.log_rates(circuit))
     return np.diag(up[:-1], 1) + np.diag(down[1:], -1) - np.diag(up + down)
 
 
 def test_free_circuit_is_binomial() -> None:
     circuit = Circuit(60, 60)
     expected = stats.binom.pmf(np.arange(61), 60, 0.5)
-    assert lifetimes.stationary_distribution(circuit) == pytest.approx(expected, abs=1e-12)
+    assert chain.stationary_distribution(circuit) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("threshold", [1, 3])
 def test_distribution_is_stationary_and_symmetric(threshold: int) -> None:
     circuit = Circuit(51, threshold, channel1_length=8.0)
-    weights = lifetimes.stationary_distribution(circuit)
+    weights = chain.stationary_distribution(circuit)
     assert weights @ _generator(circuit) == pytest.approx(0.0, abs=1e-12)
     assert weights == pytest.approx(weights[::-1], rel=1e-9)
 
@@ -39,9 +41,9 @@ def test_mean_passage_time_solves_the_linear_equations() -> None:
     stop = 30
     inside = _generator(circuit)[:stop, :stop]
     expected = np.linalg.solve(inside, -np.ones(stop))
-    rates = lifetimes.log_rates(circuit)
+    rates = chain.log_rates(circuit)
     for start in (0, 11, 29):
-        assert lifetimes.time_up(*rates, start, stop) == pytest.approx(expected[start], rel=1e-9)
+        assert chain.time_up(*rates, start, stop) == pytest.approx(expected[start], rel=1e-9)
 
 
 @pytest.mark.parametrize("number", [40, 41])
@@ -51,8 +53,8 @@ def test_folding_keeps_the_time_to_leave_the_middle(number: int) -> None:
     low, high = number - middle - reach, middle + reach
     inside = _generator(circuit)[low + 1 : high, low + 1 : high]
     expected = np.linalg.solve(inside, -np.ones(inside.shape[0]))[middle - low - 1]
-    chain = lifetimes.folded(*lifetimes.log_rates(circuit))
-    assert lifetimes.time_up(*chain, 0, reach) == pytest.approx(expected, rel=1e-9)
+    rates = chain.folded(*chain.log_rates(circuit))
+    assert chain.time_up(*rates, 0, reach) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("number", [40, 41])
@@ -65,22 +67,22 @@ def test_passage_times_solve_the_linear_equations(number: int) -> None:
         equations = _generator(circuit)[np.ix_(inside, inside)]
         times = np.linalg.solve(equations, -np.ones(inside.sum()))
         expected = times[np.flatnonzero(inside).tolist().index(start)]
-        found = lifetimes.passage_times(circuit, 0.2, 0.7)[at]
+        found = chain.passage_times(circuit, 0.2, 0.7)[at]
         assert found == pytest.approx(expected, rel=1e-9)
 
 
 def test_states_that_are_not_there_or_never_left() -> None:
-    free = lifetimes.lifetimes(Circuit(1000, 18))
+    free = chain.lifetimes(Circuit(1000, 18))
     assert math.isinf(free.homogeneous)
     assert free.polarised == 0.0
-    battery = lifetimes.lifetimes(Circuit(1000, 7))
+    battery = chain.lifetimes(Circuit(1000, 7))
     assert battery.homogeneous == 0.0
     assert math.isinf(battery.polarised)
 
 
 def test_lifetimes_grow_with_the_number_of_particles() -> None:
     found = [
-        lifetimes.lifetimes(Circuit(number, 2, channel1_length=1000 / number))
+        chain.lifetimes(Circuit(number, 2, channel1_length=1000 / number))
         for number in (250, 500, 1000)
     ]
     for one, other in itertools.pairwise(found):
@@ -91,12 +93,12 @@ def test_lifetimes_grow_with_the_number_of_particles() -> None:
 def test_first_passage_in_a_series() -> None:
     time = np.arange(1.0, 6.0)
     series = Series(time, np.array([0.0, 10.0, 30.0, 50.0, 50.0]), {})
-    assert lifetimes.first_passage(series, 100, 0.5, below=True) == (3.0, True)
-    assert lifetimes.first_passage(series, 100, -1.0, below=True) == (5.0, False)
+    assert first_passage(series, 100, 0.5, below=True) == (3.0, True)
+    assert first_passage(series, 100, -1.0, below=True) == (5.0, False)
 
 
 def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(lifetimes.main, ["--number", "1000", "--threshold", "2"]) == 0
+    assert call("lifetimes", ["--number", "1000", "--threshold", "2"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["barrier"] == pytest.approx(0.7484, abs=1e-4)
     assert printed["homogeneous"] > printed["polarised"] > 0.0
@@ -106,15 +108,15 @@ def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:
 def test_occupation_counts_everyone(threshold: int) -> None:
     circuit = Circuit(1000, threshold, occupation=True)
     for share in (1.0, 300.0, 500.0, 950.0):
-        inside = float(theory.in_urn(circuit, share))
-        here, beyond = theory.held_in_channels(circuit, inside)
+        inside = float(in_urn(circuit, share))
+        here, beyond = held_in_channels(circuit, inside)
         assert inside + float(here + beyond) == pytest.approx(share, rel=1e-10)
-    halves = theory.half2_number(circuit, np.array([100.0, 900.0]))
+    halves = half2_number(circuit, np.array([100.0, 900.0]))
     assert halves.sum() == pytest.approx(1000.0, rel=1e-10)
 
 
 def test_occupation_of_a_free_circuit_fills_it_uniformly() -> None:
     circuit = Circuit(1000, 1000, channel2_width=0.2, occupation=True)
     area = float(circuit.urn_area)
-    inside = float(theory.in_urn(circuit, 500.0))
+    inside = float(in_urn(circuit, 500.0))
     assert inside == pytest.approx(500.0 * area / (area + 0.15 + 0.1), rel=1e-12)

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from postproc import cli, mixing, theory
-from postproc.lifetimes import passage_times
-from postproc.renewal import RENEWAL
-from postproc.results import FLOWS, Results, Series
-from postproc.tests.fabricate import fabricate
-from postproc.theory import Circuit
+from postproc.reading.results import FLOWS, Results, Series
+from postproc.report import mixing
+from postproc.tests.commands import call
+from postproc.tests.runs import BARE, FORGETFUL, results_of
+from postproc.theory.chain import passage_times
+from postproc.theory.circuit import Circuit, flow1, flow2, half2_number
+from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +34,7 @@ def _chains(
     """
     random, total, step = np.random.default_rng(11), int(CIRCUIT.number), INTERVAL / STEPS
     everyone = np.arange(total + 1)
-    through = np.array([theory.flow1(CIRCUIT, everyone), theory.flow2(CIRCUIT, everyone)])
+    through = np.array([flow1(CIRCUIT, everyone), flow2(CIRCUIT, everyone)])
     first = np.full(replicas, total)
     numbers, flows = [], []
     for _ in range(intervals):
@@ -110,7 +111,7 @@ def test_intervals_count_until_the_state_is_left_and_not_after() -> None:
     assert swapped.measured == pytest.approx(expected[[1, 0, 3, 2]])
     assert swapped.expected == pytest.approx(counts.expected)
     assert counts.expected[3, 0] == pytest.approx(
-        0.5 * INTERVAL * float(theory.flow2(CIRCUIT, 20.0) + theory.flow2(CIRCUIT, 30.0))
+        0.5 * INTERVAL * float(flow2(CIRCUIT, 20.0) + flow2(CIRCUIT, 30.0))
     )
 
 
@@ -119,8 +120,8 @@ def test_a_chain_that_holds_back_solves_the_linear_equations(number: int) -> Non
     circuit = Circuit(number, 2, channel1_length=8.0)
     everyone = np.arange(number + 1)
     sparse = 2 * everyone < number
-    out = np.where(sparse, 0.8, 1.0) * theory.flow1(circuit, everyone)
-    out += np.where(sparse, 0.5, 1.0) * theory.flow2(circuit, everyone)
+    out = np.where(sparse, 0.8, 1.0) * flow1(circuit, everyone)
+    out += np.where(sparse, 0.5, 1.0) * flow2(circuit, everyone)
     up, down = out[::-1], out  # of N2
     generator = np.diag(up[:-1], 1) + np.diag(down[1:], -1) - np.diag(up + down)
     spread = np.abs(2.0 * everyone - number) / number
@@ -136,11 +137,11 @@ def test_a_chain_that_holds_back_solves_the_linear_equations(number: int) -> Non
 def test_flows_are_expected_at_what_the_halves_hold(occupation: bool) -> None:
     circuit = replace(CIRCUIT, number=180, threshold=2, channel1_length=4.0, occupation=occupation)
     shares = np.array([20.0, 160.0])
-    halves = theory.half2_number(circuit, shares)
+    halves = half2_number(circuit, shares)
     first = np.full(3, halves[1])
     flows = dict.fromkeys(FLOWS, np.ones(3))
     counts = mixing.polarised_counts(circuit, Series(INTERVAL * np.arange(1.0, 4.0), first, flows))
-    sparse, dense = theory.flow1(circuit, shares)
+    sparse, dense = flow1(circuit, shares)
     assert counts.expected[1] == pytest.approx(INTERVAL * sparse, rel=1e-3)
     assert counts.expected[0] == pytest.approx(INTERVAL * dense, rel=1e-3)
     if occupation:
@@ -148,26 +149,29 @@ def test_flows_are_expected_at_what_the_halves_hold(occupation: bool) -> None:
 
 
 def test_runs_are_measured_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # fabricated circuits obey the paper's gate, which at this load is not the renewal gate
-    grid = [{"number": 400, "threshold": 1, "urn1_number": first} for first in (200, 400)]
-    path = fabricate(tmp_path / "run.h5", grid, 4, 3000.0, interval=3.0, snapshots=0)
+    scan = {"threshold": 1, "urn1_fraction": [0.5, 1.0], "replicas": 4}
+    run = {"duration": 3000.0, **FORGETFUL}
+    output = {"series_interval": 3.0, "snapshot_times": None}
+    path = results_of(
+        tmp_path / "run.h5", particles={"number": 400}, run=run, scan=scan, output=output
+    )
     with Results(path) as results:
-        (paper,) = mixing.mixing([results], {})
+        (paper,) = mixing.mixing([results], {"gate": RENEWAL, "occupation": True})
     assert paper.ratio["dense2"] == pytest.approx(1.0, abs=0.05)
     assert paper.ratio["sparse1"] == pytest.approx(1.0, abs=0.05)
     assert paper.intervals == 4 * 999
     assert math.isnan(paper.removed(paper.chain_less))  # nothing passed
-    assert cli.run(mixing.main, [str(path), "--json"]) == 0
+    assert call("mixing", [str(path), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert row["removed_less"] is None
     assert row["chain_less"] < row["chain"] < paper.chain
-    assert cli.run(mixing.main, [str(path)]) == 0
+    assert call("mixing", [str(path)]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 3
 
 
 def test_share_of_the_logarithm_that_is_removed(tmp_path: Path) -> None:
-    grid = [{"number": 900, "threshold": 18, "urn1_number": 900}]
-    path = fabricate(tmp_path / "run.h5", grid, 2, 1000.0, snapshots=0)
+    particles = {"number": 900, "urn1_number": 900}
+    path = results_of(tmp_path / "run.h5", particles=particles, scan={"threshold": 18})
     with Results(path) as results:
         (one,) = mixing.mixing([results], {})
     time = one.lifetime.time
@@ -178,10 +182,9 @@ def test_share_of_the_logarithm_that_is_removed(tmp_path: Path) -> None:
 
 
 def test_files_that_do_not_serve(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    quick = {"duration": 300.0, "snapshots": 0}
-    urn = fabricate(tmp_path / "urn.h5", [{}], **quick, shape="urn")
-    even = fabricate(tmp_path / "even.h5", [{}], **quick)
-    bare = fabricate(tmp_path / "bare.h5", [{"urn1_number": 1000}], **quick, interval=0.0)
+    urn = results_of(tmp_path / "urn.h5", table={"shape": "urn"})
+    even = results_of(tmp_path / "even.h5")
+    bare = results_of(tmp_path / "bare.h5", particles={"urn1_number": 1000}, output=BARE)
     for path in (urn, even, bare):
-        assert cli.run(mixing.main, [str(path)]) == 2
+        assert call("mixing", [str(path)]) == 2
         assert capsys.readouterr().err.count("\n") == 1

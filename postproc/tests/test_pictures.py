@@ -10,109 +10,163 @@ import h5py
 import numpy as np
 import pytest
 
-from postproc import cli, compare, currents, figures, film, report, scene
-from postproc.results import Results, Snapshot, mean_and_error
-from postproc.tests.fabricate import fabricate, seal
-from postproc.theory import Circuit
+from postproc.figures import currents, scene
+from postproc.figures.style import VERMILION
+from postproc.reading.results import Results, Snapshot, mean_and_error
+from postproc.tests.commands import call
+from postproc.tests.runs import BARE, edited, leave_out, results_of
+from postproc.theory.circuit import Circuit, eta, flow1, flow2
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 
-def _lifetimes(arguments: list[str]) -> int:
-    return figures.main(["lifetimes", *arguments])
-
-
-def _map(arguments: list[str]) -> int:
-    return figures.main(["numris", *arguments])
-
-
-SCRIPTS = [currents.main, scene.main]
-READERS = [*SCRIPTS, film.main, report.main, compare.main, _lifetimes, _map]
+# the commands that read a file of results, with what comes before it
+READERS = [["currents"], ["scene"], ["film"], ["report"], ["compare"], ["mixing"]]
+READERS += [["figures", name] for name in ("lifetimes", "numris")]
 
 
 @pytest.fixture(scope="module")
 def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("run") / "run.h5"
-    return fabricate(path, [{"threshold": 7}, {"threshold": 18}], duration=2000.0)
+    return results_of(path, scan={"threshold": [7, 18]})
 
 
-@pytest.mark.parametrize("main", SCRIPTS)
-def test_pictures_are_written(main: Callable[..., int], run_file: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", ["currents", "scene"])
+def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
-    assert cli.run(main, [str(run_file), "--output", str(folder)]) == 0
-    suffixes = sorted(path.suffix for path in folder.iterdir())
-    assert suffixes == [".pdf", ".png"]
-    assert all(path.stat().st_size > 5000 for path in folder.iterdir())
+    assert call(command, [str(run_file), "--output", str(folder)]) == 0
+    assert sorted(path.name for path in folder.iterdir()) == [f"{command}.pdf", f"{command}.png"]
+    assert {path.read_bytes()[:5] for path in folder.iterdir()} == {b"\x89PNG\r", b"%PDF-"}
 
 
-def _one_line(main: Callable[..., int], path: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    assert cli.run(main, [str(path)]) == 2
+def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
+    with Results(run_file) as results:
+        made = currents.figure_currents(results, 0, 1)
+        series, circuit = results.series(0, 1), results.circuit(0)
+    (axes,) = made.axes
+    assert axes.get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
+    assert axes.get_xlabel() == "time $t$  (length / $v$)"
+    assert axes.get_ylabel() == "particles per unit time"
+    assert axes.get_xlim() == (0.0, 1000.0)
+    for container, name in zip(axes.containers, currents.FLOW_LOOK, strict=True):
+        assert container.get_label() == currents.FLOW_LOOK[name][2]
+        x, y = container.lines[0].get_data()
+        assert np.all((x > 0.0) & (x < 1000.0))
+        assert y.mean() == pytest.approx(series.flows[name].mean(), rel=0.05, abs=1e-3)
+    net = [line for line in axes.lines if str(line.get_label()).startswith("net current")]
+    assert [line.get_label() for line in net] == [
+        "net current, channel 1",
+        "net current, channel 2",
+    ]
+    # the theory's state with N2 = 968.7 or its mirror image, as the run chose
+    levels = sorted(line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == "--")
+    expected = [flow(circuit, 31.273) for flow in (flow1, flow2)]
+    expected += [flow(circuit, 968.727) for flow in (flow1, flow2)]
+    expected.append(expected[3] - expected[1])
+    assert levels == pytest.approx(sorted(map(float, expected)), abs=1e-4)
+    (inset,) = axes.child_axes
+    assert (inset.get_xlabel(), inset.get_ylabel()) == ("$N_2/N$", r"$\eta$")
+    share, flow = next(line.get_data() for line in inset.lines if len(line.get_xdata()) > 2)
+    assert flow == pytest.approx(eta(circuit, 1000.0 * share))
+    reached = currents.settled_number2(circuit, series) / 1000.0
+    assert reached in [line.get_xdata()[0] for line in inset.lines if line.get_color() == VERMILION]
+
+
+def test_scene_shows_every_particle_and_counts_those_in_the_gates(run_file: Path) -> None:
+    with Results(run_file) as results:
+        circuit, snapshot = results.circuit(0), results.snapshot(0, 0, -1)
+    made = scene.figure_scene(circuit, snapshot)
+    whole, channel = made.axes
+    first = np.count_nonzero(snapshot.x < 0.0)
+    for part in ("t = 10", "N = 1000", f"N_1 = {first}", f"N_2 = {1000 - first}"):
+        assert f"${part}$" in whole.get_title("center")
+    counted = scene.counted_by(circuit, snapshot)
+    for gate, place in ((1, "left"), (2, "right")):
+        number = np.count_nonzero(counted == gate)
+        assert channel.get_title(place) == f"gate {gate}: {number} counted, $T = 7$"
+    free, ringed = (part.get_offsets().data for part in whole.collections[:2])
+    assert len(ringed) == np.count_nonzero(counted) > 0
+    drawn = np.concatenate([free, ringed])
+    particles = np.column_stack([snapshot.x, snapshot.y])
+    assert drawn[np.lexsort(drawn.T)] == pytest.approx(particles[np.lexsort(particles.T)])
+    assert channel.get_xlim() == pytest.approx((-0.625, 0.625))
+    assert len(made.legends[0].get_texts()) == 4
+
+
+def _one_line(command: list[str], path: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    assert call(command[0], [*command[1:], str(path)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert str(path) in error
     return error
 
 
-@pytest.mark.parametrize("main", READERS)
+@pytest.mark.parametrize("command", READERS)
 def test_no_such_file(
-    main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "no such file" in _one_line(main, tmp_path / "none.h5", capsys)
+    assert "no such file" in _one_line(command, tmp_path / "none.h5", capsys)
 
 
-@pytest.mark.parametrize("main", READERS)
-def test_not_hdf5(
-    main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("command", READERS)
+def test_not_hdf5(command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "text.h5"
     path.write_text("no HDF5 at all\n")
-    assert "not an HDF5 file" in _one_line(main, path, capsys)
+    assert "not an HDF5 file" in _one_line(command, path, capsys)
 
 
 def test_damaged_file(run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "half.h5"
     path.write_bytes(run_file.read_bytes()[:5000])
-    assert "it has no digest at its end" in _one_line(currents.main, path, capsys)
+    assert "it has no digest at its end" in _one_line(["currents"], path, capsys)
 
 
-@pytest.mark.parametrize("main", READERS)
+@pytest.mark.parametrize("command", READERS)
 def test_another_programs_hdf5(
-    main: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:
         file["temperature"] = [1.0, 2.0]
-    assert "not written by battery" in _one_line(main, path, capsys)
+    assert "not written by battery" in _one_line(command, path, capsys)
 
 
 def test_a_folder_is_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "is a folder" in _one_line(currents.main, tmp_path, capsys)
+    assert "is a folder" in _one_line(["currents"], tmp_path, capsys)
 
 
 def test_missing_series_and_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = fabricate(tmp_path / "bare.h5", [{}], interval=0.0, snapshots=0)
-    assert "has no series" in _one_line(currents.main, path, capsys)
-    assert "has no snapshots" in _one_line(scene.main, path, capsys)
-    assert "has no snapshots" in _one_line(film.main, path, capsys)
-    assert "has no series" in _one_line(_lifetimes, path, capsys)
+    path = results_of(tmp_path / "bare.h5", output=BARE)
+    assert "has no series" in _one_line(["currents"], path, capsys)
+    assert "has no snapshots" in _one_line(["scene"], path, capsys)
+    assert "has no snapshots" in _one_line(["film"], path, capsys)
+    assert "has no series" in _one_line(["figures", "lifetimes"], path, capsys)
 
 
 def test_a_series_without_one_of_its_flows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = fabricate(tmp_path / "run.h5", [{}], duration=100.0)
-    with h5py.File(path, "r+") as file:
+    path = results_of(tmp_path / "run.h5", run={"duration": 100.0})
+    with edited(path) as file:
         del file["series/flow2_12"]
         del file["snapshots/uy"]
-    seal(path)
-    assert "has no series/flow2_12" in _one_line(currents.main, path, capsys)
-    assert "has no snapshots/uy" in _one_line(scene.main, path, capsys)
+    assert "has no series/flow2_12" in _one_line(["currents"], path, capsys)
+    assert "has no snapshots/uy" in _one_line(["scene"], path, capsys)
+
+
+def test_a_circuit_is_read_from_values_not_from_the_namelist(tmp_path: Path) -> None:
+    table = {"urn_radius": 1.2, "channel1_width": 0.5, "channel1_length": 0.8}
+    table |= {"channel2_width": 0.2, "channel2_length": 0.6}
+    path = results_of(tmp_path / "run.h5", table=table, output=BARE)
+    with edited(path) as file:
+        file.attrs["namelist"] = "no namelist"
+    with Results(path) as results:
+        assert results.circuit(0) == Circuit(1000, 7, **table)
 
 
 def test_no_such_task(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(currents.main, [str(run_file), "--point", "9"]) == 2
+    assert call("currents", [str(run_file), "--point", "9"]) == 2
     assert "2 point(s)" in capsys.readouterr().err
 
 
@@ -121,15 +175,15 @@ def test_folder_that_cannot_be_written(
     run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
-    assert cli.run(currents.main, [str(run_file), "--output", str(tmp_path)]) == 2
+    assert call("currents", [str(run_file), "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_partial_run_is_drawn_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = fabricate(tmp_path / "part.h5", [{}, {"threshold": 18}], incomplete=1)
-    assert cli.run(currents.main, [str(path), "--output", str(tmp_path)]) == 0
+    path = leave_out(results_of(tmp_path / "part.h5", scan={"threshold": [7, 18]}), (1, 1))
+    assert call("currents", [str(path), "--output", str(tmp_path)]) == 0
     assert "partial run: 3 of 4 tasks" in capsys.readouterr().err
     with Results(path) as results:
         mean, error = results.replica_mean("chi")
@@ -140,24 +194,18 @@ def test_a_partial_run_is_drawn_and_says_so(
 def test_of_a_partial_run_a_task_that_is_done_is_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = fabricate(tmp_path / "part.h5", [{}, {"threshold": 18}], duration=200.0)
-    with h5py.File(path, "r+") as file:  # the first point is not done, nor the second's first
-        for name in ("task_status", "current1", "chi"):
-            file[name][0] = 2 if name == "task_status" else np.nan
-            file[name][1, 0] = 2 if name == "task_status" else np.nan
-        for name in ("series/urn1_number", "snapshots/x"):
-            file[name][0], file[name][1, 0] = np.nan, np.nan
-    seal(path)
+    path = results_of(tmp_path / "part.h5", scan={"threshold": [7, 18]}, run={"duration": 200.0})
+    leave_out(path, (0, 0), (0, 1), (1, 0))
     with Results(path) as results:
         assert results.task(None, None) == (1, 1)
         assert results.task(2, None) == (1, 1)
         assert results.task(1, 2) == (0, 1)
-    for main in (currents.main, scene.main, film.main):
-        assert cli.run(main, [str(path), "--output", str(tmp_path)]) == 0
+    for command in ("currents", "scene", "film"):
+        assert call(command, [str(path), "--output", str(tmp_path)]) == 0
         assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
     for name in ("comp05", "comp06"):
-        assert cli.run(figures.main, [name, str(path), "--output", str(tmp_path)]) == 0
-    assert cli.run(currents.main, [str(path), "--point", "1", "--output", str(tmp_path)]) == 2
+        assert call("figures", [name, str(path), "--output", str(tmp_path)]) == 0
+    assert call("currents", [str(path), "--point", "1", "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
 
 
@@ -170,7 +218,7 @@ def test_error_of_replicas_covers_their_spread() -> None:
 
 
 def test_counted_are_those_in_a_gate_heading_for_the_other() -> None:
-    table = scene.Table()
+    table = Circuit(1000, 7)
     x = np.array([-0.4, -0.4, 0.3, 0.3, -0.1, -0.9, 2.9])
     ux = np.array([1.0, -1.0, -1.0, 1.0, 0.5, 1.0, -1.0])
     snapshot = Snapshot(0.0, x, np.zeros(7), ux, np.sqrt(1 - ux**2))
@@ -180,8 +228,8 @@ def test_counted_are_those_in_a_gate_heading_for_the_other() -> None:
 
 @pytest.mark.parametrize("shape", ["circuit", "urn"])
 def test_walls_lie_on_the_table(shape: str) -> None:
-    table = scene.Table(1.2, 0.5, 0.8, 0.2, 0.6, shape)
-    for wall in table.walls():
+    table = Circuit(1000, 7, 0.5, 0.2 if shape == "circuit" else 0.0, 1.2, 0.8, 0.6, shape=shape)
+    for wall in scene.walls(table):
         x, y = np.abs(wall.T)
         on_circle = np.isclose(np.hypot(x - table.urn_centre, y), 1.2)
         on_channel = np.isclose(y, 0.25) | np.isclose(y, 0.1) | np.isclose(x, 0.0)

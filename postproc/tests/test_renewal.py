@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 
-from postproc import renewal_fit, theory
-from postproc.renewal import RENEWAL, exponential_share, fluid_share
-from postproc.renewal_fit import share_of_one
-from postproc.states import stable_spread, stationary_states
-from postproc.theory import Circuit
+from postproc.theory import renewal_fit
+from postproc.theory.circuit import Circuit, eta, homogeneous_kind
+from postproc.theory.renewal import RENEWAL, exponential_share, fluid_share
+from postproc.theory.renewal_fit import share_of_one
+from postproc.theory.states import stable_spread, stationary_states
 
 ACCURACY = 2e-5
 
@@ -76,6 +76,13 @@ def test_fit_agrees_with_the_equations(
         if (threshold, order) != (3, 2):
             assert float(RENEWAL.share(threshold, load)) == pytest.approx(share, abs=1.2e-4)
     assert 0.0 < abs(solved[3, 2.5, 3, 8] - solved[3, 2.5, 2, 8]) < 1e-4
+
+
+def test_program_renewal_gate_agrees_with_the_fit() -> None:
+    points = np.array([[2, 2.0], [7, 5.0], [1, 1.0]])
+    shares, errors = renewal_fit.simulate(points, 400_000, processes=2)
+    assert np.all(errors < 0.005)
+    assert np.all(np.abs(RENEWAL.share(*points.T) - shares) < 4 * errors)
 
 
 def test_fit_agrees_with_the_simulations_kept_with_it() -> None:
@@ -163,12 +170,12 @@ def test_it_moves_the_diagram() -> None:
     assert stable_spread(near) == pytest.approx(0.623, abs=0.005)
     assert stable_spread(Circuit(1000, 15)) == pytest.approx(0.862, abs=0.001)
     four = Circuit(1000, 4, gate=RENEWAL)
-    assert theory.homogeneous_kind(four) == "unstable"
-    assert theory.homogeneous_kind(Circuit(1000, 4)) == "stable"
+    assert homogeneous_kind(four) == "unstable"
+    assert homogeneous_kind(Circuit(1000, 4)) == "stable"
 
 
 @pytest.mark.parametrize("threshold", [1, 3, 7, 15])
 def test_roots_are_zeros(threshold: int) -> None:
     circuit = Circuit(1000, threshold, gate=RENEWAL)
     for state in stationary_states(circuit):
-        assert float(theory.eta(circuit, state.urn2_number)) == pytest.approx(0.0, abs=1e-8)
+        assert float(eta(circuit, state.urn2_number)) == pytest.approx(0.0, abs=1e-8)

@@ -7,19 +7,22 @@ import shutil
 import subprocess
 from typing import TYPE_CHECKING
 
-import h5py
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image
 
-from postproc import cli, film, report, warn
-from postproc.results import Results, Snapshot
-from postproc.scene import Table
-from postproc.tests.fabricate import fabricate, seal
+from postproc.figures import film
+from postproc.reading.results import Results, Snapshot
+from postproc.report import warn
+from postproc.tests.commands import call
+from postproc.tests.runs import edited, leave_out, results_of
+from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+FILMED = {"series_interval": 0.2, "snapshot_times": [0.5 * at for at in range(21)]}
 BROWSER = shutil.which("chromium")
 BROWSER_OPTIONS = (
     "--headless",
@@ -40,15 +43,15 @@ cell.dispatchEvent(new MouseEvent("mouseenter"));
 
 @pytest.fixture(scope="module")
 def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    grid = [{"threshold": t, "channel2_width": w} for w in (0.01, 0.05) for t in (4, 8, 18)]
     path = tmp_path_factory.mktemp("run") / "run.h5"
-    return fabricate(path, grid, duration=1500.0, incomplete=1)
+    results_of(path, scan={"channel2_width": [0.01, 0.05], "threshold": [4, 8, 18]})
+    return leave_out(path, (5, 1))
 
 
 @pytest.fixture(scope="module")
 def page(run_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
-    assert cli.run(report.main, [str(run_file), "--output", str(folder)]) == 0
+    assert call("report", [str(run_file), "--output", str(folder)]) == 0
     return folder / "run.html"
 
 
@@ -64,15 +67,15 @@ def test_page_carries_everything(page: Path) -> None:
 
 
 def test_page_escapes_the_namelist(tmp_path: Path) -> None:
-    path = fabricate(tmp_path / "odd.h5", [{}], duration=300.0)
-    with h5py.File(path, "r+") as file:
-        text = file.attrs["namelist"].decode() + "! <script>alert(1)</script>\n"
+    path = results_of(tmp_path / "odd.h5")
+    with edited(path) as file:
+        text = file.attrs["namelist"] + "! <script>alert(1)</script>\n"
         file.attrs["namelist"] = np.bytes_(text)
-    seal(path)
-    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 0
+    assert call("report", [str(path), "--output", str(tmp_path)]) == 0
     assert "<script>alert" not in (tmp_path / "odd.html").read_text()
 
 
+@pytest.mark.full
 @pytest.mark.skipif(BROWSER is None, reason="no chromium here")
 def test_hover_shows_the_value_and_the_console_is_silent(page: Path, tmp_path: Path) -> None:
     hovered = tmp_path / "hovered.html"
@@ -98,9 +101,8 @@ def test_hover_shows_the_value_and_the_console_is_silent(page: Path, tmp_path: P
 
 
 def test_report_of_the_single_urn(tmp_path: Path) -> None:
-    urns = [{"number": 500, "threshold": t, "channel2_width": 0.0} for t in (3, 9)]
-    path = fabricate(tmp_path / "urn.h5", urns, duration=300.0, snapshots=0, shape="urn")
-    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 0
+    path = results_of(tmp_path / "urn.h5", table={"shape": "urn"}, scan={"threshold": [3, 9]})
+    assert call("report", [str(path), "--output", str(tmp_path)]) == 0
 
 
 def test_replicas_that_disagree_are_noticed() -> None:
@@ -118,14 +120,14 @@ def test_a_drift_is_noticed() -> None:
 
 
 def test_rays_along_the_axis_are_noticed() -> None:
-    table = Table(channel2_width=0.01)
+    table = Circuit(4, 7, channel2_width=0.01)
     uy = np.array([0.0, 1e-4, 0.1, 1.0])
     rays = Snapshot(0.0, np.zeros(4), np.zeros(4), np.sqrt(1.0 - uy**2), uy)
     assert warn.axial(table, rays) == 2
 
 
 def test_flight_stays_on_the_table() -> None:
-    table = Table()
+    table = Circuit(3000, 7)
     random = np.random.default_rng(7)
     angle = random.uniform(0.0, 2.0 * np.pi, 3000)
     x = random.uniform(-0.5, 0.5, 3000)
@@ -143,14 +145,33 @@ def test_flight_stays_on_the_table() -> None:
 
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
 def test_film_has_all_its_frames(kind: str, tmp_path: Path) -> None:
-    path = fabricate(tmp_path / "run.h5", [{}], duration=20.0, interval=0.2, snapshots=21)
+    path = results_of(tmp_path / "run.h5", run={"duration": 20.0}, output=FILMED)
     options = [str(path), "--output", str(tmp_path), "--seconds", "1"]
-    assert cli.run(film.main, options + (["--gif"] if kind == "gif" else [])) == 0
+    assert call("film", options + (["--gif"] if kind == "gif" else [])) == 0
     made = tmp_path / f"film.{kind}"
-    assert made.stat().st_size > 5000
     if kind == "mp4":
-        count, _ = imageio_ffmpeg.count_frames_and_secs(str(made))
-        assert count == film.RATE
+        assert imageio_ffmpeg.count_frames_and_secs(str(made))[0] == film.RATE
+    else:
+        with Image.open(made) as picture:
+            assert picture.n_frames == (film.RATE + 1) // 2
+
+
+def test_a_frame_shows_its_moment(tmp_path: Path) -> None:
+    path = results_of(tmp_path / "run.h5", run={"duration": 20.0}, output=FILMED)
+    with Results(path) as results:
+        scenes = film.read_scenes(results, 0, 0)
+    stage = film.Stage(scenes)
+    pixels = stage.show(5.25, 0.1)
+    assert pixels.shape == (480, 800, 3)
+    assert stage.title.get_text().startswith("$t = 5.25$    $T = 7$    $N_1 = ")
+    assert stage.now.get_xdata() == [5.25, 5.25]
+    x, y = film.flown(scenes.circuit, scenes.snapshots[10], 0.25)
+    assert np.array(stage.dots.get_offsets()) == pytest.approx(np.column_stack([x, y]))
+    _, below, right = stage.figure.axes
+    assert below.get_xlim() == (0.0, 10.0)
+    assert below.get_ylabel() == r"mass spread $\chi$"
+    assert right.get_ylabel() == "net current 2\n(per unit time)"
+    assert not np.array_equal(pixels, stage.show(9.0, 0.1))
 
 
 def test_no_frame_shows_a_time_without_its_particles() -> None:
@@ -166,14 +187,14 @@ def test_no_frame_shows_a_time_without_its_particles() -> None:
 
 
 def test_film_needs_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = fabricate(tmp_path / "run.h5", [{}], duration=100.0, snapshots=1)
-    assert cli.run(film.main, [str(path), "--output", str(tmp_path)]) == 2
+    path = results_of(tmp_path / "run.h5", output={"snapshot_times": 0.0})
+    assert call("film", [str(path), "--output", str(tmp_path)]) == 2
     assert "at least two snapshots" in capsys.readouterr().err
 
 
 def test_report_of_nothing_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = fabricate(tmp_path / "none.h5", [{}], 1, duration=100.0, incomplete=1)
-    assert cli.run(report.main, [str(path), "--output", str(tmp_path)]) == 2
+    path = leave_out(results_of(tmp_path / "none.h5", scan={"replicas": 1}), (0, 0))
+    assert call("report", [str(path), "--output", str(tmp_path)]) == 2
     assert "no task is complete" in capsys.readouterr().err
     with Results(path) as results:
         assert results.remark == "partial run: 0 of 1 tasks"

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from postproc import cli, scaling
+from postproc import cli
+from postproc.speed import scaling
+from postproc.tests.commands import call
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,7 +39,7 @@ def test_scan_is_a_namelist_with_its_numbers() -> None:
 def test_each_round_runs_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program = _program(tmp_path, PROGRAM.format(log=tmp_path / "log"))
     command = ["speedup", "--program", str(program), "--points", "3", "--rounds", "2"]
-    assert cli.run(scaling.main, command) == 0
+    assert call("scaling", command) == 0
     found = json.loads(capsys.readouterr().out)
     assert len(found["rounds"]) == 2
     assert found["ranks"] == 2
@@ -50,11 +52,11 @@ def test_each_round_runs_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_run_that_fails_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program = _program(tmp_path, PROGRAM.format(log=tmp_path / "log"))
     command = ["speedup", "--program", str(program), "--points", "4", "--rounds", "1"]
-    assert cli.run(scaling.main, command) == cli.EXIT_BAD_INPUT
+    assert call("scaling", command) == cli.EXIT_BAD_INPUT
     assert "error: mpirun" in capsys.readouterr().err
 
 
 def test_missing_program_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["overhead", "--program", str(tmp_path / "none")]
-    assert cli.run(scaling.main, command) == cli.EXIT_BAD_INPUT
+    assert call("scaling", command) == cli.EXIT_BAD_INPUT
     assert "no such program" in capsys.readouterr().err

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from postproc import cli, scheduler
-from postproc.scheduler import Network, simulate, simulate_static, task_lengths
+from postproc.speed import scheduler
+from postproc.speed.scheduler import Network, simulate, simulate_static, task_lengths
+from postproc.tests.commands import call
 
+SOURCES = Path(__file__).resolve().parents[2] / "src/ensemble"
 IDEAL = Network(0.0, 1e-12)
+
+
+@pytest.mark.parametrize(
+    "name", ["look_interval", "looks_a_second", "look_share", "longest_interval"]
+)
+def test_looks_are_those_of_the_program(name: str) -> None:
+    text = "".join(path.read_text(encoding="utf-8") for path in SOURCES.glob("*.f90"))
+    (value,) = re.findall(rf"\b{name} = ([\d.e]+)_dp", text)
+    assert getattr(scheduler, name.upper()) == float(value)
 
 
 def test_equal_tasks_keep_all_ranks_busy() -> None:
@@ -106,7 +119,7 @@ def test_perfect_foresight_sorts_and_none_shuffles() -> None:
 
 def test_program_prints_and_draws(tmp_path: object, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["--ranks", "40", "--tasks", "400", "--figure", "--output", str(tmp_path)]
-    assert scheduler.main(command) == 0
+    assert call("scheduler", command) == 0
     text = capsys.readouterr().out
     found = json.loads(text[: text.index("}") + 1])
     assert found["ranks"] == 40
@@ -116,6 +129,4 @@ def test_program_prints_and_draws(tmp_path: object, capsys: pytest.CaptureFixtur
 
 @pytest.mark.parametrize("wrong", [["--ranks", "0"], ["--seconds", "0"], ["--latency", "-1"]])
 def test_bad_numbers_are_refused(wrong: list[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        cli.run(scheduler.main, wrong)
-    assert left.value.code == 2
+    assert call("scheduler", wrong) == 2

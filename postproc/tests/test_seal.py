@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from postproc import seal
 from postproc.cli import InputError
+from postproc.reading import seal
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,8 +11,8 @@ import pytest
 from postproc.accuracy import tail
 from postproc.accuracy.events import Log, read_log, stories
 from postproc.accuracy.job import Job
-from postproc.results import Results
-from postproc.theory import Circuit
+from postproc.reading.results import Results
+from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,11 +11,21 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from postproc import cli, theory
-from postproc.gates import WINDOW
-from postproc.renewal import RENEWAL
-from postproc.states import stable_spread, stationary_states
-from postproc.theory import Circuit
+from postproc.tests.commands import call
+from postproc.theory.circuit import (
+    Circuit,
+    eta,
+    eta_slope,
+    flow1,
+    flow2,
+    homogeneous_kind,
+    in_urn,
+    single_urn_current,
+    transition_width,
+)
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import stable_spread, stationary_states
 
 PAPER = Circuit(number=1000, threshold=7)
 THRESHOLDS = (1, 2, 4, 7, 12, 15, 18, 25)
@@ -34,7 +44,7 @@ def test_states_of_the_papers_three_panels(
 ) -> None:
     circuit = replace(PAPER, threshold=threshold)
     states = stationary_states(circuit)
-    assert theory.homogeneous_kind(circuit) == homogeneous
+    assert homogeneous_kind(circuit) == homogeneous
     assert [state.kind for state in states] == [root[1] for root in roots]
     for state, (number, _, spread, current) in zip(states, roots, strict=True):
         assert state.urn2_number == pytest.approx(number, abs=5e-4)
@@ -46,7 +56,9 @@ def test_urn_area_is_the_disc_between_its_chords() -> None:
     radius, width1, width2 = 1.3, 0.9, 0.4
     chord1, chord2 = (math.sqrt(radius**2 - width**2 / 4) for width in (width1, width2))
     area, _ = integrate.quad(lambda x: 2 * math.sqrt(radius**2 - x**2), -chord2, chord1)
-    assert theory.urn_area(radius, width1, width2) == pytest.approx(area, rel=1e-10)
+    circuit = Circuit(1, 1, width1, width2, radius)
+    assert float(circuit.urn_area) == pytest.approx(area, rel=1e-10)
+    assert np.array(circuit.chords) == pytest.approx([chord1, chord2], rel=1e-12)
 
 
 def test_window_counts_poisson_entries() -> None:
@@ -75,26 +87,26 @@ def test_logarithm_of_the_share_goes_on_below_the_smallest_number() -> None:
 
 def test_eta_is_antisymmetric_under_the_mirror() -> None:
     second = np.linspace(0.0, 1000.0, 201)
-    eta = theory.eta(PAPER, second)
-    assert eta == pytest.approx(-eta[::-1], abs=1e-12)
+    flow = eta(PAPER, second)
+    assert flow == pytest.approx(-flow[::-1], abs=1e-12)
 
 
 def test_arrays_broadcast() -> None:
     circuits = Circuit(1000, np.array(THRESHOLDS)[:, None], channel2_width=np.array([0.01, 0.02]))
-    assert theory.eta(circuits, 700.0).shape == (len(THRESHOLDS), 2)
-    one = theory.eta(Circuit(1000, 4, channel2_width=0.02), 700.0)
-    assert theory.eta(circuits, 700.0)[2, 1] == pytest.approx(float(one))
+    assert eta(circuits, 700.0).shape == (len(THRESHOLDS), 2)
+    one = eta(Circuit(1000, 4, channel2_width=0.02), 700.0)
+    assert eta(circuits, 700.0)[2, 1] == pytest.approx(float(one))
 
 
 @pytest.mark.parametrize("threshold", THRESHOLDS)
 @pytest.mark.parametrize("width", [0.0, 0.001, 0.01, 0.05])
 def test_roots_are_zeros_and_the_slope_tells_their_kind(threshold: int, width: float) -> None:
     circuit = replace(PAPER, threshold=threshold, channel2_width=width)
-    flow = float(theory.flow1(circuit, 500.0) + theory.flow2(circuit, 500.0))
-    kinds = [theory.homogeneous_kind(circuit)]
+    flow = float(flow1(circuit, 500.0) + flow2(circuit, 500.0))
+    kinds = [homogeneous_kind(circuit)]
     for state in stationary_states(circuit):
-        assert theory.eta(circuit, state.urn2_number) == pytest.approx(0.0, abs=1e-9 * (1 + flow))
-        slope = float(theory.eta_slope(circuit, state.urn2_number))
+        assert eta(circuit, state.urn2_number) == pytest.approx(0.0, abs=1e-9 * (1 + flow))
+        slope = float(eta_slope(circuit, state.urn2_number))
         assert state.kind == ("stable" if slope < 0 else "unstable")
         kinds.append(state.kind)
     assert all(one != other for one, other in itertools.pairwise(kinds))
@@ -106,23 +118,23 @@ def test_roots_are_zeros_and_the_slope_tells_their_kind(threshold: int, width: f
 def test_no_root_is_missed(threshold: int, width: float) -> None:
     circuit = replace(PAPER, threshold=threshold, channel2_width=width)
     second = np.linspace(500.05, 999.999, 200_000)
-    changes = np.count_nonzero(np.diff(np.sign(theory.eta(circuit, second))))
+    changes = np.count_nonzero(np.diff(np.sign(eta(circuit, second))))
     assert changes == len(stationary_states(circuit))
 
 
 @pytest.mark.parametrize("threshold", [2, 4, 7, 10, 13])
 def test_homogeneous_state_changes_stability_at_the_transition_line(threshold: int) -> None:
     circuit = replace(PAPER, threshold=threshold)
-    width = theory.transition_width(circuit)
+    width = transition_width(circuit)
     kinds = [
-        theory.homogeneous_kind(replace(circuit, channel2_width=width * factor))
+        homogeneous_kind(replace(circuit, channel2_width=width * factor))
         for factor in (1 - 1e-6, 1 + 1e-6)
     ]
     assert kinds == ["unstable", "stable"]
 
 
 def test_transition_line_obeys_its_formula() -> None:
-    circuit = replace(PAPER, channel2_width=theory.transition_width(PAPER))
+    circuit = replace(PAPER, channel2_width=transition_width(PAPER))
     x = 1000 * 0.3 / (8 * float(circuit.urn_area))
     formula = x**7 * math.exp(-x) / math.factorial(6) - float(WINDOW.share(7, x))
     assert circuit.channel2_width / 0.3 == pytest.approx(formula, rel=1e-9)
@@ -137,28 +149,28 @@ def test_in_short_channels_counting_them_moves_no_transition(threshold: int) -> 
     # as many particles more as the gates are shorter: the loads, and with them the line, stay
     long = replace(PAPER, threshold=threshold, gate=RENEWAL)
     short = replace(long, number=10**9, channel1_length=1e-6, channel2_length=0.0)
-    line = theory.transition_width(long)
-    assert theory.transition_width(short) == pytest.approx(line, rel=1e-6)
-    assert theory.transition_width(_counted(short)) == pytest.approx(line, rel=1e-4)
-    assert theory.transition_width(_counted(long)) != pytest.approx(line, rel=1e-3)
+    line = transition_width(long)
+    assert transition_width(short) == pytest.approx(line, rel=1e-6)
+    assert transition_width(_counted(short)) == pytest.approx(line, rel=1e-4)
+    assert transition_width(_counted(long)) != pytest.approx(line, rel=1e-3)
 
 
 def test_counting_the_channels_moves_the_battery_to_smaller_thresholds() -> None:
     for threshold, moved in ((3, 1), (5, 1), (14, -1), (15, -1), (16, -1)):
         circuit = replace(PAPER, threshold=threshold, gate=RENEWAL)
-        line, counted = theory.transition_width(circuit), theory.transition_width(_counted(circuit))
+        line, counted = transition_width(circuit), transition_width(_counted(circuit))
         assert moved * (counted - line) > 0.0
 
 
 @pytest.mark.parametrize("threshold", [3, 7, 14])
 def test_transition_is_that_of_those_in_the_urns(threshold: int) -> None:
     circuit = _counted(replace(PAPER, threshold=threshold))
-    width = theory.transition_width(circuit)
-    inside = theory.in_urn(replace(circuit, channel2_width=width), 500.0)
+    width = transition_width(circuit)
+    inside = in_urn(replace(circuit, channel2_width=width), 500.0)
     fewer = replace(circuit, number=2.0 * inside, occupation=False)
-    assert theory.transition_width(fewer) == pytest.approx(width, rel=1e-6)
+    assert transition_width(fewer) == pytest.approx(width, rel=1e-6)
     kinds = [
-        theory.homogeneous_kind(replace(circuit, channel2_width=width * factor))
+        homogeneous_kind(replace(circuit, channel2_width=width * factor))
         for factor in (1 - 1e-5, 1 + 1e-5)
     ]
     assert kinds == ["unstable", "stable"]
@@ -166,22 +178,23 @@ def test_transition_is_that_of_those_in_the_urns(threshold: int) -> None:
 
 def test_a_free_single_urn_fills_its_channel_uniformly() -> None:
     # the gate is l/2 long, and ends at the wall
-    area = float(theory.urn_area(1.0, 0.3, 0.0)) + 0.3 * 0.5
-    current = theory.single_urn_current(500, 500, 0.3, gate=RENEWAL, occupation=True)
+    urn = Circuit(500, 500, 0.3, 0.0, gate=RENEWAL, occupation=True, shape="urn")
+    area = float(urn.urn_area) + 0.3 * 0.5
+    current = single_urn_current(urn)
     assert float(current) == pytest.approx(500 * 0.3 / (math.pi * area), rel=1e-9)
 
 
 def test_threshold_zero_lets_nothing_through() -> None:
     circuit = replace(PAPER, threshold=0)
-    assert theory.flow1(circuit, np.array([0.0, 10.0, 1000.0])) == pytest.approx(0.0)
-    assert theory.homogeneous_kind(circuit) == "stable"
+    assert flow1(circuit, np.array([0.0, 10.0, 1000.0])) == pytest.approx(0.0)
+    assert homogeneous_kind(circuit) == "stable"
     assert stationary_states(circuit) == []
 
 
 def test_no_gate_is_felt_at_a_threshold_of_all_particles() -> None:
     circuit = replace(PAPER, threshold=1000)
     free = 600 * 0.3 / (math.pi * float(circuit.urn_area))
-    assert theory.flow1(circuit, 600.0) == pytest.approx(free, rel=1e-14)
+    assert flow1(circuit, 600.0) == pytest.approx(free, rel=1e-14)
     assert stationary_states(circuit) == []
 
 
@@ -204,14 +217,14 @@ def test_ten_million_particles(threshold: int, width: float) -> None:
 
 
 def test_single_urn_is_the_gates_flow() -> None:
-    current = theory.single_urn_current([500, 1000], [[2], [9]], 0.2)
+    current = single_urn_current(Circuit([500, 1000], [[2], [9]], 0.2, 0.0, shape="urn"))
     urn = Circuit(1000, 9, 0.2, 0.0)
     assert current.shape == (2, 2)
-    assert current[1, 1] == pytest.approx(float(theory.flow1(urn, 1000)))
+    assert current[1, 1] == pytest.approx(float(flow1(urn, 1000)))
 
 
 def test_command_line_prints_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(theory.main, ["--number", "1000", "--threshold", "7"]) == 0
+    assert call("theory", ["--number", "1000", "--threshold", "7"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert set(printed) == {"homogeneous", "roots", "transition_width", "urn_area"}
     assert set(printed["roots"][0]) == {"urn2_number", "kind", "mass_spread", "net_current"}
@@ -234,7 +247,7 @@ def test_bad_values_give_one_line_and_exit_2(
 ) -> None:
     arguments = ["--number", "1000", "--threshold", "7", *change]
     try:
-        code = cli.run(theory.main, arguments)
+        code = call("theory", arguments)
     except SystemExit as stop:
         code = stop.code
     error = capsys.readouterr().err

@@ -25,8 +25,11 @@ module battery_communicator
   public :: ranks_on_node, output_is_terminal
   public :: share_integers, share_number, share_reals, wait_for_all, summary_of, all_true, mpi_library
   public :: board_type, open_board, close_board, add_to_board, read_board
-  public :: take_task, help_board
+  public :: take_task, help_board, help_interval
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
+
+  !> Seconds between two hands that rank 0 lends the network while it computes (`help_board`).
+  real(dp), parameter :: help_interval = 2.5e-4_dp
 
   !> Entries of the board.
   integer, parameter :: next_task = 1, tasks_finished = 2, tasks_failed = 3, collisions_done = 4, &

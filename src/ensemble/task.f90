@@ -10,7 +10,7 @@ module battery_task
   use battery_initial_state, only: random_particles
   use battery_journal, only: journal_type, read_state, write_state
   use battery_task_result, only: task_result_type, result_of, failed_result
-  use battery_communicator, only: board_type, add_to_board, read_board, help_board, &
+  use battery_communicator, only: board_type, add_to_board, read_board, help_board, help_interval, &
     collisions_done, stop_wanted
   use battery_screen, only: screen_type, show_ensemble
   implicit none (type, external)
@@ -48,9 +48,6 @@ module battery_task
   !> often a second, or that looking takes this share of the time, but no longer than this.
   real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, look_share = 0.005_dp, &
     longest_interval = 5.0_dp
-
-  !> Seconds between two hands that rank 0 lends.
-  real(dp), parameter :: help_interval = 2.5e-4_dp
 
 contains
 

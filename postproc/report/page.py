@@ -1,14 +1,10 @@
-"""Writes one self-contained HTML page about a run: what, where, how fast, pictures, map, warnings.
-
-The page needs no network. Its map shows the values of a cell under the mouse.
-"""
+"""One self-contained HTML page about a run."""
 
 from __future__ import annotations
 
 import base64
 import html
 import io
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,15 +12,17 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import to_hex
 
-from postproc import cli, maps, style, theory
-from postproc.currents import figure_currents
-from postproc.gates import WINDOW
-from postproc.points import gather
-from postproc.renewal import RENEWAL
-from postproc.results import Results
-from postproc.scene import figure_scene, table_of
-from postproc.states import stable_state
-from postproc.warn import warnings
+from postproc import cli
+from postproc.figures import maps
+from postproc.figures.currents import figure_currents
+from postproc.figures.scene import figure_scene
+from postproc.reading.points import gather
+from postproc.reading.results import Results
+from postproc.report.warn import warnings
+from postproc.theory.circuit import homogeneous_kind, single_urn_current
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,8 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.gates import Gate
-    from postproc.points import Points
+    from postproc.reading.points import Points
+    from postproc.theory.gates import Gate
 
     Floats = NDArray[np.float64]
 
@@ -108,8 +106,8 @@ def _table_section(results: Results, points: Points) -> str:
         cells.append(
             (
                 f"{points.threshold[at]:.0f}",
-                f"{points.width2[at]:.4g}",
-                f"{points.width1[at]:.4g}",
+                f"{points.channel2_width[at]:.4g}",
+                f"{points.channel1_width[at]:.4g}",
                 f"{points.number[at]:.0f}",
                 f"{points.start[at]:.3g}",
                 _pair(points.chi[at], points.chi_error[at]),
@@ -124,17 +122,10 @@ def _expected(results: Results, point: int, chi: float, gate: Gate) -> tuple[str
     """Return chi and net current of a theory's stable state nearer to the measured chi."""
     circuit = results.circuit(point, gate)
     if results.shape != "circuit":
-        current = theory.single_urn_current(
-            circuit.number,
-            circuit.threshold,
-            circuit.channel1_width,
-            circuit.urn_radius,
-            circuit.channel1_length,
-            gate,
-        )
+        current = single_urn_current(circuit)
         return "-", f"{float(current):.4g}"
     state = stable_state(circuit)
-    homogeneous = theory.homogeneous_kind(circuit) != "unstable"
+    homogeneous = homogeneous_kind(circuit) != "unstable"
     if state is None or (homogeneous and not chi > 0.5 * state.mass_spread):
         return "0", "0"
     return f"{state.mass_spread:.4g}", f"{state.net_current:.4g}"
@@ -201,8 +192,8 @@ def _map_section(points: Points) -> str:
     sections = []
     for name, part in maps.by_start(points):
         for number in np.unique(part.number):
-            for width in np.unique(part.width1):
-                chosen = part.where((part.number == number) & (part.width1 == width))
+            for width in np.unique(part.channel1_width):
+                chosen = part.where((part.number == number) & (part.channel1_width == width))
                 if chosen.number.size == 0:
                     continue
                 start = name.replace("$", "").replace(r"\chi", "chi")
@@ -238,15 +229,14 @@ def _picture_currents(results: Results, point: int, replica: int) -> Figure:
 
 
 def _picture_scene(results: Results, point: int, replica: int) -> Figure:
-    table, snapshot = table_of(results, point), results.snapshot(point, replica, -1)
-    return figure_scene(table, snapshot, int(results.circuit(point).threshold))
+    return figure_scene(results.circuit(point), results.snapshot(point, replica, -1))
 
 
 def page(results: Results) -> str:
     """Return the whole page."""
     results.need_tasks()
     points = gather([results])
-    found = warnings(results, table_of(results, 0))
+    found = warnings(results)
     sections = {
         "What was run": _run_section(results),
         f"Warnings ({len(found)})": _warning_section(found),
@@ -255,29 +245,6 @@ def page(results: Results) -> str:
         "Averages": _table_section(results, points),
     }
     body = "".join(f"<section><h2>{title}</h2>{text}</section>" for title, text in sections.items())
-    template = (HERE / "report.html").read_text()
+    template = (HERE / "page.html").read_text()
     name = html.escape(results.path.name)
     return template.replace("@TITLE@", name).replace("@BODY@", body)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write FILE.html."""
-    options = cli.parser("report", __doc__)
-    options.add_argument("file", metavar="FILE.h5", type=Path)
-    cli.add_output(options)
-    given = options.parse_args(arguments)
-    style.figure()  # sets the look
-    with Results(given.file) as results:
-        results.say_if_partial()
-        text = page(results)
-    path = cli.output_folder(given.output) / f"{given.file.stem}.html"
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as problem:
-        raise cli.InputError(f"cannot write {path}: {problem.strerror}") from problem
-    print(path)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(cli.run(main))

@@ -6,15 +6,12 @@
 !> inside is changed by those who leave, so by the density of one of them over the cells, that one
 !> by pairs, and so on. The chain is cut at pairs (order 2) or triples (order 3): given n, joint
 !> cumulants of more are taken as zero. That is exact for T up to the order. Nobody leaves before
-!> time 1, so the equations start there, from a Poisson distribution; from then on they are integrated by
-!> Runge and Kutta's formula, in the square root of time within a cell, where the rate at which a
-!> cell that turns 1 old is left begins as a square root. Old cells are joined two by two. At the
-!> end of the time given, the survivors are emptied at the rate reached, with what its change
-!> leaves to expect.
-!>
-!> Reads lines `load threshold order cells time`, writes lines `load threshold share survivors`.
-!> Lengths are in units of l/2, so tau = pi/2. Made for `renewal_fit.py`, which fits the results.
-module renewal_closure_equations
+!> time 1, so the equations start there, from a Poisson distribution; from then on they are
+!> integrated by Runge and Kutta's formula, in the square root of time within a cell, where the rate
+!> at which a cell that turns 1 old is left begins as a square root. Old cells are joined two by
+!> two. At the end of the time given, the survivors are emptied at the rate reached, with what its
+!> change leaves to expect. Lengths are in units of l/2, so tau = pi/2.
+module renewal_equations
   use, intrinsic :: iso_fortran_env, only: real64
   implicit none (type, external)
   private
@@ -42,78 +39,100 @@ contains
     if (age > 1.0_wp) time = 1.0_wp/(age + sqrt((age - 1.0_wp)*(age + 1.0_wp))) + acos(1.0_wp/age)
   end function stayed
 
-  !> Integrates to the time `longest`; `left` is the chance to last longer
+  !> Integrates the equations of a gate fed at rate `nu` that holds `top` at most, with so many
+  !> `cells` to a unit of time, to the time `longest`; gives the `share` that gets through, and the
+  !> chance `left` that the gate lasts longer.
   subroutine solve(nu, top, order, cells, longest, share, left)
     real(wp), intent(in) :: nu, longest
     integer, intent(in) :: top, order, cells
     real(wp), intent(out) :: share, left
-    real(wp), allocatable :: old(:), mid(:), slope(:), total(:)
-    real(wp) :: from(most), to(most), h, t, u, du, cycle, s0, s1, d0, d1, w0, w1, p
-    real(wp) :: rate, before, limit
-    integer :: k, n, steps, at, size1, i
+    real(wp), allocatable :: state(:)
+    real(wp) :: from(most), to(most), h, t, cycle, rate, before, limit
+    integer :: k, i
+
     h = 1.0_wp/cells
     k = cells
     do i = 1, k
       from(i) = (i - 1)*h
       to(i) = i*h
     end do
-    size1 = length(k, order)*(top + 1)
-    allocate (old(size1))
-    ! no one leaves before time 1: Poisson numbers, each at a place of its own
-    p = exp(-nu)
-    cycle = 0.0_wp
-    s1 = 0.0_wp
-    do n = 0, top
-      s1 = s1 + p
-      cycle = cycle + (1.0_wp - s1)/nu
-      call fill(old(n*length(k, order) + 1:(n + 1)*length(k, order)), p, n, k, order)
-      p = p*nu/(n + 1)
-    end do
-    steps = max(8, ceiling(6.0_wp*h*nu))
-    du = 1.0_wp/steps
+    call begin(state, cycle, left, nu, k, top, order)
     t = 1.0_wp
     rate = 1.0_wp
-    do while (t < longest .and. s1 > 1e-10_wp)
-      call append(old, from, to, k, top, order, t, h)
-      size1 = size(old)
-      allocate (mid(size1), slope(size1), total(size1))
-      do at = 0, steps - 1
-        u = at*du
-        s0 = survival(old, k, order, top)
-        call rates(old, slope, t, h, u, from, to, k, nu, top, order)
-        d0 = survival(slope, k, order, top)
-        total = slope
-        mid = old + 0.5_wp*du*slope
-        call rates(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
-        total = total + 2.0_wp*slope
-        mid = old + 0.5_wp*du*slope
-        call rates(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
-        total = total + 2.0_wp*slope
-        mid = old + du*slope
-        call rates(mid, slope, t, h, u + du, from, to, k, nu, top, order)
-        old = old + du/6.0_wp*(total + slope)
-        s1 = survival(old, k, order, top)
-        d1 = -nu*old(top*length(k, order) + 1)*2.0_wp*h*(u + du)
-        w0 = 2.0_wp*h*u
-        w1 = 2.0_wp*h*(u + du)
-        ! Simpson's rule, the middle by Hermite's interpolation
-        cycle = cycle + du/6.0_wp*(w0*s0 + w1*s1 &
-          + 2.0_wp*(w0 + w1)*(0.5_wp*(s0 + s1) + du/8.0_wp*(d0 - d1)))
-      end do
+    do while (t < longest .and. left > 1e-10_wp)
+      call append(state, from, to, k, top, order, t, h)
+      call pass_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
       before = rate
-      rate = nu*old(top*length(k, order) + 1)/s1
-      deallocate (mid, slope, total)
+      rate = nu*state(top*length(k, order) + 1)/left
       t = t + h
-      call merge_old(old, from, to, k, top, order, t, h)
+      call merge_old(state, from, to, k, top, order, t, h)
     end do
-    left = s1
     limit = rate + (rate - before)*(t - h)/h
     if (limit > 0.5_wp*rate .and. limit < 2.0_wp*rate) then
       rate = limit + (rate - limit)*t/(t + 1.0_wp/rate)
     end if
-    cycle = cycle + s1/rate
+    cycle = cycle + left/rate
     share = 1.0_wp - (top + 1)/(nu*cycle)
   end subroutine solve
+
+  !> State at time 1, before which no one leaves: Poisson numbers, each at a place of its own. Also
+  !> the mean time `cycle` spent so far and the chance `left` that the gate was not emptied yet.
+  pure subroutine begin(state, cycle, left, nu, k, top, order)
+    real(wp), allocatable, intent(out) :: state(:)
+    real(wp), intent(out) :: cycle, left
+    real(wp), intent(in) :: nu
+    integer, intent(in) :: k, top, order
+    real(wp) :: p
+    integer :: n
+
+    allocate (state(length(k, order)*(top + 1)))
+    p = exp(-nu)
+    cycle = 0.0_wp
+    left = 0.0_wp
+    do n = 0, top
+      left = left + p
+      cycle = cycle + (1.0_wp - left)/nu
+      call fill(state(n*length(k, order) + 1:(n + 1)*length(k, order)), p, n, k, order)
+      p = p*nu/(n + 1)
+    end do
+  end subroutine begin
+
+  !> Integrates from `t` over the cell that has just been opened, `h` long, by Runge and Kutta's
+  !> formula; adds the mean time that the gate lasts within it to `cycle`, updates `left`.
+  subroutine pass_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
+    real(wp), intent(inout) :: state(:), cycle, left
+    real(wp), intent(in) :: from(:), to(:), t, h, nu
+    integer, intent(in) :: k, top, order
+    real(wp), dimension(size(state)) :: mid, slope, total
+    real(wp) :: u, du, s0, d0, d1, w0, w1
+    integer :: at, steps
+
+    steps = max(8, ceiling(6.0_wp*h*nu))
+    du = 1.0_wp/steps
+    do at = 0, steps - 1
+      u = at*du
+      s0 = survival(state, k, order, top)
+      call rates(state, slope, t, h, u, from, to, k, nu, top, order)
+      d0 = survival(slope, k, order, top)
+      total = slope
+      mid = state + 0.5_wp*du*slope
+      call rates(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
+      total = total + 2.0_wp*slope
+      mid = state + 0.5_wp*du*slope
+      call rates(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
+      total = total + 2.0_wp*slope
+      mid = state + du*slope
+      call rates(mid, slope, t, h, u + du, from, to, k, nu, top, order)
+      state = state + du/6.0_wp*(total + slope)
+      left = survival(state, k, order, top)
+      d1 = -nu*state(top*length(k, order) + 1)*2.0_wp*h*(u + du)
+      w0 = 2.0_wp*h*u
+      w1 = 2.0_wp*h*(u + du)
+      ! Simpson's rule, the middle by Hermite's interpolation
+      cycle = cycle + du/6.0_wp*(w0*s0 + w1*left &
+        + 2.0_wp*(w0 + w1)*(0.5_wp*(s0 + left) + du/8.0_wp*(d0 - d1)))
+    end do
+  end subroutine pass_cell
 
   !> Numbers kept for each n: probability, density, pairs, triples
   pure function length(k, order) result(count)
@@ -125,7 +144,7 @@ contains
   end function length
 
   !> n independent ones, spread evenly
-  subroutine fill(part, p, n, k, order)
+  pure subroutine fill(part, p, n, k, order)
     real(wp), intent(out) :: part(:)
     real(wp), intent(in) :: p
     integer, intent(in) :: n, k, order
@@ -234,7 +253,7 @@ contains
     real(wp), intent(in) :: state(length(k, order), 0:top), t0, h, u, from(:), to(:), nu
     real(wp), intent(out) :: slope(length(k, order), 0:top)
     real(wp) :: mu(k), t, out(length(k, order)), weight, own
-    integer :: i, j, l, n, a
+    integer :: i, n
     t = t0 + h*u*u
     weight = 2.0_wp*h*u
     do i = 1, k
@@ -250,49 +269,67 @@ contains
       slope(:, n) = slope(:, n) - nu*state(:, n) - out
       if (n > 0) slope(:, n - 1) = slope(:, n - 1) + out
       if (n > 0) slope(:, n) = slope(:, n) + nu*state(:, n - 1)
-      ! those tagged leave themselves
-      do i = 1, k
-        slope(1 + i, n) = slope(1 + i, n) - mu(i)*state(1 + i, n)
-      end do
-      if (order > 1) then
-        do j = 1, k
-          a = 1 + k + k*(j - 1)
-          slope(a + 1:a + k, n) = slope(a + 1:a + k, n) - (mu(:k) + mu(j))*state(a + 1:a + k, n)
-        end do
-      end if
-      if (order > 2) then
-        do l = 1, k
-          do j = 1, k
-            a = 1 + k + k*k + k*(j - 1) + k*k*(l - 1)
-            slope(a + 1:a + k, n) = slope(a + 1:a + k, n) &
-              - (mu(:k) + mu(j) + mu(l))*state(a + 1:a + k, n)
-          end do
-        end do
-      end if
-      if (n == 0) cycle
-      ! those who come are tagged
-      slope(1 + k, n) = slope(1 + k, n) + nu*state(1, n - 1)
-      if (order > 1) then
-        do j = 1, k
-          a = 1 + k
-          slope(a + k + k*(j - 1), n) = slope(a + k + k*(j - 1), n) + nu*state(1 + j, n - 1)
-          slope(a + j + k*(k - 1), n) = slope(a + j + k*(k - 1), n) + nu*state(1 + j, n - 1)
-        end do
-      end if
-      if (order > 2) then
-        do j = 1, k
-          do i = 1, k
-            own = nu*state(1 + k + i + k*(j - 1), n - 1)
-            a = 1 + k + k*k
-            call add(slope(a + i + k*(j - 1) + k*k*(k - 1), n), own)
-            call add(slope(a + i + k*(k - 1) + k*k*(j - 1), n), own)
-            call add(slope(a + k + k*(i - 1) + k*k*(j - 1), n), own)
-          end do
-        end do
-      end if
+      call tagged_leave(state(:, n), slope(:, n), mu, k, order)
+      if (n > 0) call tag(state(:, n - 1), slope(:, n), nu, k, order)
     end do
     slope = slope*weight
   end subroutine rates
+
+  !> Those tagged leave themselves, at the rates `mu` of their cells.
+  pure subroutine tagged_leave(state, slope, mu, k, order)
+    real(wp), intent(in) :: state(:), mu(:)
+    real(wp), intent(inout) :: slope(:)
+    integer, intent(in) :: k, order
+    integer :: i, j, l, a
+
+    do i = 1, k
+      slope(1 + i) = slope(1 + i) - mu(i)*state(1 + i)
+    end do
+    if (order > 1) then
+      do j = 1, k
+        a = 1 + k + k*(j - 1)
+        slope(a + 1:a + k) = slope(a + 1:a + k) - (mu(:k) + mu(j))*state(a + 1:a + k)
+      end do
+    end if
+    if (order > 2) then
+      do l = 1, k
+        do j = 1, k
+          a = 1 + k + k*k + k*(j - 1) + k*k*(l - 1)
+          slope(a + 1:a + k) = slope(a + 1:a + k) &
+            - (mu(:k) + mu(j) + mu(l))*state(a + 1:a + k)
+        end do
+      end do
+    end if
+  end subroutine tagged_leave
+
+  !> Those who come to a state with one fewer are tagged: in the youngest cell, `k`.
+  pure subroutine tag(state, slope, nu, k, order)
+    real(wp), intent(in) :: state(:), nu
+    real(wp), intent(inout) :: slope(:)
+    integer, intent(in) :: k, order
+    real(wp) :: own
+    integer :: i, j, a
+
+    slope(1 + k) = slope(1 + k) + nu*state(1)
+    if (order > 1) then
+      do j = 1, k
+        a = 1 + k
+        slope(a + k + k*(j - 1)) = slope(a + k + k*(j - 1)) + nu*state(1 + j)
+        slope(a + j + k*(k - 1)) = slope(a + j + k*(k - 1)) + nu*state(1 + j)
+      end do
+    end if
+    if (order > 2) then
+      do j = 1, k
+        do i = 1, k
+          own = nu*state(1 + k + i + k*(j - 1))
+          a = 1 + k + k*k
+          call add(slope(a + i + k*(j - 1) + k*k*(k - 1)), own)
+          call add(slope(a + i + k*(k - 1) + k*k*(j - 1)), own)
+          call add(slope(a + k + k*(i - 1) + k*k*(j - 1)), own)
+        end do
+      end do
+    end if
+  end subroutine tag
 
   pure subroutine add(sum, more)
     real(wp), intent(inout) :: sum
@@ -357,20 +394,4 @@ contains
       end do
     end do
   end subroutine leaving
-end module renewal_closure_equations
-
-program renewal_closure
-  use renewal_closure_equations, only: wp, solve
-  use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
-  implicit none (type, external)
-  real(wp), parameter :: half_pi = 1.57079632679489661923_wp
-  integer :: threshold, order, cells, status
-  real(wp) :: load, longest, share, left
-  do
-    read (input_unit, *, iostat=status) load, threshold, order, cells, longest
-    if (status /= 0) exit
-    call solve(load/half_pi, threshold, order, cells, longest, share, left)
-    write (output_unit, '(es24.16,1x,i0,2(1x,es24.16))') load, threshold, share, left
-    flush (output_unit)
-  end do
-end program renewal_closure
+end module renewal_equations

@@ -16,12 +16,11 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
-from postproc import style
 from postproc.cli import InputError
-from postproc.gates import WINDOW
-from postproc.lifetimes import first_passage, passage_times
-from postproc.points import gather
-from postproc.renewal import RENEWAL
+from postproc.figures import style
+from postproc.reading.points import gather
+from postproc.theory.chain import passage_times
+from postproc.theory.renewal import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,19 +28,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.results import Results
-    from postproc.theory import Circuit
+    from postproc.reading.results import Results, Series
+    from postproc.theory.circuit import Circuit
 
 LOW, HIGH = 0.2, 0.7  # chi at which the polarised, the homogeneous state has been left
 MIDDLE = 0.5  # starts with chi above this are polarised
 BOUND = 3.0  # the lifetime exceeds a third of the time in which nothing passed, at 95 %
 CONFIDENCE = 0.6827  # of the intervals drawn
 DRAWN = (3e2, 1e10)  # lifetimes that are drawn, length/v
-CHAINS = (
-    (":", "chain, paper's gate", {"gate": WINDOW}),
-    ("--", "chain, renewal gate", {"gate": RENEWAL}),
-    ("-", "chain, renewal gate, channels counted", {"gate": RENEWAL, "occupation": True}),
-)
+DASHES = (":", "--", "-")  # of the chains of `THEORIES`
 
 
 @dataclass(frozen=True)
@@ -96,6 +91,18 @@ def estimate(times: Sequence[float], passed: Sequence[bool]) -> tuple[float, flo
     return mean, 2.0 * total / float(most), 2.0 * total / float(least)
 
 
+def first_passage(series: Series, number: int, barrier: float, below: bool) -> tuple[float, bool]:
+    """Return when chi first gets below (or above) `barrier` in a series, and whether it does.
+
+    Without a passage: how long the series lasts, which bounds the lifetime from below.
+    """
+    chi = np.abs(2.0 * series.urn1_number - number) / number
+    passed = np.flatnonzero(chi < barrier if below else chi > barrier)
+    if passed.size == 0:
+        return float(series.time[-1]), False
+    return float(series.time[passed[0]]), True
+
+
 def measured(files: Sequence[Results]) -> list[Lifetime]:
     """Return the lifetimes at all points, by the first passages of their replicas."""
     points, found = gather(files), []
@@ -123,7 +130,7 @@ def table(found: Sequence[Lifetime]) -> str:
         circuit = one.circuit
         left = f"{one.passages}/{one.replicas}"
         error = f"{one.low:9.3g} -{one.high:9.3g}" if one.passages else "(at least)"
-        chains = " ".join(f"{one.of_chain(changes):9.3g}" for _, _, changes in CHAINS)
+        chains = " ".join(f"{one.of_chain(changes):9.3g}" for changes in THEORIES.values())
         lines.append(
             f"{circuit.threshold:2d} {circuit.channel1_length:4g} {circuit.number:5d} "
             f"{'polarised' if one.polarised else 'homogeneous':>11s} {left:>7s} "
@@ -176,7 +183,7 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime]) -> None:
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
         numbers = np.unique([one.number for one in part])
-        for dashes, _, changes in CHAINS:
+        for dashes, changes in zip(DASHES, THEORIES.values(), strict=True):
             times = [one.of_chain(changes) for one in part]
             axes.plot(numbers, times, color=colour, ls=dashes, lw=0.9)
 
@@ -185,8 +192,8 @@ def _explain(axes: Axes) -> None:
     axes.plot([], [], "s", color=style.BLUE, label="homogeneous, measured")
     axes.plot([], [], "o", color=style.VERMILION, label="polarised, measured")
     axes.plot([], [], "^", color=style.GREY, mfc="w", label="lower bound (95 %)")
-    for dashes, label, _ in CHAINS:
-        axes.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=label)
+    for dashes, name in zip(DASHES, THEORIES, strict=True):
+        axes.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=f"chain, {name}")
 
 
 def _by_number(one: Lifetime) -> float:

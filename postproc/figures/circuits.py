@@ -1,37 +1,18 @@
-"""Draws a figure of the paper, by its label, from the files of one or several runs.
-
-model   the table (no file, or one with a snapshot)
-numris  maps of chi and net current over T and w', for either start (runs from both, in any order)
-comp05  flows and net currents against time, a panel a point, inset eta
-comp06  chi and net current against time from chi(0) = 1
-comp01  net current against T/N and against chi, for several w'
-app2    current of the single urn against T/N
-app3    its relative difference from theory
-app4    it and theory divided by N
-
-and one that the paper has not:
-
-lifetimes  lifetimes of both states against N, from series that begin in them
-"""
+"""The paper's figures of circuits against time and against T/N: comp05, comp06, comp01."""
 
 from __future__ import annotations
 
-import sys
-from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import appendix, cli, maps, style
-from postproc.currents import binned, draw_currents
-from postproc.model import figure_model
-from postproc.passages import figure_lifetimes
-from postproc.points import gather
-from postproc.renewal import RENEWAL
-from postproc.results import Results
-from postproc.states import stable_state
+from postproc.figures import style
+from postproc.figures.currents import binned, draw_currents
+from postproc.reading.points import gather
+from postproc.reading.results import Results
+from postproc.theory.renewal import THEORIES
+from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -39,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.points import Points
+    from postproc.reading.points import Points
 
     Drawing = Callable[[Sequence[Results]], Figure]
 
@@ -47,11 +28,6 @@ MARKS = ("o", "s", "^", "D", "v", "P")
 TIME_COLOURS = (style.BLUE, style.VERMILION, style.BLACK, style.GREEN, style.PURPLE, style.ORANGE)
 MOST = 6  # points in a figure against time
 STEPS = 400  # places along the time axis of comp06
-THEORIES = (  # of comp01
-    ("--", "theory, paper", {}),
-    ("-", "theory, renewal gate", {"gate": RENEWAL}),
-    (":", "the same, channels counted", {"gate": RENEWAL, "occupation": True}),
-)
 
 
 def _with_tasks(files: Sequence[Results]) -> Points:
@@ -134,18 +110,18 @@ def figure_comp01(files: Sequence[Results]) -> Figure:
     points = gather(files)
     made = style.figure(style.PAGE, 3.4)
     left, right = made.subplots(1, 2, sharey=True)
-    for at, width in enumerate(np.unique(points.width2)):
-        group = points.where(points.width2 == width).sorted_by_threshold()
+    for at, width in enumerate(np.unique(points.channel2_width)):
+        group = points.where(points.channel2_width == width).sorted_by_threshold()
         colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
         look = {"fmt": mark, "color": colour, "mfc": "none", "elinewidth": 0.7, "ms": 3.8}
         fraction = group.threshold / group.number
         label = f"$w' = {width:.4g}$"
         left.errorbar(fraction, group.current, group.current_error, label=label, **look)
         right.errorbar(group.chi, group.current, group.current_error, group.chi_error, **look)
-        for dashes, _, changes in THEORIES:
+        for dashes, changes in zip(style.DASHES, THEORIES.values(), strict=True):
             _draw_branch(left, right, files, group, changes, {"color": colour, "ls": dashes})
-    for dashes, label, _ in THEORIES:
-        left.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=label)
+    for dashes, name in zip(style.DASHES, THEORIES, strict=True):
+        left.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=f"theory, {name}")
     style.label_fraction(left)
     left.set_ylabel("net current (per unit time)")
     right.set_xlabel(r"mass spread $\chi$")
@@ -175,48 +151,3 @@ def _draw_branch(
     current = np.array([np.nan if state is None else state.net_current for state in states])
     left.plot(thresholds / float(base.number), current, lw=0.9, **look)
     right.plot(spread, current, lw=0.9, **look)
-
-
-FIGURES: dict[str, Drawing] = {
-    "model": figure_model,
-    "numris": maps.figure_numris,
-    "comp05": figure_comp05,
-    "comp06": figure_comp06,
-    "comp01": figure_comp01,
-    "app2": appendix.figure_app2,
-    "app3": appendix.figure_app3,
-    "app4": appendix.figure_app4,
-    "lifetimes": figure_lifetimes,
-}
-
-SHAPES = dict.fromkeys(("app2", "app3", "app4"), "urn")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write NAME.png and NAME.pdf."""
-    options = cli.parser("figures", __doc__)
-    options.add_argument("name", metavar="NAME", choices=sorted(FIGURES))
-    options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
-    cli.add_output(options)
-    given = options.parse_args(arguments)
-    if not given.files and given.name != "model":
-        raise cli.InputError(f"figure {given.name} needs at least one file of results")
-    with ExitStack() as stack:
-        files = [stack.enter_context(Results(path)) for path in given.files]
-        for results in files:
-            if given.name != "model" and results.shape != SHAPES.get(given.name, "circuit"):
-                raise cli.InputError(
-                    f"{results.path}: a run of shape '{results.shape}', not of figure {given.name}"
-                )
-        made = FIGURES[given.name](files)
-        remarks = [results.remark for results in files if results.remark]
-        if remarks:
-            style.note(made.axes[0], "; ".join(remarks))
-        for results in files:
-            results.say_if_partial()
-    style.save(made, given.output, given.name)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(cli.run(main))

@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import math
 import sys
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import f90nml
 import h5py
 import numpy as np
 
 from postproc.cli import InputError, existing_file
-from postproc.seal import check_seal
-from postproc.theory import Circuit
+from postproc.reading.seal import check_seal
+from postproc.theory.circuit import Circuit
+from postproc.theory.gates import WINDOW
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from postproc.gates import Gate
+    from postproc.theory.gates import Gate
 
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 COMPLETE = 0  # value of `task_status`
+LENGTHS = ("channel1_width", "channel2_width", "urn_radius", "channel1_length", "channel2_length")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 
 
@@ -81,15 +84,6 @@ class Results:
     def attributes(self) -> dict[str, str]:
         """Root attributes as text: program, version, namelist, status ..."""
         return {name: _text(value) for name, value in self._file.attrs.items()}
-
-    @cached_property
-    def namelist(self) -> dict[str, dict[str, object]]:
-        """The input, by group and key, with what the user left out left out."""
-        try:
-            groups = f90nml.Parser().reads(self.attributes["namelist"])
-        except Exception as problem:  # the parser raises what it likes
-            raise InputError(f"{self.path}: its namelist cannot be read") from problem
-        return {name.lower(): dict(keys) for name, keys in groups.items()}
 
     def has(self, name: str) -> bool:
         """Tell whether there is a dataset or group of that name."""
@@ -155,28 +149,25 @@ class Results:
         self._check_task(point - 1, replica - 1)
         return point - 1, replica - 1
 
-    def table_value(self, key: str, default: float = 1.0) -> float:
-        """Return a length of the namelist's group `table`."""
-        return float(self.namelist.get("table", {}).get(key, default))
-
     @property
     def shape(self) -> str:
         """Shape of the table: "circuit" or "urn"."""
-        return str(self.namelist.get("table", {}).get("shape", "circuit")).strip().lower()
+        return self.attributes.get("shape", "circuit")
 
-    def circuit(self, point: int, gate: Gate | None = None) -> Circuit:
+    def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
         """Return the circuit of a point, with the paper's gate unless another is given."""
         self._check_task(point, 0)
-        lengths = ("urn_radius", "channel1_length", "channel2_length")
-        chosen = {} if gate is None else {"gate": gate}
-        return Circuit(
-            number=int(self._file["number"][point]),
-            threshold=int(self._file["threshold"][point]),
-            channel1_width=float(self._file["channel1_width"][point]),
-            channel2_width=float(self._file["channel2_width"][point]),
-            **{key: self.table_value(key) for key in lengths},
-            **chosen,
-        )
+        found = {name: float(self._of_point(name, point)) for name in LENGTHS}
+        whole = {name: int(self._of_point(name, point)) for name in ("number", "threshold")}
+        return Circuit(**whole, **found, gate=gate, shape=self.shape)
+
+    def _of_point(self, name: str, point: int) -> object:
+        """Return what a point has of its own, or all points have as an attribute of the file."""
+        if name in self._file:
+            return self._file[name][point]
+        if name not in self._file.attrs:
+            raise InputError(f"{self.path}: has no {name}")
+        return self._file.attrs[name]
 
     def replica_mean(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return mean and standard error over the replicas of each point, shape (point,).
@@ -251,6 +242,13 @@ class Results:
         ):
             if not 0 <= index < count:
                 raise InputError(f"{self.path}: has {count} {what}(s), there is no {index + 1}")
+
+
+@contextmanager
+def opened(paths: Sequence[Path]) -> Iterator[list[Results]]:
+    """Open several files of results for a `with` statement."""
+    with ExitStack() as stack:
+        yield [stack.enter_context(Results(path)) for path in paths]
 
 
 def mean_and_error(

@@ -1,6 +1,4 @@
-"""The probabilistic theory of the circuit: flows, eta, stationary states, the transition line.
-
-Prints, as JSON, what it says of one circuit; options are named like the keys of the namelist.
+"""The circuit, and the probabilistic theory of it: flows, eta, the transition line.
 
 Every quantity is in the program's units: lengths over the speed v = 1. The equations are those of
 Cirillo, Colangeli, Richardson, Rondoni, PRE 103, 032119 (2021), named by their labels there:
@@ -9,25 +7,19 @@ Cirillo, Colangeli, Richardson, Rondoni, PRE 103, 032119 (2021), named by their 
 
 from __future__ import annotations
 
-import json
 import math
-import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import optimize
 
-from postproc import cli
-from postproc.gates import WINDOW
+from postproc.theory.gates import WINDOW
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike, NDArray
 
-    from postproc.gates import Gate
+    from postproc.theory.gates import Gate
 
     Floats = NDArray[np.float64]
 
@@ -39,6 +31,8 @@ WIDTHS_TRIED = 400  # places between 0 and 2r where a transition is looked for
 @dataclass(frozen=True)
 class Circuit:
     """A circuit and the model of its gates; fields may be arrays, which then broadcast.
+
+    The origin is the middle of channel 1, urn 1 lies at x < 0.
 
     Attributes
     ----------
@@ -53,6 +47,9 @@ class Circuit:
         paper, a half with N1 particles has all of them in its urn. If so, an urn's *share* of the
         particles, wherever a number of particles is asked for, is what is in it and what it has in
         the channels (`held_in_channels`); the shares of both urns add up to N.
+    shape : "circuit", or "urn": the appendix's single urn with gate 1 and an end wall. It has no
+        channel 2, so w' = 0; what hits the wall comes back through the gate, so it is there for
+        2 tau, as in the circuit what gets through is in either gate.
     """
 
     number: ArrayLike
@@ -64,27 +61,43 @@ class Circuit:
     channel2_length: ArrayLike = 1.0
     gate: Gate = WINDOW
     occupation: bool = False
+    shape: str = "circuit"
+
+    @property
+    def chords(self) -> tuple[Floats, Floats]:
+        """Distances of the chords of channels 1 and 2 from the centre of an urn."""
+        diameter = 2.0 * np.asarray(self.urn_radius, float)
+        widths = (np.asarray(self.channel1_width, float), np.asarray(self.channel2_width, float))
+        one, two = (0.5 * np.sqrt((diameter - width) * (diameter + width)) for width in widths)
+        return one, two
+
+    @property
+    def urn_centre(self) -> Floats:
+        """Distance of the centres of the urns from the middle of channel 1."""
+        return 0.5 * np.asarray(self.channel1_length) + self.chords[0]
+
+    @property
+    def end(self) -> Floats:
+        """Distance of the periodic line (or of the far wall) from the middle of channel 1."""
+        behind = np.where(np.asarray(self.channel2_width) > 0.0, self.channel2_length, 0.0)
+        return self.urn_centre + self.chords[1] + 0.5 * behind
 
     @property
     def urn_area(self) -> Floats:
         """A of eq. (eq000), the disc less the segments cut off by the chords (length squared)."""
-        return urn_area(self.urn_radius, self.channel1_width, self.channel2_width)
+        radius = np.asarray(self.urn_radius, float)
+        area = np.pi * radius**2
+        widths = (self.channel1_width, self.channel2_width)
+        for width, chord in zip(widths, self.chords, strict=True):
+            half = 0.5 * np.asarray(width, float)
+            area = area - radius**2 * np.arcsin(half / radius) + half * chord
+        return area
 
     @property
     def load_per_particle(self) -> Floats:
         """Load of a gate per particle in its urn: lambda/n = w l/(4A), eq. (eqapp3)."""
         width, length = np.asarray(self.channel1_width), np.asarray(self.channel1_length)
         return width * length / (4.0 * self.urn_area)
-
-
-def urn_area(urn_radius: ArrayLike, channel1_width: ArrayLike, channel2_width: ArrayLike) -> Floats:
-    """Return A of eq. (eq000), the area of an urn between its two chords (length squared)."""
-    radius = np.asarray(urn_radius, float)
-    area = np.pi * radius**2
-    for width in (np.asarray(channel1_width, float), np.asarray(channel2_width, float)):
-        chord = np.sqrt((2.0 * radius - width) * (2.0 * radius + width))
-        area = area - radius**2 * np.arcsin(width / (2.0 * radius)) + 0.25 * width * chord
-    return area
 
 
 def gate_load(circuit: Circuit, urn_number: ArrayLike) -> Floats:
@@ -247,123 +260,9 @@ def transition_width(circuit: Circuit) -> float:
     return float(optimize.brentq(slope, widths[at], widths[at + 1], xtol=1e-15, rtol=1e-14))
 
 
-def single_urn_current(
-    number: ArrayLike,
-    threshold: ArrayLike,
-    channel1_width: ArrayLike,
-    urn_radius: ArrayLike = 1.0,
-    channel1_length: ArrayLike = 1.0,
-    gate: Gate = WINDOW,
-    occupation: bool = False,
-) -> Floats:
+def single_urn_current(urn: Circuit) -> Floats:
     """Return the current of the appendix's single urn, eq. (eqapp5): hits on the end wall.
 
-    Per unit time; the gate is l/2 long. With all `number` particles counted as in the urn, unless
-    `occupation` tells those in the channel: what hits the wall comes back through the gate, so it
-    is there for 2 tau, as in the circuit what gets through is in either gate.
+    Per unit time, with all particles as the urn's share of them.
     """
-    urn = Circuit(
-        number, threshold, channel1_width, 0.0, urn_radius, channel1_length, 1.0, gate, occupation
-    )
-    return flow1(urn, number)
-
-
-def describe(circuit: Circuit) -> dict[str, object]:
-    """Return what the theory says of one circuit, as the command line prints it."""
-    from postproc.states import stationary_states  # noqa: PLC0415 (it builds on this module)
-
-    width = transition_width(circuit)
-    return {
-        "homogeneous": homogeneous_kind(circuit),
-        "roots": [
-            {
-                "urn2_number": state.urn2_number,
-                "kind": state.kind,
-                "mass_spread": state.mass_spread,
-                "net_current": state.net_current,
-            }
-            for state in stationary_states(circuit)
-        ],
-        "transition_width": None if math.isnan(width) else width,
-        "urn_area": float(circuit.urn_area),
-    }
-
-
-def circuit_options(name: str, description: str | None) -> argparse.ArgumentParser:
-    """Return a command line that describes a circuit by the namelist's keys."""
-    options = cli.parser(name, description)
-    options.add_argument("--number", type=int, required=True, help="N, how many particles")
-    options.add_argument("--threshold", type=int, required=True, help="T of the gates")
-    for key, default, meaning in (
-        ("urn-radius", 1.0, "r"),
-        ("channel1-width", 0.3, "w"),
-        ("channel1-length", 1.0, "l, both gates together"),
-        ("channel2-width", 0.01, "w', 0 for the one-channel model"),
-        ("channel2-length", 1.0, "l', both halves together"),
-    ):
-        options.add_argument(
-            f"--{key}", type=float, default=default, help=f"{meaning} (default: {default})"
-        )
-    options.add_argument(
-        "--gate",
-        choices=("window", "renewal"),
-        default="window",
-        help="the paper's window of time tau, or the gate's own rule (default: window)",
-    )
-    options.add_argument(
-        "--occupation", action="store_true", help="tell those in the channels from those in urns"
-    )
-    return options
-
-
-def given_circuit(given: argparse.Namespace) -> Circuit:
-    """Return the circuit of the options, checked."""
-    _check(given)
-    gate = WINDOW
-    if given.gate == "renewal":
-        from postproc.renewal import RENEWAL  # noqa: PLC0415 (only read when asked for)
-
-        gate = RENEWAL
-    names = {field.name for field in fields(Circuit)} - {"gate"}
-    values = {name: value for name, value in vars(given).items() if name in names}
-    return Circuit(**values, gate=gate)
-
-
-def _check(given: argparse.Namespace) -> None:
-    """Raise with every problem of the values given."""
-    diameter = 2.0 * given.urn_radius
-    rules = (
-        (given.number >= 1, f"--number {given.number} must be at least 1"),
-        (given.threshold >= 0, f"--threshold {given.threshold} must not be negative"),
-        (0 < given.urn_radius < math.inf, f"--urn-radius {given.urn_radius} must be positive"),
-        (
-            0 < given.channel1_width < diameter,
-            f"--channel1-width {given.channel1_width} must lie above 0 and below 2r = {diameter}",
-        ),
-        (
-            0 <= given.channel2_width < diameter,
-            f"--channel2-width {given.channel2_width} must be at least 0 and below 2r = {diameter}",
-        ),
-        (
-            0 < given.channel1_length < math.inf,
-            f"--channel1-length {given.channel1_length} must be positive",
-        ),
-        (
-            0 < given.channel2_length < math.inf,
-            f"--channel2-length {given.channel2_length} must be positive",
-        ),
-    )
-    problems = [text for good, text in rules if not good]
-    if problems:
-        raise cli.InputError("; ".join(problems))
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the theory of one circuit as JSON."""
-    given = circuit_options("theory", __doc__).parse_args(arguments)
-    print(json.dumps(describe(given_circuit(given)), indent=2))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(cli.run(main))
+    return flow1(urn, urn.number)

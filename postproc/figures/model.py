@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import style
-from postproc.results import Snapshot
-from postproc.scene import Table, counted_by, draw_table, table_of
+from postproc.figures import style
+from postproc.figures.scene import counted_by, draw_table
+from postproc.reading.results import Snapshot
+from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,20 +17,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.results import Results
+    from postproc.reading.results import Results
 
 SHOWN = 40  # particles of a run that are drawn
-EXAMPLE = Table(1.0, 0.5, 1.2, 0.2, 1.0)  # wider than the paper's runs, so that all can be seen
+# wider than the paper's runs, so that all can be seen
+EXAMPLE = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.2)
 
 
-def example_snapshot(table: Table, count: int = SHOWN, seed: int = 4) -> Snapshot:
+def example_snapshot(circuit: Circuit, count: int = SHOWN, seed: int = 4) -> Snapshot:
     """Return particles spread evenly over urns and channels, with random directions."""
     random = np.random.default_rng(seed)
-    x, y = random.uniform(-1.0, 1.0, (2, 100 * count)) * [[table.end], [table.urn_radius]]
-    from_centre = np.abs(x) - table.urn_centre
-    urn = (np.hypot(from_centre, y) < 0.96 * table.urn_radius) & (from_centre > -table.chords[0])
-    gate = (np.abs(x) < 0.5 * table.channel1_length) & (np.abs(y) < 0.45 * table.channel1_width)
-    back = (from_centre > table.chords[1]) & (np.abs(y) < 0.4 * table.channel2_width)
+    x, y = random.uniform(-1.0, 1.0, (2, 100 * count)) * [[circuit.end], [circuit.urn_radius]]
+    from_centre = np.abs(x) - circuit.urn_centre
+    urn = np.hypot(from_centre, y) < 0.96 * circuit.urn_radius
+    urn &= from_centre > -circuit.chords[0]
+    gate = (np.abs(x) < 0.5 * circuit.channel1_length) & (np.abs(y) < 0.45 * circuit.channel1_width)
+    back = (from_centre > circuit.chords[1]) & (np.abs(y) < 0.4 * circuit.channel2_width)
     inside = np.flatnonzero(urn | gate | back)[:count]
     angle = random.uniform(0.0, 2.0 * np.pi, inside.size)
     return Snapshot(0.0, x[inside], y[inside], np.cos(angle), np.sin(angle))
@@ -51,18 +54,18 @@ def _measure(
 
 def figure_model(files: Sequence[Results]) -> Figure:
     """Return the table, with some particles of the first snapshot if there is a file."""
-    table, snapshot = EXAMPLE, None
+    circuit, snapshot = EXAMPLE, None
     if files:
-        table, full = table_of(files[0], 0), files[0].snapshot(0, 0, 0)
+        circuit, full = files[0].circuit(0), files[0].snapshot(0, 0, 0)
         step = max(full.x.size // SHOWN, 1)
         parts = (part[::step] for part in (full.x, full.y, full.ux, full.uy))
         snapshot = Snapshot(full.time, *parts)
-    snapshot = snapshot or example_snapshot(table)
+    snapshot = snapshot or example_snapshot(circuit)
     made = style.figure(style.PAGE, 2.9)
     made.set_layout_engine("none")  # the labels beside the table leave it no room
     axes = made.subplots()
-    draw_table(axes, table)
-    counted = counted_by(table, snapshot) > 0
+    draw_table(axes, circuit)
+    counted = counted_by(circuit, snapshot) > 0
     colour = np.where(counted, style.VERMILION, style.BLUE)
     axes.scatter(snapshot.x, snapshot.y, s=10, c=colour, lw=0, zorder=3)
     axes.quiver(
@@ -70,34 +73,34 @@ def figure_model(files: Sequence[Results]) -> Figure:
         color=colour,
         angles="xy",
         scale_units="xy",
-        scale=6.0 / table.urn_radius,
+        scale=6.0 / circuit.urn_radius,
         width=0.002,
         zorder=3,
         clip_on=False,
     )
-    _name_lengths(axes, table)
+    _name_lengths(axes, circuit)
     return made
 
 
-def _name_lengths(axes: Axes, table: Table) -> None:
-    radius, half1 = table.urn_radius, 0.5 * table.channel1_width
+def _name_lengths(axes: Axes, circuit: Circuit) -> None:
+    radius, half1 = circuit.urn_radius, 0.5 * circuit.channel1_width
     below = -half1 - 0.1 * radius
-    reach = 0.5 * table.channel1_length
+    reach = 0.5 * circuit.channel1_length
     _measure(axes, (-reach, 0.0), below, r"$\ell/2$")
     _measure(axes, (0.0, reach), below, r"$\ell/2$")
     _measure(axes, (-half1, half1), 0.6 * reach, "$w$", vertical=True)
     axes.text(-0.5 * reach, half1 + 0.06 * radius, "gate 1", ha="center")
     axes.text(0.5 * reach, half1 + 0.06 * radius, "gate 2", ha="center")
     for side, name in ((-1.0, "urn 1"), (1.0, "urn 2")):
-        axes.text(side * table.urn_centre, radius * 1.06, name, ha="center")
+        axes.text(side * circuit.urn_centre, radius * 1.06, name, ha="center")
     angle = np.radians(130.0)
-    tip = (table.urn_centre - radius * np.cos(angle), radius * np.sin(angle))
+    tip = (circuit.urn_centre - radius * np.cos(angle), radius * np.sin(angle))
     arrow = {"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tip, (table.urn_centre, 0.0), arrowprops=arrow)
-    axes.text(table.urn_centre + 0.42 * radius, 0.36 * radius, "$r$", ha="left")
-    if table.shape == "circuit" and table.channel2_width > 0.0:
-        start = table.urn_centre + table.chords[1]
-        under = -0.5 * table.channel2_width - 0.1 * radius
+    axes.annotate("", tip, (circuit.urn_centre, 0.0), arrowprops=arrow)
+    axes.text(circuit.urn_centre + 0.42 * radius, 0.36 * radius, "$r$", ha="left")
+    if circuit.channel2_width > 0.0:
+        start = circuit.urn_centre + circuit.chords[1]
+        under = -0.5 * circuit.channel2_width - 0.1 * radius
         for side in (-1.0, 1.0):
-            _measure(axes, (side * start, side * table.end), under, r"$\ell'/2$")
-        axes.text(table.end + 0.06, 0.0, "$w'$", va="center")
+            _measure(axes, (side * start, side * circuit.end), under, r"$\ell'/2$")
+        axes.text(circuit.end + 0.06, 0.0, "$w'$", va="center")

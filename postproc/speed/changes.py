@@ -12,7 +12,7 @@ from rich import box
 from rich.table import Table
 
 from postproc import cli
-from postproc.benchmark_figures import FORMAT, RATES, SUBJECTS, Figure, Rows
+from postproc.speed.bounds import FORMAT, RATES, SUBJECTS, Figure, Rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,13 +8,21 @@ ends bracket every zero; minima of |g| in between are followed for pairs that li
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import optimize
 
-from postproc.theory import Circuit, half2_number, homogeneous_kind, log_outflow, net_current2
+from postproc.theory.circuit import (
+    Circuit,
+    half2_number,
+    homogeneous_kind,
+    log_outflow,
+    net_current2,
+    transition_width,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -153,3 +161,22 @@ def _state(circuit: Circuit, number: float, first: float, kind: str) -> State:
     in_half = float(half2_number(circuit, second))
     current = -float(net_current2(circuit, second))
     return State(in_half, kind, (2.0 * in_half - number) / number, current)
+
+
+def describe(circuit: Circuit) -> dict[str, object]:
+    """Return what the theory says of one circuit, as the command line prints it."""
+    width = transition_width(circuit)
+    return {
+        "homogeneous": homogeneous_kind(circuit),
+        "roots": [
+            {
+                "urn2_number": state.urn2_number,
+                "kind": state.kind,
+                "mass_spread": state.mass_spread,
+                "net_current": state.net_current,
+            }
+            for state in stationary_states(circuit)
+        ],
+        "transition_width": None if math.isnan(width) else width,
+        "urn_area": float(circuit.urn_area),
+    }

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
-from postproc import theory
 from postproc.cli import InputError
+from postproc.theory.circuit import flow2
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from postproc.results import Results, Snapshot
-    from postproc.scene import Table
+    from postproc.reading.results import Results, Snapshot
+    from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
 
@@ -48,18 +48,18 @@ def drifts(chi: Floats) -> bool:
     return abs(one - other) > max(DRIFT * np.hypot(error1, error2), 0.02)
 
 
-def axial(table: Table, snapshot: Snapshot) -> int:
+def axial(circuit: Circuit, snapshot: Snapshot) -> int:
     """Return how many particles run so straight along the axis that they go round the circuit."""
-    if table.shape != "circuit" or table.channel2_width == 0.0:
+    if circuit.channel2_width == 0.0:
         return 0
-    half = 0.5 * table.channel2_width
+    half = 0.5 * circuit.channel2_width
     slope = snapshot.uy / np.where(snapshot.ux == 0.0, np.inf, snapshot.ux)
     steep = np.abs(snapshot.uy) >= np.abs(snapshot.ux)
-    reach = np.abs(slope) * 2.0 * table.end
+    reach = np.abs(slope) * 2.0 * circuit.end
     return int(np.count_nonzero(~steep & (np.abs(snapshot.y) + reach < half)))
 
 
-def warnings(results: Results, table: Table) -> list[str]:
+def warnings(results: Results) -> list[str]:
     """Return the warnings of a run, one sentence each, as plain text."""
     found = _unfinished(results)
     for point in range(results.points):
@@ -69,7 +69,7 @@ def warnings(results: Results, table: Table) -> list[str]:
         found += [f"{name}: {text}" for text in _of_replicas(results, point)]
         found += [f"{name}: {text}" for text in _of_current(results, point)]
         found += [f"{name}: {text}" for text in _of_series(results, point)]
-        found += [f"{name}: {text}" for text in _of_snapshots(results, point, table)]
+        found += [f"{name}: {text}" for text in _of_snapshots(results, point)]
     return found
 
 
@@ -104,7 +104,7 @@ def _of_current(results: Results, point: int) -> list[str]:
     circuit = results.circuit(point)
     chi = results.replica_mean("chi")[0][point]
     mean, error = (part[point] for part in results.replica_mean("current2"))
-    expected = float(theory.flow2(circuit, chi * float(circuit.number)))
+    expected = float(flow2(circuit, chi * float(circuit.number)))
     if expected > 0.0 and mean - expected > max(EXCESS * expected, DRIFT * error) and chi > 0.1:
         return [
             f"the net current {mean:.3g} is more than the spread accounts for ({expected:.3g}): "
@@ -128,9 +128,9 @@ def _of_series(results: Results, point: int) -> list[str]:
     return [f"chi still moves in the second half of replica {', '.join(moving)}: short transient."]
 
 
-def _of_snapshots(results: Results, point: int, table: Table) -> list[str]:
+def _of_snapshots(results: Results, point: int) -> list[str]:
     try:
-        count = axial(table, results.snapshot(point, 0, -1))
+        count = axial(results.circuit(point), results.snapshot(point, 0, -1))
     except InputError:
         return []
     return [f"{count} particles of the last snapshot run along the axis."] if count else []

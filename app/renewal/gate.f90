@@ -1,7 +1,7 @@
 !> Simulates the renewal gate alone: Poisson entries at rate nu, each inside for (l/2)/cos(theta),
 !> cosine law, all thrown out by an entry that finds T inside. Reads a seed, then lines
 !> `load threshold entries`, writes lines `load threshold cycles sum sum_of_squares`, the sums over
-!> the entries of a cycle. Lengths are in units of l/2, so tau = pi/2. Checks `renewal_closure.f90`.
+!> the entries of a cycle. Lengths are in units of l/2, so tau = pi/2. Checks `renewal_closure`.
 program renewal_gate
   use, intrinsic :: iso_fortran_env, only: int64, real64, input_unit, output_unit
   implicit none (type, external)

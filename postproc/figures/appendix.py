@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import style, theory
-from postproc.gates import WINDOW
-from postproc.points import gather
-from postproc.renewal import RENEWAL
+from postproc.figures import style
+from postproc.reading.points import gather
+from postproc.theory.circuit import single_urn_current
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,9 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.gates import Gate
-    from postproc.points import Points
-    from postproc.results import Results
+    from postproc.reading.points import Points
+    from postproc.reading.results import Results
+    from postproc.theory.gates import Gate
 
     Floats = NDArray[np.float64]
 
@@ -38,23 +40,16 @@ def _theory(
     results: Results, group: Points, thresholds: Floats, gate: Gate, occupation: bool = False
 ) -> Floats:
     """Return the theory's current at other thresholds of a group of one N and w."""
-    return theory.single_urn_current(
-        group.number[0],
-        thresholds,
-        group.width1[0],
-        results.table_value("urn_radius"),
-        results.table_value("channel1_length"),
-        gate,
-        occupation,
-    )
+    urn = replace(results.circuit(int(group.point[0]), gate), occupation=occupation)
+    return single_urn_current(replace(urn, threshold=thresholds))
 
 
 def _groups(points: Points) -> list[tuple[int, int, Points]]:
     """Return (which N, which w, points by T) for each pair of values."""
     found = []
     for row, number in enumerate(np.unique(points.number)):
-        for column, width in enumerate(np.unique(points.width1)):
-            chosen = (points.number == number) & (points.width1 == width)
+        for column, width in enumerate(np.unique(points.channel1_width)):
+            chosen = (points.number == number) & (points.channel1_width == width)
             if chosen.any():
                 found.append((row, column, points.where(chosen).sorted_by_threshold()))
     return found
@@ -86,7 +81,7 @@ def figure_app2(files: Sequence[Results]) -> Figure:
     made, panels = _panels(points)
     for row, column, group in _groups(points):
         mark, colour = _look(column)
-        label = f"$w = {group.width1[0]:g}$" if row == 0 else None
+        label = f"$w = {group.channel1_width[0]:g}$" if row == 0 else None
         panels[row].errorbar(
             group.threshold / group.number,
             group.current,
@@ -131,7 +126,7 @@ def figure_app3(files: Sequence[Results]) -> Figure:
             expected = _theory(results, group, group.threshold, *theory_of)
             difference, error = relative_difference(group.current, group.current_error, expected)
             lines = {"color": colour, "lw": 0.7, "ms": 4.4, "marker": mark, **look}
-            label = f"$w = {group.width1[0]:g}$, {name}" if row == 0 else None
+            label = f"$w = {group.channel1_width[0]:g}$, {name}" if row == 0 else None
             if name != COUNTED:
                 panels[0, row].errorbar(fraction, difference, error, **lines)
             if name != PAPER:
@@ -168,7 +163,7 @@ def figure_app4(files: Sequence[Results]) -> Figure:
             color=colour,
             mfc=colour if row == last else "white",
             ms=3.6,
-            label=f"$w = {group.width1[0]:g}$, $N = {number:.0f}$",
+            label=f"$w = {group.channel1_width[0]:g}$, $N = {number:.0f}$",
         )
         thresholds = np.arange(0.0, group.threshold.max() + 1.0)
         for gate, dashes in ((WINDOW, lines[row % 3]), (RENEWAL, "-")):

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import cli, style, theory
-from postproc.gates import WINDOW
-from postproc.points import gather
-from postproc.renewal import RENEWAL
+from postproc import cli
+from postproc.figures import style
+from postproc.reading.points import gather
+from postproc.theory.circuit import transition_width
+from postproc.theory.renewal import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,25 +20,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.points import Points
-    from postproc.results import Results
-    from postproc.theory import Circuit
+    from postproc.reading.points import Points
+    from postproc.reading.results import Results
+    from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
     Line = tuple[Floats, Floats, str, str]
 
 POLARISED = 0.5  # starts with chi above this are called polarised
-LINES = (
-    ("--", "transition, paper", {"gate": WINDOW}),
-    ("-", "transition, renewal gate", {"gate": RENEWAL}),
-    (":", "transition, renewal gate, channels counted", {"gate": RENEWAL, "occupation": True}),
-)
 
 
 def grid(points: Points, values: Floats) -> tuple[Floats, Floats, Floats]:
     """Return T, w' and `values` as a map, shape (w', T), NaN where there is no point."""
     thresholds, columns = np.unique(points.threshold, return_inverse=True)
-    widths, rows = np.unique(points.width2, return_inverse=True)
+    widths, rows = np.unique(points.channel2_width, return_inverse=True)
     filled = np.full((widths.size, thresholds.size), np.nan)
     filled[rows, columns] = values
     return thresholds, widths, filled
@@ -54,9 +50,7 @@ def edges(centres: Floats) -> Floats:
 
 def transition_line(circuit: Circuit, thresholds: Floats) -> Floats:
     """Return w' of the transition line, eq. (transition), for each T; NaN where there is none."""
-    return np.array(
-        [theory.transition_width(replace(circuit, threshold=int(one))) for one in thresholds]
-    )
+    return np.array([transition_width(replace(circuit, threshold=int(one))) for one in thresholds])
 
 
 def by_start(points: Points) -> list[tuple[str, Points]]:
@@ -82,15 +76,15 @@ def transition_lines(points: Points, circuit: Circuit) -> list[Line]:
     thresholds = np.arange(1.0, points.threshold.max() + 1.0)
     fraction = thresholds / float(circuit.number)
     return [
-        (fraction, transition_line(replace(circuit, **changes), thresholds), dashes, label)
-        for dashes, label, changes in LINES
+        (fraction, transition_line(replace(circuit, **changes), thresholds), dashes, name)
+        for dashes, (name, changes) in zip(style.DASHES, THEORIES.items(), strict=True)
     ]
 
 
 def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], colour: str) -> None:
     for fraction, widths, dashes, label in lines:
-        axes.plot(fraction, widths, color=colour, ls=dashes, lw=1.3, label=label)
-    low, high = edges(np.unique(points.width2))[[0, -1]]
+        axes.plot(fraction, widths, color=colour, ls=dashes, lw=1.3, label=f"transition, {label}")
+    low, high = edges(np.unique(points.channel2_width))[[0, -1]]
     axes.set_ylim(max(low, 0.0), high)
     borders = edges(np.unique(points.threshold)) / points.number[0]
     axes.set_xlim(borders[0], borders[-1])
@@ -99,7 +93,7 @@ def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], colour: str) 
 def figure_numris(files: Sequence[Results]) -> Figure:
     """Return maps of chi and net current, a row a start, and where two starts end differently."""
     points = gather(files)
-    if np.unique(points.number).size > 1 or np.unique(points.width1).size > 1:
+    if np.unique(points.number).size > 1 or np.unique(points.channel1_width).size > 1:
         raise cli.InputError("figure numris needs runs of one N and one w")
     lines = transition_lines(points, files[0].circuit(0))
     starts = by_start(points)
@@ -139,12 +133,8 @@ def _draw_differences(
 ) -> None:
     """Draw what the polarised start ends with less what the homogeneous start ends with."""
     (_, one), (_, other) = starts
-    keys = {(t, w): at for at, (t, w) in enumerate(zip(one.threshold, one.width2, strict=True))}
-    pairs = [
-        (keys[key], at)
-        for at, key in enumerate(zip(other.threshold, other.width2, strict=True))
-        if key in keys
-    ]
+    places = [list(zip(part.threshold, part.channel2_width, strict=True)) for part in (one, other)]
+    pairs = [(places[0].index(key), at) for at, key in enumerate(places[1]) if key in places[0]]
     if not pairs:
         raise cli.InputError("figure numris: the two starts have no point in common")
     first, second = np.array(pairs).T

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from postproc.results import Results
+    from postproc.reading.results import Results
 
     Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ class Points:
 
     Attributes
     ----------
-    number, threshold, width1, width2 : N, T, w, w'.
+    number, threshold, channel1_width, channel2_width : N, T, w, w'.
     start : chi at the beginning, |N1 - N2|/N.
     chi, chi_error : mean over the replicas and its standard error; NaN where no task is done.
     current, current_error : net current of channel 1 by its size, per unit time; likewise.
@@ -32,8 +32,8 @@ class Points:
 
     number: Floats
     threshold: Floats
-    width1: Floats
-    width2: Floats
+    channel1_width: Floats
+    channel2_width: Floats
     start: Floats
     chi: Floats
     chi_error: Floats

@@ -1,0 +1,1 @@
+"""Pictures: of the paper, of a run, of a moment."""

@@ -1,0 +1,78 @@
+"""Draws a figure of the paper, by its label, from the files of one or several runs.
+
+model   the table (no file, or one with a snapshot)
+numris  maps of chi and net current over T and w', for either start (runs from both, in any order)
+comp05  flows and net currents against time, a panel a point, inset eta
+comp06  chi and net current against time from chi(0) = 1
+comp01  net current against T/N and against chi, for several w'
+app2    current of the single urn against T/N
+app3    its relative difference from theory
+app4    it and theory divided by N
+
+and one that the paper has not:
+
+lifetimes  lifetimes of both states against N, from series that begin in them
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from postproc import cli
+from postproc.figures import appendix, maps, style
+from postproc.figures.circuits import figure_comp01, figure_comp05, figure_comp06
+from postproc.figures.model import figure_model
+from postproc.figures.passages import figure_lifetimes
+from postproc.reading.results import Results, opened
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from matplotlib.figure import Figure
+
+    Drawing = Callable[[Sequence[Results]], Figure]
+
+
+FIGURES: dict[str, Drawing] = {
+    "model": figure_model,
+    "numris": maps.figure_numris,
+    "comp05": figure_comp05,
+    "comp06": figure_comp06,
+    "comp01": figure_comp01,
+    "app2": appendix.figure_app2,
+    "app3": appendix.figure_app3,
+    "app4": appendix.figure_app4,
+    "lifetimes": figure_lifetimes,
+}
+
+SHAPES = dict.fromkeys(("app2", "app3", "app4"), "urn")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write NAME.png and NAME.pdf."""
+    options = cli.parser("figures", __doc__)
+    options.add_argument("name", metavar="NAME", choices=sorted(FIGURES))
+    options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
+    cli.add_output(options)
+    given = options.parse_args(arguments)
+    if not given.files and given.name != "model":
+        raise cli.InputError(f"figure {given.name} needs at least one file of results")
+    with opened(given.files) as files:
+        for results in files:
+            if given.name != "model" and results.shape != SHAPES.get(given.name, "circuit"):
+                raise cli.InputError(
+                    f"{results.path}: a run of shape '{results.shape}', not of figure {given.name}"
+                )
+        made = FIGURES[given.name](files)
+        remarks = [results.remark for results in files if results.remark]
+        if remarks:
+            style.note(made.axes[0], "; ".join(remarks))
+        for results in files:
+            results.say_if_partial()
+    style.save(made, given.output, given.name)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(cli.run(main))

@@ -1,0 +1,249 @@
+"""Film of a circuit from the snapshots of a run."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import imageio_ffmpeg
+import numpy as np
+from matplotlib.patches import Rectangle
+from PIL import Image
+
+from postproc import cli
+from postproc.figures import style
+from postproc.figures.currents import binned
+from postproc.figures.scene import counted_by, draw_table
+from postproc.reading.results import Results, Snapshot
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from postproc.reading.results import Series
+    from postproc.theory.circuit import Circuit
+
+    Floats = NDArray[np.float64]
+
+SECONDS = 30.0  # longest film
+RATE = 25  # frames a second
+DOTS = 100  # dots per inch
+CLOSE = 0.6  # snapshots nearer than this in time are joined by straight flight
+FLASH = 6  # frames that a flash lasts
+LONGEST_FLASH = 0.5  # and in time at most
+
+
+@dataclass
+class Scenes:
+    """What the film shows.
+
+    Attributes
+    ----------
+    circuit : of the task.
+    snapshots : in order of time.
+    series : of the same task, or None.
+    reversals : times and gates of the reversals, shape (reversal,) each.
+    """
+
+    circuit: Circuit
+    snapshots: list[Snapshot]
+    series: Series | None = None
+    reversals: tuple[Floats, Floats] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
+
+    @property
+    def times(self) -> Floats:
+        """Times of the snapshots."""
+        return np.array([snapshot.time for snapshot in self.snapshots])
+
+
+def read_scenes(results: Results, point: int, replica: int) -> Scenes:
+    """Return what a file has for a film of one task."""
+    times = results.snapshot_times()
+    snapshots = [results.snapshot(point, replica, index) for index in range(times.size)]
+    if len(snapshots) < 2:
+        raise cli.InputError(f"{results.path}: a film needs at least two snapshots")
+    scenes = Scenes(results.circuit(point), snapshots)
+    if results.has("series/time"):
+        scenes.series = results.series(point, replica)
+    log = results.events()
+    if log:
+        turned = log["kind"] == 2
+        scenes.reversals = (log["time"][turned], log["where"][turned])
+    return scenes
+
+
+def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, Floats]:
+    """Return where the particles are a short time after a snapshot, in straight flight.
+
+    In a channel y is folded between the walls; in an urn a flight stops at the wall. Who flies
+    across the periodic line comes in at the other end.
+    """
+    x, y = snapshot.x + snapshot.ux * after, snapshot.y + snapshot.uy * after
+    narrow = np.abs(snapshot.x) <= 0.5 * circuit.channel1_length
+    half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
+    beyond = np.abs(snapshot.x) > circuit.urn_centre + circuit.chords[1]
+    beyond &= np.abs(snapshot.y) <= half2
+    for inside, half in ((narrow, half1), (beyond & (half2 > 0.0), half2)):
+        folded = np.abs(np.mod(y + half, 4.0 * half) - 2.0 * half) if half > 0.0 else y
+        y = np.where(inside, half - folded, y) if half > 0.0 else y
+    centre = np.sign(snapshot.x) * circuit.urn_centre
+    away = np.hypot(x - centre, y)
+    inner = np.abs(x) < circuit.urn_centre
+    mouth = np.where(inner, half1, half2)
+    out = ~narrow & ~beyond & (away > circuit.urn_radius) & (np.abs(y) > mouth)
+    shrink = np.where(out, circuit.urn_radius / np.where(away > 0.0, away, 1.0), 1.0)
+    x = np.where(out, centre + (x - centre) * shrink, x)
+    if circuit.shape == "circuit":
+        x = np.mod(x + circuit.end, 2.0 * circuit.end) - circuit.end
+    return x, y * shrink
+
+
+def joined(times: Floats) -> bool:
+    """Tell whether snapshots lie so close that particles fly from one to the next."""
+    return times.size > 1 and float(np.diff(times).max()) <= CLOSE
+
+
+def frame_times(times: Floats, seconds: float) -> Floats:
+    """Return the time shown in each frame of a film of snapshots at `times`.
+
+    Close snapshots: evenly from the first to the last. Others: each stands for equally many frames,
+    a second at most, so that no frame claims a time at which nobody knows where the particles are.
+    """
+    frames = max(int(seconds * RATE), 2)
+    if joined(times):
+        return np.linspace(times[0], times[-1], frames)
+    shown = times[np.linspace(0, times.size - 1, min(frames, times.size)).round().astype(int)]
+    return np.repeat(shown, min(max(frames // shown.size, 1), RATE))
+
+
+class Stage:
+    """A figure whose artists are moved from frame to frame."""
+
+    def __init__(self, scenes: Scenes) -> None:
+        """Draw what stays, and make what moves."""
+        self.scenes = scenes
+        self.figure: Figure = style.figure(8.0, 4.8)
+        table_axes, below = self.figure.subplots(2, 1, height_ratios=(2.2, 1.0))
+        draw_table(table_axes, scenes.circuit)
+        half1, reach = 0.5 * scenes.circuit.channel1_width, 0.5 * scenes.circuit.channel1_length
+        self.flashes = [
+            table_axes.add_patch(
+                Rectangle((left, -half1), reach, 2.0 * half1, fc=style.VERMILION, alpha=0.0, lw=0)
+            )
+            for left in (-reach, 0.0)
+        ]
+        self.dots = table_axes.scatter(
+            scenes.snapshots[0].x, scenes.snapshots[0].y, s=4, lw=0, zorder=3
+        )
+        self.title = table_axes.set_title(" ", loc="center")
+        self._draw_histories(below)
+        self.now = below.axvline(scenes.times[0], color=style.BLACK, lw=0.8)
+        self.moving = [*self.flashes, self.dots, self.title, self.now]
+        self.figure.set_dpi(DOTS)
+        self.figure.canvas.draw()  # places the axes
+        self.figure.set_layout_engine("none")
+        for artist in self.moving:
+            artist.set_animated(True)
+        self.figure.canvas.draw()
+        self.background = self.figure.canvas.copy_from_bbox(self.figure.bbox)
+
+    def _draw_histories(self, below: object) -> None:
+        scenes = self.scenes
+        total = scenes.snapshots[0].x.size
+        times = scenes.times
+        chi = [abs(total - 2 * np.count_nonzero(one.x < 0.0)) / total for one in scenes.snapshots]
+        shown = [times[0], times[-1]]
+        if scenes.series is not None:
+            inside = (scenes.series.time >= times[0]) & (scenes.series.time <= times[-1])
+            if np.count_nonzero(inside) > 2:
+                chi = np.abs(total - 2.0 * scenes.series.urn1_number[inside]) / total
+                times = scenes.series.time[inside]
+                flows = scenes.series.flows
+                net = (flows["flow2_12"] - flows["flow2_21"])[inside]
+                middle, mean, _ = binned(times, net, 40)
+                right = below.twinx()
+                mean = mean * (np.sign(net[net.size // 2 :].mean()) or 1.0)
+                right.plot(middle, mean, color=style.ORANGE, lw=0.9)
+                right.set_ylabel("net current 2\n(per unit time)", color=style.ORANGE)
+                most = max(float(mean.max()), 1e-9)
+                right.set_ylim(min(0.0, 1.1 * float(mean.min())), 1.1 * most)
+        below.plot(times, chi, color=style.BLUE, lw=1.1)
+        below.set_ylabel(r"mass spread $\chi$", color=style.BLUE)
+        below.set_ylim(0.0, 1.02)
+        below.set_xlim(*shown)
+        below.set_xlabel("time $t$  (length / $v$)")
+
+    def show(self, time: float, flash_time: float) -> NDArray[np.uint8]:
+        """Return the frame at `time` as pixels, shape (height, width, 3)."""
+        scenes = self.scenes
+        index = int(np.searchsorted(scenes.times, time + 1e-12, side="right")) - 1
+        index = min(max(index, 0), len(scenes.snapshots) - 1)
+        snapshot = scenes.snapshots[index]
+        x, y, after = snapshot.x, snapshot.y, time - snapshot.time
+        if 0.0 < after <= CLOSE:
+            x, y = flown(scenes.circuit, snapshot, after)
+        counted = counted_by(scenes.circuit, snapshot) > 0
+        colour = np.where(x < 0.0, style.SKY, style.GREEN)
+        self.dots.set_offsets(np.column_stack([x, y]))
+        self.dots.set_facecolor(np.where(counted, style.VERMILION, colour))
+        self.dots.set_sizes(np.where(counted, 16.0, 4.0))
+        when, gate = scenes.reversals
+        for number, flash in enumerate(self.flashes, start=1):
+            ago = time - when[(gate == number) & (when <= time)]
+            fade = 1.0 - float(ago.min(initial=np.inf)) / flash_time
+            flash.set_alpha(0.6 * max(fade, 0.0))
+        first = int(np.count_nonzero(x < 0.0))
+        self.title.set_text(
+            f"$t = {time:.2f}$    $T = {scenes.circuit.threshold}$    "
+            f"$N_1 = {first}$    $N_2 = {x.size - first}$"
+        )
+        self.now.set_xdata([time, time])
+        canvas = self.figure.canvas
+        canvas.restore_region(self.background)
+        for artist in self.moving:
+            artist.axes.draw_artist(artist)
+        return np.array(canvas.buffer_rgba())[..., :3]
+
+
+def frames(scenes: Scenes, seconds: float) -> Iterator[NDArray[np.uint8]]:
+    """Yield the frames of a film of at most `seconds`."""
+    stage = Stage(scenes)
+    times = frame_times(scenes.times, seconds)
+    flash_time = min(FLASH * float(np.diff(times).max()), LONGEST_FLASH)
+    for time in times:
+        yield stage.show(float(time), flash_time)
+
+
+def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path) -> None:
+    """Write frames to an MP4 file (H.264) through ffmpeg."""
+    first = next(pictures)
+    height, width = (size - size % 2 for size in first.shape[:2])
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", "-f", "rawvideo"]
+    command += ["-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
+    command += ["-c:v", "libx264", "-preset", "veryfast", "-crf", "23", "-pix_fmt", "yuv420p"]
+    command += ["-movflags", "+faststart", str(path)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        process.stdin.write(np.ascontiguousarray(first[:height, :width]).tobytes())
+        for picture in pictures:
+            process.stdin.write(np.ascontiguousarray(picture[:height, :width]).tobytes())
+    except BrokenPipeError:
+        pass
+    _, error = process.communicate()
+    if process.returncode:
+        reason = error.decode().strip().splitlines() or ["ffmpeg failed"]
+        raise cli.InputError(f"cannot write {path}: {reason[-1]}")
+
+
+def write_gif(pictures: Iterator[NDArray[np.uint8]], path: Path) -> None:
+    """Write every second frame to a GIF file."""
+    images = [
+        Image.fromarray(np.ascontiguousarray(picture)).quantize(64, dither=Image.Dither.NONE)
+        for at, picture in enumerate(pictures)
+        if at % 2 == 0
+    ]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=2000 // RATE, loop=0)

@@ -1,0 +1,170 @@
+"""The table to scale with the particles of a snapshot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.patches import Rectangle
+
+from postproc.figures import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from postproc.reading.results import Snapshot
+    from postproc.theory.circuit import Circuit
+
+GATE_TINT = "#E8E8E8"
+
+
+def walls(circuit: Circuit) -> list[NDArray[np.float64]]:
+    """Return the walls as polylines of shape (vertex, 2)."""
+    half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
+    start, stop = (np.arcsin(half / circuit.urn_radius) for half in (half1, half2))
+    angle = np.linspace(start, np.pi - stop, 400)
+    x = np.append(0.0, circuit.urn_radius * np.cos(angle) - circuit.urn_centre)
+    y = np.append(half1, circuit.urn_radius * np.sin(angle))
+    if circuit.channel2_width > 0.0:
+        x, y = np.append(x, -circuit.end), np.append(y, half2)
+    sides = (1.0, -1.0) if circuit.shape == "circuit" else (1.0,)
+    lines = [np.column_stack([side * x, flip * y]) for side in sides for flip in (1.0, -1.0)]
+    if circuit.shape != "circuit":
+        lines.append(np.array([[0.0, -half1], [0.0, half1]]))
+    return lines
+
+
+def gate_of(circuit: Circuit, x: NDArray[np.float64]) -> NDArray[np.int_]:
+    """Return in which gate each particle is: 1, 2, or 0 for none; shape (particle,)."""
+    inside = np.abs(x) <= 0.5 * circuit.channel1_length
+    return np.where(inside, np.where(x < 0.0, 1, 2), 0)
+
+
+def counted_by(circuit: Circuit, snapshot: Snapshot) -> NDArray[np.int_]:
+    """Return which gate counts each particle: in it and heading for the other; 0 for none."""
+    gate = gate_of(circuit, snapshot.x)
+    heads = np.where(gate == 1, snapshot.ux > 0.0, snapshot.ux < 0.0)
+    return np.where(heads, gate, 0)
+
+
+def next_gate(circuit: Circuit, snapshot: Snapshot) -> int:
+    """Return the gate whose count is nearer to exceeding T (the fuller one); 0: both are empty."""
+    gate = counted_by(circuit, snapshot)
+    first, second = np.count_nonzero(gate == 1), np.count_nonzero(gate == 2)
+    if first == second == 0:
+        return 0
+    return 1 if first >= second else 2
+
+
+def draw_table(axes: Axes, circuit: Circuit) -> None:
+    """Draw walls, shaded gates, the middle line and the periodic lines."""
+    half1 = 0.5 * circuit.channel1_width
+    reach = 0.5 * circuit.channel1_length
+    sides = (-1.0, 1.0) if circuit.shape == "circuit" else (-1.0,)
+    for side in sides:
+        left = -reach if side < 0 else 0.0
+        axes.add_patch(Rectangle((left, -half1), reach, 2 * half1, fc=GATE_TINT, lw=0, zorder=0))
+        axes.plot([side * reach] * 2, [-half1, half1], color=style.GREY, lw=0.7, ls=":", zorder=1)
+    for wall in walls(circuit):
+        axes.plot(*wall.T, color=style.BLACK, lw=1.0, solid_joinstyle="miter", zorder=2)
+    if circuit.shape == "circuit":
+        axes.plot([0, 0], [-half1, half1], color=style.BLACK, lw=0.8, ls="--", zorder=1)
+        if circuit.channel2_width > 0.0:
+            high = max(0.5 * circuit.channel2_width, 0.06 * circuit.urn_radius)
+            for side in sides:
+                end = side * circuit.end
+                axes.plot([end, end], [-high, high], color=style.BLACK, lw=0.8, ls="--")
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def _colours(circuit: Circuit, snapshot: Snapshot) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
+    """Return the colour of each particle, and whether it is counted by a gate."""
+    counted = counted_by(circuit, snapshot)
+    next_one = next_gate(circuit, snapshot)
+    colour = np.where(snapshot.x < 0.0, style.SKY, style.GREEN)
+    colour = np.where(counted > 0, style.ORANGE, colour)
+    return np.where((counted > 0) & (counted == next_one), style.VERMILION, colour), counted > 0
+
+
+def draw_particles(axes: Axes, circuit: Circuit, snapshot: Snapshot, size: float = 3.0) -> None:
+    """Draw the particles as dots, the counted ones larger and ringed."""
+    colour, counted = _colours(circuit, snapshot)
+    x, y = snapshot.x, snapshot.y
+    axes.scatter(x[~counted], y[~counted], s=size, c=colour[~counted], lw=0, zorder=3)
+    axes.scatter(
+        x[counted], y[counted], s=4 * size, c=colour[counted], ec=style.BLACK, lw=0.4, zorder=4
+    )
+
+
+def _draw_channel(axes: Axes, circuit: Circuit, snapshot: Snapshot) -> None:
+    """Draw channel 1 enlarged, with the velocities as arrows."""
+    draw_table(axes, circuit)
+    draw_particles(axes, circuit, snapshot, size=9.0)
+    colour, _ = _colours(circuit, snapshot)
+    reach, half1 = 0.5 * circuit.channel1_length, 0.5 * circuit.channel1_width
+    near = (np.abs(snapshot.x) <= 1.25 * reach) & (np.abs(snapshot.y) <= 1.5 * half1)
+    axes.quiver(
+        snapshot.x[near],
+        snapshot.y[near],
+        snapshot.ux[near],
+        snapshot.uy[near],
+        color=colour[near],
+        angles="xy",
+        scale_units="xy",
+        scale=1.0 / (0.07 * circuit.channel1_length),
+        width=0.0022,
+        zorder=3,
+    )
+    axes.set_xlim(-1.25 * reach, (1.25 if circuit.shape == "circuit" else 0.05) * reach)
+    axes.set_ylim(-1.6 * half1, 1.6 * half1)
+
+
+def _count_text(circuit: Circuit, snapshot: Snapshot) -> list[str]:
+    counted = counted_by(circuit, snapshot)
+    gates = (1, 2) if circuit.shape == "circuit" else (1,)
+    return [
+        f"gate {gate}: {np.count_nonzero(counted == gate)} counted, $T = {circuit.threshold}$"
+        for gate in gates
+    ]
+
+
+def _legend(made: Figure, circuit: Circuit) -> None:
+    looks = [(style.SKY, "half 1", False)]
+    if circuit.shape == "circuit":
+        looks.append((style.GREEN, "half 2", False))
+    looks += [
+        (style.ORANGE, "counted: heads for the other gate", True),
+        (style.VERMILION, "counted, in the gate nearer to a reversal", True),
+    ]
+    handles = [
+        made.axes[0].scatter([], [], s=22 if ring else 10, c=colour, label=label)
+        for colour, label, ring in looks
+    ]
+    for handle, (_, _, ring) in zip(handles, looks, strict=True):
+        handle.set_edgecolor(style.BLACK if ring else "none")
+        handle.set_linewidth(0.4)
+    made.legend(handles=handles, loc="outside lower center", ncols=4, handletextpad=0.2)
+
+
+def figure_scene(circuit: Circuit, snapshot: Snapshot) -> Figure:
+    """Return the picture of a snapshot: the whole table, and channel 1 enlarged."""
+    made = style.figure(style.PAGE, 4.6)
+    whole, channel = made.subplots(2, 1, height_ratios=(1.35, 1.0))
+    draw_table(whole, circuit)
+    draw_particles(whole, circuit, snapshot)
+    in_first = int(np.count_nonzero(snapshot.x < 0.0))
+    total = snapshot.x.size
+    spread = abs(total - 2 * in_first) / total
+    title = f"$t = {snapshot.time:g}$    $N = {total}$"
+    if circuit.shape == "circuit":
+        title += f"    $N_1 = {in_first}$    $N_2 = {total - in_first}$    $\\chi = {spread:.3f}$"
+    whole.set_title(title, loc="center")
+    _draw_channel(channel, circuit, snapshot)
+    texts = _count_text(circuit, snapshot)
+    for text, where in zip(texts, ("left", "right"), strict=False):
+        channel.set_title(text, loc=where, fontsize=8)
+    _legend(made, circuit)
+    return made

@@ -1,0 +1,1 @@
+"""What there is to say of runs: a page, warnings, comparisons with theories."""

@@ -1,0 +1,166 @@
+"""How far theories are from runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc import cli
+from postproc.reading.points import gather
+from postproc.reading.results import FLOWS as RESULT_FLOWS
+from postproc.reading.results import Results
+from postproc.theory.circuit import flow1, flow2, homogeneous_kind, single_urn_current
+from postproc.theory.renewal import THEORIES
+from postproc.theory.states import stationary_states
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from postproc.reading.points import Points
+    from postproc.theory.circuit import Circuit
+
+    Floats = NDArray[np.float64]
+
+POLARISED = 0.15
+
+
+FLOWS = ("dense1", "sparse1", "dense2", "sparse2")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How far a theory is from runs.
+
+    Attributes
+    ----------
+    theory : its name.
+    points : how many points were compared.
+    right_phase : share of them where homogeneous or polarised is told rightly.
+    chi : mean of |measured - expected chi| over polarised points.
+    upper_chi : the same over those with T above that of the largest chi of their N, w and w'.
+    current : root mean square of (theory - measured)/theory of the net current over them; for the
+        single urn, of its current.
+    measured_chi : mean of the standard errors of chi there, the least to be hoped for.
+    dense1, sparse1, dense2, sparse2 : measured flows over expected ones at the measured spread, of
+        the dense and the sparse urn through channels 1 and 2, summed over polarised points.
+    """
+
+    theory: str
+    points: int
+    right_phase: float
+    chi: float
+    upper_chi: float
+    current: float
+    measured_chi: float
+    dense1: float = math.nan
+    sparse1: float = math.nan
+    dense2: float = math.nan
+    sparse2: float = math.nan
+
+
+def _expected(circuit: Circuit, chi: float) -> tuple[float, float]:
+    """Return chi and net current of the stable state nearest to the measured chi."""
+    choices = [
+        (state.mass_spread, state.net_current)
+        for state in stationary_states(circuit)
+        if state.kind == "stable"
+    ]
+    if homogeneous_kind(circuit) != "unstable":
+        choices.append((0.0, 0.0))
+    return min(choices, key=lambda choice: abs(choice[0] - chi))
+
+
+def _root_mean_square(values: Sequence[float]) -> float:
+    return math.sqrt(np.mean(np.square(values))) if len(values) else math.nan
+
+
+def flow_ratios(files: Sequence[Results], changes: dict[str, object]) -> dict[str, float]:
+    """Return measured over expected flows (`Comparison`) of the polarised circuits of all files."""
+    measured, expected = np.zeros(4), np.zeros(4)
+    for results in files:
+        chi = results.value("chi")
+        flows = {name: results.value(name) for name in RESULT_FLOWS}
+        polarised = results.done & (chi > POLARISED)
+        for point in np.flatnonzero(polarised.any(axis=1)):
+            circuit = replace(results.circuit(int(point)), **changes)
+            spread = chi[point][polarised[point]]
+            one, other = (0.5 * float(circuit.number) * (1.0 + sign * spread) for sign in (1, -1))
+            expected += [
+                flow(circuit, number).sum() for flow in (flow1, flow2) for number in (one, other)
+            ]
+            there = [flows[name][point][polarised[point]] for name in RESULT_FLOWS]
+            first_dense = there[2] > there[3]
+            for at, (ahead, back) in enumerate((there[:2], there[2:])):
+                measured[2 * at] += np.where(first_dense, ahead, back).sum()
+                measured[2 * at + 1] += np.where(first_dense, back, ahead).sum()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return dict(zip(FLOWS, (measured / expected).tolist(), strict=True))
+
+
+def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, object]) -> Comparison:
+    """Return how far one theory is from the circuits of all files."""
+    points = gather(files)
+    known = points.where(np.isfinite(points.chi))
+    polarised, upper = known.chi > POLARISED, _upper(known)
+    circuits = [
+        replace(files[file].circuit(int(point)), **changes)
+        for file, point in zip(known.file, known.point, strict=True)
+    ]
+    expected = [_expected(one, chi) for one, chi in zip(circuits, known.chi, strict=True)]
+    chi, current = np.array(expected).T
+    apart, both = np.abs(known.chi - chi), polarised & (current > 0.0)
+    return Comparison(
+        name,
+        known.number.size,
+        float(np.mean((chi > POLARISED) == polarised)),
+        _mean(apart[polarised]),
+        _mean(apart[polarised & upper]),
+        _root_mean_square((current[both] - known.current[both]) / current[both]),
+        _mean(known.chi_error[polarised]),
+        **flow_ratios(files, changes),
+    )
+
+
+def _mean(values: Floats) -> float:
+    return float(np.mean(values)) if values.size else math.nan
+
+
+def _upper(points: Points) -> NDArray[np.bool_]:
+    """Tell which points have a larger T than the one of their N, w and w' with the largest chi."""
+    lines = np.stack([points.number, points.channel1_width, points.channel2_width])
+    found = np.zeros(points.number.size, bool)
+    for line in np.unique(lines, axis=1).T:
+        own = np.flatnonzero((line == lines.T).all(axis=1))
+        top = own[np.argmax(points.chi[own])]
+        found[own] = points.threshold[own] > points.threshold[top]
+    return found
+
+
+def compare_urn(files: Sequence[Results], name: str, changes: dict[str, object]) -> Comparison:
+    """Return how far one theory is from the currents of the single urns of all files."""
+    points = gather(files)
+    known = points.where(np.isfinite(points.current))
+    relative = []
+    for at in range(known.number.size):
+        circuit = files[known.file[at]].circuit(int(known.point[at]))
+        urn = replace(circuit, **changes)
+        expected = float(single_urn_current(urn))
+        free = float(single_urn_current(replace(urn, threshold=urn.number)))
+        if expected > 0.01 * free:
+            relative.append((expected - known.current[at]) / expected)
+    rest = (math.nan, math.nan, math.nan, _root_mean_square(relative), math.nan)
+    return Comparison(name, len(relative), *rest)
+
+
+def compare(files: Sequence[Results]) -> list[Comparison]:
+    """Return the comparison of each theory with all files, which are of one shape."""
+    shapes = {results.shape for results in files}
+    if len(shapes) > 1:
+        raise cli.InputError("compare needs files of one shape, circuit or urn")
+    chosen = compare_circuit if shapes == {"circuit"} else compare_urn
+    return [chosen(files, name, changes) for name, changes in THEORIES.items()]

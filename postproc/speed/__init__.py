@@ -1,0 +1,1 @@
+"""How fast the program is: tables, changes between builds, ensembles on many ranks."""

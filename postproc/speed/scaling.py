@@ -1,0 +1,196 @@
+"""How an ensemble uses several ranks: speed-up, cost of a task beside its work, cost of a rank."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import statistics
+import subprocess
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from postproc import cli
+
+if TYPE_CHECKING:
+    pass
+
+SCAN = """&particles
+  number = {number}
+/
+&gate
+  threshold = {threshold}
+/
+&run
+  collisions = {collisions}
+  transient_collisions = {transient}
+/
+&scan
+  channel2_width_range = 0.002, 0.1, {points}
+  replicas = {replicas}
+/
+&output
+  file = 'scan.h5'
+/
+"""
+
+ENVIRONMENT = {
+    **os.environ,
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+}
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one run took: wall seconds, processor seconds of all ranks, memory of a rank in MB."""
+
+    wall: float
+    processor: float
+    memory: float
+
+
+def scan_text(
+    points: int, collisions: int, number: int = 1000, threshold: int = 7, replicas: int = 1
+) -> str:
+    """Return the namelist of a scan over w'."""
+    return SCAN.format(
+        number=number,
+        threshold=threshold,
+        collisions=collisions,
+        transient=collisions // 2,
+        points=points,
+        replicas=replicas,
+    )
+
+
+def run(program: Path, text: str, ranks: int, *, watch: bool = False) -> Cost:
+    """Run a scan in a folder of its own; raise if a task is missing at the end."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "scan.nml").write_text(text)
+        command = [str(program), "--quiet", "scan.nml"]
+        # One rank is started by mpirun, too: starting takes its time. Ranks bound to a processor
+        # could not step aside for what else runs there.
+        command = ["mpirun", "--bind-to", "none", "-n", str(ranks), *command]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        began = time.perf_counter()
+        process = subprocess.Popen(
+            command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        memory = _memory_of_ranks(process, program) if watch else [0.0]
+        said, _ = process.communicate()
+        wall = time.perf_counter() - began
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        if process.returncode:
+            text = said.decode(errors="replace")[:600].strip()
+            raise cli.InputError(f"{' '.join(command)}: {text}")
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Cost(wall, spent, max(memory, default=0.0))
+
+
+def _memory_of_ranks(process: subprocess.Popen[bytes], program: Path) -> list[float]:
+    """Watch a run until it ends; give the mean memory a rank (shared pages parted), in MB."""
+    seen: list[float] = []
+    name = program.resolve().name
+
+    def watch() -> None:
+        while process.poll() is None:
+            shares = [share for number in _children(process.pid) if (share := _share(number, name))]
+            if shares:
+                seen.append(statistics.mean(shares) / 1024.0)
+            time.sleep(0.3)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    process.wait()
+    watcher.join()
+    return seen
+
+
+def _children(parent: int) -> list[int]:
+    found: list[int] = []
+    for path in Path(f"/proc/{parent}/task").glob("*/children"):
+        with suppress(OSError):
+            found += [int(word) for word in path.read_text().split()]
+    return found
+
+
+def _share(number: int, name: str) -> float:
+    """Return the proportional set size of a process in kB; 0 if it is another program."""
+    with suppress(OSError):
+        if Path(f"/proc/{number}/comm").read_text().strip() == name:
+            text = Path(f"/proc/{number}/smaps_rollup").read_text()
+            found = re.search(r"^Pss: +(\d+) kB", text, re.MULTILINE)
+            return float(found.group(1)) if found else 0.0
+    return 0.0
+
+
+def speedup(program: Path, ranks: int, points: int, collisions: int, rounds: int) -> dict[str, Any]:
+    """Compare several ranks with one on the same scan, in turn."""
+    text = scan_text(points, collisions)
+    found = []
+    for turn in range(rounds):
+        # Who goes first changes from round to round.
+        order = (1, ranks) if turn % 2 == 0 else (ranks, 1)
+        costs = {n: run(program, text, n) for n in order}
+        one, more = costs[1], costs[ranks]
+        found.append(
+            {
+                "wall_seconds": [round(one.wall, 3), round(more.wall, 3)],
+                "processor_seconds": [round(one.processor, 3), round(more.processor, 3)],
+                "speedup": round(one.wall / more.wall, 3),
+                "processor_speedup": round(ranks * one.processor / more.processor, 3),
+            }
+        )
+    return {
+        "ranks": ranks,
+        "points": points,
+        "collisions": collisions,
+        "rounds": found,
+        "median_speedup": statistics.median(row["speedup"] for row in found),
+        "best_speedup": max(row["speedup"] for row in found),
+        "median_processor_speedup": statistics.median(row["processor_speedup"] for row in found),
+    }
+
+
+def overhead(program: Path, tasks: int, rounds: int) -> dict[str, Any]:
+    """Give what a task costs besides its work: many tasks against few, both with no work."""
+    few = scan_text(1, 1000, number=100, threshold=3, replicas=1)
+    many = scan_text(1, 1000, number=100, threshold=3, replicas=tasks + 1)
+    wall, processor = [], []
+    for _ in range(rounds):
+        least, most = run(program, few, 1), run(program, many, 1)
+        wall.append((most.wall - least.wall) / tasks)
+        processor.append((most.processor - least.processor) / tasks)
+    return {
+        "tasks": tasks,
+        "wall_seconds_a_task": statistics.median(wall),
+        "processor_seconds_a_task": statistics.median(processor),
+        "share_of_a_task_of_one_second": statistics.median(wall),
+    }
+
+
+def many_ranks(program: Path, numbers: list[int], tasks: int) -> list[dict[str, Any]]:
+    """Run tasks of next to no work on more ranks than there are processors."""
+    rows = []
+    for ranks in numbers:
+        few = run(program, scan_text(1, 1000, number=100, threshold=3), ranks)
+        text = scan_text(1, 1000, number=100, threshold=3, replicas=tasks)
+        found = run(program, text, ranks, watch=True)
+        rows.append(
+            {
+                "ranks": ranks,
+                "start_and_end_seconds": round(few.wall, 2),
+                "tasks": tasks,
+                "wall_seconds": round(found.wall, 2),
+                "processor_seconds_a_rank": round(found.processor / ranks, 3),
+                "memory_a_rank_mb": round(found.memory, 1),
+            }
+        )
+    return rows

@@ -1,0 +1,206 @@
+"""What an ensemble would do on many ranks: its way of sharing tasks, simulated event by event."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc.figures import style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+# As in src/ensemble (a test compares those named there): operations on the board for one task and
+# for one look, bytes on the list for a task, seconds between two looks of a rank, the most looks a
+# second of all ranks, the share of the time that looks may take, and the longest time between two.
+OPERATIONS_A_TASK = 5
+OPERATIONS_A_LOOK = 2
+BYTES_A_TASK = 8
+LOOK_INTERVAL = 0.1
+LOOKS_A_SECOND = 1.0e4
+LOOK_SHARE = 0.005
+LONGEST_INTERVAL = 5.0
+
+ORDERS = ("longest", "random", "static")
+
+
+@dataclass(frozen=True)
+class Network:
+    """Seconds that an operation on the board takes.
+
+    Attributes
+    ----------
+    latency : on the way there and back.
+    service : at the board, where only one operation is served at a time.
+    """
+
+    latency: float = 5.0e-6
+    service: float = 1.0e-6
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes
+    ----------
+    seconds : from the start to the end of the last task.
+    idle_share : share of all ranks' time not spent in tasks.
+    board_share : part of it spent at the board: on the way, waiting, and for looks.
+    end_share : part of it spent waiting for the last task after one's own last.
+    busy_least : share of its time that the least busy rank spends in tasks.
+    board_load : share of the time that the board serves an operation.
+    longest_wait : longest time a rank waits for its next task.
+    list_bytes : memory of the list of tasks, on rank 0 alone.
+    """
+
+    seconds: float
+    idle_share: float
+    board_share: float
+    end_share: float
+    busy_least: float
+    board_load: float
+    longest_wait: float
+    list_bytes: int
+
+
+def task_lengths(tasks: int, mean: float, spread: float, seed: int) -> Floats:
+    """Return log-normal lengths of so many tasks, in seconds.
+
+    Parameters
+    ----------
+    spread : standard deviation over the mean.
+    """
+    sigma = np.sqrt(np.log1p(spread**2))
+    normal = np.random.default_rng(seed).standard_normal(tasks)
+    return mean * np.exp(sigma * normal - 0.5 * sigma**2)
+
+
+def put_in_order(lengths: Floats, order: str, foresight: float, seed: int) -> Floats:
+    """Return the tasks as the list has them.
+
+    Parameters
+    ----------
+    order : `longest`: by falling expected length; else as they are.
+    foresight : relative error (log-normal) of the expected lengths.
+    """
+    if order != "longest":
+        return lengths
+    expected = lengths * task_lengths(len(lengths), 1.0, foresight, seed + 1)
+    return lengths[np.argsort(-expected, kind="stable")]
+
+
+def simulate(lengths: Floats, ranks: int, network: Network) -> Outcome:
+    """Share the tasks, in this order, among the ranks; the board gives them out one by one."""
+    work, board_time, load = _slowed(lengths, ranks, network)
+    service = OPERATIONS_A_TASK * network.service / max(1.0 - load, 1e-9)
+    latency = OPERATIONS_A_TASK * network.latency
+    # (time at which a rank comes to the board, rank); the board is free again at `free`.
+    coming = [(0.0, rank) for rank in range(ranks)]
+    spent = np.zeros(ranks)
+    free = longest_wait = last = 0.0
+    for length in work.tolist():
+        now, rank = coming[0]
+        served = max(now, free) + service
+        free = served
+        got = served + latency
+        longest_wait = max(longest_wait, got - now)
+        end = got + length
+        last = max(last, end)
+        spent[rank] += length
+        heapq.heapreplace(coming, (end, rank))
+    finished = np.zeros(ranks)
+    for end, rank in coming:
+        finished[rank] = end
+    total = ranks * last
+    busy = float(lengths.sum())
+    end_share = float((last - finished).sum()) / total
+    return Outcome(
+        seconds=last,
+        idle_share=1.0 - busy / total,
+        board_share=1.0 - busy / total - end_share,
+        end_share=end_share,
+        busy_least=float(spent.min()) / last * busy / float(work.sum()),
+        board_load=(OPERATIONS_A_TASK * network.service * len(lengths) + board_time) / last,
+        longest_wait=longest_wait,
+        list_bytes=BYTES_A_TASK * len(lengths),
+    )
+
+
+def _slowed(lengths: Floats, ranks: int, network: Network) -> tuple[Floats, float, float]:
+    """Return the lengths with the looks at the board, their time at the board, and their load."""
+    cost = OPERATIONS_A_LOOK * (network.latency + network.service)
+    interval = max(LOOK_INTERVAL, ranks / LOOKS_A_SECOND, cost / LOOK_SHARE)
+    looks = np.floor(lengths / min(interval, LONGEST_INTERVAL))
+    board_time = float(looks.sum()) * OPERATIONS_A_LOOK * network.service
+    seconds = float(lengths.sum()) / min(ranks, len(lengths))
+    return lengths + cost * looks, board_time, min(board_time / seconds, 1.0)
+
+
+def simulate_static(lengths: Floats, ranks: int) -> Outcome:
+    """Deal the tasks out beforehand, equally many to each rank, as a shell loop does."""
+    shares = np.zeros(ranks)
+    np.add.at(shares, np.arange(len(lengths)) % ranks, lengths)
+    last = float(shares.max())
+    idle = 1.0 - float(shares.mean()) / last
+    return Outcome(last, idle, 0.0, idle, float(shares.min()) / last, 0.0, 0.0, 0)
+
+
+def run_order(
+    lengths: Floats, ranks: int, network: Network, order: str, foresight: float
+) -> Outcome:
+    """Share the tasks in one of the `ORDERS`."""
+    if order == "static":
+        return simulate_static(lengths, ranks)
+    return simulate(put_in_order(lengths, order, foresight, 0), ranks, network)
+
+
+def draw(
+    ranks: int, tasks: int, mean: float, spread: float, foresight: float, network: Network
+) -> Figure:
+    """Draw the idle share against tasks a rank, and against the mean length of a task."""
+    made = style.figure(style.PAGE, 2.9)
+    left, right = made.subplots(1, 2)
+    labels = {
+        "longest": "list, longest first",
+        "random": "list, any order",
+        "static": "dealt out beforehand",
+    }
+    numbers = np.unique(np.geomspace(1, max(tasks // ranks, 2), 9).round().astype(int))
+    for order, colour in zip(ORDERS, style.CYCLE, strict=False):
+        shares = [
+            run_order(task_lengths(n * ranks, mean, spread, 1), ranks, network, order, foresight)
+            for n in numbers.tolist()
+        ]
+        idle = [found.idle_share for found in shares]
+        left.loglog(numbers, idle, "o-", color=colour, label=labels[order])
+    left.set_xlabel("tasks a rank")
+    left.set_ylabel("share of time not in tasks")
+    left.set_title(f"{ranks:,} ranks, tasks of {mean:g} s ± {100 * spread:.0f} %")
+    left.legend()
+    means = np.geomspace(1e-2, 1e2, 9)
+    few = min(tasks, 20 * ranks)
+    cases = (
+        (network, f"{1e6 * network.latency:g} µs + {1e6 * network.service:g} µs an operation"),
+        (Network(20 * network.latency, 10 * network.service), "20 and 10 times as much"),
+        (Network(2.0e-3, network.service), "2 ms on the way (rank 0 must help)"),
+    )
+    for (slow, label), colour in zip(cases, style.CYCLE, strict=False):
+        shares = [
+            simulate(np.sort(task_lengths(few, m, spread, 1))[::-1], ranks, slow)
+            for m in means.tolist()
+        ]
+        board = [max(found.board_share, 1e-7) for found in shares]
+        right.loglog(means, board, "o-", color=colour, label=label)
+    right.axhline(0.01, color=style.GREY, linestyle=":", linewidth=0.8)
+    right.set_xlabel("mean length of a task, s")
+    right.set_ylabel("share of time at the board")
+    right.set_title(f"{ranks:,} ranks, {few // ranks} tasks each")
+    right.legend()
+    return made

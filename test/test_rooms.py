@@ -1,0 +1,87 @@
+"""The house: no room knows one below it in docs/rooms.txt, and no two modules know each other."""
+
+from __future__ import annotations
+
+import ast
+import re
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+USE = re.compile(r"^\s*use\s*(?:,\s*non_intrinsic\s*)?(?:::)?\s*(\w+)", re.MULTILINE)
+UNIT = re.compile(r"^\s*(module|submodule)\s*(?:\((.*)\))?\s*(\w+)\s*$", re.MULTILINE)
+
+
+def order_of(house: str) -> list[str]:
+    """Return the rooms of `src` or `postproc`, as docs/rooms.txt lists them."""
+    text = (ROOT / "docs/rooms.txt").read_text(encoding="utf-8")
+    found = re.search(rf"^{house}\n((?:  .*\n)+)", text, re.MULTILINE)
+    return [line.split()[0] for line in found[1].splitlines()]
+
+
+def fortran() -> tuple[dict[str, str], dict[str, set[str]]]:
+    """Return the room of each module of src, and the modules that it uses."""
+    rooms, uses = {}, {}
+    for path in sorted((ROOT / "src").rglob("*.[fF]90")):
+        text = path.read_text(encoding="utf-8").lower()
+        for kind, parent, name in UNIT.findall(text):
+            rooms[name] = path.relative_to(ROOT / "src").parts[0]
+            uses[name] = set(USE.findall(text)) | ({parent.split(":")[0]} if parent else set())
+            assert kind == "submodule" or not parent
+    return rooms, {name: {one for one in used if one in rooms} for name, used in uses.items()}
+
+
+def python() -> tuple[dict[str, str], dict[str, set[str]]]:
+    """Return the room of each module of postproc, its tests left out, and what it imports."""
+    files = [path.relative_to(ROOT) for path in sorted((ROOT / "postproc").rglob("*.py"))]
+    files = [path for path in files if path.parts[1] not in ("tests", "__init__.py")]
+    names = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): path for path in files}
+    rooms, uses = {}, {}
+    for name, path in names.items():
+        inner = path.parts[1] if len(path.parts) > 2 else path.stem
+        rooms[name] = inner if inner in order_of("postproc") else "commands"
+        uses[name] = {one for one in imported(path) if one in names}
+    return rooms, uses
+
+
+def imported(path: Path) -> set[str]:
+    """Return every module that a file may import, names imported from packages among them."""
+    found = set()
+    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {one.name for one in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {node.module, *(f"{node.module}.{one.name}" for one in node.names)}
+    return found
+
+
+HOUSES = {"src": fortran, "postproc": python}
+
+
+@pytest.mark.parametrize("house", HOUSES)
+def test_no_arrow_points_upwards(house: str) -> None:
+    rooms, uses = HOUSES[house]()
+    order = order_of(house)
+    assert set(rooms.values()) <= set(order)
+    arrows = [(name, one) for name, used in uses.items() for one in used]
+    places = {name: order.index(room) for name, room in rooms.items()}
+    assert [f"{one} -> {other}" for one, other in arrows if places[other] > places[one]] == []
+
+
+def test_mpi_and_hdf5_have_one_room_each() -> None:
+    for path in (ROOT / "src").rglob("*.[fF]90"):
+        used = set(USE.findall(path.read_text(encoding="utf-8").lower()))
+        assert path.stem == "communicator" or not used & {"mpi", "mpi_f08"}, path
+        assert path.parent.name == "store" or not used & {"hdf5", "h5ds"}, path
+
+
+@pytest.mark.parametrize("house", HOUSES)
+def test_no_modules_know_each_other(house: str) -> None:
+    _, uses = HOUSES[house]()
+    assert len(uses) > 30
+    try:
+        TopologicalSorter(uses).prepare()
+    except CycleError as error:
+        pytest.fail(f"a circle: {' -> '.join(reversed(error.args[1]))}")
