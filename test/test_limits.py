@@ -215,6 +215,17 @@ LONG: dict[str, tuple[dict[str, dict[str, Any]], list[str]]] = {
         {"run": {"duration": 1000}, "output": {"series_interval": "5e-5"}},
         [],
     ),
+    **{
+        f"{engine} in a narrow channel": (
+            {
+                "table": {"channel1_width": "1e-12"},
+                "particles": {"number": 1, "initial_file": "'start.txt'"},
+                "run": {"engine": f"'{engine}'", "duration": 100},
+            },
+            [],
+        )
+        for engine in ("collision", "synchronous")
+    },
     "synchronous": (
         {
             "particles": {"number": 200_000},
@@ -230,6 +241,7 @@ def test_a_signal_is_heard(tmp_path: Path, case: str) -> None:
     """Whatever a run is at, a signal ends it with exit 3 long before it would be done."""
     changes, arguments = LONG[case]
     write(tmp_path, **changes)
+    (tmp_path / "start.txt").write_text("0 1e-13 0.1 1\n")
     process = start(*arguments, "case.nml", folder=tmp_path)
     time.sleep(1.0)
     assert process.poll() is None

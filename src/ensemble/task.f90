@@ -150,7 +150,7 @@ contains
     do window = 1, max(1, windows_between_looks*few_particles &
       /max(few_particles, simulation%engine%number))
       call step(simulation)
-      if (simulation%done) exit
+      if (simulation%done .or. stop_requested()) exit
     end do
   end subroutine some_steps
 
