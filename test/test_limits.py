@@ -11,7 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from support.program import ENVIRONMENT, PATIENCE, PROGRAM, finish, namelist, run, start, wait_for
+from support.program import (
+    ENVIRONMENT,
+    PATIENCE,
+    PROGRAM,
+    finish,
+    namelist,
+    run,
+    start,
+    wait_for,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -115,8 +124,8 @@ def test_a_state_is_saved_where_the_run_just_fits(tmp_path: Path, engine: str) -
     state = tmp_path / "out.h5.tasks/task_1.b"
     for _ in range(2):
         process = start("case.nml", folder=tmp_path, prepare=room_for(most))
-        before = state.stat().st_mtime_ns if state.exists() else 0
-        assert wait_for(lambda: state.exists() and state.stat().st_mtime_ns != before, process)
+        state.unlink(missing_ok=True)
+        assert wait_for(state.exists, process)
         process.send_signal(signal.SIGUSR1)
         ended = finish(process)
         assert ended.returncode == 3, (most, ended)

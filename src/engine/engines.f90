@@ -38,8 +38,8 @@ contains
 
   !> Bytes that an engine takes for each particle at most, with the positions and velocities that it
   !> starts from, where memory is taken in powers of two, and with two copies of its state while
-  !> that is saved or read, as may happen at any time. Measured: 196, 177, 139, 109, 244; without a state
-  !> 93, 87, 92, 65, 89.
+  !> that is saved or read, as may happen at any time. Measured: 196, 177, 139, 109, 244;
+  !> without a state 93, 87, 92, 65, 89.
   pure function bytes_a_particle(name) result(bytes)
     character(len=*), intent(in) :: name
     real(dp) :: bytes
