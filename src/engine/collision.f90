@@ -24,6 +24,10 @@ module battery_collision
   !> A window is at most so many urn radii long, and has about so many events at most.
   real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp
 
+  !> A window ends after so many wall collisions, far more than usual: in a channel that is hardly
+  !> wider than nothing a single particle would keep the run from hearing a signal.
+  integer(int64), parameter :: most_hits = 2_int64**24
+
   type, extends(engine_type) :: collision_type
     private
     type(scene_type) :: scene
@@ -108,6 +112,10 @@ contains
       history%collision_spread_sum = history%collision_spread_sum + hits*abs(self%scene%difference)
       time = self%tournament%node(1)%time
       if (time >= ends) exit
+      if (history%collisions_seen >= most_hits) then
+        ends = time
+        exit
+      end if
       call live_instant(self, time, began, history)
     end do
     self%now = ends
@@ -131,7 +139,7 @@ contains
     do
       time = tournament%node(1)%time
       i = tournament%node(1)%particle
-      if (time >= ends .or. flight(i)%next > meets_wall) exit
+      if (time >= ends .or. flight(i)%next > meets_wall .or. hits >= most_hits) exit
       call fly(flight(i), time - flight(i)%time)
       if (flight(i)%next == meets_arc) then
         call hit_arc(walls, flight(i), wait)

@@ -19,7 +19,7 @@ module battery_journal
   use battery_journal_folder, only: numbers_in, check_journal, remove_journal
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single
+    write_single, read_single, move_record, free_record
   use battery_task_result, only: task_result_type, task_complete, to_record, is_result, &
     from_record
   use battery_engine, only: engine_state_type
@@ -297,6 +297,8 @@ contains
     type(engine_state_type) :: state(3)
     type(record_type) :: record
     character(len=:), allocatable :: name
+    integer(int64) :: at(2), sizes(9)
+    integer :: k
 
     call check_ownership(journal, error)
     if (allocated(error)) return
@@ -304,10 +306,19 @@ contains
     record%owner = state_owner(journal%owner)
     record%tag = task
     journal%generation = journal%generation + 1
-    record%integers = [journal%generation, sizes_of(state(1)), sizes_of(state(2)), &
-      sizes_of(state(3)), state(1)%integers, state(2)%integers, state(3)%integers]
-    record%reals = real([real(cpu_seconds, wp), state(1)%reals, state(2)%reals, state(3)%reals], dp)
+    sizes = [sizes_of(state(1)), sizes_of(state(2)), sizes_of(state(3))]
+    allocate (record%integers(10 + sum(sizes(1::3))), record%reals(1 + sum(sizes(2::3))))
+    record%integers(:10) = [journal%generation, sizes]
+    record%reals(1) = cpu_seconds
     record%bytes = [state(1)%bytes, state(2)%bytes, state(3)%bytes]
+    at = [10, 1]
+    do k = 1, 3
+      record%integers(at(1) + 1:at(1) + sizes(3*k - 2)) = state(k)%integers
+      record%reals(at(2) + 1:at(2) + sizes(3*k - 1)) = real(state(k)%reals, dp)
+      at = at + sizes(3*k - 2:3*k - 1)
+      ! Of a large state there are never more copies than two.
+      deallocate (state(k)%integers, state(k)%reals, state(k)%bytes)
+    end do
     name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
     call write_single(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
@@ -340,11 +351,9 @@ contains
     cpu_seconds = 0.0_dp
     call read_own('.a', record, found)
     call read_own('.b', other, other_found)
-    if (other_found .and. found) then
-      if (other%integers(1) > record%integers(1)) record = other
-    else if (other_found) then
-      record = other
-    end if
+    if (other_found .and. found) other_found = other%integers(1) > record%integers(1)
+    if (other_found) call move_record(other, record)
+    call free_record(other)
     found = found .or. other_found
     if (.not. found) return
     journal%generation = record%integers(1)
@@ -357,6 +366,7 @@ contains
       state(k)%bytes = record%bytes(at(3) + 1:at(3) + sizes(3))
       at = at + sizes
     end do
+    call free_record(record)
     call restore_simulation(simulation, setup, state(1), state(2), state(3), error)
 
   contains
