@@ -18,7 +18,7 @@ module battery_journal
   use battery_journal_folder, only: numbers_in, check_journal, remove_journal
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single
+    write_single, read_single, move_record, free_record
   use battery_task_result, only: task_result_type, task_complete, to_record, &
     from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
@@ -263,7 +263,11 @@ contains
     record%owner = kept
     record%tag = task
     journal%generation = journal%generation + 1
-    record%integers = [journal%generation, stream%word(:stream%length)]
+    allocate (record%integers(1 + stream%length))
+    record%integers(1) = journal%generation
+    record%integers(2:) = stream%word(:stream%length)
+    ! Of a large state there are never more copies than two.
+    deallocate (stream%word)
     record%reals = [cpu_seconds]
     allocate (record%bytes(0))
     name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
@@ -290,16 +294,15 @@ contains
     cpu_seconds = 0.0_dp
     call read_own('.a', record, found)
     call read_own('.b', other, other_found)
-    if (other_found .and. found) then
-      if (other%integers(1) > record%integers(1)) record = other
-    else if (other_found) then
-      record = other
-    end if
+    if (other_found .and. found) other_found = other%integers(1) > record%integers(1)
+    if (other_found) call move_record(other, record)
+    call free_record(other)
     found = found .or. other_found
     if (.not. found) return
     journal%generation = record%integers(1)
     cpu_seconds = record%reals(1)
     stream = stream_of(record%integers(2:))
+    call free_record(record)
     call pass_simulation(simulation, setup, stream, error)
 
   contains
