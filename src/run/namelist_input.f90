@@ -108,20 +108,18 @@ contains
     do at = 1, size(settings%all) - 1
       ! A list stands before its range.
       if (settings%all(at)%key%group /= 'scan' .or. .not. settings%all(at + 1)%key%is_range) cycle
+      one%key = settings%all(at)%key%name
       if (settings%all(at)%given .and. settings%all(at + 1)%given) then
-        call add_problem(settings, problem_type('scan', settings%all(at + 1)%key%name, &
-          'is given beside '//settings%all(at)%key%name, 'one of the two'))
+        call refuse_range('is given beside '//one%key, 'one of the two')
       else if (settings%all(at)%given .and. settings%all(at)%known) then
-        one%key = settings%all(at)%key%name
         one%values = values_of(settings%all(at))
         call append(one)
       else if (settings%all(at + 1)%given .and. settings%all(at + 1)%known) then
-        one%key = settings%all(at)%key%name
         one%values = range_of(settings%all(at + 1), settings%all(at)%key%kind == whole_key)
         if (settings%all(at)%key%kind == whole_key .and. &
           any(one%values > settings%all(at)%key%greatest)) then
-          call add_problem(settings, problem_type('scan', settings%all(at + 1)%key%name, &
-            to_text(maxval(one%values)), 'numbers up to '//to_text(settings%all(at)%key%greatest)))
+          call refuse_range(to_text(maxval(one%values)), 'numbers up to ' &
+            //to_text(settings%all(at)%key%greatest))
         else
           call append(one)
         end if
@@ -129,6 +127,18 @@ contains
     end do
 
   contains
+
+    subroutine refuse_range(value, allowed)
+      character(len=*), intent(in) :: value, allowed
+      type(problem_type) :: problem
+
+      ! One by one: gfortran 12 loses a component's text in a structure constructor.
+      problem%group = 'scan'
+      problem%key = settings%all(at + 1)%key%name
+      problem%value = value
+      problem%allowed = allowed
+      call add_problem(settings, problem)
+    end subroutine refuse_range
 
     subroutine append(one)
       type(scanned_type), intent(in) :: one

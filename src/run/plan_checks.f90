@@ -1,6 +1,7 @@
 !> How the parts of a plan fit together.
 submodule (battery_plan) battery_plan_checks
   use battery_text, only: to_text
+  use battery_identity, only: twelve_digits
   use battery_bounds, only: bounds_type, radius_bounds, length_bounds, width_bounds, time_bounds, &
     clock_bounds, complaint, whole_of, can_count_hits
   implicit none (type, external)
@@ -152,6 +153,7 @@ contains
     integer :: at, k, again
 
     numbers = [real(plan%base%number, wp)]
+    if (plan%base%number == not_given) numbers = [real(wp) ::]
     do at = 1, size(plan%scanned)
       if (plan%scanned(at)%key == 'number') numbers = plan%scanned(at)%values
     end do
@@ -169,18 +171,19 @@ contains
     end do
   end subroutine check_repeats
 
-  !> Place of the first value that stands in a list before; 0 if there is none. Numbers equal to 12
-  !> digits are equal.
+  !> Place of the first value that stands in a list before; 0 if there is none. Numbers are equal
+  !> where those of tasks are (`battery_identity`).
   function first_repeat(values) result(place)
     real(wp), intent(in) :: values(:)
     integer :: place
+    real(wp) :: known(size(values))
     integer :: order(size(values)), k
 
-    call sort(values, order)
+    known = twelve_digits(values)
+    call sort(known, order)
     place = huge(1)
     do k = 2, size(order)
-      if (abs(values(order(k)) - values(order(k - 1))) <= 0.5e-11_wp*abs(values(order(k)))) &
-        place = min(place, max(order(k), order(k - 1)))
+      if (known(order(k)) <= known(order(k - 1))) place = min(place, max(order(k), order(k - 1)))
     end do
     if (place == huge(1)) place = 0
   end function first_repeat

@@ -1,0 +1,195 @@
+!> Where two things differ that should be the same, in words; empty where they do not.
+!>
+!> Numbers are compared bit by bit, but for the sign of a zero; what is not known equals itself.
+module differences
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
+  use battery_kinds, only: wp, dp, int64
+  use battery_error, only: error_type
+  use battery_engine, only: particles_type
+  use battery_observer, only: observer_type, pass_observer
+  use battery_record_file, only: record_type
+  use battery_simulation, only: simulation_type, pass_simulation
+  use battery_stream, only: stream_type, new_stream
+  use battery_task_result, only: task_result_type, to_record
+  use battery_text, only: to_text
+  use scenes, only: log_type, same_bits
+  implicit none (type, external)
+  private
+  public :: first_difference
+
+  interface first_difference
+    module procedure :: of_numbers, of_particles, of_logs, of_observers, of_results, of_simulations
+  end interface first_difference
+
+contains
+
+  !> Of two rows of numbers, bit by bit or to a tolerance.
+  pure function of_numbers(a, b, tolerance) result(text)
+    real(wp), intent(in) :: a(:), b(:)
+    !> Absolute; absent: none.
+    real(wp), intent(in), optional :: tolerance
+    character(len=:), allocatable :: text
+    integer :: k
+
+    text = of_sizes(size(a), size(b), 'numbers')
+    if (text /= '') return
+    do k = 1, size(a)
+      if (same_bits(a(k), b(k))) cycle
+      if (present(tolerance)) then
+        if (abs(a(k) - b(k)) <= tolerance) cycle
+      end if
+      text = 'number '//to_text(k)//': '//to_text(a(k))//' and '//to_text(b(k))
+      return
+    end do
+  end function of_numbers
+
+  !> Of two counts.
+  pure function of_sizes(a, b, what) result(text)
+    integer, intent(in) :: a, b
+    character(len=*), intent(in) :: what
+    character(len=:), allocatable :: text
+
+    text = ''
+    if (a /= b) text = to_text(a)//' and '//to_text(b)//' '//what
+  end function of_sizes
+
+  !> Of two sets of particles.
+  pure function of_particles(a, b, tolerance) result(text)
+    type(particles_type), intent(in) :: a, b
+    !> Absolute, of all four numbers; absent: none.
+    real(wp), intent(in), optional :: tolerance
+    character(len=:), allocatable :: text
+
+    text = named('x', of_numbers(a%x, b%x, tolerance))
+    if (text == '') text = named('y', of_numbers(a%y, b%y, tolerance))
+    if (text == '') text = named('ux', of_numbers(a%ux, b%ux, tolerance))
+    if (text == '') text = named('uy', of_numbers(a%uy, b%uy, tolerance))
+  end function of_particles
+
+  !> A difference with the name of what differs.
+  pure function named(name, difference) result(text)
+    character(len=*), intent(in) :: name, difference
+    character(len=:), allocatable :: text
+
+    text = difference
+    if (text /= '') text = name//', '//difference
+  end function named
+
+  !> Of the events of two logs: the same in the same order, at times that differ by no more than
+  !> `tolerance` times exp(rate t).
+  pure function of_logs(a, b, tolerance, rate) result(text)
+    type(log_type), intent(in) :: a, b
+    real(wp), intent(in) :: tolerance, rate
+    character(len=:), allocatable :: text
+    integer :: k
+
+    text = ''
+    do k = 1, min(a%events, b%events)
+      if (all([a%kind(k), a%where(k), a%particle(k)] == [b%kind(k), b%where(k), b%particle(k)]) &
+        .and. abs(a%time(k) - b%time(k)) <= tolerance*exp(rate*a%time(k))) cycle
+      text = 'event '//to_text(k)//': '//event_text(a, k)//'; and '//event_text(b, k)
+      return
+    end do
+    text = of_sizes(a%events, b%events, 'events')
+  end function of_logs
+
+  !> One event of a log.
+  pure function event_text(log, k) result(text)
+    type(log_type), intent(in) :: log
+    integer, intent(in) :: k
+    character(len=:), allocatable :: text
+
+    text = 'kind '//to_text(log%kind(k))//' where '//to_text(log%where(k))//' particle ' &
+      //to_text(log%particle(k))//' at '//to_text(log%time(k))
+  end function event_text
+
+  !> Of all that two observers know.
+  pure function of_observers(a, b) result(text)
+    type(observer_type), intent(in) :: a, b
+    character(len=:), allocatable :: text
+    type(observer_type) :: one, other
+    type(stream_type) :: first, second
+
+    one = a
+    other = b
+    first = new_stream()
+    second = new_stream()
+    call pass_observer(one, first)
+    call pass_observer(other, second)
+    text = of_words(first%word(:first%length), second%word(:second%length))
+    if (text /= '') text = 'observers, '//text//', times '//to_text(a%time)//' and ' &
+      //to_text(b%time)//', entries '//to_text(a%entries)//' and '//to_text(b%entries)
+  end function of_observers
+
+  !> Of the words of two states or records.
+  pure function of_words(a, b) result(text)
+    integer(int64), intent(in) :: a(:), b(:)
+    character(len=:), allocatable :: text
+    integer :: k
+
+    text = ''
+    do k = 1, min(size(a), size(b))
+      if (a(k) == b(k)) cycle
+      text = 'word '//to_text(k)//': '//to_text(a(k))//' and '//to_text(b(k))
+      return
+    end do
+    text = of_sizes(size(a), size(b), 'words')
+  end function of_words
+
+  !> Of two results, but for the numbers of their tasks.
+  function of_results(a, b) result(text)
+    type(task_result_type), intent(in) :: a, b
+    character(len=:), allocatable :: text
+    type(record_type) :: one, other
+
+    text = named('messages', of_sizes(len(a%message), len(b%message), 'letters'))
+    if (text == '' .and. a%message /= b%message) text = a%message//' and '//b%message
+    if (text == '') text = named('averages', of_numbers(known(a%measured%average), &
+      known(b%measured%average)))
+    if (text == '') text = named('errors', of_numbers(known(a%measured%error), &
+      known(b%measured%error)))
+    if (text /= '') return
+    one = to_record(a)
+    other = to_record(b)
+    text = of_words(one%integers, other%integers)
+  end function of_results
+
+  !> Numbers with some number for those that are not known.
+  elemental function known(number)
+    real(dp), intent(in) :: number
+    real(wp) :: known
+
+    known = -huge(1.0_wp)
+    if (.not. ieee_is_nan(number)) known = real(number, wp)
+  end function known
+
+  !> Of two simulations: where their particles are, what they count, and all that their states hold.
+  function of_simulations(a, b) result(text)
+    type(simulation_type), intent(inout) :: a, b
+    character(len=:), allocatable :: text
+    type(particles_type) :: here, there
+    type(stream_type) :: first, second
+    type(error_type), allocatable :: error
+    integer(int64) :: hits(2)
+
+    text = of_observers(a%observer, b%observer)
+    if (text == '') text = named('clocks', of_numbers([a%engine%clock()], [b%engine%clock()]))
+    hits = [a%engine%collisions(), b%engine%collisions()]
+    if (text == '' .and. hits(1) /= hits(2)) text = to_text(hits(1))//' and '//to_text(hits(2)) &
+      //' collisions'
+    if (text /= '') return
+    first = new_stream()
+    second = new_stream()
+    call pass_simulation(a, a%setup, first, error)
+    if (.not. allocated(error)) call pass_simulation(b, b%setup, second, error)
+    if (allocated(error)) then
+      text = error%message
+      return
+    end if
+    call a%engine%particles(1, a%engine%number, here)
+    call b%engine%particles(1, b%engine%number, there)
+    text = of_particles(here, there)
+    if (text == '') text = of_words(first%word(:first%length), second%word(:second%length))
+  end function of_simulations
+
+end module differences
