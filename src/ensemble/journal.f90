@@ -15,19 +15,18 @@ module battery_journal
   use battery_background_sync, only: sync_type, begin_sync, end_sync
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_like
-  use battery_journal_folder, only: numbers_in, check_journal, remove_journal
+  use battery_journal_folder, only: numbers_in
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single, move_record, free_record
-  use battery_task_result, only: task_result_type, task_complete, to_record, &
-    from_record
+    write_single, read_single, free_record
+  use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
   use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
-  public :: rank_files_in, rank_files_of, kept_in, settle_journal, check_journal
-  public :: write_finished, write_state, read_state, remove_states, remove_journal
+  public :: rank_files_in, rank_files_of, kept_in, settle_journal
+  public :: write_finished, write_state, read_state, remove_states
 
   type :: journal_type
     character(len=:), allocatable :: folder
