@@ -18,7 +18,7 @@ module battery_journal
   use battery_journal_folder, only: numbers_in
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single, free_record
+    write_single, read_single, move_record, free_record
   use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
   use battery_stream, only: stream_type, new_stream, stream_of
