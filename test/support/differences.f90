@@ -18,7 +18,8 @@ module differences
   public :: first_difference
 
   interface first_difference
-    module procedure :: of_numbers, of_particles, of_logs, of_observers, of_results, of_simulations
+    module procedure :: of_numbers, of_planes, of_particles, of_logs, of_observers, &
+      of_results, of_simulations
   end interface first_difference
 
 contains
@@ -42,6 +43,14 @@ contains
       return
     end do
   end function of_numbers
+
+  !> Of two planes of numbers, bit by bit.
+  pure function of_planes(a, b) result(text)
+    real(wp), intent(in) :: a(:, :), b(:, :)
+    character(len=:), allocatable :: text
+
+    text = of_numbers(pack(a, .true.), pack(b, .true.))
+  end function of_planes
 
   !> Of two counts.
   pure function of_sizes(a, b, what) result(text)

@@ -12,7 +12,7 @@ module scenes
   private
   public :: qp, table_3_4_5, uneven_table, paper_table, draw, scatter, pick, mirrored_x, &
     mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
-  public :: log_type, run_for, same_log, tally
+  public :: log_type, run_for, same_log, totals_of, tally
   public :: plain_type, plain_start, plain_run
   public :: save_engine, restore_engine
   public :: bounce_through, facing, channel_of
@@ -298,6 +298,16 @@ contains
       .and. all(a%particle(:n) == b%particle(:n)) &
       .and. all(abs(a%time(:n) - b%time(:n)) <= tolerance*exp(rate*a%time(:n)))
   end function same_log
+
+  !> What a run adds up to: wall collisions, reversals, turned back, crossings of each kind.
+  pure function totals_of(log, collisions) result(totals)
+    type(log_type), intent(in) :: log
+    !> As the engine counts them; the log tells of some before they happen.
+    integer(int64), intent(in) :: collisions
+    real(wp) :: totals(7)
+
+    totals = real([collisions, log%reversals, log%bounce_backs, int(log%crossings, int64)], wp)
+  end function totals_of
 
   !> The state of an engine, written and ready to be read.
   subroutine save_engine(engine, state)
