@@ -1,0 +1,1 @@
+"""Small faults in single lines of the physics: does a test turn red?"""
