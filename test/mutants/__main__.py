@@ -31,18 +31,18 @@ SUITES = ["test_blocks", "test_calendar", "test_channel", "test_collision", "tes
 def listed(name: str) -> list[list[str]]:
     """Read a list of mutations: file, line, changed line, words; an empty line between two."""
     text = (HERE / name).read_text(encoding="utf-8")
-    parts = [[line.strip() for line in part.splitlines() if not line.startswith("#")]
+    parts = [[line.strip() for line in part.splitlines()
+              if line.strip() and not line.startswith("#")]
              for part in text.split("\n\n")]
     return [part for part in parts if part]
 
 
 def found_again(file: str, line: str, changed: str) -> Mutation:
-    """Find the line of a list in its file; it must be there once."""
-    text = (ROOT / file).read_text(encoding="utf-8").splitlines()
-    numbers = [number for number, one in enumerate(text, 1) if one.strip() == line]
-    if len(numbers) != 1:
-        sys.exit(f"{file}: this line is there {len(numbers)} times: {line}")
-    return Mutation(file, numbers[0], text[numbers[0] - 1], changed)
+    """Find the first such line in its file; number 0 if it is gone."""
+    path = ROOT / file
+    text = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    number = next((number for number, one in enumerate(text, 1) if one.strip() == line), 0)
+    return Mutation(file, number, line, changed)
 
 
 def known_equivalent(mutation: Mutation) -> str:
@@ -73,7 +73,12 @@ def try_chosen(bench: Bench) -> list[Trial]:
     """Try what `lines.txt` has; killed is only what its own test kills."""
     trials = []
     for file, line, changed, test in listed("lines.txt"):
-        trial = bench.attempt(found_again(file, line, changed), test.partition(":")[0], every=True)
+        mutation = found_again(file, line, changed)
+        if not mutation.number:
+            trials.append(Trial(mutation, "gone"))
+            show(trials[-1])
+            continue
+        trial = bench.attempt(mutation, test.partition(":")[0], every=True)
         if trial.red and test not in trial.red:
             trial.verdict = "survived"
             trial.red.insert(0, f"not by {test}, but by")
@@ -108,8 +113,9 @@ def main() -> int:
     trials = try_chosen(bench) if arguments.chosen else try_drawn(bench, arguments)
     counts = Counter(trial.verdict for trial in trials)
     print(f"{counts['killed']} killed, {counts['survived']} survived, "
-          f"{counts['equivalent']} equivalent, {counts['does not build']} do not build")
-    return 1 if counts["survived"] else 0
+          f"{counts['equivalent']} equivalent, {counts['does not build']} do not build, "
+          f"{counts['gone']} gone")
+    return 1 if counts["survived"] + counts["gone"] else 0
 
 
 if __name__ == "__main__":
