@@ -10,7 +10,8 @@ program battery
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
   use battery_plan_sharing, only: read_plan_once
-  use battery_signals, only: watch_signals, leave
+  use battery_signals, only: watch_signals
+  use battery_process, only: leave
   use battery_terminal, only: guard_streams, say, complain, all_was_printed
   implicit none (type, external)
 

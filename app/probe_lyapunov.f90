@@ -129,7 +129,7 @@ contains
       side = x_direction(flight%side)
       qx = side*flight%x - walls%side(flight%side)%centre
       call bounce_apart(tangent, abs(qx*side*flight%ux + flight%y*flight%uy))
-      call hit_arc(walls, flight, wait)
+      call hit_arc(walls%side(flight%side), flight, wait)
     case (meets_wall)
       call bounce_apart(tangent)
       call hit_channel(walls, flight, wait)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 COMPLETE = 0  # value of `task_status`
-LENGTHS = ("channel1_width", "channel2_width", "urn_radius", "channel1_length", "channel2_length")
+LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 
 
@@ -155,19 +155,36 @@ class Results:
         return self.attributes.get("shape", "circuit")
 
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
-        """Return the circuit of a point, with the paper's gate unless another is given."""
+        """Return the circuit of a point, with the paper's gate unless another is given.
+
+        Raises `InputError` if its urns or its gates are not alike.
+        """
         self._check_task(point, 0)
         found = {name: float(self._of_point(name, point)) for name in LENGTHS}
-        whole = {name: int(self._of_point(name, point)) for name in ("number", "threshold")}
-        return Circuit(**whole, **found, gate=gate, shape=self.shape)
+        return Circuit(
+            number=int(self._of_point("number", point)),
+            threshold=int(self._of_both("gate_threshold", point)),
+            urn_radius=float(self._of_both("urn_radius", point)),
+            **found,
+            gate=gate,
+            shape=self.shape,
+        )
+
+    def _of_both(self, name: str, point: int) -> object:
+        """Return what both urns, or their gates, have in common at a point."""
+        first, *others = np.ravel(self._of_point(name, point))
+        if self.shape == "circuit" and any(other != first for other in others):
+            raise InputError(
+                f"{self.path}: {name} is {first:g} and {others[0]:g} at point {point + 1}; "
+                "this needs two urns and two gates that are alike"
+            )
+        return first
 
     def _of_point(self, name: str, point: int) -> object:
-        """Return what a point has of its own, or all points have as an attribute of the file."""
-        if name in self._file:
-            return self._file[name][point]
-        if name not in self._file.attrs:
+        """Return what a point has of its own."""
+        if name not in self._file:
             raise InputError(f"{self.path}: has no {name}")
-        return self._file.attrs[name]
+        return self._file[name][point]
 
     def replica_mean(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return mean and standard error over the replicas of each point, shape (point,).

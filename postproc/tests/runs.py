@@ -53,7 +53,9 @@ def edited(path: Path) -> Iterator[h5py.File]:
 def leave_out(path: Path, *tasks: tuple[int, int]) -> Path:
     """Make tasks (point, replica), from 0, such as an interrupted run leaves them."""
     with edited(path) as file:
-        columns = [file[name] for name in file if getattr(file[name], "ndim", 0) == 2]
+        replica = file["replica"]
+        columns = [one for one in file.values() if getattr(one, "ndim", 0) == 2
+                   and replica in one.dims[1].values()]
         for group in ("series", "snapshots"):
             columns += [one for one in file.get(group, {}).values() if one.ndim > 2]
         for column in columns:

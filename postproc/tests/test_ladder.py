@@ -35,7 +35,7 @@ def _sigmas(one: Answer, other: Answer) -> float:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Answer]]:
     folder = tmp_path_factory.mktemp("ladder")
     found = {
-        "excursion": _battery(folder, "excursion", 8000.0),
+        "excursion": _battery(folder, "excursion", 32000.0),
         "reservoir": _battery(folder, "reservoir", 8000.0),
         "collision": _battery(folder, "collision", 1500.0),
         "timestep": _battery(folder, "timestep", 1000.0, time_step=0.03),

@@ -125,7 +125,7 @@ contains
     integer(int64), allocatable :: more(:)
 
     if (self%length + words <= size(self%word)) return
-    allocate (more(max(self%length + words, 2*self%length)), source=0_int64)
+    allocate (more((self%length + words)/4*5 + 64), source=0_int64)
     more(:self%length) = self%word(:self%length)
     call move_alloc(more, self%word)
   end subroutine room_for

@@ -4,7 +4,7 @@ module battery_text
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, closest_word, is_one_of
-  public :: duration_text, count_text, new_line_character
+  public :: new_line_character
 
   character(len=1), parameter :: new_line_character = achar(10)
 
@@ -231,49 +231,5 @@ contains
     end do
     distance = row(len(other))
   end function edit_distance
-
-  !> A time in seconds as people say it: 0.8 s, 42 s, 3 min 05 s, 2 h 07 min, 3 d 04 h.
-  pure function duration_text(seconds) result(text)
-    real(real64), intent(in) :: seconds
-    character(len=:), allocatable :: text
-    character(len=32) :: buffer
-    integer(int64) :: whole
-
-    if (.not. abs(seconds) < 1.0e15_real64) then
-      text = 'unknown'
-      return
-    end if
-    whole = nint(max(seconds, 0.0_real64), int64)
-    if (seconds < 9.95_real64) then
-      write (buffer, '(f3.1, a)') max(seconds, 0.0_real64), ' s'
-    else if (whole < 60) then
-      write (buffer, '(i0, a)') whole, ' s'
-    else if (whole < 3600) then
-      write (buffer, '(i0, a, i2.2, a)') whole/60, ' min ', mod(whole, 60_int64), ' s'
-    else if (whole < 86400) then
-      write (buffer, '(i0, a, i2.2, a)') whole/3600, ' h ', mod(whole, 3600_int64)/60, ' min'
-    else
-      write (buffer, '(i0, a, i2.2, a)') whole/86400, ' d ', mod(whole, 86400_int64)/3600, ' h'
-    end if
-    text = trim(buffer)
-  end function duration_text
-
-  !> A large number with three digits: 950, 12.3e3, 1.20e8 are written 950, 1.23e4, 1.20e8.
-  pure function count_text(number) result(text)
-    real(real64), intent(in) :: number
-    character(len=:), allocatable :: text
-    character(len=32) :: buffer
-    integer :: exponent
-
-    if (.not. abs(number) >= 999.5_real64) then
-      write (buffer, '(i0)') nint(merge(number, 0.0_real64, abs(number) < 999.5_real64))
-      text = trim(buffer)
-      return
-    end if
-    write (buffer, '(es12.2e3)') number
-    buffer = adjustl(buffer)
-    read (buffer(index(buffer, 'E') + 1:), *) exponent
-    text = buffer(:index(buffer, 'E') - 1)//'e'//int32_text(int(exponent, int32))
-  end function count_text
 
 end module battery_text

@@ -189,14 +189,18 @@ contains
     time = self%clock_start + (real(self%pages, wp)*self%page + self%now)
   end function clock
 
-  !> An engine can simulate every table, if it does not say otherwise.
+  !> What every engine needs; one that needs more says so.
   pure function supports(self, table) result(reason)
     class(engine_type), intent(in) :: self
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
 
     reason = ''
-    if (self%time_step < 0.0_wp .or. table%sides < 1) reason = 'it needs an urn'
+    if (any(table%channel%width >= 2.0_wp*minval(table%urn%radius))) then
+      reason = 'its openings must be narrower than either urn'
+    else if (self%time_step < 0.0_wp) then
+      reason = 'its time_step is below 0'
+    end if
   end function supports
 
   !> All that is needed to go on to the same last bit, into a stream or out of it. What does not fit

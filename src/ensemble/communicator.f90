@@ -23,7 +23,7 @@ module battery_communicator
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: ranks_on_node, output_is_terminal
-  public :: share_integers, share_number, share_reals, wait_for_all, summary_of, all_true, mpi_library
+  public :: share_integers, share_number, share_reals, wait_for_all, summary_of, mpi_library
   public :: board_type, open_board, close_board, add_to_board, read_board
   public :: take_task, help_board, help_interval
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
@@ -195,17 +195,6 @@ contains
     call MPI_Allreduce(value, summary(3), 1, MPI_DOUBLE_PRECISION, MPI_MAX, communicator%ranks)
     summary(2) = summary(2)/real(communicator%size, dp)
   end function summary_of
-
-  !> Whether `value` is true on every rank.
-  function all_true(communicator, value)
-    type(communicator_type), intent(in) :: communicator
-    logical, intent(in) :: value
-    logical :: all_true
-    integer :: least
-
-    call MPI_Allreduce(merge(1, 0, value), least, 1, MPI_INTEGER, MPI_MIN, communicator%ranks)
-    all_true = least == 1
-  end function all_true
 
   !> Name and version of the MPI library.
   function mpi_library() result(name)

@@ -15,19 +15,18 @@ module battery_journal
   use battery_background_sync, only: sync_type, begin_sync, end_sync
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_like
-  use battery_journal_folder, only: numbers_in, check_journal, remove_journal
+  use battery_journal_folder, only: numbers_in
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single
-  use battery_task_result, only: task_result_type, task_complete, to_record, &
-    from_record
+    write_single, read_single, move_record, free_record
+  use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
   use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
-  public :: rank_files_in, rank_files_of, kept_in, settle_journal, check_journal
-  public :: write_finished, write_state, read_state, remove_states, remove_journal
+  public :: rank_files_in, rank_files_of, kept_in, settle_journal
+  public :: write_finished, write_state, read_state, remove_states
 
   type :: journal_type
     character(len=:), allocatable :: folder
@@ -263,7 +262,11 @@ contains
     record%owner = kept
     record%tag = task
     journal%generation = journal%generation + 1
-    record%integers = [journal%generation, stream%word(:stream%length)]
+    allocate (record%integers(1 + stream%length))
+    record%integers(1) = journal%generation
+    record%integers(2:) = stream%word(:stream%length)
+    ! Of a large state there are never more copies than two.
+    deallocate (stream%word)
     record%reals = [cpu_seconds]
     allocate (record%bytes(0))
     name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
@@ -290,16 +293,15 @@ contains
     cpu_seconds = 0.0_dp
     call read_own('.a', record, found)
     call read_own('.b', other, other_found)
-    if (other_found .and. found) then
-      if (other%integers(1) > record%integers(1)) record = other
-    else if (other_found) then
-      record = other
-    end if
+    if (other_found .and. found) other_found = other%integers(1) > record%integers(1)
+    if (other_found) call move_record(other, record)
+    call free_record(other)
     found = found .or. other_found
     if (.not. found) return
     journal%generation = record%integers(1)
     cpu_seconds = record%reals(1)
     stream = stream_of(record%integers(2:))
+    call free_record(record)
     call pass_simulation(simulation, setup, stream, error)
 
   contains

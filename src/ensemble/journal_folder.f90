@@ -1,7 +1,8 @@
 !> The files of a journal by their names: which are there, which are in the way, their removal.
 module battery_journal_folder
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: files_like, is_folder, remove_file
+  use battery_files, only: files_like, remove_file
+  use battery_paths, only: is_folder
   use battery_text, only: string_type, to_text
   implicit none (type, external)
   private

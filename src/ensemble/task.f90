@@ -8,6 +8,8 @@ module battery_task
   use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, &
     verify
   use battery_initial_state, only: random_particles
+  use battery_room, only: check_room, particle_bytes
+  use battery_text, only: to_text
   use battery_journal, only: journal_type, read_state, write_state
   use battery_task_result, only: task_result_type, result_of, failed_result
   use battery_communicator, only: board_type, add_to_board, read_board, help_board, help_interval, &
@@ -101,8 +103,8 @@ contains
       stopped = watch%stopping
       now = wall_seconds()
       if (.not. stopped .and. now < watch%next_checkpoint) cycle
-      call write_state(journal, task%task, task%kept, simulation, cpu_before + cpu_seconds() - cpu_began, &
-        error)
+      call write_state(journal, task%task, task%kept, simulation, &
+        cpu_before + cpu_seconds() - cpu_began, error)
       if (stopped .or. allocated(error)) exit
       watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
     end do
@@ -115,8 +117,8 @@ contains
       found = failed_result(task%task, task%kept, trouble%message)
     else
       call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
-      found = result_of(task%task, task%kept, simulation, task%final_state, cpu_before + cpu_seconds() &
-        - cpu_began)
+      found = result_of(task%task, task%kept, simulation, task%final_state, &
+        cpu_before + cpu_seconds() - cpu_began)
     end if
 
   contains
@@ -144,7 +146,7 @@ contains
     do window = 1, max(1, windows_between_looks*few_particles &
       /max(few_particles, simulation%engine%number))
       call step(simulation)
-      if (simulation%done) exit
+      if (simulation%done .or. stop_requested()) exit
     end do
   end subroutine some_steps
 
@@ -159,6 +161,10 @@ contains
     type(particles_type) :: particles
     logical :: resumed
 
+    cpu_before = 0.0_dp
+    call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
+      //' particles', error)
+    if (allocated(error)) return
     call read_state(journal, task%task, task%kept, task%setup, simulation, cpu_before, resumed, &
       error)
     if (resumed .or. allocated(error)) return

@@ -12,7 +12,6 @@ module battery_task_result
   implicit none (type, external)
   private
   public :: task_result_type, result_of, failed_result, to_record, from_record
-  public :: task_complete, task_failed, task_not_done
 
   type :: task_result_type
     !> Number of the task, from 1, and how it ended.

@@ -1,5 +1,5 @@
-/* What files.f90 needs of the system where a structure, a constant or errno is involved: here the
-   compiler knows them. A result is 0 or an error number unless said otherwise. */
+/* What files.f90, paths.f90 and file_text.f90 need of the system where a structure, a constant or
+   errno is involved: here the compiler knows them. A result is 0 or an error number unless said otherwise. */
 #define _GNU_SOURCE
 #include <dirent.h>
 #include <errno.h>
@@ -70,6 +70,24 @@ int battery_real_folder(const char *path, char *folder, int room) {
   char *slash = strrchr(folder, '/');
   if (slash != NULL) slash[slash == folder ? 1 : 0] = '\0';
   return 0;
+}
+
+/* Whether there is a file or folder of that name; whether this process may read it, write to it. */
+int battery_exists(const char *path) { return access(path, F_OK) == 0; }
+int battery_may_read(const char *path) { return access(path, R_OK) == 0; }
+int battery_may_write(const char *path) { return access(path, W_OK) == 0; }
+
+/* Makes a folder, with the rights that are usual. */
+int battery_make_folder(const char *path) {
+  return mkdir(path, S_IRWXU | S_IRWXG | S_IRWXO) == 0 ? 0 : errno;
+}
+
+/* Waits until a file, or the entries of a folder, are on the disk. */
+int battery_sync(const char *path) {
+  int descriptor = open(path, O_RDONLY | O_CLOEXEC);
+  if (descriptor < 0) return errno;
+  int status = fsync(descriptor) == 0 ? 0 : errno;
+  return close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
 /* Makes an empty file anew: what had that name, a link too, is removed and not written through. */

@@ -3,26 +3,34 @@
 module battery_files
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_ptr, c_null_char, c_associated
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_file_text, only: read_text
-  use battery_paths, only: is_folder, folder_of, real_path_of, system_message, error_text, text_at
+  use battery_paths, only: is_folder, folder_of, system_message, error_text, text_at
   use battery_text, only: string_type
   implicit none (type, external)
   private
-  public :: file_exists, is_folder, is_readable, is_writable, folder_of, real_path_of
-  public :: sync_file, rename_file, remove_file, make_folder, publish_file, read_text
-  public :: create_new_file, files_like, is_disk_error
-
-  !> Questions to C's `access`.
-  integer(c_int), parameter :: exists = 0, may_write = 2, may_read = 4
+  public :: file_exists, is_readable, is_writable, is_disk_error, files_like
+  public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
 
   interface
-    function c_access(path, mode) result(status) bind(c, name='access')
+    function c_exists(path) result(status) bind(c, name='battery_exists')
       import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
-      integer(c_int), value, intent(in) :: mode
       integer(c_int) :: status
-    end function c_access
+    end function c_exists
+
+    function c_may_read(path) result(status) bind(c, name='battery_may_read')
+      import :: c_char, c_int
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int) :: status
+    end function c_may_read
+
+    function c_may_write(path) result(status) bind(c, name='battery_may_write')
+      import :: c_char, c_int
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int) :: status
+    end function c_may_write
 
     function c_rename(old, new) result(status) bind(c, name='rename')
       import :: c_char, c_int
@@ -38,41 +46,19 @@ module battery_files
       integer(c_int) :: status
     end function c_remove
 
-    function c_mkdir(path, mode) result(status) bind(c, name='mkdir')
+    function c_make_folder(path) result(status) bind(c, name='battery_make_folder')
       import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
-      integer(c_int), value, intent(in) :: mode
       integer(c_int) :: status
-    end function c_mkdir
+    end function c_make_folder
 
-    function c_fopen(path, mode) result(stream) bind(c, name='fopen')
-      import :: c_char, c_ptr
+    function c_sync(path) result(status) bind(c, name='battery_sync')
+      import :: c_char, c_int
       implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*), mode(*)
-      type(c_ptr) :: stream
-    end function c_fopen
-
-    function c_fileno(stream) result(descriptor) bind(c, name='fileno')
-      import :: c_ptr, c_int
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: stream
-      integer(c_int) :: descriptor
-    end function c_fileno
-
-    function c_fsync(descriptor) result(status) bind(c, name='fsync')
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: descriptor
+      character(kind=c_char), intent(in) :: path(*)
       integer(c_int) :: status
-    end function c_fsync
-
-    function c_fclose(stream) result(status) bind(c, name='fclose')
-      import :: c_ptr, c_int
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: stream
-      integer(c_int) :: status
-    end function c_fclose
+    end function c_sync
 
     function c_is_disk_error() result(yes) bind(c, name='battery_is_disk_error')
       import :: c_int
@@ -117,7 +103,7 @@ contains
     character(len=*), intent(in) :: path
     logical :: yes
 
-    yes = c_access(path//c_null_char, exists) == 0
+    yes = c_exists(path//c_null_char) /= 0
   end function file_exists
 
   !> Whether this process may read the file or folder.
@@ -125,7 +111,7 @@ contains
     character(len=*), intent(in) :: path
     logical :: yes
 
-    yes = c_access(path//c_null_char, may_read) == 0
+    yes = c_may_read(path//c_null_char) /= 0
   end function is_readable
 
   !> Whether this process may write to the file or folder.
@@ -133,29 +119,19 @@ contains
     character(len=*), intent(in) :: path
     logical :: yes
 
-    yes = c_access(path//c_null_char, may_write) == 0
+    yes = c_may_write(path//c_null_char) /= 0
   end function is_writable
 
   !> Waits until the file, or the entries of the folder, are on the disk.
   subroutine sync_file(path, error)
     character(len=*), intent(in) :: path
+    !> It is not there, or the disk has failed.
     type(error_type), allocatable, intent(out) :: error
-    type(c_ptr) :: stream
-    integer(c_int) :: synced, closed
+    integer(c_int) :: status
 
-    stream = c_fopen(path//c_null_char, 'r'//c_null_char)
-    if (.not. c_associated(stream)) then
-      call fatal_error(error, path//': cannot be opened: '//system_message())
-      return
-    end if
-    synced = c_fsync(c_fileno(stream))
-    if (synced /= 0) then
-      call fatal_error(error, path//': cannot be written to the disk: '//system_message())
-    end if
-    closed = c_fclose(stream)
-    if (closed /= 0 .and. synced == 0) then
-      call fatal_error(error, path//': cannot be closed: '//system_message())
-    end if
+    status = c_sync(path//c_null_char)
+    if (status /= 0) call fatal_error(error, path//': cannot be written to the disk: ' &
+      //error_text(int(status)))
   end subroutine sync_file
 
   !> Gives a file another name in one step; what had that name is gone.
@@ -197,12 +173,11 @@ contains
   subroutine make_folder(path, error)
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
-    integer(c_int), parameter :: rights = int(o'777', c_int)
     character(len=:), allocatable :: reason
     integer :: code
 
     if (is_folder(path)) return
-    if (c_mkdir(path//c_null_char, rights) == 0) return
+    if (c_make_folder(path//c_null_char) == 0) return
     code = merge(exit_failure, exit_bad_input, is_disk_error())
     reason = system_message()
     ! Another rank may have been faster.

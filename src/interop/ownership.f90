@@ -17,12 +17,13 @@ module battery_ownership
   use battery_files, only: is_disk_error
   use battery_paths, only: system_message
   use battery_clocks, only: wall_seconds, rest
-  use battery_signals, only: stop_requested, process_number
+  use battery_signals, only: stop_requested
+  use battery_process, only: process_number
   use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: ownership_type, habits_type, take_ownership, give_up_ownership, is_taken_over
-  public :: owner_text, taken_over_text
+  public :: taken_over_text
 
   !> What an attempt came to, as in `owner.c`.
   integer(c_int), parameter :: taken = 0, held = 1, doubtful = 2, again = 3, not_a_file = 5

@@ -4,7 +4,7 @@ module battery_paths
   use battery_error, only: error_type, fatal_error, exit_bad_input
   implicit none (type, external)
   private
-  public :: is_file, is_folder, is_pipe_or_device, same_file, folder_of, real_path_of
+  public :: is_file, is_folder, is_pipe_or_device, same_file, folder_of
   public :: real_folder_of, follow_links
   public :: system_message, text_at, error_text
 
@@ -118,18 +118,6 @@ contains
       folder = path(:max(slash - 1, 1))
     end if
   end function folder_of
-
-  !> A path as given in a file that lies in `folder`: absolute ones stay, others start there.
-  pure function real_path_of(path, folder) result(real_path)
-    character(len=*), intent(in) :: path, folder
-    character(len=:), allocatable :: real_path
-
-    if (path(1:min(1, len(path))) == '/' .or. folder == '.') then
-      real_path = path
-    else
-      real_path = folder//'/'//path
-    end if
-  end function real_path_of
 
   !> The folder in which a file really lies, its links resolved; empty if it is not there.
   function real_folder_of(path) result(folder)

@@ -10,8 +10,7 @@ module battery_signals
   use battery_error, only: error_type, fatal_error, exit_stopped_early
   implicit none (type, external)
   private
-  public :: watch_signals, stop_signal, stop_requested, stop_after, clear_stop_request
-  public :: stopped_before_start, leave, process_number
+  public :: watch_signals, stop_requested, stop_after, clear_stop_request, stopped_before_start
 
   !> Names of the signals, as C numbers them.
   character(len=*), parameter :: names(3) = ['SIGINT ', 'SIGUSR1', 'SIGTERM']
@@ -33,18 +32,6 @@ module battery_signals
     subroutine signals_forget() bind(c)
       implicit none (type, external)
     end subroutine signals_forget
-
-    subroutine c_exit(status) bind(c, name='exit')
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: status
-    end subroutine c_exit
-
-    function c_getpid() result(number) bind(c, name='getpid')
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int) :: number
-    end function c_getpid
   end interface
 
 contains
@@ -59,6 +46,7 @@ contains
 
   !> Asks for a stop once so many seconds have passed since `watch_signals`.
   subroutine stop_after(seconds)
+    !> From `watch_signals` on.
     real(dp), intent(in) :: seconds
 
     deadline = began + seconds
@@ -84,6 +72,7 @@ contains
 
   !> What is said where a stop was asked for before there was anything to save.
   subroutine stopped_before_start(error)
+    !> Code `exit_stopped_early`; its message names the signal or the time limit.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
 
@@ -97,19 +86,5 @@ contains
     call signals_forget()
     deadline = huge(1.0_dp)
   end subroutine clear_stop_request
-
-  !> Ends the program with an exit code, without the word `STOP` that Fortran prints.
-  subroutine leave(exit_code)
-    integer, intent(in) :: exit_code
-
-    call c_exit(int(exit_code, c_int))
-  end subroutine leave
-
-  !> Number of this process.
-  function process_number() result(number)
-    integer :: number
-
-    number = int(c_getpid())
-  end function process_number
 
 end module battery_signals

@@ -50,8 +50,8 @@ contains
       'crossings of the periodic line of channel 2 from urn 1 to urn 2'), &
       quantity_type('flow2_21', '1/time', &
       'crossings of the periodic line of channel 2 from urn 2 to urn 1'), &
-      quantity_type('time', 'time', 'measured time'), &
-      quantity_type('transient_time', 'time', 'time of the transient, before what is measured'), &
+      quantity_type('time', 'time', 'time of the run, the transient included'), &
+      quantity_type('transient_time', 'time', 'time of the transient, which no average has'), &
       quantity_type('cpu_seconds', 's', 'time of the processor')]
   end function averaged_quantities
 
@@ -60,7 +60,7 @@ contains
     type(quantity_type), allocatable :: list(:)
 
     list = [ &
-      quantity_type('collisions', '1', 'wall collisions'), &
+      quantity_type('collisions', '1', 'wall collisions, those of the transient included'), &
       quantity_type('bounce_backs', '1', 'particles turned back by a gate'), &
       quantity_type('reversals', '1', 'reversals of a gate'), &
       quantity_type('trapped', '1', 'particles in the urns that never reach a channel')]

@@ -2,7 +2,7 @@
 module battery_initial_state
   use battery_kinds, only: wp, int64, pi
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: read_text
+  use battery_file_text, only: read_text
   use battery_numbers, only: read_decimal
   use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_text, only: to_text, new_line_character

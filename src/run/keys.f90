@@ -11,7 +11,7 @@ module battery_keys
 
   !> Most particles: the engines keep up to ten numbers a particle in one array, whose indices have
   !> 32 bits.
-  integer(int64), parameter, public :: most_particles = 200000000_int64
+  integer(int64), parameter :: most_particles = 200000000_int64
 
   !> Greatest whole number of a key that may be beyond 32 bits: 18 digits, so that sums of a few fit.
   integer(int64), parameter :: long = 999999999999999999_int64

@@ -17,8 +17,7 @@ module battery_plan
   implicit none (type, external)
   private
   public :: plan_type, point_type, scanned_type, problem_type, complete_plan
-  public :: point_of, table_of, setup_of, is_scanned, rounded, most_tasks
-  public :: not_given
+  public :: point_of, table_of, setup_of, is_scanned, rounded
 
   !> Value of whole numbers and shares that were not given.
   integer, parameter :: not_given = -1

@@ -15,8 +15,8 @@ module battery_hdf5_file
     h5p_file_access_f
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: file_exists, is_folder, is_readable, is_writable, folder_of, &
-    create_new_file
+  use battery_files, only: file_exists, is_readable, is_writable, create_new_file
+  use battery_paths, only: is_folder, folder_of
   use battery_seal, only: seal_length, seal_of
   use battery_text, only: to_text
   implicit none (type, external)

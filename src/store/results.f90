@@ -7,7 +7,7 @@ module battery_results
     unknown_count
   implicit none (type, external)
   private
-  public :: results_type, new_results, scatter_of, average_of, error_of
+  public :: results_type, new_results, scatter_of, average_of
   public :: task_complete, task_failed, task_not_done
 
   !> Values of `task_status`.
@@ -80,16 +80,6 @@ contains
 
     values = results%average(:, :, place_of(name, averaged_quantities()))
   end function average_of
-
-  !> The standard errors of one quantity, (replica, point).
-  pure function error_of(results, name) result(values)
-    type(results_type), intent(in) :: results
-    !> Name of the quantity.
-    character(len=*), intent(in) :: name
-    real(dp) :: values(results%replicas, results%points)
-
-    values = results%error(:, :, place_of(name, averaged_quantities()))
-  end function error_of
 
   !> Standard error of the mean of the replicas of each point, from their scatter over the complete
   !> tasks; NaN where fewer than two are complete.

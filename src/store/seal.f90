@@ -11,7 +11,8 @@ module battery_seal
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_digest, only: digest_type, begin_digest, add_to_digest, end_digest, digest_length
-  use battery_files, only: is_folder, is_readable
+  use battery_files, only: is_readable
+  use battery_paths, only: is_folder
   implicit none (type, external)
   private
   public :: seal_length, seal_of, check_seal

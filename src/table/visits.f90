@@ -1,6 +1,7 @@
 !> A batch of visits to the urns: structure of arrays, and room for them.
 module battery_visits
   use battery_kinds, only: wp, int64
+  use battery_table, only: gated
   implicit none (type, external)
   private
   public :: visits_type, reserve_visits, part_visits, together, no_channel
@@ -86,7 +87,8 @@ contains
     if (allocated(visits%particle)) deallocate (visits%particle, visits%urn, visits%slot, &
       visits%channel)
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), source=0)
-    allocate (visits%channel(n), source=no_channel)
+    ! Who fills up the last group comes from a channel that is always open.
+    allocate (visits%channel(n), source=int(gated, int64))
 
   contains
 

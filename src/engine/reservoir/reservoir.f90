@@ -197,6 +197,7 @@ contains
     type(history_type), intent(inout) :: history
     real(wp) :: time, crossing, place
     integer :: at
+    logical :: leaves
 
     do
       crossing = min(self%gate(1)%counted%next, self%gate(2)%counted%next, self%returning%next)
@@ -210,20 +211,28 @@ contains
       place = self%draws%who(self%draws%next_tick - 1)*real(self%members, wp)
       at = min(1 + int(place), self%members)
       if (self%entered(self%member(at)) <= time) then
-        if (.not. self%uneven) then
-          call leave_urn(self, at, time, began, history)
-        else if (place - real(at - 1, wp) <= self%heeded(self%stay(self%member(at))%urn)) then
-          ! What was hit less than in the other urn.
-          associate (urn => self%stay(self%member(at))%urn)
-            self%fraction = self%fraction - (self%hit_rate - self%urn_rate(urn))*(time &
-              - self%entered(self%member(at)))
-          end associate
-          call leave_urn(self, at, time, began, history)
-        end if
+        leaves = .true.
+        if (self%uneven) call heed(self, self%member(at), place - real(at - 1, wp), time, leaves)
+        if (leaves) call leave_urn(self, at, time, began, history)
       end if
       call wind_up(self, time)
     end do
   end subroutine walk
+
+  !> Urns that differ: whether particle i heeds a tick, by a number `chance` uniform in (0, 1). If it
+  !> does, what was hit less than in the other urn is taken off.
+  pure subroutine heed(self, i, chance, time, heeds)
+    type(reservoir_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp), intent(in) :: chance, time
+    logical, intent(out) :: heeds
+    integer :: urn
+
+    urn = self%stay(i)%urn
+    heeds = chance <= self%heeded(urn)
+    if (heeds) self%fraction = self%fraction &
+      - (self%hit_rate - self%urn_rate(urn))*(time - self%entered(i))
+  end subroutine heed
 
   !> Member `at` leaves its urn at `time`, into one of the channels.
   subroutine leave_urn(self, at, time, began, history)

@@ -31,27 +31,27 @@ module battery_bounce
   !> but does not overflow.
   real(wp), parameter :: slowest = sqrt(tiny(1.0_wp))
 
-  !> What a motion needs to know of one side of the table.
+  !> What a flight through the urn of a side needs to know.
   type :: side_type
-    !> Square of the radius of the urn, and 1 over it; |x| of its centre.
-    real(wp) :: radius2 = 0.0_wp, curvature2 = 0.0_wp, centre = 0.0_wp
-    !> Distances of the chords of the channels from the centre.
-    real(wp) :: chord(2) = 0.0_wp
-    !> |x| where channel 1 ends, and where channel 2 begins and ends.
-    real(wp) :: gate_end = 0.0_wp, return_begin = 0.0_wp, return_end = 0.0_wp
+    !> 1 over the square of the radius of the urn; |x| of its centre, and the way along x to it.
+    real(wp) :: curvature2 = 0.0_wp, centre = 0.0_wp, out = 0.0_wp
+    !> Distances of the chords of the channels from the centre, and half widths of those.
+    real(wp) :: chord(2) = 0.0_wp, half(2) = 0.0_wp
+    !> Shortest flight that a clock within a page can tell from none.
+    real(wp) :: shortest = 0.0_wp
   end type side_type
 
   !> What a motion needs to know of the table.
   type :: walls_type
     type(side_type) :: side(2)
-    !> Half widths of the channels.
-    real(wp) :: half(2) = 0.0_wp
+    !> Squares of the radii of the urns; half widths of the channels.
+    real(wp) :: radius2(2) = 0.0_wp, half(2) = 0.0_wp
+    !> |x| where channel 1 ends, and, for each side, where channel 2 begins and ends.
+    real(wp) :: gate_end = 0.0_wp, return_begin(2) = 0.0_wp, return_end(2) = 0.0_wp
     !> Where one is that has crossed a line from each side.
     integer(int8) :: beyond(2) = 0_int8
     !> A power of two, at least four times the longest flight. Clocks are re-based by it.
     real(wp) :: page = 0.0_wp
-    !> Shortest flight that a clock within a page can tell from none.
-    real(wp) :: shortest = 0.0_wp
   end type walls_type
 
   !> Where a particle was at its last event, and how it has been moving since.
@@ -73,21 +73,23 @@ contains
 
     do side = 1, 2
       associate (urn => table%urn(side), w => walls%side(side))
-        w%radius2 = urn%radius**2
-        w%curvature2 = 1.0_wp/w%radius2
+        walls%radius2(side) = urn%radius**2
+        w%curvature2 = 1.0_wp/walls%radius2(side)
         w%centre = urn%centre
+        w%out = x_direction(side)
         w%chord = urn%chord
-        w%gate_end = 0.5_wp*table%channel(gated)%length
-        w%return_begin = urn%centre + urn%chord(ungated)
-        w%return_end = urn%periodic_line
+        w%half = 0.5_wp*table%channel%width
+        walls%return_begin(side) = urn%centre + urn%chord(ungated)
+        walls%return_end(side) = urn%periodic_line
       end associate
       walls%beyond(side) = int(beyond(table, side), int8)
     end do
     walls%half = 0.5_wp*table%channel%width
+    walls%gate_end = 0.5_wp*table%channel(gated)%length
     longest = max(2.0_wp*maxval(table%urn%radius), maxval(hypot(table%channel%length, &
       table%channel%width), mask=is_open(table%channel)))
     walls%page = power_above(4.0_wp*longest)
-    walls%shortest = epsilon(1.0_wp)*walls%page
+    walls%side%shortest = epsilon(1.0_wp)*walls%page
   end function new_walls
 
   !> A particle at a place, with a velocity of length 1.
@@ -113,8 +115,8 @@ contains
     else
       associate (w => walls%side(motion%side), out => x_direction(motion%side))
         qx = out*motion%x - w%centre
-        room = max(w%radius2 - (qx**2 + motion%y**2), 0.0_wp)
-        call aim_in_urn(walls, motion, qx, out*motion%ux, room, wait)
+        room = max(walls%radius2(motion%side) - (qx**2 + motion%y**2), 0.0_wp)
+        call aim_in_urn(w, motion, qx, out*motion%ux, room, wait)
       end associate
     end if
   end subroutine take_off
@@ -130,48 +132,47 @@ contains
 
   !> Reflection from the arc of an urn. From a point of the circle the flight to the next one lasts
   !> -2 q.u: no root, nothing to cancel.
-  pure subroutine hit_arc(walls, motion, wait)
-    type(walls_type), intent(in) :: walls
+  pure subroutine hit_arc(w, motion, wait)
+    !> The side that the particle is on.
+    type(side_type), intent(in) :: w
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
     real(wp) :: out, qx, qy, vx, vy, norm, outward, kick
 
-    associate (w => walls%side(motion%side))
-      out = x_direction(motion%side)
-      qx = out*motion%x - w%centre
-      qy = motion%y
-      norm = 1.5_wp - 0.5_wp*w%curvature2*(qx**2 + qy**2)
-      qx = norm*qx
-      qy = norm*qy
-      vx = out*motion%ux
-      vy = motion%uy
-      outward = qx*vx + qy*vy
-      ! A grazing particle may move inwards already, by rounding; then the hit leaves it alone.
-      kick = 2.0_wp*w%curvature2*max(outward, 0.0_wp)
-      vx = vx - kick*qx
-      vy = vy - kick*qy
-      norm = 1.5_wp - 0.5_wp*(vx**2 + vy**2)
-      vx = norm*vx
-      vy = norm*vy
-      wait = 2.0_wp*abs(outward)
-      motion%x = out*(w%centre + qx)
-      motion%y = qy
-      motion%ux = out*vx
-      motion%uy = vy
-    end associate
-    if (wait < walls%shortest) then
+    out = w%out
+    qx = out*motion%x - w%centre
+    qy = motion%y
+    norm = 1.5_wp - 0.5_wp*w%curvature2*(qx**2 + qy**2)
+    qx = norm*qx
+    qy = norm*qy
+    vx = out*motion%ux
+    vy = motion%uy
+    outward = qx*vx + qy*vy
+    ! A grazing particle may move inwards already, by rounding; then the hit leaves it alone.
+    kick = 2.0_wp*w%curvature2*max(outward, 0.0_wp)
+    vx = vx - kick*qx
+    vy = vy - kick*qy
+    norm = 1.5_wp - 0.5_wp*(vx**2 + vy**2)
+    vx = norm*vx
+    vy = norm*vy
+    wait = 2.0_wp*abs(outward)
+    motion%x = out*(w%centre + qx)
+    motion%y = qy
+    motion%ux = out*vx
+    motion%uy = vy
+    if (wait < w%shortest) then
       ! Along the wall: chords too short for any clock. It would hit for ever at one instant.
       motion%next = meets_nothing
       wait = huge(1.0_wp)
     else
-      call choose_opening(walls, motion, qx, vx, qx + vx*wait, qy + vy*wait, wait)
+      call choose_opening(w, motion, qx, vx, qx + vx*wait, qy + vy*wait, wait)
     end if
   end subroutine hit_arc
 
   !> From a point inside an urn to the arc or to an opening; `room` is r**2 - q**2, which the caller
   !> may know better than by that difference.
-  pure subroutine aim_in_urn(walls, motion, qx, vx, room, wait)
-    type(walls_type), intent(in) :: walls
+  pure subroutine aim_in_urn(w, motion, qx, vx, room, wait)
+    type(side_type), intent(in) :: w
     type(motion_type), intent(inout) :: motion
     real(wp), intent(in) :: qx, vx, room
     real(wp), intent(out) :: wait
@@ -184,29 +185,27 @@ contains
     else
       wait = root - outward
     end if
-    call choose_opening(walls, motion, qx, vx, qx + vx*wait, motion%y + motion%uy*wait, wait)
+    call choose_opening(w, motion, qx, vx, qx + vx*wait, motion%y + motion%uy*wait, wait)
   end subroutine aim_in_urn
 
   !> What is met in an urn by a particle that would be on the circle at (px, py) after `wait`. Only
   !> a point within an opening, its ends excluded, lets it out: a corner belongs to the urn.
-  pure subroutine choose_opening(walls, motion, qx, vx, px, py, wait)
-    type(walls_type), intent(in) :: walls
+  pure subroutine choose_opening(w, motion, qx, vx, px, py, wait)
+    type(side_type), intent(in) :: w
     type(motion_type), intent(inout) :: motion
     real(wp), intent(in) :: qx, vx, px, py
     real(wp), intent(inout) :: wait
 
     motion%next = meets_arc
-    if (abs(py) >= merge(walls%half(gated), walls%half(ungated), px < 0.0_wp)) return
+    if (abs(py) >= merge(w%half(gated), w%half(ungated), px < 0.0_wp)) return
     ! By rounding the point may seem to lie just inside of a corner though the way leads inwards.
-    associate (chord => walls%side(motion%side)%chord)
-      if (px < 0.0_wp .and. vx < 0.0_wp) then
-        motion%next = meets_gate
-        wait = min(max(qx + chord(gated), 0.0_wp)/max(-vx, slowest), wait)
-      else if (px >= 0.0_wp .and. vx > 0.0_wp) then
-        motion%next = meets_return
-        wait = min(max(chord(ungated) - qx, 0.0_wp)/max(vx, slowest), wait)
-      end if
-    end associate
+    if (px < 0.0_wp .and. vx < 0.0_wp) then
+      motion%next = meets_gate
+      wait = min(max(qx + w%chord(gated), 0.0_wp)/max(-vx, slowest), wait)
+    else if (px >= 0.0_wp .and. vx > 0.0_wp) then
+      motion%next = meets_return
+      wait = min(max(w%chord(ungated) - qx, 0.0_wp)/max(vx, slowest), wait)
+    end if
   end subroutine choose_opening
 
   !> What is met in a channel. A wall met at the same time as a chord is met first: the corner
@@ -220,23 +219,21 @@ contains
     out = x_direction(motion%side)
     depth = out*motion%x
     motion%next = meets_line
-    associate (w => walls%side(motion%side))
-      if (motion%chamber == in_gate) then
-        half = walls%half(gated)
-        distance = depth
-        if (out*motion%ux >= 0.0_wp) then
-          distance = w%gate_end - depth
-          motion%next = meets_urn
-        end if
-      else
-        half = walls%half(ungated)
-        distance = w%return_end - depth
-        if (out*motion%ux <= 0.0_wp) then
-          distance = depth - w%return_begin
-          motion%next = meets_urn
-        end if
+    if (motion%chamber == in_gate) then
+      half = walls%half(gated)
+      distance = depth
+      if (out*motion%ux >= 0.0_wp) then
+        distance = walls%gate_end - depth
+        motion%next = meets_urn
       end if
-    end associate
+    else
+      half = walls%half(ungated)
+      distance = walls%return_end(motion%side) - depth
+      if (out*motion%ux <= 0.0_wp) then
+        distance = depth - walls%return_begin(motion%side)
+        motion%next = meets_urn
+      end if
+    end if
     wait = max(distance, 0.0_wp)/max(abs(motion%ux), slowest)
     to_wall = max(half - sign(1.0_wp, motion%uy)*motion%y, 0.0_wp)/max(abs(motion%uy), slowest)
     if (to_wall <= wait) then
@@ -262,15 +259,13 @@ contains
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
-    associate (w => walls%side(motion%side), out => x_direction(motion%side))
-      if (motion%next == meets_gate) then
-        motion%x = out*w%gate_end
-        motion%chamber = int(in_gate, int8)
-      else
-        motion%x = out*w%return_begin
-        motion%chamber = int(in_return, int8)
-      end if
-    end associate
+    if (motion%next == meets_gate) then
+      motion%x = x_direction(motion%side)*walls%gate_end
+      motion%chamber = int(in_gate, int8)
+    else
+      motion%x = x_direction(motion%side)*walls%return_begin(motion%side)
+      motion%chamber = int(in_return, int8)
+    end if
     motion%y = within(motion%y, half_width(walls, motion))
     call aim_in_channel(walls, motion, wait)
   end subroutine enter_channel
@@ -286,16 +281,16 @@ contains
     associate (w => walls%side(motion%side), out => x_direction(motion%side))
       if (motion%chamber == in_gate) then
         qx = -w%chord(gated)
-        motion%x = out*w%gate_end
+        motion%x = out*walls%gate_end
       else
         qx = w%chord(ungated)
-        motion%x = out*w%return_begin
+        motion%x = out*walls%return_begin(motion%side)
       end if
       motion%chamber = int(in_urn, int8)
       motion%y = within(motion%y, half)
       ! On a chord, r**2 - q**2 is a product that stays exact however narrow the channel is.
       room = (half - abs(motion%y))*(half + abs(motion%y))
-      call aim_in_urn(walls, motion, qx, out*motion%ux, room, wait)
+      call aim_in_urn(w, motion, qx, out*motion%ux, room, wait)
     end associate
   end subroutine leave_channel
 
@@ -311,7 +306,7 @@ contains
     if (to == motion%side) motion%ux = -motion%ux
     motion%side = to
     motion%x = 0.0_wp
-    if (motion%chamber == in_return) motion%x = x_direction(to)*walls%side(to)%return_end
+    if (motion%chamber == in_return) motion%x = x_direction(to)*walls%return_end(to)
     motion%y = within(motion%y, half_width(walls, motion))
     call aim_in_channel(walls, motion, wait)
   end subroutine cross_line

@@ -6,7 +6,7 @@
 !> except a reversal, which brings all those counted in a gate to its time.
 module battery_collision
   use battery_kinds, only: wp, int64
-  use battery_bounce, only: walls_type, motion_type, fly, hit_arc, hit_channel, meets_arc, &
+  use battery_bounce, only: walls_type, motion_type, fly, hit_arc, hit_channel, turn_back, meets_arc, &
     meets_wall, meets_nothing
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
     meet, end_instant, count_hits, longest_window
@@ -21,6 +21,10 @@ module battery_collision
   !> A window is at most so many urn radii long, and has about so many events at most.
   real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp
 
+  !> A window ends after so many wall collisions, far more than usual: in a channel that is hardly
+  !> wider than nothing a single particle would keep the run from hearing a signal.
+  integer(int64), parameter :: most_hits = 2_int64**24
+
   type, extends(wall_by_wall_type) :: collision_type
     private
     type(motion_type), allocatable :: motion(:)
@@ -34,6 +38,7 @@ module battery_collision
     procedure :: prepare
     procedure :: live
     procedure :: turn_page
+    procedure :: turn_particle
     procedure :: pass_own
     procedure :: motion_now
     procedure :: write_down
@@ -82,6 +87,10 @@ contains
       call bounce_until(self%walls, self%number, self%motion, self%tournament, ends, hits)
       call count_hits(self, history, hits)
       if (self%tournament%node(1)%time >= ends) exit
+      if (history%collisions_seen >= most_hits) then
+        ends = self%tournament%node(1)%time
+        exit
+      end if
       self%now = self%tournament%node(1)%time
       call live_instant(self, began, history)
     end do
@@ -106,10 +115,10 @@ contains
     do
       time = tournament%node(1)%time
       i = tournament%node(1)%particle
-      if (time >= ends .or. motion(i)%next > meets_wall) exit
+      if (time >= ends .or. motion(i)%next > meets_wall .or. hits >= most_hits) exit
       call fly(motion(i), time - motion(i)%time)
       if (motion(i)%next == meets_arc) then
-        call hit_arc(walls, motion(i), wait)
+        call hit_arc(walls%side(motion(i)%side), motion(i), wait)
       else
         call hit_channel(walls, motion(i), wait)
       end if
@@ -124,19 +133,32 @@ contains
     type(collision_type), intent(inout) :: self
     real(wp), intent(in) :: began
     type(history_type), intent(inout) :: history
-    real(wp) :: wait
+    real(wp) :: time, wait
     integer :: i, first
 
     first = history%events + 1
-    do while (self%tournament%node(1)%time <= self%now)
+    time = self%now
+    do while (self%tournament%node(1)%time <= time)
       i = self%tournament%node(1)%particle
-      call fly(self%motion(i), self%now - self%motion(i)%time)
-      self%motion(i)%time = self%now
-      call meet(self, history, self%now - began, i, self%motion(i), wait)
-      call set_time(self%tournament, i, self%now + wait)
+      call fly(self%motion(i), time - self%motion(i)%time)
+      self%motion(i)%time = time
+      call meet(self, history, time - began, i, self%motion(i), wait)
+      call set_time(self%tournament, i, time + wait)
     end do
-    call end_instant(self, self%now - began, first, history)
+    call end_instant(self, time - began, first, history)
   end subroutine live_instant
+
+  !> In its place.
+  subroutine turn_particle(self, i)
+    class(collision_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp) :: wait
+
+    call fly(self%motion(i), self%now - self%motion(i)%time)
+    self%motion(i)%time = self%now
+    call turn_back(self%walls, self%motion(i), wait)
+    call set_time(self%tournament, i, self%now + wait)
+  end subroutine turn_particle
 
   pure function motion_now(self, i) result(motion)
     class(collision_type), intent(in) :: self

@@ -113,8 +113,8 @@ contains
       if (turn > 1 .and. .not. step > 0.0_wp) exit
       since = since + step
       self%now = began + since
-      call move_all(self%walls%side(1), self%number, step, self%x, self%y, self%ux, self%uy, &
-        self%chamber, self%busy)
+      call move_all(self%walls%side(1), self%walls%radius2(1), self%number, step, self%x, self%y, &
+        self%ux, self%uy, self%chamber, self%busy)
       if (.not. self%one_size) call look_again(self)
       call look_around(self, since, history)
     end do
@@ -123,19 +123,19 @@ contains
   end subroutine live
 
   !> Straight on by `step`; who may have met something is busy.
-  pure subroutine move_all(w, number, step, x, y, ux, uy, chamber, busy)
+  pure subroutine move_all(w, radius2, number, step, x, y, ux, uy, chamber, busy)
     !> Of side 1; what is busy on the other side is right if the urns are alike.
     type(side_type), intent(in) :: w
+    real(wp), intent(in) :: radius2
     integer, intent(in) :: number
     real(wp), intent(in) :: step, ux(number), uy(number)
     real(wp), intent(inout) :: x(number), y(number)
     integer(int8), intent(in) :: chamber(number)
     logical, intent(out) :: busy(number)
-    real(wp) :: qx, radius2, chord1, chord2, centre
+    real(wp) :: qx, chord1, chord2, centre
     integer :: i
 
     ! Copies that the compiler may keep in registers.
-    radius2 = w%radius2
     chord1 = w%chord(gated)
     chord2 = w%chord(ungated)
     centre = w%centre
@@ -157,19 +157,20 @@ contains
 
     do i = 1, self%number
       if (self%side(i) == 2 .and. self%chamber(i) == in_urn) &
-        call find_busy(self%walls%side(2), self%x(i), self%y(i), self%busy(i))
+        call find_busy(self%walls%side(2), self%walls%radius2(2), self%x(i), self%y(i), &
+        self%busy(i))
     end do
   end subroutine look_again
 
   !> Whether one of an urn may have met something.
-  pure subroutine find_busy(w, x, y, busy)
+  pure subroutine find_busy(w, radius2, x, y, busy)
     type(side_type), intent(in) :: w
-    real(wp), intent(in) :: x, y
+    real(wp), intent(in) :: radius2, x, y
     logical, intent(out) :: busy
     real(wp) :: qx
 
     qx = abs(x) - w%centre
-    busy = qx**2 + y**2 > w%radius2 .or. qx <= -w%chord(gated) .or. qx >= w%chord(ungated)
+    busy = qx**2 + y**2 > radius2 .or. qx <= -w%chord(gated) .or. qx >= w%chord(ungated)
   end subroutine find_busy
 
   !> Puts the particles right at the end of a step, and lets the gates decide.
@@ -200,8 +201,8 @@ contains
     real(wp) :: out, qx, vx, distance, outward, factor
 
     out = x_direction(self%side(i))
-    associate (w => self%walls%side(self%side(i)), half => self%walls%half, x => self%x(i), &
-      y => self%y(i), ux => self%ux(i), uy => self%uy(i))
+    associate (w => self%walls%side(self%side(i)), radius2 => self%walls%radius2(self%side(i)), &
+      half => self%walls%half, x => self%x(i), y => self%y(i), ux => self%ux(i), uy => self%uy(i))
       qx = out*x - w%centre
       vx = out*ux
       if (qx <= -w%chord(gated) .and. vx < 0.0_wp .and. abs(y) < half(gated)) then
@@ -209,7 +210,7 @@ contains
         call enter_gate(self, history, since, i, self%motion_now(i))
       else if (qx >= w%chord(ungated) .and. vx > 0.0_wp .and. abs(y) < half(ungated)) then
         call go_in(self, i, in_return, half(ungated), (qx - w%chord(ungated))/vx)
-      else if (qx**2 + y**2 > w%radius2) then
+      else if (qx**2 + y**2 > radius2) then
         distance = hypot(qx, y)
         outward = (qx*vx + y*uy)/distance
         ! In a segment beyond a chord it may have come out of the channel into the wall.
@@ -219,7 +220,7 @@ contains
         factor = 1.5_wp - 0.5_wp*(vx**2 + uy**2)
         ux = out*factor*vx
         uy = factor*uy
-        factor = 2.0_wp*sqrt(w%radius2)/distance - 1.0_wp
+        factor = 2.0_wp*sqrt(radius2)/distance - 1.0_wp
         x = out*(w%centre + factor*qx)
         y = factor*y
         call count_hits(self, history, 1_int64)
@@ -250,13 +251,15 @@ contains
     inside_gate = self%chamber(i) == in_gate
     ! On its way to the far end: such a particle cannot leave.
     inward = merge(out, -out, inside_gate)*self%ux(i) < 0.0_wp
-    associate (w => self%walls%side(self%side(i)), x => self%x(i))
-      half = merge(self%walls%half(gated), self%walls%half(ungated), inside_gate)
+    associate (walls => self%walls, w => self%walls%side(self%side(i)), x => self%x(i))
+      half = merge(walls%half(gated), walls%half(ungated), inside_gate)
       ! How far it is beyond the chord, and short of the line.
-      depth = merge(w%gate_end - out*x, out*x - w%return_begin, inside_gate)
-      ahead = merge(out*x, w%return_end - out*x, inside_gate)
+      depth = merge(walls%gate_end - out*x, out*x - walls%return_begin(self%side(i)), &
+        inside_gate)
+      ahead = merge(out*x, walls%return_end(self%side(i)) - out*x, inside_gate)
       qx = out*x - w%centre
-      if (.not. inward .and. depth < 0.0_wp .and. qx**2 + self%y(i)**2 <= w%radius2) then
+      if (.not. inward .and. depth < 0.0_wp .and. &
+        qx**2 + self%y(i)**2 <= walls%radius2(self%side(i))) then
         call go_out(self, i, half, depth)
         return
       end if
@@ -312,7 +315,7 @@ contains
       self%ux(i) = -self%ux(i)
     else if (self%chamber(i) == in_return) then
       ! From one end of the table to the other.
-      self%x(i) = self%x(i) - x_direction(from)*sum(self%walls%side%return_end)
+      self%x(i) = self%x(i) - x_direction(from)*sum(self%walls%return_end)
     end if
     call cross_over(self, history, since, i, from, int(self%chamber(i)))
   end subroutine go_over

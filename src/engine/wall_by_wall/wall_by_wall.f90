@@ -33,6 +33,8 @@ module battery_wall_by_wall
     procedure :: particles => all_particles
     procedure :: collisions
     procedure :: trapped
+    !> Turns a particle of a gate back.
+    procedure :: turn_particle
     !> Where a particle is now, and how it moves.
     procedure(motion_interface), deferred :: motion_now
     !> Takes note of a particle now, and of the time until its next event.
@@ -115,7 +117,7 @@ contains
 
     select case (motion%next)
     case (meets_arc)
-      call hit_arc(self%walls, motion, wait)
+      call hit_arc(self%walls%side(motion%side), motion, wait)
       call count_hits(self, history, 1_int64)
     case (meets_wall)
       call hit_channel(self%walls, motion, wait)
@@ -190,17 +192,23 @@ contains
     real(wp), intent(in) :: since
     integer, intent(in) :: first
     type(history_type), intent(inout) :: history
+
+    if (undecided(self%gate)) call let_gates_decide(self, since, history)
+    if (history%events > first) call order_events(history, first)
+  end subroutine end_instant
+
+  subroutine let_gates_decide(self, since, history)
+    class(wall_by_wall_type), intent(inout) :: self
+    real(wp), intent(in) :: since
+    type(history_type), intent(inout) :: history
     integer :: side
     logical :: turns
 
-    if (undecided(self%gate)) then
-      do side = 1, 2
-        call decide(self%gate(side), turns)
-        if (turns) call turn_gate(self, side, since, history)
-      end do
-    end if
-    if (history%events > first) call order_events(history, first)
-  end subroutine end_instant
+    do side = 1, 2
+      call decide(self%gate(side), turns)
+      if (turns) call turn_gate(self, side, since, history)
+    end do
+  end subroutine let_gates_decide
 
   !> All those counted in the gate of a side turn back.
   subroutine turn_gate(self, side, since, history)
@@ -209,21 +217,27 @@ contains
     !> Since the window began.
     real(wp), intent(in) :: since
     type(history_type), intent(inout) :: history
-    type(motion_type) :: motion
-    real(wp) :: wait
-    integer :: member, i
+    integer :: member
 
     associate (counted => self%gate(side)%counted)
       call record_reversal(history, since, side, counted%count)
       do member = 1, counted%count
-        i = counted%who(member)
-        motion = self%motion_now(i)
-        call turn_back(self%walls, motion, wait)
-        call self%write_down(i, motion, wait)
+        call self%turn_particle(counted%who(member))
       end do
     end associate
     call turned_back(self%gate(side))
   end subroutine turn_gate
+
+  subroutine turn_particle(self, i)
+    class(wall_by_wall_type), intent(inout) :: self
+    integer, intent(in) :: i
+    type(motion_type) :: motion
+    real(wp) :: wait
+
+    motion = self%motion_now(i)
+    call turn_back(self%walls, motion, wait)
+    call self%write_down(i, motion, wait)
+  end subroutine turn_particle
 
   subroutine all_particles(self, first, last, particles)
     class(wall_by_wall_type), intent(in) :: self
