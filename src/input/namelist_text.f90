@@ -26,6 +26,7 @@ module battery_namelist_text
     type(value_type), allocatable :: values(:)
   end type entry_type
 
+  !> `&name`.
   type :: group_type
     character(len=:), allocatable :: name
     integer :: line = 0
@@ -50,7 +51,8 @@ module battery_namelist_text
 
 contains
 
-  !> Splits `text`; mistakes of the syntax come back in `remarks`, the rest is read all the same.
+  !> Splits `text` into `groups`, those given again too, and `entries`, the keys with their values, in
+  !> their order; mistakes of the syntax come back in `remarks`, the rest is read all the same.
   subroutine split_namelist(text, groups, entries, remarks)
     character(len=*), intent(in) :: text
     type(group_type), allocatable, intent(out) :: groups(:)

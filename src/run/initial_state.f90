@@ -91,6 +91,7 @@ contains
 
   !> `number` particles from a file, as `parse_particles` reads its text.
   subroutine read_particles(file, table, number, particles, error)
+    !> Its path.
     character(len=*), intent(in) :: file
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
@@ -110,6 +111,7 @@ contains
   !> and lines that begin with # are passed over. All problems come back in one error; in it `name`
   !> stands for the file.
   subroutine parse_particles(text, name, table, number, particles, error)
+    !> All of the file, and its name.
     character(len=*), intent(in) :: text, name
     type(table_type), intent(in) :: table
     integer, intent(in) :: number

@@ -167,6 +167,7 @@ contains
 
   !> The nearest whole number, at most the largest there is.
   elemental function rounded(number)
+    !> Of either sign.
     real(wp), intent(in) :: number
     integer :: rounded
 

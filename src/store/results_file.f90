@@ -20,8 +20,8 @@ module battery_results_file
   private
   public :: write_results
 
-  !> Writes a dataset and attaches its dimensions, unless an error came before: (file, path, values,
-  !> dimensions, units, long_name, error).
+  !> Writes `values` as a dataset at the `path` of an open `file`, unless an error came before, with
+  !> the scales at the paths of `dimensions`, in Fortran order, and its `units` and `long_name`.
   interface put
     module procedure :: put_real64, put_int32, put_int64
   end interface put
