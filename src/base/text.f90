@@ -13,8 +13,8 @@ module battery_text
     character(len=:), allocatable :: text
   end type string_type
 
-  !> A `number` (integer or real), or a logical `value`, as short text; reals with as many digits as it takes
-  !> to read the same number back.
+  !> A `number` (integer or real), or a logical `value`, as short text; reals with as many digits as
+  !> it takes to read the same number back.
   interface to_text
     module procedure :: int32_text, int64_text, real32_text, real64_text, real128_text, &
       logical_text

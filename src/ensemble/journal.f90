@@ -117,8 +117,8 @@ contains
       journal%ranks - 1)]
   end function rank_files_of
 
-  !> The numbers of tasks, and what they are known by, of the first good record of every file but the
-  !> plan, (2, file): what else can tell whose journal this is.
+  !> The numbers of tasks, and what they are known by, of the first good record of every file but
+  !> the plan, (2, file): what else can tell whose journal this is.
   function kept_in(folder) result(kept)
     !> Of the journal.
     character(len=*), intent(in) :: folder

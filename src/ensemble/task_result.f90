@@ -129,8 +129,8 @@ contains
     allocate (record%reals(0), record%bytes(0))
   end function to_record
 
-  !> The result that a record is. A good record may still be a plan or a state under another name, or
-  !> of a program that measured something else.
+  !> The result that a record is. A good record may still be a plan or a state under another name,
+  !> or of a program that measured something else.
   subroutine from_record(record, found, is_one)
     type(record_type), intent(in) :: record
     !> What the record says, if it is one.

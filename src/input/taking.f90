@@ -6,8 +6,8 @@ module battery_taking
   private
   public :: take, take_list
 
-  !> Takes the `value` of a key, which stays as it was where there is none; `group` and `name` are in
-  !> small letters. Of two numbers, one that is given counts for both.
+  !> Takes the `value` of a key, which stays as it was where there is none; `group` and `name` are
+  !> in small letters. Of two numbers, one that is given counts for both.
   interface take
     module procedure :: take_integer, take_long, take_integers, take_real, take_reals, &
       take_text, take_logical

@@ -19,8 +19,8 @@ module battery_hdf5_datasets
   private
   public :: write_dataset, read_dataset, read_shape, reserve_dataset
 
-  !> Writes a scalar or an array, `values`, as a new dataset at the `path` of an open `file`; `units`
-  !> and `long_name` become its attributes. Large ones are compressed.
+  !> Writes a scalar or an array, `values`, as a new dataset at the `path` of an open `file`;
+  !> `units` and `long_name` become its attributes. Large ones are compressed.
   interface write_dataset
     module procedure :: write_real64, write_int8, write_int32, write_int64, write_text
   end interface write_dataset
