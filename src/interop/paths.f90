@@ -75,6 +75,7 @@ contains
 
   !> Whether there is a file of that name, and no folder, pipe or device.
   function is_file(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -83,6 +84,7 @@ contains
 
   !> Whether there is a folder of that name.
   function is_folder(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -91,6 +93,7 @@ contains
 
   !> Whether there is something else of that name: a pipe, a device, a socket.
   function is_pipe_or_device(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -99,6 +102,7 @@ contains
 
   !> Whether two paths name one and the same file, by whatever link.
   function same_file(one, other) result(yes)
+    !> Where either is not there, they are not the same.
     character(len=*), intent(in) :: one, other
     logical :: yes
 
@@ -107,6 +111,7 @@ contains
 
   !> Folder that a file lies in: what is before its last slash, `.` if it has none.
   pure function folder_of(path) result(folder)
+    !> Need not be there.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: folder
     integer :: slash
@@ -121,6 +126,7 @@ contains
 
   !> The folder in which a file really lies, its links resolved; empty if it is not there.
   function real_folder_of(path) result(folder)
+    !> Of a file.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: folder
 
@@ -131,6 +137,7 @@ contains
 
   !> Where a name is a link, what it points to in the end, which need not be there; others stay.
   subroutine follow_links(path, error)
+    !> The name; what it points to where it is a link.
     character(len=:), allocatable, intent(inout) :: path
     !> Code `exit_bad_input`: links in a circle, for instance.
     type(error_type), allocatable, intent(out) :: error
@@ -157,6 +164,7 @@ contains
 
   !> The text of C that an address points to.
   function text_at(address) result(text)
+    !> Of bytes that end with a zero; not null.
     type(c_ptr), intent(in) :: address
     character(len=:), allocatable :: text
     character(kind=c_char), pointer :: letters(:)
@@ -171,6 +179,7 @@ contains
 
   !> What the system calls an error of that number.
   function error_text(number) result(text)
+    !> What C calls `errno`.
     integer, intent(in) :: number
     character(len=:), allocatable :: text
 

@@ -18,14 +18,15 @@ module battery_hdf5_attributes
   public :: write_attribute, read_attribute
   public :: add_text, new_space, new_text_type, is_text, text_at
 
-  !> Adds an attribute to what stands at a path, `/` for the file: (file, path, name, values,
-  !> error).
+  !> Adds an attribute `name` to what stands at the `path`, `/` for the file, of an open `file`: a
+  !> number, a list of them, or a text in `values`.
   interface write_attribute
     module procedure :: write_real64_attribute, write_int32_attribute, write_int64_attribute, &
       write_text_attribute
   end interface write_attribute
 
-  !> Reads an attribute that is a single number, or a text: (file, path, name, value, error).
+  !> Reads the attribute `name` of what stands at the `path`, `/` for the file, of an open `file`: a
+  !> single number, or a text, in `value`.
   interface read_attribute
     module procedure :: read_real64_attribute, read_int32_attribute, read_text_attribute
   end interface read_attribute
@@ -113,8 +114,11 @@ contains
 
   !> Adds a text to an open object.
   subroutine add_text(object, name, text, status)
+    !> Handle of a group or a dataset that is open.
     integer(hid_t), intent(in) :: object
+    !> Of the attribute, and what it says.
     character(len=*), intent(in) :: name, text
+    !> Negative: HDF5 has failed.
     integer, intent(out) :: status
     character(len=:, kind=c_char), allocatable, target :: letters
     type(c_ptr), target :: address
@@ -130,8 +134,11 @@ contains
 
   !> A space of these extents; a scalar one if there are none.
   subroutine new_space(extents, space, status)
+    !> One a dimension; none: a scalar.
     integer(hsize_t), intent(in) :: extents(:)
+    !> To be closed by who asked for it.
     integer(hid_t), intent(out) :: space
+    !> Negative: HDF5 has failed.
     integer, intent(out) :: status
 
     space = no_handle
@@ -144,7 +151,9 @@ contains
 
   !> The type of texts of variable length, in UTF-8.
   subroutine new_text_type(text_type, status)
+    !> To be closed by who asked for it.
     integer(hid_t), intent(out) :: text_type
+    !> Negative: HDF5 has failed.
     integer, intent(out) :: status
 
     text_type = no_handle
@@ -245,6 +254,7 @@ contains
 
   !> Whether something of this type and space is one text of variable length.
   function is_text(value_type, space)
+    !> Handles of what is stored.
     integer(hid_t), intent(in) :: value_type, space
     logical :: is_text
     integer :: dimensions, status
@@ -257,6 +267,7 @@ contains
 
   !> The text that ends with a null at an address.
   function text_at(address) result(text)
+    !> Of bytes that end with a zero.
     type(c_ptr), intent(in) :: address
     character(len=:), allocatable :: text
     character(kind=c_char), pointer :: letters(:)

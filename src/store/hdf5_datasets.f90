@@ -19,13 +19,13 @@ module battery_hdf5_datasets
   private
   public :: write_dataset, read_dataset, read_shape, reserve_dataset
 
-  !> Writes a scalar or an array as a new dataset: (file, path, values, units, long_name, error).
-  !> Large ones are compressed.
+  !> Writes a scalar or an array, `values`, as a new dataset at the `path` of an open `file`;
+  !> `units` and `long_name` become its attributes. Large ones are compressed.
   interface write_dataset
     module procedure :: write_real64, write_int8, write_int32, write_int64, write_text
   end interface write_dataset
 
-  !> Reads a dataset of the same shape as `values`, or a text: (file, path, values, error).
+  !> Reads the dataset at the `path` of an open `file`, of the same shape as `values`, or a text.
   interface read_dataset
     module procedure :: read_real64, read_int8, read_int32, read_int64, read_text
   end interface read_dataset
@@ -96,9 +96,13 @@ contains
 
   !> A new dataset of rank 1 of 32-bit integers that are never written and take no room.
   subroutine reserve_dataset(file, path, length, units, long_name, error)
+    !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
+    !> From the root, in groups that are there.
     character(len=*), intent(in) :: path
+    !> In bytes.
     integer, intent(in) :: length
+    !> Attributes of the same names.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(out) :: error
 
@@ -238,8 +242,11 @@ contains
 
   !> Extents of a dataset, in Fortran order; none for a scalar.
   subroutine read_shape(file, path, extents, error)
+    !> Open.
     type(hdf5_file_type), intent(in) :: file
+    !> From the root.
     character(len=*), intent(in) :: path
+    !> One a dimension, in Fortran order; none: a scalar.
     integer(int64), allocatable, intent(out) :: extents(:)
     type(error_type), allocatable, intent(out) :: error
     integer(hsize_t), allocatable :: most(:)

@@ -53,7 +53,9 @@ contains
 
   !> Creates a file in memory; `close_file` writes it to the disk, over one of the same name.
   subroutine create_file(file, name, error)
+    !> Open; to be closed with `close_file`.
     type(hdf5_file_type), intent(out) :: file
+    !> Its path.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
     integer(size_t), parameter :: growth = 1024_size_t**2
@@ -81,7 +83,9 @@ contains
 
   !> Opens a file for reading.
   subroutine open_file(file, name, error)
+    !> Open; to be closed with `close_file`.
     type(hdf5_file_type), intent(out) :: file
+    !> Its path.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
     integer(hid_t) :: access
@@ -123,6 +127,7 @@ contains
 
   !> Closes a file, and writes a new one to the disk; one that is not open is no error.
   subroutine close_file(file, error)
+    !> Open.
     type(hdf5_file_type), intent(inout) :: file
     type(error_type), allocatable, intent(out) :: error
     integer(int8), allocatable :: image(:)
@@ -195,7 +200,9 @@ contains
 
   !> Makes a group.
   subroutine make_group(file, path, error)
+    !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
+    !> From the root.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     integer(hid_t) :: group
@@ -209,7 +216,9 @@ contains
 
   !> Whether a group or dataset is at a path.
   function path_exists(file, path) result(yes)
+    !> Open.
     type(hdf5_file_type), intent(in) :: file
+    !> From the root.
     character(len=*), intent(in) :: path
     logical :: yes
     integer :: last, slash, status
@@ -226,6 +235,7 @@ contains
 
   !> Closes a handle of any kind, if there is one; `status` becomes nonzero where that fails.
   subroutine release(handle, status)
+    !> Of anything of HDF5, or `no_handle`.
     integer(hid_t), intent(in) :: handle
     integer, intent(inout) :: status
     integer :: users, closed
@@ -237,7 +247,9 @@ contains
 
   !> An error about what stands at a path, if `status` says so.
   subroutine check(file, path, problem, status, error)
+    !> Where it happened.
     type(hdf5_file_type), intent(in) :: file
+    !> From the root.
     character(len=*), intent(in) :: path, problem
     integer, intent(in) :: status
     type(error_type), allocatable, intent(out) :: error
