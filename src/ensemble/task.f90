@@ -8,6 +8,8 @@ module battery_task
   use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, &
     verify
   use battery_initial_state, only: random_particles
+  use battery_room, only: check_room, particle_bytes
+  use battery_text, only: to_text
   use battery_journal, only: journal_type, read_state, write_state
   use battery_task_result, only: task_result_type, result_of, failed_result
   use battery_communicator, only: board_type, add_to_board, read_board, help_board, help_interval, &
@@ -178,6 +180,10 @@ contains
     if (allocated(start%x)) then
       particles = start
     else
+      ! To draw them takes long: what cannot be had is found out before.
+      call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
+        //' particles', error)
+      if (allocated(error)) return
       call random_particles(task%setup%table, task%number, task%urn1_number, task%setup%seed, &
         particles, error)
     end if

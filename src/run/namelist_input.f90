@@ -102,15 +102,19 @@ contains
     type(settings_type), intent(inout) :: settings
     type(plan_type), intent(inout) :: plan
     type(scanned_type) :: one
+    type(problem_type) :: problem
     integer :: at
 
+    problem%group = 'scan'
     allocate (plan%scanned(0))
     do at = 1, size(settings%all) - 1
       ! A list stands before its range.
       if (settings%all(at)%key%group /= 'scan' .or. .not. settings%all(at + 1)%key%is_range) cycle
       if (settings%all(at)%given .and. settings%all(at + 1)%given) then
-        call add_problem(settings, problem_type('scan', settings%all(at + 1)%key%name, &
-          'is given beside '//settings%all(at)%key%name, 'one of the two'))
+        problem%key = settings%all(at + 1)%key%name
+        problem%value = 'is given beside '//settings%all(at)%key%name
+        problem%allowed = 'one of the two'
+        call add_problem(settings, problem)
       else if (settings%all(at)%given .and. settings%all(at)%known) then
         one%key = settings%all(at)%key%name
         one%values = values_of(settings%all(at))
@@ -120,8 +124,10 @@ contains
         one%values = range_of(settings%all(at + 1), settings%all(at)%key%kind == whole_key)
         if (settings%all(at)%key%kind == whole_key .and. &
           any(one%values > settings%all(at)%key%greatest)) then
-          call add_problem(settings, problem_type('scan', settings%all(at + 1)%key%name, &
-            to_text(maxval(one%values)), 'numbers up to '//to_text(settings%all(at)%key%greatest)))
+          problem%key = settings%all(at + 1)%key%name
+          problem%value = to_text(maxval(one%values))
+          problem%allowed = 'numbers up to '//to_text(settings%all(at)%key%greatest)
+          call add_problem(settings, problem)
         else
           call append(one)
         end if

@@ -3,6 +3,7 @@ submodule (battery_plan) battery_plan_checks
   use battery_text, only: to_text
   use battery_bounds, only: bounds_type, radius_bounds, length_bounds, width_bounds, time_bounds, &
     clock_bounds, complaint, whole_of, can_count_hits
+  use battery_identity, only: twelve_digits
   implicit none (type, external)
 
 contains
@@ -100,7 +101,8 @@ contains
       if (plan%transient_duration > 0.0_wp) &
         call add(problems, 'run', 'transient_duration', to_text(plan%transient_duration), &
         '0, unless duration is given')
-      if (plan%transient_collisions >= plan%collisions) &
+      ! None are known where their number was refused.
+      if (plan%collisions > 0 .and. plan%transient_collisions >= plan%collisions) &
         call add(problems, 'run', 'transient_collisions', to_text(plan%transient_collisions), &
         'below collisions, which is '//to_text(plan%collisions))
     end if
@@ -174,12 +176,14 @@ contains
   function first_repeat(values) result(place)
     real(wp), intent(in) :: values(:)
     integer :: place
+    real(wp), allocatable :: rounded_values(:)
     integer :: order(size(values)), k
 
-    call sort(values, order)
+    rounded_values = twelve_digits(values)
+    call sort(rounded_values, order)
     place = huge(1)
     do k = 2, size(order)
-      if (abs(values(order(k)) - values(order(k - 1))) <= 0.5e-11_wp*abs(values(order(k)))) &
+      if (.not. rounded_values(order(k)) > rounded_values(order(k - 1))) &
         place = min(place, max(order(k), order(k - 1)))
     end do
     if (place == huge(1)) place = 0
