@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from subprocess import CompletedProcess
 
-ENGINES = ["excursion", "collision", "synchronous", "timestep", "reservoir"]
-POWERS = [-200, -70, -3, 5, 64, 200]
+EXACT = ["excursion", "collision", "synchronous", "timestep"]
+ENGINES = [*EXACT, "reservoir"]
+POWERS = [-200, -3, 64, 200]
 
 # Lengths and times of a case, all of which grow with the scale.
 TABLE = {
@@ -83,9 +84,23 @@ def read(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
+def scattered() -> list[tuple[float, float, float, float]]:
+    """Give particles in both urns, off their chords; a scaled table has other random numbers."""
+    random = np.random.default_rng(1)
+    centre = 0.5 * TABLE["channel1_length"] + math.sqrt(1.0 - 0.25 * TABLE["channel1_width"] ** 2)
+    found = []
+    for at in range(60):
+        away, angle, way = 0.9 * math.sqrt(random.random()), *random.uniform(0.0, 6.28, 2)
+        x = away * math.cos(angle) + (centre if at % 2 else -centre)
+        found.append((x, away * math.sin(angle), math.cos(way), math.sin(way)))
+    return found
+
+
 def scaled(folder: Path, engine: str, power: int) -> dict[str, np.ndarray]:
     """Run the case on a table whose lengths and times are 2**power as long."""
     unit = math.ldexp(1.0, power)
+    lines = [f"{x * unit!r} {y * unit!r} {ux!r} {uy!r}\n" for x, y, ux, uy in scattered()]
+    (folder / "start.txt").write_text("".join(lines))
     settings = {"duration": DURATION * unit, "transient_duration": 3.0 * unit}
     if engine == "timestep":
         settings["time_step"] = 0.01 * unit
@@ -94,6 +109,7 @@ def scaled(folder: Path, engine: str, power: int) -> dict[str, np.ndarray]:
         {key: repr(value * unit) for key, value in TABLE.items()},
         engine,
         f"scale{power}",
+        particles={"initial_file": "'start.txt'"},
         run={key: repr(value) for key, value in settings.items()},
         output={
             "series_interval": repr(0.7 * unit),
@@ -114,7 +130,7 @@ def factor(name: str, power: int) -> float:
     return math.ldexp(1.0, -power) if rate else 1.0
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", EXACT)
 def test_a_power_of_two_in_all_lengths_and_times_changes_no_bit_but_the_factor(
     tmp_path: Path, engine: str
 ) -> None:
@@ -125,7 +141,7 @@ def test_a_power_of_two_in_all_lengths_and_times_changes_no_bit_but_the_factor(
     for power in POWERS:
         other = scaled(tmp_path, engine, power)
         assert other.keys() == one.keys()
-        for name in one.keys() - {"cpu_seconds"}:
+        for name in one.keys() - {"cpu_seconds", "seed"}:
             expected = one[name]
             if expected.dtype.kind == "f":
                 expected = expected * factor(name, power)
@@ -144,7 +160,7 @@ PLACES = [
 ]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", EXACT)
 def test_who_starts_in_a_channel_is_scaled_as_well(tmp_path: Path, engine: str) -> None:
     """The slowest passages too: what is endless is so at any scale."""
     found = {}

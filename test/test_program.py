@@ -78,7 +78,7 @@ BAD = {
     "no end": ("&table\n urn_radius = 1\n", ["&table", "/", "missing"]),
     "text for a number": (
         "&table\n urn_radius = 'wide'\n/\n",
-        ["&table urn_radius = 'wide'", "allowed: one number above 0"],
+        ["&table urn_radius = 'wide'", "allowed: one number or two above 0"],
     ),
     "fraction for a whole number": (
         "&scan\n replicas = 2.5\n/\n",
@@ -89,7 +89,11 @@ BAD = {
         ["&output final_state = 1", ".true. or .false."],
     ),
     "number for a text": ("&output\n file = 5\n/\n", ["&output file = 5", "text in quotes"]),
-    "two values": ("&table\n urn_radius = 1, 2\n/\n", ["&table urn_radius = 1, 2", "one number"]),
+    "two values": ("&run\n duration = 1, 2\n/\n", ["&run duration = 1, 2", "one number"]),
+    "three values": (
+        "&table\n urn_radius = 1, 2, 3\n/\n",
+        ["&table urn_radius = 1, 2, 3", "one number or two"],
+    ),
     "no value": ("&table\n urn_radius =\n/\n", ["&table urn_radius", "one number"]),
     "NaN": ("&table\n urn_radius = NaN\n/\n", ["&table urn_radius = NaN", "above 0"]),
     "infinity": ("&run\n duration = Infinity\n/\n", ["&run duration = Infinity", "allowed"]),
@@ -567,10 +571,12 @@ def write_start(state: xarray.Dataset, path: Path) -> None:
 
 def test_final_state_goes_on(tmp_path: Path) -> None:
     """A final state is a start: snapshots at time 0 are the initial file, and runs join up."""
-    output = {"file": "'one.h5'", "final_state": ".true."}
+    output = {"file": "'one.h5'", "final_state": ".true.", "snapshot_times": "0"}
     write(tmp_path, "one.nml", run={"duration": "3"}, output=output)
     assert run("one.nml", folder=tmp_path).returncode == 0
     final = xarray.load_dataset(tmp_path / "one.h5", group="final")
+    first = xarray.load_dataset(tmp_path / "one.h5", group="snapshots")
+    write_start(first, tmp_path / "first.txt")
     write_start(final, tmp_path / "start.txt")
     output = {"file": "'two.h5'", "final_state": ".true.", "snapshot_times": "0, 2"}
     particles = {**PARTICLES, "initial_file": "'start.txt'", "seed": "77"}
@@ -581,6 +587,7 @@ def test_final_state_goes_on(tmp_path: Path) -> None:
     write(
         tmp_path,
         "whole.nml",
+        particles={**PARTICLES, "initial_file": "'first.txt'"},
         run={"duration": "5"},
         output={"file": "'whole.h5'", "final_state": ".true.", "snapshot_times": "3"},
     )

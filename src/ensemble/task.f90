@@ -187,6 +187,10 @@ contains
     if (allocated(start%x)) then
       particles = start
     else
+      ! To draw them takes long: what cannot be had is found out before.
+      call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
+        //' particles', error)
+      if (allocated(error)) return
       call random_particles(task%setup%table, task%number, task%urn1_number, task%setup%seed, &
         particles, error)
     end if

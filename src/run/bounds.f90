@@ -21,11 +21,14 @@ module battery_bounds
   !> Visits in which an urn is hit this many times as often as in the mean are counted, too.
   real(wp), parameter :: longest_visit = 64.0_wp
 
+  !> What bounds follow from; the words are made only when they are needed, since there may be
+  !> millions of points.
+  integer, parameter :: of_powers = 1, of_lengths = 2, of_widths = 3, of_times = 4, of_clocks = 5
+
   !> What a number may be.
   type :: bounds_type
     real(wp) :: least = 0.0_wp, most = 0.0_wp
-    !> What they follow from.
-    character(len=:), allocatable :: reason
+    integer :: reason = of_powers
   end type bounds_type
 
 contains
@@ -34,7 +37,7 @@ contains
   pure function radius_bounds() result(bounds)
     type(bounds_type) :: bounds
 
-    bounds = bounds_type(1.0_wp/greatest_radius, greatest_radius, 'whose powers are still numbers')
+    bounds = bounds_type(1.0_wp/greatest_radius, greatest_radius, of_powers)
   end function radius_bounds
 
   !> Bounds of the length of a channel beside an urn, and beside the other channel, `other` long
@@ -44,8 +47,7 @@ contains
     real(wp), intent(in) :: radius, other
     type(bounds_type) :: bounds
 
-    bounds = bounds_type(finest*max(radius, other), radius/finest, 'so that '//to_text(finest) &
-      //' of the longest of urn_radius and the channels'' lengths is no longer than the shortest')
+    bounds = bounds_type(finest*max(radius, other), radius/finest, of_lengths)
   end function length_bounds
 
   !> Bounds of the width of a channel, on a table whose longest other length is `longest`. Close
@@ -55,8 +57,7 @@ contains
     real(wp), intent(in) :: radius, longest
     type(bounds_type) :: bounds
 
-    bounds = bounds_type(finest*longest, (2.0_wp - finest)*radius, 'which are '//to_text(finest) &
-      //' of the longest length of the table, and 2 urn_radius less that share of urn_radius')
+    bounds = bounds_type(finest*longest, (2.0_wp - finest)*radius, of_widths)
   end function width_bounds
 
   !> Bounds of a length of time on a table whose longest length is `longest`.
@@ -65,8 +66,7 @@ contains
     real(wp), intent(in) :: radius, longest
     type(bounds_type) :: bounds
 
-    bounds = bounds_type(finest*longest, longest_run*radius, 'which are '//to_text(finest) &
-      //' of the longest length of the table, and '//to_text(longest_run)//' urn_radius')
+    bounds = bounds_type(finest*longest, longest_run*radius, of_times)
   end function time_bounds
 
   !> Bounds of a time that the clock shows.
@@ -75,8 +75,7 @@ contains
     real(wp), intent(in) :: radius
     type(bounds_type) :: bounds
 
-    bounds = bounds_type(0.0_wp, longest_run*radius, 'which is '//to_text(longest_run) &
-      //' urn_radius')
+    bounds = bounds_type(0.0_wp, longest_run*radius, of_clocks)
   end function clock_bounds
 
   !> The longest time below `whole` that what is left after it can be told from nothing.
@@ -95,8 +94,31 @@ contains
 
     allowed = ''
     if (value >= bounds%least .and. value <= bounds%most) return
-    allowed = 'from '//to_text(bounds%least)//' to '//to_text(bounds%most)//', '//bounds%reason
+    allowed = 'from '//to_text(bounds%least)//' to '//to_text(bounds%most)//', ' &
+      //reason_text(bounds%reason)
   end function complaint
+
+  !> What bounds follow from, in words.
+  pure function reason_text(reason) result(text)
+    integer, intent(in) :: reason
+    character(len=:), allocatable :: text
+
+    select case (reason)
+    case (of_lengths)
+      text = 'so that '//to_text(finest) &
+        //' of the longest of urn_radius and the channels'' lengths is no longer than the shortest'
+    case (of_widths)
+      text = 'which are '//to_text(finest) &
+        //' of the longest length of the table, and 2 urn_radius less that share of urn_radius'
+    case (of_times)
+      text = 'which are '//to_text(finest)//' of the longest length of the table, and ' &
+        //to_text(longest_run)//' urn_radius'
+    case (of_clocks)
+      text = 'which is '//to_text(longest_run)//' urn_radius'
+    case default
+      text = 'whose powers are still numbers'
+    end select
+  end function reason_text
 
   !> Whether the wall hits of `number` particles in the time `duration` (0: not known), those of the
   !> visits under way included, are fewer than a whole number can count.

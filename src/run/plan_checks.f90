@@ -101,7 +101,8 @@ contains
       if (plan%transient_duration > 0.0_wp) &
         call add(problems, 'run', 'transient_duration', to_text(plan%transient_duration), &
         '0, unless duration is given')
-      if (plan%transient_collisions >= plan%collisions) &
+      ! None are known where their number was refused.
+      if (plan%collisions > 0 .and. plan%transient_collisions >= plan%collisions) &
         call add(problems, 'run', 'transient_collisions', to_text(plan%transient_collisions), &
         'below collisions, which is '//to_text(plan%collisions))
     end if

@@ -27,6 +27,8 @@ ENVIRONMENT = {
     **os.environ,
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_ess_singleton_isolated": "1",
+    "OMPI_MCA_orte_create_session_dirs": "0",
     "LC_ALL": "C.UTF-8",
 }
 # A mutant that asks for more than this is no fault of the reading; what it asks for is legal.
@@ -42,9 +44,9 @@ NAMELISTS = [
     "&scan channel2_width_range = 0.01, 0.2, 5 replicas = 2 /\n"
     "&output file = 'out.h5' series_interval = 0.5 snapshot_times = 0, 1 2.5 final_state = T /\n"
     "&limits wall_minutes = 3 checkpoint_minutes = 1 /\n",
-    "&particles number = 9 /\n&scan threshold = 3*1, 2, 3 number = 5 6\n channel1_width=0.5 &end\n"
+    "&particles number = 9 /\n&scan threshold = 1, 2, 3 number = 5 6\n channel1_width=0.5 &end\n"
     "&run engine='timestep' time_step=1e-2 collisions=500 transient_collisions=0 /\n"
-    "&table shape='urn' /\n&output event_log=.false. file='it''s.h5' /\n",
+    "&table shape='urn' urn_radius=2*1 /\n&output event_log=.false. file='it''s.h5' /\n",
 ]
 INITIAL = "# x y ux uy\n-1.4 0.1 1 0\n1.4, -0.2, 0.6d0, -8e-1\n\n-1.5\t0 0 1\r\n1.5 0 -1 .5\n"
 PIECES = [
