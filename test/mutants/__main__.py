@@ -24,8 +24,8 @@ HERE = Path(__file__).resolve().parent
 #: Suites without MPI in which the physics and what is measured are met.
 SUITES = ["test_blocks", "test_calendar", "test_channel", "test_collision", "test_disc",
           "test_excursion", "test_frozen", "test_gate", "test_identities", "test_instant",
-          "test_observer", "test_queue", "test_random", "test_reservoir", "test_rotation",
-          "test_simulation", "test_table", "test_timestep", "test_tournament"]
+          "test_laws", "test_observer", "test_queue", "test_random", "test_reservoir",
+          "test_rotation", "test_simulation", "test_table", "test_timestep", "test_tournament"]
 
 
 def listed(name: str) -> list[list[str]]:
@@ -66,13 +66,15 @@ def drawn(arguments: argparse.Namespace) -> list[Mutation]:
 def show(trial: Trial) -> None:
     """Print one line a mutant, and the test that turned red."""
     words = f"{trial.verdict:14} {trial.mutation.place:44} {trial.mutation.change}"
-    print(words + (f"\n{'':15}{trial.red[0]}" if trial.red else ""), flush=True)
+    print("\n".join([words, *(f"{'':15}{name}" for name in trial.red[:2])]), flush=True)
 
 
-def try_chosen(bench: Bench) -> list[Trial]:
-    """Try what `lines.txt` has; killed is only what its own test kills."""
+def try_chosen(bench: Bench, only: str) -> list[Trial]:
+    """Try what `lines.txt` has for some files; killed is only what its own test kills."""
     trials = []
     for file, line, changed, test in listed("lines.txt"):
+        if only not in file:
+            continue
         mutation = found_again(file, line, changed)
         if not mutation.number:
             trials.append(Trial(mutation, "gone"))
@@ -107,10 +109,14 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of the choice of mutations")
     parser.add_argument("--count", type=int, default=60, help="how many are drawn")
     parser.add_argument("--lines", metavar="FILE:LINE", help="all mutations of a line or a file")
-    parser.add_argument("--chosen", action="store_true", help="the mutations of lines.txt")
+    parser.add_argument("--chosen", nargs="?", const="", metavar="WORD",
+                        help="the mutations of lines.txt, in files with this word in their name")
     arguments = parser.parse_args()
     bench = Bench(SUITES)
-    trials = try_chosen(bench) if arguments.chosen else try_drawn(bench, arguments)
+    if arguments.chosen is None:
+        trials = try_drawn(bench, arguments)
+    else:
+        trials = try_chosen(bench, arguments.chosen)
     counts = Counter(trial.verdict for trial in trials)
     print(f"{counts['killed']} killed, {counts['survived']} survived, "
           f"{counts['equivalent']} equivalent, {counts['does not build']} do not build, "
