@@ -11,7 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from support.program import ENVIRONMENT, PATIENCE, PROGRAM, finish, namelist, run, start
+from support.program import (
+    ENVIRONMENT,
+    PATIENCE,
+    PROGRAM,
+    finish,
+    namelist,
+    run,
+    start,
+    wait_for,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,7 +70,7 @@ TOO_MUCH: dict[str, dict[str, dict[str, Any]]] = {
         "output": {"final_state": ".true."},
     },
     "&scan replicas: the results of 9000000 tasks": {"scan": {"replicas": 9_000_000}},
-    "&particles number: 2147483647 particles": {"particles": {"number": 2_147_483_647}},
+    "&particles number: 200000000 particles": {"particles": {"number": 200_000_000}},
     "&scan number: 100000000 particles": {"scan": {"number": "100000000, 200000000"}},
 }
 
@@ -94,6 +103,32 @@ def test_little_address_space(tmp_path: Path, megabytes: int) -> None:
     assert ended.returncode in (0, 1, 2), ended.stderr[:2000]
     assert "Error allocating" not in ended.stderr
     assert ended.returncode == 0 or ended.stderr != ""
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "reservoir"])
+def test_a_state_is_saved_where_the_run_just_fits(tmp_path: Path, engine: str) -> None:
+    """What `--check` lets through with a little to spare can be stopped, gone on with, and stopped again."""
+    write(
+        tmp_path,
+        particles={"number": 400_000},
+        run={"engine": f"'{engine}'", "collisions": 10**12},
+        limits={"checkpoint_minutes": 1e-4},
+    )
+    least, most = 60, 600
+    while most - least > 4:
+        middle = (least + most) // 2
+        ended = run("case.nml", "--check", folder=tmp_path, prepare=room_for(middle))
+        least, most = (middle, most) if ended.returncode else (least, middle)
+    # Sharing among ranks takes a little that is not there yet when the plan is checked.
+    most += 32
+    state = tmp_path / "out.h5.tasks/task_1.b"
+    for _ in range(2):
+        process = start("case.nml", folder=tmp_path, prepare=room_for(most))
+        state.unlink(missing_ok=True)
+        assert wait_for(state.exists, process)
+        process.send_signal(signal.SIGUSR1)
+        ended = finish(process)
+        assert ended.returncode == 3, (most, ended)
 
 
 def test_an_event_log_that_outgrows_the_memory(tmp_path: Path) -> None:
@@ -189,6 +224,17 @@ LONG: dict[str, tuple[dict[str, dict[str, Any]], list[str]]] = {
         {"run": {"duration": 1000}, "output": {"series_interval": "5e-5"}},
         [],
     ),
+    **{
+        f"{engine} in a narrow channel": (
+            {
+                "table": {"channel1_width": "1e-12"},
+                "particles": {"number": 1, "initial_file": "'start.txt'"},
+                "run": {"engine": f"'{engine}'", "duration": 100},
+            },
+            [],
+        )
+        for engine in ("collision", "synchronous")
+    },
     "synchronous": (
         {
             "particles": {"number": 200_000},
@@ -204,6 +250,7 @@ def test_a_signal_is_heard(tmp_path: Path, case: str) -> None:
     """Whatever a run is at, a signal ends it with exit 3 long before it would be done."""
     changes, arguments = LONG[case]
     write(tmp_path, **changes)
+    (tmp_path / "start.txt").write_text("0 1e-13 0.1 1\n")
     process = start(*arguments, "case.nml", folder=tmp_path)
     time.sleep(1.0)
     assert process.poll() is None

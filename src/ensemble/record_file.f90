@@ -11,7 +11,8 @@ module battery_record_file
   use battery_paths, only: is_file
   implicit none (type, external)
   private
-  public :: record_type, append_record, read_records, write_single, read_single
+  public :: record_type, append_record, read_records, write_single, read_single, move_record, &
+    free_record
 
   type :: record_type
     !> Fingerprint of the input that the record was made from.
@@ -36,9 +37,8 @@ contains
     type(record_type), intent(in) :: record
     integer(int64), intent(inout) :: good_size
     type(error_type), allocatable, intent(out) :: error
-    type(record_type) :: written
     integer :: unit, status
-    integer(int64) :: at, bytes
+    integer(int64) :: head(6), sum
     character(len=256) :: reason
     logical :: good
 
@@ -46,14 +46,14 @@ contains
     if (allocated(error)) return
     reason = 'the disk may be full'
     good = .false.
-    at = good_size
+    head = [mark, record%owner, record%tag, size(record%integers, kind=int64), &
+      size(record%reals, kind=int64), size(record%bytes, kind=int64)]
+    sum = checksum(record)
     open (newunit=unit, file=name, access='stream', form='unformatted', action='readwrite', &
       iostat=status, iomsg=reason)
     if (status == 0) then
-      write (unit, pos=good_size + 1, iostat=status, iomsg=reason) mark, record%owner, &
-        record%tag, size(record%integers, kind=int64), size(record%reals, kind=int64), &
-        size(record%bytes, kind=int64), record%integers, record%reals, record%bytes, &
-        checksum(record)
+      write (unit, pos=good_size + 1, iostat=status, iomsg=reason) head, record%integers, &
+        record%reals, record%bytes, sum
       ! What was longer must not be taken for the next record.
       if (status == 0) endfile (unit, iostat=status, iomsg=reason)
       close (unit)
@@ -62,17 +62,55 @@ contains
       open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
         status='old', iostat=status, iomsg=reason)
       if (status == 0) then
-        inquire (unit, size=bytes)
-        call read_record(unit, at, bytes, written, good)
+        call compare_written(unit, good_size, head, sum, good)
         close (unit)
       end if
     end if
     if (good) then
-      good_size = at
+      good_size = good_size + 56 + 8*head(4) + 8*head(5) + head(6)
     else
       call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
     end if
   end subroutine append_record
+
+  !> Whether the record with that head and checksum stands behind `at` bytes. It is read in pieces:
+  !> a large state once more as a whole may be more than there is memory for.
+  subroutine compare_written(unit, at, head, sum, good)
+    integer, intent(in) :: unit
+    integer(int64), intent(in) :: at, head(6), sum
+    logical, intent(out) :: good
+    integer(int64) :: head_found(6), sum_found, sum_stored, word(4096), left
+    integer(int8) :: byte(4096)
+    integer :: status, n, k
+
+    good = .false.
+    read (unit, pos=at + 1, iostat=status) head_found
+    if (status /= 0 .or. any(head_found /= head)) return
+    sum_found = fingerprint_start
+    do k = 2, 6
+      call mix_word(sum_found, head(k))
+    end do
+    left = head(4) + head(5)
+    do while (left > 0 .and. status == 0)
+      n = int(min(left, size(word, kind=int64)))
+      read (unit, iostat=status) word(:n)
+      do k = 1, n
+        call mix_word(sum_found, word(k))
+      end do
+      left = left - n
+    end do
+    left = head(6)
+    do while (left > 0 .and. status == 0)
+      n = int(min(left, size(byte, kind=int64)))
+      read (unit, iostat=status) byte(:n)
+      do k = 1, n
+        call mix_word(sum_found, int(byte(k), int64))
+      end do
+      left = left - n
+    end do
+    if (status == 0) read (unit, iostat=status) sum_stored
+    if (status == 0) good = sum_found == sum .and. sum_stored == sum
+  end subroutine compare_written
 
   !> All good records of a file, in their order, and the length of its good part in bytes; none if
   !> there is no such file.
@@ -178,12 +216,39 @@ contains
     character(len=*), intent(in) :: name
     type(record_type), intent(out) :: record
     logical, intent(out) :: found
-    type(record_type), allocatable :: records(:)
-    integer(int64) :: good_size
+    integer :: unit, status
+    integer(int64) :: at, bytes
 
-    call read_records(name, records, good_size)
-    found = size(records) > 0
-    if (found) record = records(1)
+    found = .false.
+    if (.not. is_file(name)) return
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
+      status='old', iostat=status)
+    if (status /= 0) return
+    inquire (unit, size=bytes)
+    at = 0
+    call read_record(unit, at, bytes, record, found)
+    close (unit)
   end subroutine read_single
+
+  !> Moves a record without a copy; `from` is empty then.
+  pure subroutine move_record(from, to)
+    type(record_type), intent(inout) :: from
+    type(record_type), intent(out) :: to
+
+    to%owner = from%owner
+    to%tag = from%tag
+    call move_alloc(from%integers, to%integers)
+    call move_alloc(from%reals, to%reals)
+    call move_alloc(from%bytes, to%bytes)
+  end subroutine move_record
+
+  !> Gives the memory of a record back; it may be empty already.
+  pure subroutine free_record(record)
+    type(record_type), intent(inout) :: record
+
+    if (allocated(record%integers)) deallocate (record%integers)
+    if (allocated(record%reals)) deallocate (record%reals)
+    if (allocated(record%bytes)) deallocate (record%bytes)
+  end subroutine free_record
 
 end module battery_record_file

@@ -55,8 +55,8 @@ contains
     if (done > 0) call print_slowest(results)
     if (sum(results%trapped, mask=results%task_status == task_complete) > 0) &
       call say('some particles are on orbits that never leave: see the dataset trapped')
-    if (.not. all_done) &
-      call say('stopped early, the state is saved: the same command goes on'//new_line_character//ways_to_stop)
+    if (.not. all_done) call say('stopped early, the state is saved: the same command goes on' &
+      //new_line_character//ways_to_stop)
     call say('results: '//plan%file)
   end subroutine print_summary
 

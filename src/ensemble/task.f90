@@ -8,6 +8,8 @@ module battery_task
   use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, progress, &
     verify
   use battery_initial_state, only: random_particles, read_particles
+  use battery_room, only: check_room, particle_bytes
+  use battery_text, only: to_text
   use battery_namelist_input, only: file_fingerprint
   use battery_journal, only: journal_type, read_state, write_state
   use battery_task_result, only: task_result_type, result_of, failed_result
@@ -148,7 +150,7 @@ contains
     do window = 1, max(1, windows_between_looks*few_particles &
       /max(few_particles, simulation%engine%number))
       call step(simulation)
-      if (simulation%done) exit
+      if (simulation%done .or. stop_requested()) exit
     end do
   end subroutine some_steps
 
@@ -163,6 +165,10 @@ contains
     integer(int64) :: fingerprint
     logical :: resumed
 
+    cpu_before = 0.0_dp
+    call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
+      //' particles', error)
+    if (allocated(error)) return
     call read_state(journal, task%task, task%setup, simulation, cpu_before, resumed, error)
     if (resumed .or. allocated(error)) return
     if (task%initial_file == '') then

@@ -9,7 +9,7 @@ module battery_task_result
   use battery_results, only: task_complete, task_failed, task_not_done
   implicit none (type, external)
   private
-  public :: task_result_type, result_of, failed_result, to_record, from_record
+  public :: task_result_type, result_of, failed_result, to_record, is_result, from_record
   public :: task_complete, task_failed, task_not_done
 
   !> How many integers and reals every result has; arrays follow.
@@ -141,6 +141,24 @@ contains
     record%bytes = int(iachar(transfer(found%message, 'a', len(found%message))), kind(record%bytes))
   end function to_record
 
+  !> Whether a record is a result: a good record may still be a plan or a state under another name.
+  pure function is_result(record) result(yes)
+    type(record_type), intent(in) :: record
+    logical :: yes
+    integer(int64) :: left
+
+    yes = .false.
+    if (size(record%integers) < integer_count .or. size(record%reals) < real_count) return
+    if (any(record%integers(6:11) < 0)) return
+    left = size(record%integers, kind=int64) - integer_count
+    if (record%integers(6) > left .or. record%integers(10) /= left - record%integers(6)) return
+    left = size(record%reals, kind=int64) - real_count
+    associate (sizes => record%integers([7, 8, 9, 11]))
+      yes = all(sizes <= left) .and. sum(min(sizes, left)) == left
+    end associate
+  end function is_result
+
+  !> The result in a record that is one.
   pure function from_record(record) result(found)
     type(record_type), intent(in) :: record
     type(task_result_type) :: found

@@ -25,6 +25,10 @@ module battery_room
   !> Bytes that every process takes beside all these, and may still take once it has started.
   real(dp), parameter :: base_bytes = 16.0e6_dp
 
+  !> So little is not asked for: it is among `base_bytes`, and a task of next to no work would spend
+  !> more time on reading what the system says of its memory than on all else.
+  real(dp), parameter :: little = 1.0e6_dp
+
   !> Most entries of a series, and most states of one task: four numbers of each are counted by
   !> default integers.
   real(dp), parameter :: most_numbers = 0.25_dp*real(huge(1), dp)
@@ -46,6 +50,8 @@ contains
     logical :: enough
     type(memory_type) :: left
 
+    enough = bytes <= little
+    if (enough) return
     left = memory_left(1)
     enough = bytes + base_bytes <= left%bytes
   end function enough_room
@@ -58,6 +64,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
 
+    if (bytes <= little) return
     left = memory_left(1)
     if (bytes + base_bytes > left%bytes) call fatal_error(error, 'no memory for '//what//': ' &
       //size_text(bytes + base_bytes)//' are needed, there are '//size_text(left%bytes)//' (' &

@@ -21,6 +21,10 @@ module battery_collision
   !> A window is at most so many urn radii long, and has about so many events at most.
   real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp
 
+  !> A window ends after so many wall collisions, far more than usual: in a channel that is hardly
+  !> wider than nothing a single particle would keep the run from hearing a signal.
+  integer(int64), parameter :: most_hits = 2_int64**24
+
   type, extends(wall_by_wall_type) :: collision_type
     private
     type(motion_type), allocatable :: motion(:)
@@ -83,6 +87,10 @@ contains
       call bounce_until(self%walls, self%number, self%motion, self%tournament, ends, hits)
       call count_hits(self, history, hits)
       if (self%tournament%node(1)%time >= ends) exit
+      if (history%collisions_seen >= most_hits) then
+        ends = self%tournament%node(1)%time
+        exit
+      end if
       self%now = self%tournament%node(1)%time
       call live_instant(self, began, history)
     end do
@@ -107,7 +115,7 @@ contains
     do
       time = tournament%node(1)%time
       i = tournament%node(1)%particle
-      if (time >= ends .or. motion(i)%next > meets_wall) exit
+      if (time >= ends .or. motion(i)%next > meets_wall .or. hits >= most_hits) exit
       call fly(motion(i), time - motion(i)%time)
       if (motion(i)%next == meets_arc) then
         call hit_arc(walls%side(motion(i)%side), motion(i), wait)

@@ -34,6 +34,10 @@ module battery_synchronous
   real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp, &
     window_moves = 1.0e9_wp
 
+  !> A window ends after so many wall collisions, far more than usual: in a channel that is hardly
+  !> wider than nothing a single particle would keep the run from hearing a signal.
+  integer(int64), parameter :: most_hits = 2_int64**24
+
   type, extends(wall_by_wall_type) :: synchronous_type
     private
     !> All of them now: lane, which number (`in_x` ...), row. Who is not there or meets nothing
@@ -99,6 +103,10 @@ contains
     do
       wait = earliest(self%least)
       if (self%now + wait >= ends) exit
+      if (self%hits - hits >= most_hits) then
+        ends = self%now
+        exit
+      end if
       call pass(self, wait)
       self%now = self%now + wait
       call live_instant(self, self%now - began, history)
