@@ -13,7 +13,7 @@ module battery_stream
   use battery_fingerprint, only: fingerprint_of
   implicit none (type, external)
   private
-  public :: stream_type, new_stream, stream_of
+  public :: stream_type, new_stream, measuring_stream, stream_of
 
   integer(int64), parameter :: format_number = 1_int64
 
@@ -24,6 +24,8 @@ module battery_stream
   type :: stream_type
     !> Whether components are taken out of it, or put into it.
     logical :: reading = .false.
+    !> Whether it only counts the words that it would take, so that the next has room for them.
+    logical :: measuring = .false.
     !> What has been passed, `word(:length)`.
     integer(int64) :: length = 0
     integer(int64), allocatable :: word(:)
@@ -50,12 +52,27 @@ module battery_stream
 contains
 
   !> An empty stream, to be written.
-  pure function new_stream() result(stream)
+  pure function new_stream(room) result(stream)
+    !> Words that it will take, where that is known.
+    integer(int64), intent(in), optional :: room
     type(stream_type) :: stream
 
-    stream%word = [format_number, int(storage_size(1.0_wp), int64)]
-    stream%length = size(stream%word)
+    stream%length = 2
+    if (present(room)) then
+      allocate (stream%word(room), source=0_int64)
+    else
+      allocate (stream%word(stream%length))
+    end if
+    stream%word(:2) = [format_number, int(storage_size(1.0_wp), int64)]
   end function new_stream
+
+  !> A stream that is only to tell, by `length`, how many words it would take.
+  pure function measuring_stream() result(stream)
+    type(stream_type) :: stream
+
+    stream = new_stream()
+    stream%measuring = .true.
+  end function measuring_stream
 
   !> A stream to be read, of words that were written.
   pure function stream_of(word) result(stream)
@@ -106,8 +123,7 @@ contains
     mark = fingerprint_of(kind//' '//name)
     if (.not. self%reading) then
       call self%room_for(2 + (items*bytes + word_bytes - 1)/word_bytes)
-      self%word(self%length + 1:self%length + 2) = [mark, items]
-      self%length = self%length + 2
+      call self%put([mark, items])
       return
     end if
     if (self%length + 2 > size(self%word)) then
@@ -129,8 +145,8 @@ contains
     integer(int64), intent(in) :: words
     integer(int64), allocatable :: more(:)
 
-    if (self%length + words <= size(self%word)) return
-    allocate (more((self%length + words)/4*5 + 64), source=0_int64)
+    if (self%measuring .or. self%length + words <= size(self%word, kind=int64)) return
+    allocate (more(max(self%length + words, 2*self%length)), source=0_int64)
     more(:self%length) = self%word(:self%length)
     call move_alloc(more, self%word)
   end subroutine room_for
@@ -140,7 +156,7 @@ contains
     class(stream_type), intent(inout) :: self
     integer(int64), intent(in) :: words(:)
 
-    self%word(self%length + 1:self%length + size(words)) = words
+    if (.not. self%measuring) self%word(self%length + 1:self%length + size(words)) = words
     self%length = self%length + size(words)
   end subroutine put
 

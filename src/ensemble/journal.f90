@@ -21,7 +21,7 @@ module battery_journal
     write_single, read_single, move_record, free_record
   use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
-  use battery_stream, only: stream_type, new_stream, stream_of
+  use battery_stream, only: stream_type, new_stream, measuring_stream, stream_of
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
@@ -273,18 +273,18 @@ contains
 
     call check_ownership(journal, error)
     if (allocated(error)) return
-    stream = new_stream()
+    ! Measured first, and moved then: of a large state there is never more than one copy here.
+    stream = measuring_stream()
+    call pass_simulation(simulation, simulation%setup, stream, error)
+    if (allocated(error)) return
+    stream = new_stream(stream%length)
     call pass_simulation(simulation, simulation%setup, stream, error)
     if (allocated(error)) return
     record%owner = kept
     record%tag = task
     journal%generation = journal%generation + 1
-    allocate (record%integers(1 + stream%length))
-    record%integers(1) = journal%generation
-    record%integers(2:) = stream%word(:stream%length)
-    ! Of a large state there are never more copies than two.
-    deallocate (stream%word)
-    record%reals = [cpu_seconds]
+    call move_alloc(stream%word, record%integers)
+    record%reals = [cpu_seconds, real(journal%generation, dp)]
     allocate (record%bytes(0))
     name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
     call write_single(name, record, error)
@@ -313,14 +313,14 @@ contains
     cpu_seconds = 0.0_dp
     call read_own('.a', record, found)
     call read_own('.b', other, other_found)
-    if (other_found .and. found) other_found = other%integers(1) > record%integers(1)
+    if (other_found .and. found) other_found = other%reals(2) > record%reals(2)
     if (other_found) call move_record(other, record)
     call free_record(other)
     found = found .or. other_found
     if (.not. found) return
-    journal%generation = record%integers(1)
     cpu_seconds = record%reals(1)
-    stream = stream_of(record%integers(2:))
+    journal%generation = nint(record%reals(2), int64)
+    stream = stream_of(record%integers)
     call free_record(record)
     call pass_simulation(simulation, setup, stream, error)
 

@@ -17,11 +17,11 @@ module battery_disc
   use battery_table, only: table_type, gated, ungated
   use battery_rotation, only: to_turn, turn_of, unit_vector, full_turn
   use battery_opening_search, only: find_opening
+  use battery_chamber, only: chamber_type, prepare_openings
   use battery_visits, only: visits_type, together, no_channel
-  use battery_channel, only: fold
   implicit none (type, external)
   private
-  public :: disc_type, new_disc, leave_channels, cross_urns, position_before
+  public :: disc_type, new_disc, cross_urns, position_before
 
   !> Impacts that the kernel steps `together` particles without closing ranks.
   integer, parameter :: march_steps = 8
@@ -34,15 +34,18 @@ module battery_disc
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
   real(wp), parameter :: march_worthwhile = 0.01_wp
 
-  !> What a visit to one urn needs to know: the radius, and of each channel the distance of its
-  !> chord from the centre, its width and its length.
-  type :: disc_type
-    real(wp) :: radius, chord(2), width(2), length(2)
+  !> What a visit to a disc needs to know.
+  type, extends(chamber_type) :: disc_type
+    real(wp) :: radius = 1.0_wp
     !> Half widths of the openings in units of the radius, and half their angles.
-    real(wp) :: half(2)
-    integer(angle_kind) :: angle(2)
+    real(wp) :: half(2) = 0.0_wp
+    integer(angle_kind) :: angle(2) = 0
     !> Whether stepping from impact to impact pays.
-    logical :: step_first
+    logical :: step_first = .true.
+  contains
+    procedure :: cross => cross_urns
+    procedure :: place_before => position_before
+    procedure :: place_endless
   end type disc_type
 
 contains
@@ -53,56 +56,17 @@ contains
     integer, intent(in) :: side
     type(disc_type) :: disc
 
+    call prepare_openings(disc, table, side)
     disc%radius = table%urn(side)%radius
-    disc%chord = table%urn(side)%chord
-    disc%width = table%channel%width
-    disc%length = table%channel%length
     disc%half = 0.5_wp*disc%width/disc%radius
     disc%angle = to_turn(asin(disc%half))
     disc%step_first = sum(disc%half) > march_worthwhile*pi
   end function new_disc
 
-  !> From the entrance of a channel to its exit into an urn.
-  subroutine leave_channels(disc, visits)
-    type(disc_type), intent(in) :: disc
-    type(visits_type), intent(inout) :: visits
-
-    call leave(together*((visits%count + together - 1)/together), visits%time, visits%passage, &
-      visits%channel, visits%x, visits%y, visits%along, visits%across, visits%hits)
-
-  contains
-
-    pure subroutine leave(n, time, passage, channel, x, y, along, across, hits)
-      integer, intent(in) :: n
-      integer(int64), intent(in) :: channel(n)
-      real(wp), intent(in) :: passage(n)
-      real(wp), intent(inout) :: time(n), x(n), y(n), along(n), across(n), hits(n)
-      real(wp) :: width, unfolded, turned, passed
-      real(wp) :: width1, width2, chord1, chord2
-      integer :: j
-
-      width1 = disc%width(gated)
-      width2 = disc%width(ungated)
-      chord1 = disc%chord(gated)
-      chord2 = disc%chord(ungated)
-      do j = 1, n
-        width = merge(width1, width2, channel(j) == gated)
-        unfolded = y(j) + across(j)*passage(j)
-        call fold(unfolded, width, y(j), turned, passed)
-        across(j) = turned*across(j)
-        time(j) = time(j) + passage(j)
-        x(j) = merge(chord1, -chord2, channel(j) == gated)
-        along(j) = merge(-along(j), along(j), channel(j) == gated)
-        hits(j) = passed
-      end do
-    end subroutine leave
-
-  end subroutine leave_channels
-
   !> From the point (x, y) with velocity (along, across) in the local frame through the urn. `hits`
   !> grows by the wall hits; `all_hits` is their sum.
-  subroutine cross_urns(disc, visits)
-    type(disc_type), intent(in) :: disc
+  subroutine cross_urns(self, visits)
+    class(disc_type), intent(in) :: self
     type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
     logical :: grazing
@@ -110,38 +74,38 @@ contains
     n = together*((visits%count + together - 1)/together)
     visits%all_hits = 0
     if (n == 0) return
-    call enter(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
+    call enter(n, 1.0_wp/self%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
       visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
       grazing)
-    if (grazing) call sharpen(disc, visits)
+    if (grazing) call sharpen(self, visits)
     active = visits%count
     call count_up(active, visits%slot)
-    if (disc%step_first) then
+    if (self%step_first) then
       visits%px(active + 1:n) = 1.0_wp
       visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
         n_active = together*((active + together - 1)/together)
-        call march(disc%half(gated), disc%half(ungated), n_active, visits%px, visits%py, &
+        call march(self%half(gated), self%half(ungated), n_active, visits%px, visits%py, &
           visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call march(disc%half(gated), disc%half(ungated), n_active, &
+        if (round <= early_rounds) call march(self%half(gated), self%half(ungated), n_active, &
           visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        call close_ranks(disc%half(gated), disc%half(ungated), active, visits%slot, visits%px, &
+        call close_ranks(self%half(gated), self%half(ungated), active, visits%slot, visits%px, &
           visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, &
           visits%impacts)
         if (active == 0) exit
       end do
     end if
     do j = 1, active
-      call search(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
+      call search(self, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
     end do
-    call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
+    call find_exits(n, self, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%along, visits%across, &
       visits%length, visits%through)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
         if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) &
-          call mend(disc, visits, j)
+          call mend(self, visits, j)
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
@@ -429,8 +393,9 @@ contains
 
   !> Where a particle is, in the local frame, a length `before` ahead of leaving an urn, if it was
   !> in the urn all that time, and how many walls it hits in between.
-  pure subroutine position_before(disc, channel, y, along, across, before, position, velocity, hits)
-    type(disc_type), intent(in) :: disc
+  pure subroutine position_before(self, channel, y, along, across, before, position, velocity, &
+    hits)
+    class(disc_type), intent(in) :: self
     !> The channel it leaves through, at the height y, with |u_x| and u_y.
     integer, intent(in) :: channel
     real(wp), intent(in) :: y, along, across, before
@@ -439,28 +404,53 @@ contains
     real(wp) :: x, ux, s, c, ahead, turn, rest
     complex(wp) :: impact, incidence
 
-    x = merge(disc%chord(gated), -disc%chord(ungated), channel == gated)
+    x = merge(self%chord(gated), -self%chord(ungated), channel == gated)
     ux = merge(along, -along, channel == gated)
-    s = (x*across - y*ux)/disc%radius
+    s = (x*across - y*ux)/self%radius
     c = sqrt(max((1.0_wp - s)*(1.0_wp + s), 0.0_wp))
     ! The impact in the opening, which does not happen, is `ahead` of the chord.
-    ahead = disc%radius*c - (x*ux + y*across)
+    ahead = self%radius*c - (x*ux + y*across)
     incidence = cmplx(c, s, wp)
     impact = cmplx(ux, across, wp)*conjg(incidence)
     if (c > 0.0_wp) then
-      hits = int((before + ahead)/(2.0_wp*disc%radius*c), int64)
+      hits = int((before + ahead)/(2.0_wp*self%radius*c), int64)
     else
       hits = 0
     end if
     ! Within its chord even where the length is so great that rounding is longer than a chord.
-    rest = before + ahead - 2.0_wp*disc%radius*c*real(hits, wp)
-    rest = min(max(rest, 0.0_wp), 2.0_wp*disc%radius*c)
+    rest = before + ahead - 2.0_wp*self%radius*c*real(hits, wp)
+    rest = min(max(rest, 0.0_wp), 2.0_wp*self%radius*c)
     turn = atan2(2.0_wp*s*c, (s - c)*(s + c))
     turn = -modulo(real(hits, wp)*turn, 2.0_wp*pi)
     impact = impact*cmplx(cos(turn), sin(turn), wp)
     impact = impact/abs(impact)
     velocity = [real(incidence*impact, wp), aimag(incidence*impact)]
-    position = disc%radius*[real(impact, wp), aimag(impact)] - rest*velocity
+    position = self%radius*[real(impact, wp), aimag(impact)] - rest*velocity
   end subroutine position_before
+
+  !> For ever along a regular star; without length of its chords, along the wall.
+  pure subroutine place_endless(self, elapsed, angle, cosine, sine, position, velocity, hits)
+    class(disc_type), intent(in) :: self
+    real(wp), intent(in) :: elapsed, angle, cosine, sine
+    real(wp), intent(out) :: position(2), velocity(2)
+    integer(int64), intent(out) :: hits
+    real(wp) :: step, turned, rest
+    complex(wp) :: impact
+
+    step = 2.0_wp*self%radius*cosine
+    hits = 0
+    if (step > 0.0_wp) hits = floor(elapsed/step, int64)
+    rest = elapsed - real(hits, wp)*step
+    turned = angle + modulo(real(hits, wp)*2.0_wp*acos(sine), 2.0_wp*pi)
+    if (.not. step > 0.0_wp) then
+      ! A chord without length: the particle glides along the wall.
+      turned = angle + sine*rest/self%radius
+      rest = 0.0_wp
+    end if
+    impact = cmplx(cos(turned), sin(turned), wp)
+    velocity = [real(impact*cmplx(-cosine, sine, wp), wp), aimag(impact*cmplx(-cosine, sine, wp))]
+    position = self%radius*[real(impact, wp), aimag(impact)] + rest*velocity
+    hits = hits + 1
+  end subroutine place_endless
 
 end module battery_disc

@@ -16,7 +16,8 @@ module battery_excursion
   use battery_flight, only: look_up, gather, land, locate, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
-  use battery_disc, only: disc_type, new_disc, leave_channels, cross_urns
+  use battery_chamber, only: leave_channels
+  use battery_chambers, only: urn_chamber_type, new_chamber
   use battery_visits, only: visits_type, reserve_visits, part_visits
   use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
   use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
@@ -42,7 +43,7 @@ module battery_excursion
     !> Of the sorted events of the calendar: when an entrant would cross the middle.
     real(wp), allocatable :: middle(:)
     !> The urn of each side, and the visits to it. Urns that are alike share the first batch.
-    type(disc_type) :: disc(2)
+    type(urn_chamber_type) :: urn(2)
     type(visits_type) :: visits(2)
     integer :: batches = 1
     !> Where one is that has crossed a line from each side.
@@ -71,7 +72,7 @@ contains
     integer :: side
 
     do side = 1, 2
-      self%disc(side) = new_disc(self%table, side)
+      call new_chamber(self%table, side, self%urn(side))
       self%beyond(side) = beyond(self%table, side)
     end do
     self%batches = merge(1, 2, alike(self%table))
@@ -116,7 +117,8 @@ contains
             particles%uy(i), from_channels, self%flight(i), self%visits(b), self%known_hits)
         end do
         do b = 1, self%batches
-          if (from_channels) call leave_channels(self%disc(b), self%visits(b))
+          if (from_channels) call leave_channels(self%urn(b)%chamber, &
+            self%visits(b))
           call finish_visits(self, b)
         end do
       end do
@@ -153,7 +155,7 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      call cross_urns(self%disc(b), v)
+      call self%urn(b)%chamber%cross(v)
       self%known_hits = self%known_hits + v%all_hits
       call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
         v%y, v%along, v%across, v%through)
@@ -186,7 +188,7 @@ contains
       associate (v => self%visits(b))
         call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
           v%y, v%along, v%across)
-        call leave_channels(self%disc(b), v)
+        call leave_channels(self%urn(b)%chamber, v)
         call finish_visits(self, b)
         call schedule_all(self%calendar, self%flight, v%count, v%particle, v%time)
       end associate
@@ -330,7 +332,7 @@ contains
     do i = first, last
       k = i - first + 1
       side = self%flight(i)%urn
-      call locate(self%disc(side), self%flight(i), self%now, position, velocity, hits)
+      call locate(self%urn(side)%chamber, self%flight(i), self%now, position, velocity, hits)
       particles%x(k) = position(1)
       particles%ux(k) = velocity(1)
       if (self%flight(i)%heading /= parked_in_channel) then
@@ -351,7 +353,8 @@ contains
 
     total = self%known_hits
     do i = 1, self%number
-      call locate(self%disc(self%flight(i)%urn), self%flight(i), self%now, position, velocity, hits)
+      call locate(self%urn(self%flight(i)%urn)%chamber, self%flight(i), self%now, position, &
+        velocity, hits)
       total = total + hits
     end do
   end function collisions

@@ -3,9 +3,9 @@
 !> A flight says how a particle will enter its next channel, or entered the one it is in. Where it
 !> is until then follows by going back from there; so a flight is all the state there is.
 module battery_flight
-  use battery_kinds, only: wp, int16, int64, pi
+  use battery_kinds, only: wp, int16, int64
   use battery_calendar, only: flight_type
-  use battery_disc, only: disc_type, position_before
+  use battery_chamber, only: chamber_type
   use battery_table, only: gated, ungated
   use battery_channel, only: fold
   implicit none (type, external)
@@ -97,57 +97,43 @@ contains
 
   !> Where a particle is now, in the local frame of its urn (`parked_in_channel`: of the table), and
   !> by how many wall hits `known_hits` is short for it (negative: so many are still to come).
-  pure subroutine locate(disc, flight, now, position, velocity, hits)
-    type(disc_type), intent(in) :: disc
+  pure subroutine locate(chamber, flight, now, position, velocity, hits)
+    class(chamber_type), intent(in) :: chamber
     type(flight_type), intent(in) :: flight
     real(wp), intent(in) :: now
     real(wp), intent(out) :: position(2), velocity(2)
     integer(int64), intent(out) :: hits
-    real(wp) :: elapsed, turned, passed, step
+    real(wp) :: elapsed, turned, passed
     integer :: channel
-    complex(wp) :: impact
 
     elapsed = now - flight%time
     select case (flight%heading)
     case (parked_in_channel)
-      channel = merge(gated, ungated, abs(flight%along) <= 0.5_wp*disc%length(gated))
-      call fold(flight%y + flight%across*elapsed, disc%width(channel), position(2), turned, passed)
+      channel = merge(gated, ungated, abs(flight%along) <= 0.5_wp*chamber%length(gated))
+      call fold(flight%y + flight%across*elapsed, chamber%width(channel), position(2), turned, passed)
       position(1) = flight%along
       velocity = [0.0_wp, turned*flight%across]
       hits = int(passed, int64)
     case (parked_in_urn)
-      step = 2.0_wp*disc%radius*flight%along
-      hits = 0
-      if (step > 0.0_wp) hits = floor(elapsed/step, int64)
-      elapsed = elapsed - real(hits, wp)*step
-      turned = flight%y + modulo(real(hits, wp)*2.0_wp*acos(flight%across), 2.0_wp*pi)
-      if (.not. step > 0.0_wp) then
-        ! A chord without length: the particle glides along the wall.
-        turned = flight%y + flight%across*elapsed/disc%radius
-        elapsed = 0.0_wp
-      end if
-      impact = cmplx(cos(turned), sin(turned), wp)
-      velocity = [real(impact*cmplx(-flight%along, flight%across, wp), wp), &
-        aimag(impact*cmplx(-flight%along, flight%across, wp))]
-      position = disc%radius*[real(impact, wp), aimag(impact)] + elapsed*velocity
-      hits = hits + 1
+      call chamber%place_endless(elapsed, flight%y, flight%along, flight%across, position, &
+        velocity, hits)
     case default
       channel = merge(ungated, gated, flight%heading == to_return)
       if (elapsed >= 0.0_wp) then
-        call fold(flight%y + flight%across*elapsed, disc%width(channel), position(2), turned, &
+        call fold(flight%y + flight%across*elapsed, chamber%width(channel), position(2), turned, &
           passed)
-        position(1) = facing(channel)*(disc%chord(channel) + flight%along*elapsed)
+        position(1) = facing(channel)*(chamber%chord(channel) + flight%along*elapsed)
         velocity = [facing(channel)*flight%along, turned*flight%across]
         hits = int(passed, int64)
       else
-        call locate_before(disc, flight, now, channel, position, velocity, hits)
+        call locate_before(chamber, flight, now, channel, position, velocity, hits)
       end if
     end select
   end subroutine locate
 
   !> The same for a particle that has not yet left its urn, or is still in the channel before it.
-  pure subroutine locate_before(disc, flight, now, channel, position, velocity, hits)
-    type(disc_type), intent(in) :: disc
+  pure subroutine locate_before(chamber, flight, now, channel, position, velocity, hits)
+    class(chamber_type), intent(in) :: chamber
     type(flight_type), intent(in) :: flight
     real(wp), intent(in) :: now
     !> That which it goes to.
@@ -157,16 +143,16 @@ contains
     real(wp) :: before, turned, passed, height
     integer :: from
 
-    call position_before(disc, channel, flight%y, flight%along, flight%across, &
+    call chamber%place_before(channel, flight%y, flight%along, flight%across, &
       min(flight%time - now, flight%length), position, velocity, hits)
     hits = -hits
     before = flight%time - now - flight%length
     if (before <= 0.0_wp) return
     from = merge(gated, ungated, position(1) > 0.0_wp)
-    call fold(position(2) - velocity(2)*before, disc%width(from), height, turned, passed)
+    call fold(position(2) - velocity(2)*before, chamber%width(from), height, turned, passed)
     ! It is in this urn's half of the channel, even if it is so slow that rounding moves it far.
-    position(1) = facing(from)*(disc%chord(from) + min(abs(velocity(1))*before, &
-      0.5_wp*disc%length(from)))
+    position(1) = facing(from)*(chamber%chord(from) + min(abs(velocity(1))*before, &
+      0.5_wp*chamber%length(from)))
     position(2) = height
     velocity(2) = turned*velocity(2)
     hits = hits - int(passed, int64)

@@ -6,8 +6,8 @@
 !> except a reversal, which brings all those counted in a gate to its time.
 module battery_collision
   use battery_kinds, only: wp, int64
-  use battery_bounce, only: walls_type, motion_type, fly, hit_arc, hit_channel, turn_back, meets_arc, &
-    meets_wall, meets_nothing
+  use battery_bounce, only: walls_type, motion_type, fly, hit_arc, hit_channel, turn_back, &
+    meets_arc, meets_wall, meets_nothing
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
     meet, end_instant, count_hits, longest_window
   use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, shift_times
