@@ -326,14 +326,15 @@ contains
 
   contains
 
-    !> The state in one of the two files, if it is whole and of this task, input and build.
+    !> The state in one of the two files, if it is whole, of this task, and no result of it.
     subroutine read_own(generation, record, found)
       character(len=*), intent(in) :: generation
       type(record_type), intent(out) :: record
       logical, intent(out) :: found
 
       call read_single(file_of(journal, 'task', task)//generation, record, found)
-      if (found) found = record%tag == task .and. record%owner == kept
+      if (found) found = record%tag == task .and. record%owner == kept &
+        .and. size(record%reals) == 2
     end subroutine read_own
 
   end subroutine read_state
