@@ -21,6 +21,7 @@ contains
   !> Sets `error`; `code` is `exit_failure` if absent.
   subroutine fatal_error(error, message, code)
     type(error_type), allocatable, intent(out) :: error
+    !> What is wrong, where, and what would be right.
     character(len=*), intent(in) :: message
     integer, intent(in), optional :: code
 

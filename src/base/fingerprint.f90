@@ -15,7 +15,9 @@ contains
 
   !> Takes one more word into a fingerprint.
   pure subroutine mix_word(fingerprint, word)
+    !> `fingerprint_start`, or what came of the words before.
     integer(int64), intent(inout) :: fingerprint
+    !> Any 64 bits.
     integer(int64), intent(in) :: word
 
     fingerprint = ieor(fingerprint, word)*prime
@@ -24,6 +26,7 @@ contains
 
   !> The fingerprint of a text.
   pure function fingerprint_of(text) result(fingerprint)
+    !> Any bytes; a blank at the end counts.
     character(len=*), intent(in) :: text
     integer(int64) :: fingerprint
     integer :: k
@@ -37,6 +40,7 @@ contains
 
   !> A fingerprint in sixteen hexadecimal digits.
   pure function fingerprint_text(fingerprint) result(text)
+    !> Any 64 bits.
     integer(int64), intent(in) :: fingerprint
     character(len=16) :: text
 

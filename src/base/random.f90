@@ -21,13 +21,16 @@ module battery_random
   !> The odd number next to 2**64 over the golden ratio, as a signed integer.
   integer(int64), parameter :: golden = -7046029254386353131_int64
 
+  !> A generator of its own numbers; copies go on apart.
   type :: random_type
     integer(int64) :: state(lanes, 4) = 0
   end type random_type
 
 contains
 
+  !> A generator; the same seed gives the same numbers.
   pure function new_random(seed) result(random)
+    !> Any 64 bits.
     integer(int64), intent(in) :: seed
     type(random_type) :: random
     integer :: lane, word
@@ -42,6 +45,7 @@ contains
   !> Fills `numbers`, whose size is a multiple of `lanes`, with numbers uniform in (0, 1).
   pure subroutine draw_uniform(random, n, numbers)
     type(random_type), intent(inout) :: random
+    !> How many: a multiple of `lanes`.
     integer, intent(in) :: n
     real(wp), intent(out) :: numbers(n)
     integer(int64) :: state(lanes, 4), s0, s1, s2, s3
@@ -66,6 +70,7 @@ contains
 
   !> A number uniform in (0, 1) that belongs to two whole numbers, without a state.
   elemental function hashed_uniform(key, count) result(number)
+    !> Any 64 bits: whose number it is, and which.
     integer(int64), intent(in) :: key, count
     real(wp) :: number
 
@@ -82,6 +87,7 @@ contains
 
   !> SplitMix64 without its counter: one to one on 64 bits. Products wrap around.
   elemental function mixed(word) result(z)
+    !> Any 64 bits.
     integer(int64), intent(in) :: word
     integer(int64) :: z
 

@@ -20,6 +20,7 @@ module battery_stream
   !> Bytes of a word.
   integer, parameter :: word_bytes = 8
 
+  !> A state as words, on its way to the disk or back.
   type :: stream_type
     !> Whether components are taken out of it, or put into it.
     logical :: reading = .false.
@@ -32,10 +33,12 @@ module battery_stream
     procedure, private :: pass_logical, pass_int32, pass_int64, pass_real
     procedure, private :: pass_int8s, pass_int16s, pass_int32s, pass_int64s, pass_reals
     procedure, private :: pass_int32_list, pass_real_list
-    !> Passes a number, or an array that is as long on reading as it was on writing.
+    !> Passes a number, `value`, or an array, `values`, that is as long on reading as it was on
+    !> writing. By the `name` a stream of something else is found out.
     generic :: pass => pass_logical, pass_int32, pass_int64, pass_real, pass_int8s, pass_int16s, &
       pass_int32s, pass_int64s, pass_reals
-    !> Passes an allocatable array; on reading it becomes as long as what was written.
+    !> Passes an allocatable array, `values`; on reading it becomes as long as what was written. By
+    !> the `name` a stream of something else is found out.
     generic :: pass_list => pass_int32_list, pass_real_list
     !> Whether something did not fit.
     procedure :: failed
@@ -72,6 +75,7 @@ contains
     end if
   end function stream_of
 
+  !> Whether something did not fit.
   pure function failed(self)
     class(stream_type), intent(in) :: self
     logical :: failed
@@ -79,6 +83,7 @@ contains
     failed = allocated(self%problem)
   end function failed
 
+  !> Whether all that was written has been read.
   pure function at_end(self)
     class(stream_type), intent(in) :: self
     logical :: at_end

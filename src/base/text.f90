@@ -13,8 +13,8 @@ module battery_text
     character(len=:), allocatable :: text
   end type string_type
 
-  !> A number (integer or real), or a logical, as short text; reals with as many digits as it takes
-  !> to read the same number back.
+  !> A `number` (integer or real), or a logical `value`, as short text; reals with as many digits as
+  !> it takes to read the same number back.
   interface to_text
     module procedure :: int32_text, int64_text, real32_text, real64_text, real128_text, &
       logical_text
@@ -147,6 +147,7 @@ contains
 
   !> The text with A to Z made small.
   pure function lower_case(text) result(lower)
+    !> Of any letters.
     character(len=*), intent(in) :: text
     character(len=len(text)) :: lower
     integer :: at
@@ -160,7 +161,9 @@ contains
 
   !> All texts of a list, with a separator between them.
   pure function join(list, separator) result(text)
+    !> In the order of the text.
     type(string_type), intent(in) :: list(:)
+    !> Stands between two, not at the ends.
     character(len=*), intent(in) :: separator
     character(len=:), allocatable :: text
     integer :: at, length
@@ -183,7 +186,9 @@ contains
 
   !> Whether a list holds a word.
   pure function is_one_of(word, list) result(found)
+    !> Blanks at its end count.
     character(len=*), intent(in) :: word
+    !> What it may be.
     type(string_type), intent(in) :: list(:)
     logical :: found
     integer :: at
@@ -196,7 +201,9 @@ contains
 
   !> The word of a list that was probably meant; empty if none is near.
   pure function closest_word(word, list) result(closest)
+    !> As it was written.
     character(len=*), intent(in) :: word
+    !> What may have been meant.
     type(string_type), intent(in) :: list(:)
     character(len=:), allocatable :: closest
     integer :: at, distance, least

@@ -24,6 +24,7 @@ contains
     type(plan_type), intent(in) :: plan
     !> Particles of the largest task that there is memory for; larger ones are passed over.
     integer, intent(in) :: most
+    !> Of a processor a task; collisions a second.
     real(dp), intent(out) :: seconds, rate
     type(error_type), allocatable, intent(out) :: error
     type(task_type) :: task

@@ -21,6 +21,7 @@ contains
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     type(results_type), intent(out) :: results
+    !> Why a task failed, (task); not allocated where it did not.
     type(string_type), allocatable, intent(out) :: failures(:)
     type(task_result_type), allocatable :: found(:)
     type(task_type) :: task

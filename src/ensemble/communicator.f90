@@ -35,6 +35,7 @@ module battery_communicator
   integer, parameter :: next_task = 1, tasks_finished = 2, tasks_failed = 3, collisions_done = 4, &
     stop_wanted = 5, board_size = 5
 
+  !> The ranks of a run, and which of them this is.
   type :: communicator_type
     type(MPI_Comm) :: ranks
     integer :: rank = 0, size = 1
@@ -42,6 +43,7 @@ module battery_communicator
     logical :: mine = .false.
   end type communicator_type
 
+  !> The board as one rank sees it.
   type :: board_type
     type(MPI_Win) :: window
     !> Tasks on the list.
@@ -75,6 +77,7 @@ contains
     call MPI_Comm_size(communicator%ranks, communicator%size)
   end subroutine open_communicator
 
+  !> The end of MPI where `open_communicator` began it. Collective.
   subroutine close_communicator(communicator)
     type(communicator_type), intent(inout) :: communicator
 
@@ -108,6 +111,7 @@ contains
   !> Every rank gets the text of rank `root`.
   subroutine share_text(communicator, text, root)
     type(communicator_type), intent(in) :: communicator
+    !> Given on rank `root`.
     character(len=:), allocatable, intent(inout) :: text
     integer, intent(in) :: root
     integer :: length
@@ -122,6 +126,7 @@ contains
   !> Every rank gets the integers of rank 0; on the others the array is allocated anew.
   subroutine share_integers(communicator, integers)
     type(communicator_type), intent(in) :: communicator
+    !> Given on rank 0.
     integer, allocatable, intent(inout) :: integers(:)
     integer :: length
 
@@ -138,6 +143,7 @@ contains
   !> Every rank gets the number of rank 0.
   subroutine share_number(communicator, number)
     type(communicator_type), intent(in) :: communicator
+    !> Given on rank 0.
     integer(int64), intent(inout) :: number
 
     call MPI_Bcast(number, 1, MPI_INTEGER8, 0, communicator%ranks)
@@ -146,6 +152,7 @@ contains
   !> Every rank gets the reals of rank 0; on the others the array is allocated anew.
   subroutine share_reals(communicator, reals)
     type(communicator_type), intent(in) :: communicator
+    !> Given on rank 0.
     real(wp), allocatable, intent(inout) :: reals(:)
     integer :: length
 
@@ -156,6 +163,7 @@ contains
     call MPI_Bcast(reals, length*(storage_size(1.0_wp)/8), MPI_BYTE, 0, communicator%ranks)
   end subroutine share_reals
 
+  !> No rank goes on before all are here. Collective.
   subroutine wait_for_all(communicator)
     type(communicator_type), intent(in) :: communicator
 
@@ -187,6 +195,7 @@ contains
   !> Least, mean and greatest of one value a rank.
   function summary_of(communicator, value) result(summary)
     type(communicator_type), intent(in) :: communicator
+    !> This rank's.
     real(dp), intent(in) :: value
     real(dp) :: summary(3)
 
@@ -240,6 +249,7 @@ contains
   !> The next task of the list; 0 if there are no more.
   subroutine take_task(board, task)
     type(board_type), intent(in) :: board
+    !> Its number in the plan, from 1.
     integer, intent(out) :: task
     integer(int64) :: place
     integer(int64), asynchronous :: entry
@@ -274,8 +284,11 @@ contains
   !> Adds to an entry and tells what it was before.
   subroutine add_to_board(board, entry, amount, before)
     type(board_type), intent(in) :: board
+    !> One of the names above, such as `next_task`.
     integer, intent(in) :: entry
+    !> Of either sign.
     integer(int64), intent(in) :: amount
+    !> Its value before.
     integer(int64), intent(out) :: before
 
     call MPI_Fetch_and_op(amount, before, MPI_INTEGER8, 0, int(entry - 1, MPI_ADDRESS_KIND), &
@@ -283,8 +296,10 @@ contains
     call MPI_Win_flush(0, board%window)
   end subroutine add_to_board
 
+  !> An entry as it is now.
   function read_board(board, entry) result(value)
     type(board_type), intent(in) :: board
+    !> One of the names above, such as `next_task`.
     integer, intent(in) :: entry
     integer(int64) :: value
 

@@ -29,7 +29,9 @@ contains
     type(board_type), intent(in) :: board
     !> What this rank spent in tasks, and when it began on the clock of `wall_seconds`.
     real(dp), intent(in) :: busy_seconds, began
+    !> Whether only failures are told.
     logical, intent(in) :: quiet
+    !> What the program should end with; the same on all ranks.
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results

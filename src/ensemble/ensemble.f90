@@ -30,6 +30,7 @@ contains
   subroutine run_ensemble(plan, communicator, overwrite, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
+    !> Whether to discard what is there; whether only what is wrong is told.
     logical, intent(in) :: overwrite, quiet
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error

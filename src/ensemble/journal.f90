@@ -28,6 +28,7 @@ module battery_journal
   public :: rank_files_in, rank_files_of, kept_in, settle_journal
   public :: write_finished, write_state, read_state, remove_states
 
+  !> The journal as one rank has it.
   type :: journal_type
     character(len=:), allocatable :: folder
     !> Rank files of earlier starts have smaller numbers; this start's ranks have the next ones.
@@ -58,8 +59,11 @@ contains
   !> Looks for the journal of an earlier start: its namelist, and the fingerprint of its initial
   !> file. `found` is false where there is none that can be read.
   subroutine read_plan(folder, namelist, initial_fingerprint, found)
+    !> Of the journal.
     character(len=*), intent(in) :: folder
+    !> Its text; empty if not found.
     character(len=:), allocatable, intent(out) :: namelist
+    !> 0 if there was no initial file.
     integer(int64), intent(out) :: initial_fingerprint
     logical, intent(out) :: found
     type(record_type) :: plan
@@ -88,6 +92,7 @@ contains
   !> The next free number of a rank file: beyond any that is there, and beyond those that earlier
   !> starts had for their ranks, whether they were used or not.
   function rank_files_in(folder) result(rank_files)
+    !> Of the journal.
     character(len=*), intent(in) :: folder
     integer :: rank_files
     type(record_type) :: plan
@@ -112,9 +117,10 @@ contains
       journal%ranks - 1)]
   end function rank_files_of
 
-  !> The numbers of tasks, and what they are known by, of the first good record of every file but the
-  !> plan, (2, file): what else can tell whose journal this is.
+  !> The numbers of tasks, and what they are known by, of the first good record of every file but
+  !> the plan, (2, file): what else can tell whose journal this is.
   function kept_in(folder) result(kept)
+    !> Of the journal.
     character(len=*), intent(in) :: folder
     integer(int64), allocatable :: kept(:, :)
     type(string_type), allocatable :: names(:)
@@ -137,7 +143,9 @@ contains
 
   !> Rank 0 writes the plan before any rank writes anything else.
   subroutine begin_journal(folder, namelist, initial_fingerprint, rank_files, error)
+    !> Of the journal, and the text of the namelist.
     character(len=*), intent(in) :: folder, namelist
+    !> 0 if there is no initial file.
     integer(int64), intent(in) :: initial_fingerprint
     !> Those that this start's ranks may make included.
     integer, intent(in) :: rank_files
@@ -161,7 +169,9 @@ contains
   !> Every rank, then: `rank_files` as before this start.
   subroutine join_journal(journal, folder, rank_files, rank, ranks)
     type(journal_type), intent(out) :: journal
+    !> Of the journal.
     character(len=*), intent(in) :: folder
+    !> And which rank of how many this is.
     integer, intent(in) :: rank_files, rank, ranks
 
     journal%folder = folder
@@ -173,7 +183,9 @@ contains
   !> Good results in the rank file of that number; none if there is no such file.
   subroutine read_rank_file(journal, file, results)
     type(journal_type), intent(in) :: journal
+    !> Its number.
     integer, intent(in) :: file
+    !> In the order of the file.
     type(task_result_type), allocatable, intent(out) :: results(:)
     type(record_type), allocatable :: records(:)
     integer(int64) :: good_size
@@ -194,6 +206,7 @@ contains
   !> can spoil it, and is on its way to the disk. States are of no use any more when it is there.
   subroutine write_finished(journal, found, error)
     type(journal_type), intent(inout) :: journal
+    !> The result of the task.
     type(task_result_type), intent(in) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: record
@@ -232,8 +245,10 @@ contains
     call end_sync(journal%sync, error)
   end subroutine settle_journal
 
+  !> Removes both generations of the state of a task.
   subroutine remove_states(journal, task, error)
     type(journal_type), intent(in) :: journal
+    !> Its number.
     integer, intent(in) :: task
     type(error_type), allocatable, intent(out) :: error
 
@@ -246,8 +261,10 @@ contains
     type(journal_type), intent(inout) :: journal
     !> Number of the task, and what it is known by.
     integer, intent(in) :: task
+    !> `task_type%kept` of the task.
     integer(int64), intent(in) :: kept
     type(simulation_type), intent(inout) :: simulation
+    !> Of a processor, spent on the task so far.
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
     type(stream_type) :: stream
@@ -279,10 +296,13 @@ contains
     type(journal_type), intent(inout) :: journal
     !> Number of the task, and what it is known by.
     integer, intent(in) :: task
+    !> `task_type%kept` of the task.
     integer(int64), intent(in) :: kept
     type(setup_type), intent(in) :: setup
     type(simulation_type), intent(out) :: simulation
+    !> Of a processor, spent on the task before.
     real(dp), intent(out) :: cpu_seconds
+    !> Whether there is one.
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: record, other

@@ -24,6 +24,7 @@ contains
   subroutine merge_results(plan, journal, ranks, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
+    !> How many ran.
     integer, intent(in) :: ranks
     type(results_type), intent(out) :: results
     !> Why a task failed; not allocated where it did not.

@@ -18,6 +18,7 @@ contains
   !> The plan that a namelist file describes, on all ranks. Rank 0 alone looks at files: a namelist
   !> that comes through a pipe is there once. What its text does not say comes beside it.
   subroutine read_plan_once(file, communicator, plan, error)
+    !> Path of the namelist.
     character(len=*), intent(in) :: file
     type(communicator_type), intent(in) :: communicator
     type(plan_type), intent(out) :: plan

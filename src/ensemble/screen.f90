@@ -12,6 +12,7 @@ module battery_screen
   private
   public :: screen_type, new_screen, show_ensemble, end_progress, duration_text, rate_text
 
+  !> What is shown, and when next.
   type :: screen_type
     !> Whether anything is shown, and whether lines can be written over.
     logical :: speaks = .false., terminal = .false.
@@ -31,7 +32,9 @@ contains
 
   !> A screen that speaks or not.
   function new_screen(speaks, tasks, finished_before, ranks) result(screen)
+    !> Whether anything is shown.
     logical, intent(in) :: speaks
+    !> Of the ensemble, those finished before this start, and ranks.
     integer, intent(in) :: tasks, finished_before, ranks
     type(screen_type) :: screen
 
@@ -115,6 +118,7 @@ contains
 
   !> A time as a reader would say it: `8 s`, `3 min 20 s`, `2 h 05 min`.
   pure function duration_text(seconds) result(text)
+    !> Negative ones are 0.
     real(dp), intent(in) :: seconds
     character(len=:), allocatable :: text
     character(len=32) :: buffer
@@ -137,6 +141,7 @@ contains
 
   !> A rate with three digits, such as `2.13e8`.
   pure function rate_text(rate) result(text)
+    !> In any unit, not negative.
     real(dp), intent(in) :: rate
     character(len=:), allocatable :: text
     character(len=32) :: buffer

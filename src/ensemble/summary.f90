@@ -24,10 +24,15 @@ contains
       quiet)
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
+    !> Why a task failed, (task); not allocated where it did not.
     type(string_type), intent(in) :: failures(:)
+    !> How many ran.
     integer, intent(in) :: ranks
+    !> See above; and how long the run took in seconds.
     real(dp), intent(in) :: busy(3), seconds
+    !> Of this start, on all ranks.
     integer(int64), intent(in) :: collisions
+    !> Whether no task is left; whether only failures are told.
     logical, intent(in) :: all_done, quiet
     integer :: point, replica, done, task
 

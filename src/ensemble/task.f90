@@ -19,6 +19,7 @@ module battery_task
   private
   public :: task_type, watch_type, run_task, place_particles, seconds_between_looks
 
+  !> One task: a point of the scan, one of its replicas.
   type :: task_type
     !> Number of the task from 1; its point and replica.
     integer :: task = 0, point = 0, replica = 0
@@ -55,6 +56,7 @@ contains
 
   !> Seconds between two looks at the board of each of so many ranks, at least `least`.
   pure function seconds_between_looks(ranks, least) result(seconds)
+    !> How many look.
     integer, intent(in) :: ranks
     real(dp), intent(in) :: least
     real(dp) :: seconds
@@ -73,6 +75,7 @@ contains
     type(board_type), intent(in) :: board
     type(watch_type), intent(inout) :: watch
     type(screen_type), intent(inout) :: screen
+    !> Its result, unless stopped.
     type(task_result_type), intent(out) :: found
     logical, intent(out) :: stopped
     type(error_type), allocatable, intent(out) :: error

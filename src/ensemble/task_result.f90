@@ -13,6 +13,7 @@ module battery_task_result
   private
   public :: task_result_type, result_of, failed_result, to_record, from_record
 
+  !> What one task has measured, or why it could not.
   type :: task_result_type
     !> Number of the task, from 1, and how it ended.
     integer :: task = 0
@@ -38,9 +39,12 @@ contains
   function result_of(task, kept, simulation, final_state, cpu_seconds) result(found)
     !> Number of the task, and what it is known by.
     integer, intent(in) :: task
+    !> `task_type%kept` of the task.
     integer(int64), intent(in) :: kept
     type(simulation_type), intent(in) :: simulation
+    !> Whether it is kept.
     logical, intent(in) :: final_state
+    !> Of a processor, spent on the task.
     real(dp), intent(in) :: cpu_seconds
     type(task_result_type) :: found
     type(particles_type) :: particles
@@ -93,7 +97,9 @@ contains
   function failed_result(task, kept, message) result(failed)
     !> Number of the task, and what it is known by.
     integer, intent(in) :: task
+    !> `task_type%kept` of the task.
     integer(int64), intent(in) :: kept
+    !> The reason.
     character(len=*), intent(in) :: message
     type(task_result_type) :: failed
 
@@ -108,6 +114,7 @@ contains
 
   !> A result as a record.
   function to_record(found) result(record)
+    !> Of a task that ended in whatever way.
     type(task_result_type), intent(in) :: found
     type(record_type) :: record
     type(task_result_type) :: copy
@@ -122,10 +129,11 @@ contains
     allocate (record%reals(0), record%bytes(0))
   end function to_record
 
-  !> The result that a record is. A good record may still be a plan or a state under another name, or
-  !> of a program that measured something else.
+  !> The result that a record is. A good record may still be a plan or a state under another name,
+  !> or of a program that measured something else.
   subroutine from_record(record, found, is_one)
     type(record_type), intent(in) :: record
+    !> What the record says, if it is one.
     type(task_result_type), intent(out) :: found
     !> Whether it is a result.
     logical, intent(out) :: is_one

@@ -14,6 +14,7 @@ module battery_tasks
 
 contains
 
+  !> How many tasks a plan has: points times replicas.
   pure function task_count(plan) result(count)
     type(plan_type), intent(in) :: plan
     integer :: count
@@ -42,6 +43,7 @@ contains
   !> Whether what was kept under the number of a task is of this plan's task.
   function is_task_of(plan, number, kept) result(yes)
     type(plan_type), intent(in) :: plan
+    !> Whatever number was kept.
     integer(int64), intent(in) :: number
     !> `task_type%kept` of the task that it was kept of.
     integer(int64), intent(in) :: kept
@@ -81,6 +83,7 @@ contains
   !> Orders tasks by their expected cost, the dearest first, else as they are.
   pure subroutine put_longest_first(plan, tasks)
     type(plan_type), intent(in) :: plan
+    !> Their numbers, in any order.
     integer, intent(inout) :: tasks(:)
     real(wp) :: cost(size(tasks))
     integer :: k

@@ -26,10 +26,12 @@ contains
   subroutine work(plan, communicator, finished_before, journal, board, watch, quiet, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
+    !> Tasks that earlier starts have finished.
     integer, intent(in) :: finished_before
     type(journal_type), intent(inout) :: journal
     type(board_type), intent(in) :: board
     type(watch_type), intent(inout) :: watch
+    !> Whether nothing is shown.
     logical, intent(in) :: quiet
     type(error_type), allocatable, intent(out) :: error
     type(task_result_type) :: found

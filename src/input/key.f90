@@ -13,6 +13,7 @@ module battery_key
   !> Types of keys.
   integer, parameter :: whole_key = 1, real_key = 2, text_key = 3, logical_key = 4
 
+  !> One key of a namelist: where it stands, what may be its value, what it means.
   type :: key_type
     character(len=:), allocatable :: group, name
     integer :: kind = whole_key
@@ -40,6 +41,7 @@ contains
 
   !> Place of a key in a list of keys; 0 if it is not there.
   pure function find_key(keys, group, name) result(place)
+    !> All there are.
     type(key_type), intent(in) :: keys(:)
     !> In small letters.
     character(len=*), intent(in) :: group, name
@@ -52,6 +54,7 @@ contains
 
   !> The names of all groups, in the order of their first keys.
   pure function group_names(keys) result(names)
+    !> All there are.
     type(key_type), intent(in) :: keys(:)
     type(string_type), allocatable :: names(:)
     type(string_type) :: name
@@ -67,7 +70,9 @@ contains
 
   !> The names of the keys of a group.
   pure function keys_of_group(keys, group) result(names)
+    !> All there are.
     type(key_type), intent(in) :: keys(:)
+    !> Its name, in small letters, without &.
     character(len=*), intent(in) :: group
     type(string_type), allocatable :: names(:)
     type(string_type) :: name
@@ -146,6 +151,7 @@ contains
 
   !> All groups and keys with defaults and meanings, for the help text.
   pure function keys_text(keys) result(text)
+    !> All there are.
     type(key_type), intent(in) :: keys(:)
     character(len=:), allocatable :: text
     type(string_type), allocatable :: groups(:)

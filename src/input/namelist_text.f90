@@ -26,6 +26,7 @@ module battery_namelist_text
     type(value_type), allocatable :: values(:)
   end type entry_type
 
+  !> `&name`.
   type :: group_type
     character(len=:), allocatable :: name
     integer :: line = 0
@@ -50,7 +51,8 @@ module battery_namelist_text
 
 contains
 
-  !> Splits `text`; mistakes of the syntax come back in `remarks`, the rest is read all the same.
+  !> Splits `text` into `groups`, those given again too, and `entries`, the keys with their values,
+  !> in their order; mistakes of the syntax come back in `remarks`, the rest is read all the same.
   subroutine split_namelist(text, groups, entries, remarks)
     character(len=*), intent(in) :: text
     type(group_type), allocatable, intent(out) :: groups(:)
@@ -86,7 +88,7 @@ contains
 
     reader%at = reader%at + 1
     group%line = reader%line
-    call read_name(reader, group%name)
+    call take_before(reader, verify(reader%text(reader%at:), name_signs), group%name)
     group%name = lower_case(group%name)
     reader%group_count = reader%group_count + 1
     reader%groups(reader%group_count) = group
@@ -119,7 +121,7 @@ contains
 
     entry%group = group
     entry%line = reader%line
-    call read_name(reader, entry%key)
+    call take_before(reader, verify(reader%text(reader%at:), name_signs), entry%key)
     entry%key = lower_case(entry%key)
     name = '&'//shown_text(group)//' '//shown_text(entry%key)
     if (entry%key == '') then
@@ -238,7 +240,7 @@ contains
 
     problem = ''
     repeats = 1
-    call read_word(reader, word)
+    call take_before(reader, scan(reader%text(reader%at:), value_ends), word)
     star = index(word, '*')
     if (star > 1) then
       if (verify(word(:star - 1), '0123456789') == 0) then
@@ -303,7 +305,7 @@ contains
     follows = .false.
     if (scan(next_sign(reader), letters) == 0) return
     ahead%text = reader%text(reader%at:min(len(reader%text), reader%at + 1000))
-    call read_name(ahead, name)
+    call take_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
     call skip_blanks(ahead)
     follows = next_sign(ahead) == '=' .or. next_sign(ahead) == '(' .or. next_sign(ahead) == '%'
   end function key_follows
@@ -357,29 +359,16 @@ contains
     if (rest == '') rest = 'the end of the line'
   end function rest_of_line
 
-  !> Takes a name; empty if none comes next.
-  subroutine read_name(reader, name)
+  !> Takes what stands before sign number `next` from here; all that is left if that is 0.
+  subroutine take_before(reader, next, text)
     type(reader_type), intent(inout) :: reader
-    character(len=:), allocatable, intent(out) :: name
-    integer :: length
+    integer, intent(in) :: next
+    character(len=:), allocatable, intent(out) :: text
 
-    length = verify(reader%text(reader%at:), name_signs) - 1
-    if (length < 0) length = len(reader%text) - reader%at + 1
-    name = reader%text(reader%at:reader%at + length - 1)
-    reader%at = reader%at + length
-  end subroutine read_name
-
-  !> Takes what stands before the next sign that ends a value.
-  subroutine read_word(reader, word)
-    type(reader_type), intent(inout) :: reader
-    character(len=:), allocatable, intent(out) :: word
-    integer :: length
-
-    length = scan(reader%text(reader%at:), value_ends) - 1
-    if (length < 0) length = len(reader%text) - reader%at + 1
-    word = reader%text(reader%at:reader%at + length - 1)
-    reader%at = reader%at + length
-  end subroutine read_word
+    text = reader%text(reader%at:)
+    if (next > 0) text = text(:next - 1)
+    reader%at = reader%at + len(text)
+  end subroutine take_before
 
   !> The next sign; a null sign at the end.
   pure function next_sign(reader) result(sign)

@@ -13,6 +13,7 @@ contains
   !> A whole number; `wrong` says what is wrong with it, or is empty.
   pure subroutine read_integer(value, number, wrong)
     type(value_type), intent(in) :: value
+    !> 0 if something is wrong.
     integer(int64), intent(out) :: number
     character(len=:), allocatable, intent(out) :: wrong
 
@@ -23,6 +24,7 @@ contains
   !> A finite number; `wrong` says what is wrong with it, or is empty.
   pure subroutine read_real(value, number, wrong)
     type(value_type), intent(in) :: value
+    !> 0 if something is wrong.
     real(wp), intent(out) :: number
     character(len=:), allocatable, intent(out) :: wrong
 
@@ -33,7 +35,9 @@ contains
   !> True or false, with or without points, whole or as T and F.
   pure subroutine read_logical(value, flag, wrong)
     type(value_type), intent(in) :: value
+    !> False if something is wrong.
     logical, intent(out) :: flag
+    !> What is wrong with it; empty: nothing.
     character(len=:), allocatable, intent(out) :: wrong
 
     wrong = ''

@@ -29,7 +29,9 @@ contains
   !> Adds what is wrong with a line, or with the whole file if the line is 0.
   pure subroutine add_remark(remarks, line, text)
     type(remarks_type), intent(inout) :: remarks
+    !> From 1.
     integer, intent(in) :: line
+    !> What, where in the line, and what is allowed.
     character(len=*), intent(in) :: text
     type(remark_type), allocatable :: more(:)
     integer :: at
@@ -83,6 +85,7 @@ contains
 
   !> A word of a file as it may be shown: shortened, and without signs that steer a terminal.
   pure function shown_text(word) result(shown)
+    !> As it stands there.
     character(len=*), intent(in) :: word
     character(len=:), allocatable :: shown
     integer :: at

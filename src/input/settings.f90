@@ -12,14 +12,7 @@ module battery_settings
     whole_key, real_key, text_key, logical_key
   implicit none (type, external)
   private
-  public :: setting_type, settings_type, read_settings, find_setting, take, take_list
-
-  !> Takes the value of a key, which stays as it was where there is none: (settings, group, name,
-  !> value). Of two numbers, one that is given counts for both.
-  interface take
-    module procedure :: take_integer, take_long, take_integers, take_real, take_reals, &
-      take_text, take_logical
-  end interface take
+  public :: setting_type, settings_type, read_settings, find_setting
 
   !> Longest text of a key: the longest path that the system takes.
   integer, parameter :: longest_text = 4000
@@ -52,6 +45,7 @@ contains
 
   !> Reads the text of a namelist file.
   subroutine read_settings(text, keys, settings)
+    !> All of it, with its line ends.
     character(len=*), intent(in) :: text
     !> All the keys there are.
     type(key_type), intent(in) :: keys(:)
@@ -341,82 +335,5 @@ contains
     end do
     error stop 'a key is asked for that is not declared'
   end function find_setting
-
-  pure subroutine take_long(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    integer(int64), intent(inout) :: value
-
-    associate (setting => settings%all(find_setting(settings, group, name)))
-      if (setting%known) value = setting%integers(1)
-    end associate
-  end subroutine take_long
-
-  pure subroutine take_integer(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    integer, intent(inout) :: value
-    integer(int64) :: long
-
-    long = value
-    call take_long(settings, group, name, long)
-    value = int(long)
-  end subroutine take_integer
-
-  pure subroutine take_integers(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    integer, intent(inout) :: value(2)
-
-    associate (setting => settings%all(find_setting(settings, group, name)))
-      if (setting%known) value = int([setting%integers(1), &
-        setting%integers(size(setting%integers))])
-    end associate
-  end subroutine take_integers
-
-  pure subroutine take_real(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    real(wp), intent(inout) :: value
-
-    associate (setting => settings%all(find_setting(settings, group, name)))
-      if (setting%known) value = setting%reals(1)
-    end associate
-  end subroutine take_real
-
-  pure subroutine take_reals(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    real(wp), intent(inout) :: value(2)
-
-    associate (setting => settings%all(find_setting(settings, group, name)))
-      if (setting%known) value = [setting%reals(1), setting%reals(size(setting%reals))]
-    end associate
-  end subroutine take_reals
-
-  !> Takes all values of a key of numbers.
-  pure subroutine take_list(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    real(wp), allocatable, intent(inout) :: value(:)
-
-    value = settings%all(find_setting(settings, group, name))%reals
-  end subroutine take_list
-
-  pure subroutine take_text(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    character(len=:), allocatable, intent(inout) :: value
-
-    value = settings%all(find_setting(settings, group, name))%text
-  end subroutine take_text
-
-  pure subroutine take_logical(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    logical, intent(inout) :: value
-
-    value = settings%all(find_setting(settings, group, name))%flag
-  end subroutine take_logical
 
 end module battery_settings

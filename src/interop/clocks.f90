@@ -35,6 +35,7 @@ contains
 
   !> Leaves the processor to others for a while, up to a second; a signal may end it early.
   subroutine rest(seconds)
+    !> At most 0.99 of them count.
     real(dp), intent(in) :: seconds
     integer(c_int) :: status
 

@@ -100,6 +100,7 @@ contains
 
   !> Whether there is a file or folder of that name.
   function file_exists(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -108,6 +109,7 @@ contains
 
   !> Whether this process may read the file or folder.
   function is_readable(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -116,6 +118,7 @@ contains
 
   !> Whether this process may write to the file or folder.
   function is_writable(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -124,6 +127,7 @@ contains
 
   !> Waits until the file, or the entries of the folder, are on the disk.
   subroutine sync_file(path, error)
+    !> Of a file or a folder.
     character(len=*), intent(in) :: path
     !> It is not there, or the disk has failed.
     type(error_type), allocatable, intent(out) :: error
@@ -136,6 +140,7 @@ contains
 
   !> Gives a file another name in one step; what had that name is gone.
   subroutine rename_file(old, new, error)
+    !> On one file system.
     character(len=*), intent(in) :: old, new
     type(error_type), allocatable, intent(out) :: error
 
@@ -147,6 +152,7 @@ contains
   !> Puts a finished temporary file under its final name, so that after a crash there is either the
   !> old file or the new one, whole.
   subroutine publish_file(temporary, final, error)
+    !> In one folder.
     character(len=*), intent(in) :: temporary, final
     type(error_type), allocatable, intent(out) :: error
 
@@ -159,6 +165,7 @@ contains
 
   !> Removes a file or an empty folder; one that is not there is no error.
   subroutine remove_file(path, error)
+    !> A link is removed, not what it points to.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     integer(c_int) :: status
@@ -171,6 +178,7 @@ contains
   !> Makes a folder; one that is there already is no error. The error's code is `exit_bad_input`
   !> unless the disk is at fault.
   subroutine make_folder(path, error)
+    !> In a folder that is there.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
@@ -188,6 +196,7 @@ contains
   !> Makes an empty file anew. What had that name is removed, a link too: nothing is ever written
   !> through one.
   subroutine create_new_file(path, error)
+    !> In a folder that is there.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     integer(c_int) :: status
@@ -207,6 +216,7 @@ contains
   !> Names, without the folder, of what there is in a folder that matches a pattern with `*` and
   !> `?`; none if there is no such folder. Their order is arbitrary.
   function files_like(folder, pattern) result(names)
+    !> Where to look, and what for.
     character(len=*), intent(in) :: folder, pattern
     type(string_type), allocatable :: names(:)
     type(string_type), allocatable :: more(:)

@@ -6,9 +6,9 @@ module battery_memory
   public :: prefer_large_pages
 
   interface
-    !> Asks for large pages for an array that is read at random and has not been written to yet: then
-    !> the processor finds its pages without a walk through tables that lie in memory themselves.
-    !> Only advice: where it is not heeded nothing changes but the speed.
+    !> Asks for large pages for an array that is read at random and has not been written to yet:
+    !> then the processor finds its pages without a walk through tables that lie in memory
+    !> themselves. Only advice: where it is not heeded nothing changes but the speed.
     subroutine prefer_large_pages(address, bytes) bind(c, name='battery_prefer_large_pages')
       import :: c_ptr, c_size_t
       implicit none (type, external)

@@ -112,8 +112,9 @@ contains
     character(len=*), intent(in) :: file
     !> Code `exit_bad_input` where another run owns it, `exit_stopped_early` where a signal came.
     type(error_type), allocatable, intent(out) :: error
-    !> For tests; and what the file is to say.
+    !> The usual ones if absent.
     type(habits_type), intent(in), optional :: habits
+    !> What the file is to say, `owner_text` if absent.
     character(len=*), intent(in), optional :: text
     type(habits_type) :: usual
     type(watch_type) :: watch

@@ -1,6 +1,7 @@
 !> Names of files: what they name, by whatever link, and what the system says about them.
 module battery_paths
-  use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer
+  use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer, &
+    c_associated
   use battery_error, only: error_type, fatal_error, exit_bad_input
   implicit none (type, external)
   private
@@ -75,6 +76,7 @@ contains
 
   !> Whether there is a file of that name, and no folder, pipe or device.
   function is_file(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -83,6 +85,7 @@ contains
 
   !> Whether there is a folder of that name.
   function is_folder(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -91,6 +94,7 @@ contains
 
   !> Whether there is something else of that name: a pipe, a device, a socket.
   function is_pipe_or_device(path) result(yes)
+    !> Links are followed.
     character(len=*), intent(in) :: path
     logical :: yes
 
@@ -99,6 +103,7 @@ contains
 
   !> Whether two paths name one and the same file, by whatever link.
   function same_file(one, other) result(yes)
+    !> Where either is not there, they are not the same.
     character(len=*), intent(in) :: one, other
     logical :: yes
 
@@ -107,6 +112,7 @@ contains
 
   !> Folder that a file lies in: what is before its last slash, `.` if it has none.
   pure function folder_of(path) result(folder)
+    !> Need not be there.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: folder
     integer :: slash
@@ -121,6 +127,7 @@ contains
 
   !> The folder in which a file really lies, its links resolved; empty if it is not there.
   function real_folder_of(path) result(folder)
+    !> Of a file.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: folder
 
@@ -131,6 +138,7 @@ contains
 
   !> Where a name is a link, what it points to in the end, which need not be there; others stay.
   subroutine follow_links(path, error)
+    !> The name; what it points to where it is a link.
     character(len=:), allocatable, intent(inout) :: path
     !> Code `exit_bad_input`: links in a circle, for instance.
     type(error_type), allocatable, intent(out) :: error
@@ -157,12 +165,16 @@ contains
 
   !> The text of C that an address points to.
   function text_at(address) result(text)
+    !> Of bytes that end with a zero; null: the text is empty.
     type(c_ptr), intent(in) :: address
     character(len=:), allocatable :: text
     character(kind=c_char), pointer :: letters(:)
     integer :: at
 
+    text = ''
+    if (.not. c_associated(address)) return
     call c_f_pointer(address, letters, [c_strlen(address)])
+    deallocate (text)
     allocate (character(len=size(letters)) :: text)
     do at = 1, size(letters)
       text(at:at) = letters(at)
@@ -171,6 +183,7 @@ contains
 
   !> What the system calls an error of that number.
   function error_text(number) result(text)
+    !> What C calls `errno`.
     integer, intent(in) :: number
     character(len=:), allocatable :: text
 

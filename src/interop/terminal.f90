@@ -46,6 +46,7 @@ contains
 
   !> Prints a line, or several, on standard output.
   subroutine say(text)
+    !> Without a line end.
     character(len=*), intent(in) :: text
 
     call say_partly(text//new_line('a'))
@@ -53,6 +54,7 @@ contains
 
   !> Prints on standard output without ending the line.
   subroutine say_partly(text)
+    !> Without a line end.
     character(len=*), intent(in) :: text
 
     ! After a failure nothing more is tried: a text with a hole in it would say something else.
@@ -61,6 +63,7 @@ contains
 
   !> Prints a line, or several, on standard error; where that fails nobody can be told.
   subroutine complain(text)
+    !> Without a line end.
     character(len=*), intent(in) :: text
     integer(c_int) :: status
 

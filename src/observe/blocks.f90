@@ -13,6 +13,7 @@ module battery_blocks
 
   integer, parameter :: most_blocks = 64
 
+  !> Averages over blocks of a run, all equally long.
   type :: blocks_type
     !> Length of a block in time units, and how many are complete.
     real(wp) :: length = 1.0_wp
@@ -25,6 +26,7 @@ contains
   !> Adds the average over the block just completed; merges when all places are taken.
   pure subroutine add_block(blocks, average)
     type(blocks_type), intent(inout) :: blocks
+    !> In the unit of the quantity.
     real(wp), intent(in) :: average
     integer :: half
 
@@ -41,6 +43,7 @@ contains
   !> Standard error of the mean; `available` is false with fewer than two complete blocks.
   pure subroutine standard_error(blocks, error, available)
     type(blocks_type), intent(in) :: blocks
+    !> In the unit of the quantity; 0 if not available.
     real(wp), intent(out) :: error
     logical, intent(out) :: available
     real(wp) :: mean

@@ -16,6 +16,7 @@ module battery_observer
   public :: measure, measured_time
   public :: pass_observer
 
+  !> What has been measured of a run so far.
   type :: observer_type
     integer :: number = 0
     !> Number in half 1 now.
@@ -54,6 +55,7 @@ contains
   pure function new_observer(number, urn1_number, two_halves, series_interval, unit) &
     result(observer)
     integer, intent(in) :: number, urn1_number
+    !> Whether there are two urns, and so a difference between them.
     logical, intent(in) :: two_halves
     real(wp), intent(in) :: series_interval
     real(wp), intent(in), optional :: unit

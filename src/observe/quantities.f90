@@ -13,6 +13,7 @@ module battery_quantities
   public :: measured_type, new_measured, set_average, set_count
   public :: fingerprint_of_quantities, unknown_real, unknown_count
 
+  !> Something that is measured.
   type :: quantity_type
     character(len=:), allocatable :: name, unit, meaning
     !> Whether it has a standard error of its own, from blocks of the run.
@@ -68,7 +69,9 @@ contains
 
   !> Place of a quantity in a list; 0 if it is not there.
   pure function place_of(name, list) result(place)
+    !> As it is in results files.
     character(len=*), intent(in) :: name
+    !> One of the two lists.
     type(quantity_type), intent(in) :: list(:)
     integer :: place
 
@@ -108,6 +111,7 @@ contains
     type(measured_type), intent(inout) :: measured
     !> Name of the quantity, in the list of the counted ones.
     character(len=*), intent(in) :: name
+    !> How often, or how many.
     integer(int64), intent(in) :: count
     integer :: place
 
@@ -116,7 +120,8 @@ contains
     measured%counted(place) = count
   end subroutine set_count
 
-  !> A fingerprint of all names in their order: values that were kept with another are of other lists.
+  !> A fingerprint of all names in their order: values that were kept with another are of other
+  !> lists.
   pure function fingerprint_of_quantities() result(fingerprint)
     integer(int64) :: fingerprint
     type(quantity_type), allocatable :: list(:)

@@ -21,6 +21,7 @@ module battery_bounds
   !> Visits in which an urn is hit this many times as often as in the mean are counted, too.
   real(wp), parameter :: longest_visit = 64.0_wp
 
+  !> What a number may be.
   type :: bounds_type
     real(wp) :: least = 0.0_wp, most = 0.0_wp
     !> What they follow from.
@@ -29,6 +30,7 @@ module battery_bounds
 
 contains
 
+  !> Bounds of the radius of an urn.
   pure function radius_bounds() result(bounds)
     type(bounds_type) :: bounds
 
@@ -38,6 +40,7 @@ contains
   !> Bounds of the length of a channel beside an urn, and beside the other channel, `other` long
   !> (0: closed).
   pure function length_bounds(radius, other) result(bounds)
+    !> Of the urn; both in the unit of length.
     real(wp), intent(in) :: radius, other
     type(bounds_type) :: bounds
 
@@ -48,6 +51,7 @@ contains
   !> Bounds of the width of a channel, on a table whose longest other length is `longest`. Close
   !> to the diameter the arcs and the area that are left lose their digits in the same way.
   pure function width_bounds(radius, longest) result(bounds)
+    !> Of the urn; both in the unit of length.
     real(wp), intent(in) :: radius, longest
     type(bounds_type) :: bounds
 
@@ -57,6 +61,7 @@ contains
 
   !> Bounds of a length of time on a table whose longest length is `longest`.
   pure function time_bounds(radius, longest) result(bounds)
+    !> Of the urn; both in the unit of length.
     real(wp), intent(in) :: radius, longest
     type(bounds_type) :: bounds
 
@@ -66,6 +71,7 @@ contains
 
   !> Bounds of a time that the clock shows.
   pure function clock_bounds(radius) result(bounds)
+    !> Of the urn, in the unit of length.
     real(wp), intent(in) :: radius
     type(bounds_type) :: bounds
 

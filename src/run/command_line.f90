@@ -40,6 +40,7 @@ contains
 
   !> Reads the program's own arguments.
   subroutine read_command_line(command, error)
+    !> What was asked for.
     type(command_line_type), intent(out) :: command
     !> Code `exit_bad_input`; all problems.
     type(error_type), allocatable, intent(out) :: error
@@ -57,7 +58,9 @@ contains
 
   !> Understands a list of arguments; after `--` a word is a file even if it begins with a dash.
   subroutine parse_arguments(words, command, error)
+    !> One an argument, without the name of the program.
     type(string_type), intent(in) :: words(:)
+    !> What was asked for.
     type(command_line_type), intent(out) :: command
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: problems

@@ -18,6 +18,7 @@ contains
 
   !> Adds the events of a window that began `elapsed` after the start of the run.
   subroutine append_events(log, history, elapsed, out_of_room)
+    !> Of one run, in the order of time.
     type(event_log_type), intent(inout) :: log
     type(history_type), intent(in) :: history
     real(wp), intent(in) :: elapsed
@@ -66,6 +67,7 @@ contains
 
   !> The event log so far.
   subroutine pass_events(log, stream)
+    !> Of one run; in a stream that is read, it is filled.
     type(event_log_type), intent(inout) :: log
     type(stream_type), intent(inout) :: stream
 

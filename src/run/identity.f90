@@ -1,9 +1,9 @@
 !> What a task is known by: a fingerprint of all that decides its result.
 !>
-!> By value, never by its place in a scan: numbers that are equal to 12 digits are equal, and what is
-!> given is the same as what is so by default. So a point has the same random numbers however many
-!> others are scanned with it. What is measured and kept beside (series, snapshots, event log) does
-!> not change what happens, and is no part of it.
+!> By value, never by its place in a scan: numbers that are equal to 12 digits are equal, and what
+!> is given is the same as what is so by default. So a point has the same random numbers however
+!> many others are scanned with it. What is measured and kept beside (series, snapshots, event log)
+!> does not change what happens, and is no part of it.
 module battery_identity
   use battery_kinds, only: wp, int64
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
@@ -63,8 +63,10 @@ contains
 
   !> The identity of what is kept of a task: the task, and which series, snapshots and so on.
   function kept_with(identity, setup, final_state) result(kept)
+    !> Of the task, as `identity_of` gives it.
     integer(int64), intent(in) :: identity
     type(setup_type), intent(in) :: setup
+    !> Whether the final state is kept.
     logical, intent(in) :: final_state
     integer(int64) :: kept
     integer :: k
@@ -99,6 +101,7 @@ contains
 
   !> The number that has the first 12 digits of a number, rounded.
   elemental function twelve_digits(number) result(rounded)
+    !> Finite.
     real(wp), intent(in) :: number
     real(wp) :: rounded
     character(len=24) :: text

@@ -23,6 +23,18 @@ module battery_initial_state
 
 contains
 
+  !> An error if there is no memory for so many particles.
+  subroutine make_room(particles, number, error)
+    type(particles_type), intent(inout) :: particles
+    integer, intent(in) :: number
+    type(error_type), allocatable, intent(out) :: error
+    integer :: status
+
+    allocate (particles%x(number), particles%y(number), particles%ux(number), &
+      particles%uy(number), stat=status)
+    if (status /= 0) call fatal_error(error, 'no memory for '//to_text(number)//' particles')
+  end subroutine make_room
+
   !> `number` particles, the first `urn1_number` of them in urn 1: positions uniform in the urns,
   !> directions uniform, speed 1. The same seed gives the same particles everywhere.
   subroutine random_particles(table, number, urn1_number, seed, particles, error)
@@ -34,16 +46,10 @@ contains
     !> No memory, no generator, or a stop was asked for.
     type(error_type), allocatable, intent(out) :: error
     type(generator_type) :: generator
-    integer :: at, status
+    integer :: at
 
-    allocate (particles%x(number), stat=status)
-    if (status == 0) allocate (particles%y(number), stat=status)
-    if (status == 0) allocate (particles%ux(number), stat=status)
-    if (status == 0) allocate (particles%uy(number), stat=status)
-    if (status /= 0) then
-      call fatal_error(error, 'no memory for '//to_text(number)//' particles')
-      return
-    end if
+    call make_room(particles, number, error)
+    if (allocated(error)) return
     call new_generator(generator, seed, error)
     if (allocated(error)) return
     do at = 1, number
@@ -91,6 +97,7 @@ contains
 
   !> `number` particles from a file, as `parse_particles` reads its text.
   subroutine read_particles(file, table, number, particles, error)
+    !> Its path.
     character(len=*), intent(in) :: file
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
@@ -110,6 +117,7 @@ contains
   !> and lines that begin with # are passed over. All problems come back in one error; in it `name`
   !> stands for the file.
   subroutine parse_particles(text, name, table, number, particles, error)
+    !> All of the file, and its name.
     character(len=*), intent(in) :: text, name
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
@@ -119,16 +127,10 @@ contains
     character(len=:), allocatable :: problem
     real(wp) :: state(4)
     integer(int64) :: first, last, next
-    integer :: line, count, status
+    integer :: line, count
 
-    allocate (particles%x(number), stat=status)
-    if (status == 0) allocate (particles%y(number), stat=status)
-    if (status == 0) allocate (particles%ux(number), stat=status)
-    if (status == 0) allocate (particles%uy(number), stat=status)
-    if (status /= 0) then
-      call fatal_error(error, 'no memory for '//to_text(number)//' particles')
-      return
-    end if
+    call make_room(particles, number, error)
+    if (allocated(error)) return
     next = 1
     line = 0
     count = 0

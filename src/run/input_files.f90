@@ -21,10 +21,11 @@ module battery_input_files
 
 contains
 
-  !> The plan that a file describes, with what its initial file holds. The initial file must be good,
-  !> and the results must have a place to go. Writes nothing. The namelist may be a pipe, which can
-  !> be read once only: one rank calls this and passes on what it found.
+  !> The plan that a file describes, with what its initial file holds. The initial file must be
+  !> good, and the results must have a place to go. Writes nothing. The namelist may be a pipe,
+  !> which can be read once only: one rank calls this and passes on what it found.
   subroutine read_namelist(file, plan, error)
+    !> Its path.
     character(len=*), intent(in) :: file
     type(plan_type), intent(out) :: plan
     !> Code `exit_bad_input`; all problems, one a line.

@@ -6,8 +6,8 @@ module battery_namelist_input
   use battery_text, only: to_text, new_line_character
   use battery_table, only: gated, ungated
   use battery_remarks, only: add_remark, remarks_text, shown_text
-  use battery_settings, only: settings_type, setting_type, read_settings, find_setting, take, &
-    take_list
+  use battery_settings, only: settings_type, setting_type, read_settings, find_setting
+  use battery_taking, only: take, take_list
   use battery_key, only: key_type, whole_key
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
@@ -34,6 +34,7 @@ contains
   !> Reads a text, sets the components of a plan, and lets it check itself. The problems are in the
   !> settings.
   subroutine fill_plan(text, name, settings, plan)
+    !> All of the namelist, and the name of its file.
     character(len=*), intent(in) :: text, name
     type(settings_type), intent(out) :: settings
     type(plan_type), intent(out) :: plan
@@ -167,8 +168,8 @@ contains
     end if
   end function values_of
 
-  !> The values of a range, evenly spaced: whole numbers, or numbers of 12 digits, so that a value is
-  !> the same in ranges of other lengths.
+  !> The values of a range, evenly spaced: whole numbers, or numbers of 12 digits, so that a value
+  !> is the same in ranges of other lengths.
   pure function range_of(setting, whole) result(values)
     type(setting_type), intent(in) :: setting
     logical, intent(in) :: whole
@@ -235,13 +236,14 @@ contains
     !> Code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
 
-    if (settings%problems%count > 0) call fatal_error(error, remarks_text(settings%problems, name), &
-      exit_bad_input)
+    if (settings%problems%count > 0) &
+      call fatal_error(error, remarks_text(settings%problems, name), exit_bad_input)
   end subroutine report
 
   !> The keys in which two inputs differ, one a line with both values; empty if they make the same
   !> run. Ways of writing, defaults, limits and the name of the output file make no difference.
   function differing_keys(old, new) result(text)
+    !> Texts of two namelists that were read without an error.
     character(len=*), intent(in) :: old, new
     character(len=:), allocatable :: text
     type(settings_type) :: before, now

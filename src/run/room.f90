@@ -37,6 +37,7 @@ contains
 
   !> Bytes that `number` particles take in an engine, with what they start from.
   pure function particle_bytes(engine, number) result(bytes)
+    !> Its name in the namelist.
     character(len=*), intent(in) :: engine
     integer, intent(in) :: number
     real(dp) :: bytes
@@ -46,6 +47,7 @@ contains
 
   !> Whether this process can have so many bytes, and then some to work with.
   function enough_room(bytes) result(enough)
+    !> Beside those that the process has already.
     real(dp), intent(in) :: bytes
     logical :: enough
     type(memory_type) :: left
@@ -59,6 +61,7 @@ contains
   !> An error if so many bytes for `what` cannot be had: allocating without asking would end the
   !> program, and where memory is promised that is not there, the system would.
   subroutine check_room(bytes, what, error)
+    !> Beside those that the process has already.
     real(dp), intent(in) :: bytes
     character(len=*), intent(in) :: what
     type(error_type), allocatable, intent(out) :: error
@@ -73,6 +76,7 @@ contains
 
   !> A number of bytes as a reader would say it: `35 MB`, `1.2 GB`.
   pure function size_text(bytes) result(text)
+    !> Not negative.
     real(dp), intent(in) :: bytes
     character(len=:), allocatable :: text
     character(len=32) :: buffer

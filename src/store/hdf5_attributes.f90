@@ -3,8 +3,7 @@
 !> Texts are of variable length, in UTF-8: then they lie apart from the attribute, which has room
 !> for no more than 64 KiB, and readers take them for texts and not for bytes.
 module battery_hdf5_attributes
-  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_null_char, c_char, &
-    c_f_pointer, c_associated
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_null_char, c_char
   use hdf5, only: hid_t, hsize_t, h5oopen_f, h5acreate_f, h5aopen_f, h5awrite_f, h5aread_f, &
     h5aget_type_f, h5aget_space_f, h5screate_f, h5screate_simple_f, h5sget_simple_extent_ndims_f, &
     h5tcopy_f, h5tset_cset_f, h5tis_variable_str_f, h5dvlen_reclaim_f, h5kind_to_type
@@ -12,20 +11,22 @@ module battery_hdf5_attributes
     h5_integer_kind
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
+  use battery_paths, only: text_at
   use battery_hdf5_file, only: hdf5_file_type, release, check, no_handle
   implicit none (type, external)
   private
   public :: write_attribute, read_attribute
-  public :: add_text, new_space, new_text_type, is_text, text_at
+  public :: add_text, new_space, new_text_type, is_text
 
-  !> Adds an attribute to what stands at a path, `/` for the file: (file, path, name, values,
-  !> error).
+  !> Adds an attribute `name` to what stands at the `path`, `/` for the file, of an open `file`: a
+  !> number, a list of them, or a text in `values`.
   interface write_attribute
     module procedure :: write_real64_attribute, write_int32_attribute, write_int64_attribute, &
       write_text_attribute
   end interface write_attribute
 
-  !> Reads an attribute that is a single number, or a text: (file, path, name, value, error).
+  !> Reads the attribute `name` of what stands at the `path`, `/` for the file, of an open `file`: a
+  !> single number, or a text, in `value`.
   interface read_attribute
     module procedure :: read_real64_attribute, read_int32_attribute, read_text_attribute
   end interface read_attribute
@@ -113,8 +114,11 @@ contains
 
   !> Adds a text to an open object.
   subroutine add_text(object, name, text, status)
+    !> Handle of a group or a dataset that is open.
     integer(hid_t), intent(in) :: object
+    !> Of the attribute, and what it says.
     character(len=*), intent(in) :: name, text
+    !> Negative: HDF5 has failed.
     integer, intent(out) :: status
     character(len=:, kind=c_char), allocatable, target :: letters
     type(c_ptr), target :: address
@@ -130,8 +134,11 @@ contains
 
   !> A space of these extents; a scalar one if there are none.
   subroutine new_space(extents, space, status)
+    !> One a dimension; none: a scalar.
     integer(hsize_t), intent(in) :: extents(:)
+    !> To be closed by who asked for it.
     integer(hid_t), intent(out) :: space
+    !> Negative: HDF5 has failed.
     integer, intent(out) :: status
 
     space = no_handle
@@ -144,7 +151,9 @@ contains
 
   !> The type of texts of variable length, in UTF-8.
   subroutine new_text_type(text_type, status)
+    !> To be closed by who asked for it.
     integer(hid_t), intent(out) :: text_type
+    !> Negative: HDF5 has failed.
     integer, intent(out) :: status
 
     text_type = no_handle
@@ -245,6 +254,7 @@ contains
 
   !> Whether something of this type and space is one text of variable length.
   function is_text(value_type, space)
+    !> Handles of what is stored.
     integer(hid_t), intent(in) :: value_type, space
     logical :: is_text
     integer :: dimensions, status
@@ -254,26 +264,5 @@ contains
     call h5sget_simple_extent_ndims_f(space, dimensions, status)
     is_text = is_text .and. status == 0 .and. dimensions == 0
   end function is_text
-
-  !> The text that ends with a null at an address.
-  function text_at(address) result(text)
-    type(c_ptr), intent(in) :: address
-    character(len=:), allocatable :: text
-    character(kind=c_char), pointer :: letters(:)
-    integer :: length, k
-
-    text = ''
-    if (.not. c_associated(address)) return
-    call c_f_pointer(address, letters, [huge(length)])
-    length = 0
-    do while (letters(length + 1) /= c_null_char)
-      length = length + 1
-    end do
-    deallocate (text)
-    allocate (character(len=length) :: text)
-    do k = 1, length
-      text(k:k) = letters(k)
-    end do
-  end function text_at
 
 end module battery_hdf5_attributes

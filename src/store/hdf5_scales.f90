@@ -13,7 +13,9 @@ contains
 
   !> Makes a dataset of rank 1 a dimension scale, named for the last part of its path.
   subroutine make_scale(file, path, error)
+    !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
+    !> Of a dataset of one dimension.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
 
@@ -22,9 +24,13 @@ contains
 
   !> Makes a dimension without coordinates, marked as netCDF does; its data take no room.
   subroutine make_dimension(file, path, length, long_name, error)
+    !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
+    !> From the root, in a group that is there.
     character(len=*), intent(in) :: path
+    !> Of the dimension.
     integer, intent(in) :: length
+    !> What it counts.
     character(len=*), intent(in) :: long_name
     type(error_type), allocatable, intent(out) :: error
     character(len=*), parameter :: mark = 'This is a netCDF dimension but not a netCDF variable.'
@@ -38,7 +44,9 @@ contains
   !> Attaches dimension scales to a dataset: `scales` are their paths, one a dimension, in Fortran
   !> order. HDF5 counts dimensions the other way round here, in its Fortran interface too.
   subroutine attach_scales(file, path, scales, error)
+    !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
+    !> Of the dataset.
     character(len=*), intent(in) :: path
     character(len=*), intent(in) :: scales(:)
     type(error_type), allocatable, intent(out) :: error

@@ -34,6 +34,7 @@ contains
 
   !> Writes the attributes of the root.
   subroutine write_metadata(file, metadata, error)
+    !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
     type(metadata_type), intent(in) :: metadata
     type(error_type), allocatable, intent(out) :: error
@@ -90,9 +91,12 @@ contains
   !> From which input a results file was made, and whether it is complete, once its seal was found
   !> right; else an error, as `check_seal` gives it.
   subroutine read_metadata(name, input_text, status, error, initial_file_fingerprint)
+    !> Path of the file.
     character(len=*), intent(in) :: name
+    !> The namelist, and `complete` or `partial`.
     character(len=:), allocatable, intent(out) :: input_text, status
     type(error_type), allocatable, intent(out) :: error
+    !> In hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out), optional :: initial_file_fingerprint
     type(error_type), allocatable :: close_error
     type(hdf5_file_type) :: file
@@ -128,6 +132,7 @@ contains
   !> Source: days and dates of the Gregorian calendar, Fliegel and Van Flandern, Communications of
   !> the ACM 11, 657 (1968), doi:10.1145/364096.364097.
   pure function utc_text(values) result(text)
+    !> As listed above.
     integer, intent(in) :: values(8)
     character(len=20) :: text
     integer :: year, month, day, minutes, l, n, shift

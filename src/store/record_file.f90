@@ -14,6 +14,7 @@ module battery_record_file
   public :: record_type, append_record, read_records, write_single, read_single, move_record, &
     free_record
 
+  !> What is kept in one piece.
   type :: record_type
     !> Fingerprint of the input that the record was made from.
     integer(int64) :: owner = 0
@@ -115,8 +116,11 @@ contains
   !> All good records of a file, in their order, and the length of its good part in bytes; none if
   !> there is no such file.
   subroutine read_records(name, records, good_size)
+    !> Path of the file.
     character(len=*), intent(in) :: name
+    !> From the beginning of the file.
     type(record_type), allocatable, intent(out) :: records(:)
+    !> 0 if there is nothing good.
     integer(int64), intent(out) :: good_size
     type(record_type), allocatable :: more(:)
     type(record_type) :: record
@@ -202,6 +206,7 @@ contains
 
   !> Writes a file that holds just this record.
   subroutine write_single(name, record, error)
+    !> Path of the file, which is made anew.
     character(len=*), intent(in) :: name
     type(record_type), intent(in) :: record
     type(error_type), allocatable, intent(out) :: error
@@ -213,6 +218,7 @@ contains
 
   !> The record of a file that holds just one; `found` is false if there is no good one.
   subroutine read_single(name, record, found)
+    !> Path of the file.
     character(len=*), intent(in) :: name
     type(record_type), intent(out) :: record
     logical, intent(out) :: found

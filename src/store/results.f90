@@ -51,6 +51,7 @@ contains
   !> Results of which nothing is known yet; what is optional is not allocated.
   subroutine new_results(results, points, replicas)
     type(results_type), intent(out) :: results
+    !> How many of each.
     integer, intent(in) :: points, replicas
     integer :: averaged, counted
 
@@ -86,6 +87,7 @@ contains
   pure function scatter_of(values, task_status) result(error)
     !> (replica, point).
     real(dp), intent(in) :: values(:, :)
+    !> (replica, point).
     integer(int32), intent(in) :: task_status(:, :)
     !> (point).
     real(dp) :: error(size(values, 2))

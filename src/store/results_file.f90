@@ -20,8 +20,8 @@ module battery_results_file
   private
   public :: write_results
 
-  !> Writes a dataset and attaches its dimensions, unless an error came before: (file, path, values,
-  !> dimensions, units, long_name, error).
+  !> Writes `values` as a dataset at the `path` of an open `file`, unless an error came before, with
+  !> the scales at the paths of `dimensions`, in Fortran order, and its `units` and `long_name`.
   interface put
     module procedure :: put_real64, put_int32, put_int64
   end interface put
@@ -78,7 +78,8 @@ contains
     call put_scale(file, '/urn', 1, 2, 'urn', error)
     call put(file, '/gate_threshold', results%gate_threshold, by_gate, '1', &
       'threshold T of each gate', error)
-    call put(file, '/urn_radius', results%urn_radius, by_urn, 'length', 'radius r of each urn', error)
+    call put(file, '/urn_radius', results%urn_radius, by_urn, 'length', 'radius r of each urn', &
+      error)
     call put(file, '/channel1_width', results%channel1_width, by_point, 'length', &
       'width w of channel 1', error)
     call put(file, '/channel1_length', results%channel1_length, by_point, 'length', &
