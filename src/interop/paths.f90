@@ -1,6 +1,7 @@
 !> Names of files: what they name, by whatever link, and what the system says about them.
 module battery_paths
-  use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer
+  use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer, &
+    c_associated
   use battery_error, only: error_type, fatal_error, exit_bad_input
   implicit none (type, external)
   private
@@ -164,13 +165,16 @@ contains
 
   !> The text of C that an address points to.
   function text_at(address) result(text)
-    !> Of bytes that end with a zero; not null.
+    !> Of bytes that end with a zero; null: the text is empty.
     type(c_ptr), intent(in) :: address
     character(len=:), allocatable :: text
     character(kind=c_char), pointer :: letters(:)
     integer :: at
 
+    text = ''
+    if (.not. c_associated(address)) return
     call c_f_pointer(address, letters, [c_strlen(address)])
+    deallocate (text)
     allocate (character(len=size(letters)) :: text)
     do at = 1, size(letters)
       text(at:at) = letters(at)

@@ -3,8 +3,7 @@
 !> Texts are of variable length, in UTF-8: then they lie apart from the attribute, which has room
 !> for no more than 64 KiB, and readers take them for texts and not for bytes.
 module battery_hdf5_attributes
-  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_null_char, c_char, &
-    c_f_pointer, c_associated
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_null_char, c_char
   use hdf5, only: hid_t, hsize_t, h5oopen_f, h5acreate_f, h5aopen_f, h5awrite_f, h5aread_f, &
     h5aget_type_f, h5aget_space_f, h5screate_f, h5screate_simple_f, h5sget_simple_extent_ndims_f, &
     h5tcopy_f, h5tset_cset_f, h5tis_variable_str_f, h5dvlen_reclaim_f, h5kind_to_type
@@ -12,11 +11,12 @@ module battery_hdf5_attributes
     h5_integer_kind
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
+  use battery_paths, only: text_at
   use battery_hdf5_file, only: hdf5_file_type, release, check, no_handle
   implicit none (type, external)
   private
   public :: write_attribute, read_attribute
-  public :: add_text, new_space, new_text_type, is_text, text_at
+  public :: add_text, new_space, new_text_type, is_text
 
   !> Adds an attribute `name` to what stands at the `path`, `/` for the file, of an open `file`: a
   !> number, a list of them, or a text in `values`.
@@ -264,27 +264,5 @@ contains
     call h5sget_simple_extent_ndims_f(space, dimensions, status)
     is_text = is_text .and. status == 0 .and. dimensions == 0
   end function is_text
-
-  !> The text that ends with a null at an address.
-  function text_at(address) result(text)
-    !> Of bytes that end with a zero.
-    type(c_ptr), intent(in) :: address
-    character(len=:), allocatable :: text
-    character(kind=c_char), pointer :: letters(:)
-    integer :: length, k
-
-    text = ''
-    if (.not. c_associated(address)) return
-    call c_f_pointer(address, letters, [huge(length)])
-    length = 0
-    do while (letters(length + 1) /= c_null_char)
-      length = length + 1
-    end do
-    deallocate (text)
-    allocate (character(len=length) :: text)
-    do k = 1, length
-      text(k:k) = letters(k)
-    end do
-  end function text_at
 
 end module battery_hdf5_attributes

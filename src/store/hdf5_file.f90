@@ -9,7 +9,7 @@
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
   use hdf5, only: hid_t, size_t, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
-    h5fflush_f, h5fget_file_image_f, h5fis_hdf5_f, h5gcreate_f, h5lexists_f, h5pcreate_f, &
+    h5fflush_f, h5fget_file_image_f, h5fis_hdf5_f, h5gcreate_f, h5pcreate_f, &
     h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
     h5p_file_access_f
@@ -21,7 +21,7 @@ module battery_hdf5_file
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: hdf5_file_type, create_file, open_file, close_file, make_group, path_exists
+  public :: hdf5_file_type, create_file, open_file, close_file, make_group
   public :: release, check, no_handle
 
   !> What a handle is before HDF5 gives one.
@@ -213,25 +213,6 @@ contains
     call release(group, status)
     call check(file, path, 'cannot be made', status, error)
   end subroutine make_group
-
-  !> Whether a group or dataset is at a path.
-  function path_exists(file, path) result(yes)
-    !> Open.
-    type(hdf5_file_type), intent(in) :: file
-    !> From the root.
-    character(len=*), intent(in) :: path
-    logical :: yes
-    integer :: last, slash, status
-
-    yes = .true.
-    last = 1
-    do while (yes .and. last < len(path))
-      slash = index(path(last + 1:), '/')
-      last = merge(len(path), last + slash, slash == 0)
-      call h5lexists_f(file%id, path(:merge(last, last - 1, slash == 0)), yes, status)
-      yes = yes .and. status == 0
-    end do
-  end function path_exists
 
   !> Closes a handle of any kind, if there is one; `status` becomes nonzero where that fails.
   subroutine release(handle, status)

@@ -18,8 +18,8 @@ module differences
   public :: first_difference
 
   interface first_difference
-    module procedure :: of_numbers, of_planes, of_particles, of_logs, of_observers, &
-      of_results, of_simulations
+    module procedure :: of_numbers, of_planes, of_words, of_particles, of_logs, &
+      of_observers, of_results, of_simulations
   end interface first_difference
 
 contains

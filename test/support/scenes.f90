@@ -12,7 +12,7 @@ module scenes
   private
   public :: qp, table_3_4_5, uneven_table, paper_table, draw, scatter, pick, mirrored_x, &
     mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
-  public :: log_type, run_for, same_log, totals_of, tally
+  public :: log_type, run_for, totals_of, tally
   public :: plain_type, plain_start, plain_run
   public :: save_engine, restore_engine
   public :: bounce_through, facing, channel_of
@@ -283,21 +283,6 @@ contains
     log%where = [log%where, spread(0, 1, more)]
     log%particle = [log%particle, spread(0, 1, more)]
   end subroutine make_room
-
-  !> Whether two logs tell of the same events in the same order, at times that differ by no more
-  !> than `tolerance` times exp(rate t).
-  pure logical function same_log(a, b, tolerance, rate)
-    type(log_type), intent(in) :: a, b
-    real(wp), intent(in) :: tolerance, rate
-    integer :: n
-
-    n = a%events
-    same_log = n == b%events
-    if (.not. same_log) return
-    same_log = all(a%kind(:n) == b%kind(:n)) .and. all(a%where(:n) == b%where(:n)) &
-      .and. all(a%particle(:n) == b%particle(:n)) &
-      .and. all(abs(a%time(:n) - b%time(:n)) <= tolerance*exp(rate*a%time(:n)))
-  end function same_log
 
   !> What a run adds up to: wall collisions, reversals, turned back, crossings of each kind.
   pure function totals_of(log, collisions) result(totals)
