@@ -23,7 +23,8 @@ module battery_communicator
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: ranks_on_node, output_is_terminal
-  public :: share_integers, share_number, share_reals, wait_for_all, summary_of, all_true, mpi_library
+  public :: share_integers, share_number, share_reals, wait_for_all, summary_of, all_true
+  public :: mpi_library
   public :: board_type, open_board, close_board, add_to_board, read_board
   public :: take_task, help_board, help_interval
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted

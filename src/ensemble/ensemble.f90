@@ -317,8 +317,8 @@ contains
       if (must_stop()) exit
       call take_task(board, task)
       if (task == 0) exit
-      call run_task(task_of(plan, task), plan%start, journal, board, watch, screen, found, stopped, &
-        error)
+      call run_task(task_of(plan, task), plan%start, journal, board, watch, screen, found, &
+        stopped, error)
       if (stopped .or. allocated(error)) exit
       call write_finished(journal, found, error)
       if (allocated(error)) exit

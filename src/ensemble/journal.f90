@@ -113,8 +113,8 @@ contains
       journal%ranks - 1)]
   end function rank_files_of
 
-  !> The numbers of tasks, and what they are known by, of the first good record of every file but the
-  !> plan, (2, file): what else can tell whose journal this is.
+  !> The numbers of tasks, and what they are known by, of the first good record of every file but
+  !> the plan, (2, file): what else can tell whose journal this is.
   function kept_in(folder) result(kept)
     character(len=*), intent(in) :: folder
     integer(int64), allocatable :: kept(:, :)

@@ -123,7 +123,8 @@ contains
       character(len=:), allocatable :: text
 
       text = range_text(k)
-      if (plan%shape /= 'urn' .and. range_text(k + 1) /= text) text = text//' and '//range_text(k + 1)
+      if (plan%shape /= 'urn' .and. range_text(k + 1) /= text) &
+        text = text//' and '//range_text(k + 1)
     end function both
 
   end subroutine print_parameters

@@ -103,8 +103,8 @@ contains
       stopped = watch%stopping
       now = wall_seconds()
       if (.not. stopped .and. now < watch%next_checkpoint) cycle
-      call write_state(journal, task%task, task%kept, simulation, cpu_before + cpu_seconds() - cpu_began, &
-        error)
+      call write_state(journal, task%task, task%kept, simulation, &
+        cpu_before + cpu_seconds() - cpu_began, error)
       if (stopped .or. allocated(error)) exit
       watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
     end do
@@ -117,8 +117,8 @@ contains
       found = failed_result(task%task, task%kept, trouble%message)
     else
       call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
-      found = result_of(task%task, task%kept, simulation, task%final_state, cpu_before + cpu_seconds() &
-        - cpu_began)
+      found = result_of(task%task, task%kept, simulation, task%final_state, &
+        cpu_before + cpu_seconds() - cpu_began)
     end if
 
   contains

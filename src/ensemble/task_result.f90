@@ -123,8 +123,8 @@ contains
     allocate (record%reals(0), record%bytes(0))
   end function to_record
 
-  !> The result that a record is. A good record may still be a plan or a state under another name, or
-  !> of a program that measured something else.
+  !> The result that a record is. A good record may still be a plan or a state under another name,
+  !> or of a program that measured something else.
   subroutine from_record(record, found, is_one)
     type(record_type), intent(in) :: record
     type(task_result_type), intent(out) :: found

@@ -2,8 +2,8 @@
 !>
 !> GSL's generators take 32 bits. So there are two of different kind, `mt19937` (Matsumoto and
 !> Nishimura, ACM TOMACS 8, 3 (1998), doi:10.1145/272991.272995) and `cmrg` (L'Ecuyer, Operations
-!> Research 44, 816 (1996), doi:10.1287/opre.44.5.816), each with half of the seed, whose numbers are
-!> added modulo one: uniform if either of them is.
+!> Research 44, 816 (1996), doi:10.1287/opre.44.5.816), each with half of the seed, whose numbers
+!> are added modulo one: uniform if either of them is.
 module battery_gsl
   use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_double, c_int64_t, c_associated
   use battery_kinds, only: dp, int64

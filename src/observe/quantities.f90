@@ -116,7 +116,8 @@ contains
     measured%counted(place) = count
   end subroutine set_count
 
-  !> A fingerprint of all names in their order: values that were kept with another are of other lists.
+  !> A fingerprint of all names in their order: values that were kept with another are of other
+  !> lists.
   pure function fingerprint_of_quantities() result(fingerprint)
     integer(int64) :: fingerprint
     type(quantity_type), allocatable :: list(:)

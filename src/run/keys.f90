@@ -13,7 +13,7 @@ module battery_keys
   !> 32 bits.
   integer(int64), parameter, public :: most_particles = 200000000_int64
 
-  !> Greatest whole number of a key that may be beyond 32 bits: 18 digits, so that sums of a few fit.
+  !> Greatest whole number of a key that may be beyond 32 bits: 18 digits: sums of a few fit.
   integer(int64), parameter :: long = 999999999999999999_int64
 
 contains

@@ -163,8 +163,8 @@ contains
     end if
   end function values_of
 
-  !> The values of a range, evenly spaced: whole numbers, or numbers of 12 digits, so that a value is
-  !> the same in ranges of other lengths.
+  !> The values of a range, evenly spaced: whole numbers, or numbers of 12 digits, so that a value
+  !> is the same in ranges of other lengths.
   pure function range_of(setting, whole) result(values)
     type(setting_type), intent(in) :: setting
     logical, intent(in) :: whole
@@ -231,8 +231,8 @@ contains
     !> Code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
 
-    if (settings%problems%count > 0) call fatal_error(error, remarks_text(settings%problems, name), &
-      exit_bad_input)
+    if (settings%problems%count > 0) call fatal_error(error, &
+      remarks_text(settings%problems, name), exit_bad_input)
   end subroutine report
 
   !> The keys in which two inputs differ, one a line with both values; empty if they make the same

@@ -109,8 +109,8 @@ contains
     end do
   end function is_scanned
 
-  !> Point `number` of the scan, from 1 to `plan%point_count`, with threshold and urn1_number as they
-  !> follow from shares and defaults.
+  !> Point `number` of the scan, from 1 to `plan%point_count`, with threshold and urn1_number as
+  !> they follow from shares and defaults.
   pure function point_of(plan, number) result(point)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: number
@@ -121,7 +121,8 @@ contains
     left = number - 1
     do list = size(plan%scanned), 1, -1
       values = size(plan%scanned(list)%values)
-      call set_value(point, plan%scanned(list)%key, plan%scanned(list)%values(1 + mod(left, values)))
+      call set_value(point, plan%scanned(list)%key, &
+        plan%scanned(list)%values(1 + mod(left, values)))
       left = left/values
     end do
     if (any(point%threshold_fraction >= 0.0_wp)) &

@@ -78,7 +78,8 @@ contains
     call put_scale(file, '/urn', 1, 2, 'urn', error)
     call put(file, '/gate_threshold', results%gate_threshold, by_gate, '1', &
       'threshold T of each gate', error)
-    call put(file, '/urn_radius', results%urn_radius, by_urn, 'length', 'radius r of each urn', error)
+    call put(file, '/urn_radius', results%urn_radius, by_urn, 'length', &
+      'radius r of each urn', error)
     call put(file, '/channel1_width', results%channel1_width, by_point, 'length', &
       'width w of channel 1', error)
     call put(file, '/channel1_length', results%channel1_length, by_point, 'length', &
