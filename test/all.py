@@ -24,6 +24,8 @@ ENVIRONMENT = {
     "OMPI_MCA_mpi_yield_when_idle": "1",
     "OMPI_MCA_hwloc_base_binding_policy": "none",
 }
+# Many tests wait for a program that they have started, so two share a core.
+WORKERS = str(min(16, 2 * (os.cpu_count() or 1)))
 
 
 @dataclass
@@ -39,7 +41,7 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     """List the parts in the order in which they run."""
     fortran = [sys.executable, "test/run", f"--ldflags={arguments.ldflags}"]
     style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml", "postproc", "test"]
-    python = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "--dist", "loadscope"]
+    python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "worksteal"]
     if not arguments.full:
         python += ["-m", "not full"]
     folders = [name for name in ("src", "app", "test") if any((ROOT / name).rglob("*.[fF]90"))]

@@ -133,8 +133,10 @@ def test_more_ranks_than_tasks(tmp_path: Path) -> None:
         assert not file["task_status"][()].any()
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.4])
-@pytest.mark.parametrize("what", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1])
+@pytest.mark.parametrize(
+    ("what", "delay"),
+    [(signal.SIGTERM, 0.0), (signal.SIGTERM, 0.4), (signal.SIGINT, 0.2), (signal.SIGUSR1, 0.1)],
+)
 def test_stopped_by_a_signal(
     tmp_path: Path, undisturbed: Path, what: signal.Signals, delay: float
 ) -> None:
@@ -226,7 +228,7 @@ KILLS = random.Random(2021)
             KILLS.choice([None, 0, 1]),
             KILLS.choice([0, 1, 2]),
         )
-        for _ in range(8)
+        for _ in range(5)
     ],
 )
 def test_killed(

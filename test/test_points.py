@@ -186,7 +186,7 @@ TWICE = {
     "a value": ({"threshold": "1, 2, 1"}, "&scan threshold = 1;"),
     "equal to twelve digits": (
         {"channel2_width": "0.1, 0.10000000000000002"}, "&scan channel2_width = 0.1"),
-    "a share that is rounded": ({"threshold_fraction": "0.05, 0.051"}, "threshold_fraction = 0.051"),
+    "a rounded share": ({"threshold_fraction": "0.05, 0.051"}, "threshold_fraction = 0.051"),
 }  # fmt: skip
 
 

@@ -394,7 +394,10 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out.h5"
 
 
-BY_POINT = ["number", "threshold", "channel1_width", "channel2_width", "urn1_number"]
+BY_POINT = [
+    *("number", "threshold", "urn1_number"),
+    *("channel1_width", "channel1_length", "channel2_width", "channel2_length"),
+]
 BY_TASK = [
     *("seed", "chi", "chi_error", "chi_collision"),
     *("current1", "current1_error", "current2", "current2_error"),
@@ -408,6 +411,7 @@ def test_datasets_of_the_contract(scan: Path) -> None:
     """All datasets are there with their dimensions; every one has units and a long name."""
     with h5py.File(scan) as file:
         shapes = {**dict.fromkeys(BY_POINT, (2,)), **dict.fromkeys(BY_TASK, (2, 2))}
+        shapes |= {"gate_threshold": (2, 2), "urn_radius": (2, 2)}
         entries = file["series/time"].shape[0]
         shapes |= {f"series/{name}": (2, 2, entries) for name in SERIES}
         shapes |= {f"final/{name}": (2, 2, NUMBER) for name in ("x", "y", "ux", "uy")}
@@ -450,6 +454,9 @@ def test_xarray_opens_it(scan: Path) -> None:
             assert root[name].dims == ("point",), name
         for name in BY_TASK:
             assert root[name].dims == ("point", "replica"), name
+        assert root["gate_threshold"].dims == ("point", "gate")
+        assert root["urn_radius"].dims == ("point", "urn")
+        assert root["gate"].values.tolist() == root["urn"].values.tolist() == [1, 2]
         assert root["current1"].attrs["units"] == "1/time"
         np.testing.assert_array_equal(root["channel2_width"], [0.01, 0.1])
     with xarray.open_dataset(scan, group="series") as series:

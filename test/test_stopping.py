@@ -67,7 +67,7 @@ def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
 def test_a_longer_grace_of_mpirun_loses_nothing(tmp_path: Path) -> None:
     """SIGTERM to an mpirun that waits for its ranks: the state is saved, though it says 1."""
     write(tmp_path)
-    grace = {"OMPI_MCA_odls_base_sigkill_timeout": "15"}
+    grace = {"OMPI_MCA_odls_base_sigkill_timeout": "8"}
     process = start("case.nml", folder=tmp_path, ranks=2, environment=grace)
     assert rank_processes(process, 2)
     # A signal that comes before the task has begun finds nothing to save.

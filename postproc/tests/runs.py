@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 CASE = {
     "table": {},
     "particles": {"number": 1000},
+    "gate": {},
     "run": {"duration": 1000.0},
     "scan": {"threshold": 7, "replicas": 2},
     "output": {"series_interval": 10.0, "snapshot_times": [0.0, 5.0, 10.0]},

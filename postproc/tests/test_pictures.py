@@ -209,6 +209,20 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
 
 
+@pytest.mark.parametrize("group", [("table", "urn_radius"), ("gate", "threshold")])
+def test_urns_or_gates_that_are_not_alike_are_refused_with_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], group: tuple[str, str]
+) -> None:
+    changes = {group[0]: {group[1]: [1, 2]}, "scan": {"threshold": None, "replicas": 1}}
+    if group[0] == "table":
+        changes["gate"] = {"threshold": 7}
+    path = results_of(tmp_path / "unequal.h5", run={"duration": 50.0}, **changes)
+    for command in ("currents", "scene", "report"):
+        assert call(command, [str(path), "--output", str(tmp_path)]) == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert f"{group[1]} is 1 and 2 at point 1" in line
+
+
 def test_error_of_replicas_covers_their_spread() -> None:
     random = np.random.default_rng(3)
     values = random.normal(1.0, 0.1, (500, 8))

@@ -14,6 +14,8 @@ from postproc.accuracy import reversal, stability, trajectories
 from postproc.accuracy.job import ROOT, Job
 from postproc.accuracy.probes import PRECISIONS, Question, ask
 
+# Builds the physics in three precisions.
+pytestmark = pytest.mark.full
 NUMBER = 100
 EXACT = ("excursion", "collision", "synchronous")
 
