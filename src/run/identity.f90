@@ -1,9 +1,9 @@
 !> What a task is known by: a fingerprint of all that decides its result.
 !>
 !> By value, never by its place in a scan: numbers that are equal to 12 digits are equal, and what
-!> is given is the same as what is so by default. So a point has the same random numbers however many
-!> others are scanned with it. What is measured and kept beside (series, snapshots, event log) does
-!> not change what happens, and is no part of it.
+!> is given is the same as what is so by default. So a point has the same random numbers however
+!> many others are scanned with it. What is measured and kept beside (series, snapshots, event log)
+!> does not change what happens, and is no part of it.
 module battery_identity
   use battery_kinds, only: wp, int64
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word

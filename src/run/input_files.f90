@@ -22,8 +22,8 @@ module battery_input_files
 contains
 
   !> The plan that a file describes, with what its initial file holds. The initial file must be
-  !> good, and the results must have a place to go. Writes nothing. The namelist may be a pipe, which can
-  !> be read once only: one rank calls this and passes on what it found.
+  !> good, and the results must have a place to go. Writes nothing. The namelist may be a pipe,
+  !> which can be read once only: one rank calls this and passes on what it found.
   subroutine read_namelist(file, plan, error)
     character(len=*), intent(in) :: file
     type(plan_type), intent(out) :: plan
