@@ -143,8 +143,8 @@ class Bench:
 
 def names_of(failures: list[str]) -> list[str]:
     """Return the names of tests that failed, from what the runner says of them."""
-    found = [re.match(r"(?:test/\S+: )?(\w+|\(\w+\))", text) for text in failures]
-    return [match[1] if match else "?" for match in found]
+    found = [re.match(r"(?:test/\S+: )?([a-z]\w*)", text) for text in failures]
+    return [match[1] if match else "(the program ended)" for match in found]
 
 
 def newest(paths: object) -> list[Path]:
