@@ -6,8 +6,8 @@
 !> disc by rotation and by search, others from wall to wall. Visits are computed in batches, and the
 !> kind is asked once a batch, never once a particle.
 !>
-!> Local frame of an urn on either side: the centre is the origin, channel 1 lies at +x, channel 2 at
-!> -x (urn 2 is mirrored).
+!> Local frame of an urn on either side: the centre is the origin, channel 1 lies at +x, channel 2
+!> at -x (urn 2 is mirrored).
 module battery_chamber
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type, gated, ungated
@@ -30,8 +30,8 @@ module battery_chamber
   end type chamber_type
 
   abstract interface
-    !> From the point (x, y) with velocity (along, across) in the local frame through the urn. `hits`
-    !> grows by the wall hits; `all_hits` is their sum.
+    !> From the point (x, y) with velocity (along, across) in the local frame through the urn.
+    !> `hits` grows by the wall hits; `all_hits` is their sum.
     subroutine cross_interface(self, visits)
       import :: chamber_type, visits_type
       implicit none (type, external)
@@ -52,8 +52,8 @@ module battery_chamber
       integer(int64), intent(out) :: hits
     end subroutine before_interface
 
-    !> `elapsed` after an impact at `angle` with this cosine and sine of the incidence; how many walls
-    !> it has hit since, the first included.
+    !> `elapsed` after an impact at `angle` with this cosine and sine of the incidence; how many
+    !> walls it has hit since, the first included.
     pure subroutine endless_interface(self, elapsed, angle, cosine, sine, position, velocity, hits)
       import :: chamber_type, wp, int64
       implicit none (type, external)

@@ -8,29 +8,17 @@
 !> (c + i s) p. The first point of impact within an opening ends the visit; the way back from there
 !> to the chord is one division.
 !>
-!> The kernel `march` steps `together` particles at once, `march_steps` impacts without a test that
-!> branches: who has found an opening stands still. Between two marches the particles that still
-!> bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are tiny,
-!> are sent to `find_opening`, which needs O(log) operations for any number of impacts.
+!> How visits are computed: `disc_visits.f90`.
 module battery_disc
   use battery_kinds, only: wp, int64, angle_kind, pi
   use battery_table, only: table_type, gated, ungated
-  use battery_rotation, only: to_turn, turn_of, unit_vector, full_turn
-  use battery_opening_search, only: find_opening
+  use battery_rotation, only: to_turn
   use battery_chamber, only: chamber_type, prepare_openings
-  use battery_visits, only: visits_type, together, no_channel
+  use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: disc_type, new_disc, cross_urns, position_before
 
-  !> Impacts that the kernel steps `together` particles without closing ranks.
-  integer, parameter :: march_steps = 8
-  !> After so many marches a particle is searched for instead.
-  integer, parameter :: march_rounds = 12
-  !> In the first rounds so many still bounce that ranks are closed after every second march only.
-  integer, parameter :: early_rounds = 2
-  !> Incidences with a smaller cosine are computed anew, to all their digits.
-  real(wp), parameter :: grazing_cosine = 1.0e-3_wp
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
   real(wp), parameter :: march_worthwhile = 0.01_wp
 
@@ -48,6 +36,14 @@ module battery_disc
     procedure :: place_endless
   end type disc_type
 
+  interface
+    module subroutine cross_urns(self, visits)
+      implicit none (type, external)
+      class(disc_type), intent(in) :: self
+      type(visits_type), intent(inout) :: visits
+    end subroutine cross_urns
+  end interface
+
 contains
 
   !> The urn of a side of the table.
@@ -62,334 +58,6 @@ contains
     disc%angle = to_turn(asin(disc%half))
     disc%step_first = sum(disc%half) > march_worthwhile*pi
   end function new_disc
-
-  !> From the point (x, y) with velocity (along, across) in the local frame through the urn. `hits`
-  !> grows by the wall hits; `all_hits` is their sum.
-  subroutine cross_urns(self, visits)
-    class(disc_type), intent(in) :: self
-    type(visits_type), intent(inout) :: visits
-    integer :: n, n_active, j, active, round
-    logical :: grazing
-
-    n = together*((visits%count + together - 1)/together)
-    visits%all_hits = 0
-    if (n == 0) return
-    call enter(n, 1.0_wp/self%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
-      visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
-      grazing)
-    if (grazing) call sharpen(self, visits)
-    active = visits%count
-    call count_up(active, visits%slot)
-    if (self%step_first) then
-      visits%px(active + 1:n) = 1.0_wp
-      visits%py(active + 1:n) = 0.0_wp
-      do round = 1, march_rounds
-        n_active = together*((active + together - 1)/together)
-        call march(self%half(gated), self%half(ungated), n_active, visits%px, visits%py, &
-          visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call march(self%half(gated), self%half(ungated), n_active, &
-          visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        call close_ranks(self%half(gated), self%half(ungated), active, visits%slot, visits%px, &
-          visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, &
-          visits%impacts)
-        if (active == 0) exit
-      end do
-    end if
-    do j = 1, active
-      call search(self, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
-        visits%zy(j), visits%steps(j))
-    end do
-    call find_exits(n, self, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
-      visits%first, visits%channel, visits%x, visits%y, visits%along, visits%across, &
-      visits%length, visits%through)
-    if (.not. all_left(visits%count, visits%along, visits%impacts)) then
-      do j = 1, visits%count
-        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) &
-          call mend(self, visits, j)
-      end do
-    end if
-    call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
-  end subroutine cross_urns
-
-  !> 1, 2, ...
-  pure subroutine count_up(n, slot)
-    integer, intent(in) :: n
-    integer, intent(out) :: slot(n)
-    integer :: j
-
-    do j = 1, n
-      slot(j) = j
-    end do
-  end subroutine count_up
-
-  !> Whether all visits ended in an opening with a velocity that leads out.
-  pure function all_left(n, along, impacts)
-    integer, intent(in) :: n
-    real(wp), intent(in) :: along(n), impacts(n)
-    logical :: all_left
-    integer :: j, left
-
-    left = 0
-    do j = 1, n
-      left = left + merge(1, 0, along(j) > 0.0_wp .and. impacts(j) >= 0.0_wp)
-    end do
-    all_left = left == n
-  end function all_left
-
-  !> Adds the impacts to the wall hits, and all of them up: `together` sums, which make vectors.
-  pure subroutine sum_hits(n, count, hits, impacts, all_hits)
-    integer, intent(in) :: n, count
-    real(wp), intent(inout) :: hits(n)
-    real(wp), intent(in) :: impacts(n)
-    integer(int64), intent(out) :: all_hits
-    real(wp) :: total(together)
-    integer :: j, lane
-
-    hits = hits + impacts
-    hits(count + 1:) = 0.0_wp
-    total = 0.0_wp
-    do j = 1, n, together
-      do lane = 1, together
-        total(lane) = total(lane) + hits(j + lane - 1)
-      end do
-    end do
-    all_hits = int(sum(total), int64)
-  end subroutine sum_hits
-
-  !> Incidence, first impact, rotation from impact to impact, and the length until the first.
-  pure subroutine enter(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, first, grazing)
-    integer, intent(in) :: n
-    real(wp), intent(in) :: curvature, x(n), y(n), ux(n), uy(n)
-    real(wp), intent(out) :: c(n), s(n), px(n), py(n), zx(n), zy(n), steps(n), first(n)
-    !> Whether some cosine is so small that 1 - s**2 has lost digits of it.
-    logical, intent(out) :: grazing
-    real(wp) :: sine, cosine
-    integer :: j
-    integer(int64) :: low
-
-    low = 0
-    do j = 1, n
-      sine = (x(j)*uy(j) - y(j)*ux(j))*curvature
-      cosine = sqrt(max((1.0_wp - sine)*(1.0_wp + sine), 0.0_wp))
-      px(j) = ux(j)*cosine + uy(j)*sine
-      py(j) = uy(j)*cosine - ux(j)*sine
-      zx(j) = (sine - cosine)*(sine + cosine)
-      zy(j) = 2.0_wp*sine*cosine
-      first(j) = cosine/curvature - (x(j)*ux(j) + y(j)*uy(j))
-      c(j) = cosine
-      s(j) = sine
-      steps(j) = 0.0_wp
-      low = low + merge(1_int64, 0_int64, cosine < grazing_cosine)
-    end do
-    grazing = low > 0
-  end subroutine enter
-
-  !> Grazing incidences to all their digits: from the depth below the circle and the way along it.
-  pure subroutine sharpen(disc, visits)
-    type(disc_type), intent(in) :: disc
-    type(visits_type), intent(inout) :: visits
-    real(wp) :: x, y, ux, uy, room, half, c, s
-    integer :: j
-
-    do j = 1, visits%count
-      if (.not. visits%c(j) < grazing_cosine) cycle
-      x = visits%x(j)/disc%radius
-      y = visits%y(j)/disc%radius
-      ux = visits%along(j)
-      uy = visits%across(j)
-      half = merge(disc%half(gated), disc%half(ungated), x > 0.0_wp)
-      ! On a chord the depth is known without the cancellation.
-      if (abs(visits%x(j) - merge(disc%chord(gated), -disc%chord(ungated), x > 0.0_wp)) &
-        > 0.0_wp) then
-        room = (1.0_wp - abs(y))*(1.0_wp + abs(y)) - x**2
-      else
-        room = (half - abs(y))*(half + abs(y))
-      end if
-      c = sqrt(max(room, 0.0_wp) + (x*ux + y*uy)**2)
-      if (.not. c < grazing_cosine) cycle
-      s = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), visits%s(j))
-      visits%c(j) = c
-      visits%s(j) = s
-      visits%px(j) = ux*c + uy*s
-      visits%py(j) = uy*c - ux*s
-      visits%zx(j) = (s - c)*(s + c)
-      visits%zy(j) = 2.0_wp*s*c
-      visits%first(j) = disc%radius*(c - (x*ux + y*uy))
-    end do
-  end subroutine sharpen
-
-  !> `march_steps` impacts of each particle; one whose impact lies in an opening stays there. No
-  !> branches: the loop over the particles is the one that becomes vector instructions, and a
-  !> particle's state stays in registers for all its steps.
-  pure subroutine march(half1, half2, n, px, py, zx, zy, steps)
-    real(wp), intent(in) :: half1, half2
-    integer, intent(in) :: n
-    real(wp), intent(inout) :: px(n), py(n), steps(n)
-    real(wp), intent(in) :: zx(n), zy(n)
-    real(wp) :: h1, h2, x, y, next_x, next_y, cosine, sine, taken
-    logical :: open
-    integer :: j, step
-
-    ! Copies in registers: a load behind a pointer would have to stay conditional, with a branch.
-    h1 = half1
-    h2 = half2
-    do j = 1, n
-      x = px(j)
-      y = py(j)
-      cosine = zx(j)
-      sine = zy(j)
-      taken = steps(j)
-      do step = 1, march_steps
-        open = abs(y) < merge(h1, h2, x > 0.0_wp)
-        next_x = x*cosine - y*sine
-        next_y = x*sine + y*cosine
-        taken = merge(taken, taken + 1.0_wp, open)
-        x = merge(x, next_x, open)
-        y = merge(y, next_y, open)
-      end do
-      px(j) = x
-      py(j) = y
-      steps(j) = taken
-    end do
-  end subroutine march
-
-  !> Writes down where every particle stands and keeps those that still bounce, without branches.
-  pure subroutine close_ranks(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &
-    impacts)
-    real(wp), intent(in) :: half1, half2
-    integer, intent(inout) :: active
-    integer, intent(inout) :: slot(*)
-    real(wp), intent(inout) :: px(*), py(*), zx(*), zy(*), steps(*)
-    real(wp), intent(inout) :: hit_x(*), hit_y(*), impacts(*)
-    integer :: j, kept, mine
-    real(wp) :: x, y, taken, h1, h2
-
-    h1 = half1
-    h2 = half2
-    kept = 0
-    do j = 1, active
-      x = px(j)
-      y = py(j)
-      taken = steps(j)
-      mine = slot(j)
-      hit_x(mine) = x
-      hit_y(mine) = y
-      impacts(mine) = taken
-      px(kept + 1) = x
-      py(kept + 1) = y
-      zx(kept + 1) = zx(j)
-      zy(kept + 1) = zy(j)
-      steps(kept + 1) = taken
-      slot(kept + 1) = mine
-      kept = kept + merge(1, 0, abs(y) >= merge(h1, h2, x > 0.0_wp))
-    end do
-    active = kept
-    ! Whoever fills up the last group stands in an opening.
-    do j = kept + 1, kept + together - 1
-      px(j) = 1.0_wp
-      py(j) = 0.0_wp
-    end do
-  end subroutine close_ranks
-
-  !> First impact in an opening, from the impact (px, py) on, without stepping.
-  pure subroutine search(disc, visits, mine, px, py, zx, zy, steps)
-    type(disc_type), intent(in) :: disc
-    type(visits_type), intent(inout) :: visits
-    integer, intent(in) :: mine
-    real(wp), intent(in) :: px, py, zx, zy, steps
-    integer(angle_kind) :: start, step, total, landing
-    logical :: found, first_side
-    real(wp) :: x, y
-
-    step = turn_of(zx, zy)
-    ! From the impact before, which lies in the opening if the particle has just come through it.
-    start = modulo(turn_of(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
-    call find_opening(disc%angle(gated), disc%angle(ungated), start, step, total, landing, &
-      first_side, found)
-    if (found) then
-      call unit_vector(landing, x, y)
-      visits%hit_x(mine) = merge(x, -x, first_side)
-      visits%hit_y(mine) = merge(y, -y, first_side)
-      visits%impacts(mine) = steps + real(total, wp)
-    else
-      visits%hit_x(mine) = px
-      visits%hit_y(mine) = py
-      visits%impacts(mine) = -1.0_wp - steps
-    end if
-  end subroutine search
-
-  !> From the impact in an opening back to the chord.
-  pure subroutine find_exits(n, disc, c, s, hit_x, hit_y, impacts, first, channel, x, y, along, &
-    across, length, through)
-    integer, intent(in) :: n
-    type(disc_type), intent(in) :: disc
-    real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
-    integer(int64), intent(out) :: channel(n)
-    real(wp), intent(out) :: x(n), y(n), along(n), across(n), length(n), through(n)
-    real(wp) :: norm, qx, qy, ux, uy, back, half, chord, side, height, forward
-    real(wp) :: radius, half1, half2, chord1, chord2, length1, length2
-    integer :: j
-
-    radius = disc%radius
-    half1 = disc%half(gated)
-    half2 = disc%half(ungated)
-    chord1 = disc%chord(gated)
-    chord2 = disc%chord(ungated)
-    length1 = disc%length(gated)
-    length2 = disc%length(ungated)
-    do j = 1, n
-      norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
-      qx = hit_x(j)*norm
-      qy = hit_y(j)*norm
-      side = merge(1.0_wp, -1.0_wp, qx > 0.0_wp)
-      half = merge(half1, half2, qx > 0.0_wp)
-      chord = merge(chord1, chord2, qx > 0.0_wp)
-      ux = (c(j)*qx - s(j)*qy)*side
-      uy = c(j)*qy + s(j)*qx
-      forward = merge(ux, 1.0_wp, ux > 0.0_wp)
-      ! This is |qx| r - chord over u_x, without the cancellation that tiny openings would suffer.
-      back = (half - abs(qy))*(half + abs(qy))*radius**2 &
-        /((abs(qx)*radius + chord)*forward)
-      through(j) = merge(length1, length2, qx > 0.0_wp)/forward
-      channel(j) = merge(int(gated, int64), int(ungated, int64), qx > 0.0_wp)
-      x(j) = side*chord
-      height = radius*qy - back*uy
-      y(j) = sign(min(abs(height), half*radius), height)
-      along(j) = ux
-      across(j) = uy
-      length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back
-    end do
-  end subroutine find_exits
-
-  !> Two rare cases. An impact beside the corner, taken for one in the opening by rounding, but with
-  !> a velocity that leads into the urn: the corner belongs to the urn, so the particle bounces on.
-  !> And a particle for which no impact in an opening was found: it stays for ever.
-  pure subroutine mend(disc, visits, j)
-    type(disc_type), intent(in) :: disc
-    type(visits_type), intent(inout) :: visits
-    integer, intent(in) :: j
-    real(wp) :: zx, zy, x, y
-    integer :: tries
-
-    zx = (visits%s(j) - visits%c(j))*(visits%s(j) + visits%c(j))
-    zy = 2.0_wp*visits%s(j)*visits%c(j)
-    do tries = 1, 4
-      if (visits%impacts(j) < 0.0_wp .or. visits%along(j) > 0.0_wp) exit
-      x = visits%hit_x(j)*zx - visits%hit_y(j)*zy
-      y = visits%hit_x(j)*zy + visits%hit_y(j)*zx
-      call search(disc, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
-      call find_exits(1, disc, visits%c(j:j), visits%s(j:j), visits%hit_x(j:j), visits%hit_y(j:j), &
-        visits%impacts(j:j), visits%first(j:j), visits%channel(j:j), visits%x(j:j), visits%y(j:j), &
-        visits%along(j:j), visits%across(j:j), visits%length(j:j), visits%through(j:j))
-    end do
-    if (visits%impacts(j) >= 0.0_wp .and. visits%along(j) > 0.0_wp) return
-    if (visits%impacts(j) < 0.0_wp) visits%impacts(j) = -1.0_wp - visits%impacts(j)
-    visits%channel(j) = no_channel
-    visits%y(j) = atan2(visits%hit_y(j), visits%hit_x(j))
-    visits%along(j) = visits%c(j)
-    visits%across(j) = visits%s(j)
-    visits%length(j) = visits%first(j) + 2.0_wp*disc%radius*visits%c(j)*visits%impacts(j)
-  end subroutine mend
 
   !> Where a particle is, in the local frame, a length `before` ahead of leaving an urn, if it was
   !> in the urn all that time, and how many walls it hits in between.

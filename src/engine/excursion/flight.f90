@@ -110,7 +110,8 @@ contains
     select case (flight%heading)
     case (parked_in_channel)
       channel = merge(gated, ungated, abs(flight%along) <= 0.5_wp*chamber%length(gated))
-      call fold(flight%y + flight%across*elapsed, chamber%width(channel), position(2), turned, passed)
+      call fold(flight%y + flight%across*elapsed, chamber%width(channel), position(2), turned, &
+        passed)
       position(1) = flight%along
       velocity = [0.0_wp, turned*flight%across]
       hits = int(passed, int64)

@@ -24,11 +24,11 @@ module battery_reservoir
   use battery_powers, only: power_above
   use battery_table, only: gated, ungated, beyond, alike, area_of_urn, arc_length, mean_visit
   use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, &
-    whereabouts, passed_walls, pass_draws, from_gate, from_return, in_gate, to_return, parked
+    passed_walls, from_gate, from_return, in_gate, to_return, parked
   use battery_random, only: new_random
-  use battery_queue, only: queue_type, empty_queue, push, pop, shift_queue, pass_queue
+  use battery_queue, only: queue_type, empty_queue, push, pop, shift_queue
   use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
-  use battery_engine, only: engine_type, particles_type, allocate_particles, turn_clock
+  use battery_engine, only: engine_type, particles_type, turn_clock
   use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry
   use battery_stream, only: stream_type
@@ -82,6 +82,34 @@ module battery_reservoir
     procedure :: collisions
     procedure :: trapped
   end type reservoir_type
+
+  ! What it tells of itself, and how its state is kept: `reservoir_state.f90`.
+  interface
+    module subroutine all_particles(self, first, last, particles)
+      implicit none (type, external)
+      class(reservoir_type), intent(in) :: self
+      integer, intent(in) :: first, last
+      type(particles_type), intent(out) :: particles
+    end subroutine all_particles
+
+    module function collisions(self) result(total)
+      implicit none (type, external)
+      class(reservoir_type), intent(in) :: self
+      integer(int64) :: total
+    end function collisions
+
+    module function trapped(self) result(total)
+      implicit none (type, external)
+      class(reservoir_type), intent(in) :: self
+      integer(int64) :: total
+    end function trapped
+
+    module subroutine pass_own(self, stream)
+      implicit none (type, external)
+      class(reservoir_type), intent(inout) :: self
+      type(stream_type), intent(inout) :: stream
+    end subroutine pass_own
+  end interface
 
 contains
 
@@ -219,8 +247,8 @@ contains
     end do
   end subroutine walk
 
-  !> Urns that differ: whether particle i heeds a tick, by a number `chance` uniform in (0, 1). If it
-  !> does, what was hit less than in the other urn is taken off.
+  !> Urns that differ: whether particle i heeds a tick, by a number `chance` uniform in (0, 1). If
+  !> it does, what was hit less than in the other urn is taken off.
   pure subroutine heed(self, i, chance, time, heeds)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -348,102 +376,5 @@ contains
         /real(self%members, wp))
     end if
   end subroutine cross_line
-
-  subroutine all_particles(self, first, last, particles)
-    class(reservoir_type), intent(in) :: self
-    integer, intent(in) :: first, last
-    type(particles_type), intent(out) :: particles
-    real(wp) :: place(4)
-    integer(int64) :: key
-    integer :: i, k
-
-    key = self%seed + ishft(self%pages, 20) + int(self%now/self%page*2.0_wp**61, int64)
-    call allocate_particles(particles, last - first + 1)
-    do i = first, last
-      k = i - first + 1
-      place = whereabouts(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
-      particles%x(k) = place(1)
-      particles%y(k) = place(2)
-      particles%ux(k) = place(3)
-      particles%uy(k) = place(4)
-    end do
-  end subroutine all_particles
-
-  function collisions(self) result(total)
-    class(reservoir_type), intent(in) :: self
-    integer(int64) :: total
-    real(wp) :: outside
-    integer :: i
-
-    total = self%known_hits
-    outside = 0.0_wp
-    do i = 1, self%number
-      associate (stay => self%stay(i))
-        select case (stay%heading)
-        case (from_gate, from_return)
-          outside = outside + (min(self%entered(i), self%now) - stay%time)
-          if (self%now < self%entered(i)) total = total + passed_walls(self%table, stay, self%now &
-            - stay%time) - int(stay%hits, int64)
-        case (parked)
-          total = total + passed_walls(self%table, stay, self%now - stay%time)
-        case default
-          outside = outside + (self%now - stay%time)
-          total = total + passed_walls(self%table, stay, self%now - stay%time) &
-            - int(stay%hits, int64)
-        end select
-      end associate
-    end do
-    if (self%uneven) outside = outside + missed_time(self)
-    total = max(total + floor(self%fraction - self%hit_rate*outside + 0.5_wp, int64), 0_int64)
-    total = min(total, self%known_hits + merge(huge(total) - self%known_hits, 0_int64, &
-      self%moving < self%number))
-  end function collisions
-
-  !> Urns that differ: the time in the urn of more hits that would have as many as are missed in the
-  !> other.
-  pure function missed_time(self) result(time)
-    class(reservoir_type), intent(in) :: self
-    real(wp) :: time
-    integer :: i
-
-    time = 0.0_wp
-    do i = 1, self%number
-      associate (stay => self%stay(i))
-        if (stay%heading /= from_gate .and. stay%heading /= from_return) cycle
-        time = time + (1.0_wp - self%urn_rate(stay%urn)/self%hit_rate)*max(self%now &
-          - self%entered(i), 0.0_wp)
-      end associate
-    end do
-  end function missed_time
-
-  function trapped(self) result(total)
-    class(reservoir_type), intent(in) :: self
-    integer(int64) :: total
-
-    total = self%number - self%moving
-  end function trapped
-
-  subroutine pass_own(self, stream)
-    class(reservoir_type), intent(inout) :: self
-    type(stream_type), intent(inout) :: stream
-
-    call stream%pass('time', self%stay%time)
-    call stream%pass('y', self%stay%y)
-    call stream%pass('along', self%stay%along)
-    call stream%pass('across', self%stay%across)
-    call stream%pass('hits', self%stay%hits)
-    call stream%pass('heading', self%stay%heading)
-    call stream%pass('urn', self%stay%urn)
-    call stream%pass('entered', self%entered)
-    call stream%pass('members', self%members)
-    call stream%pass('member', self%member(:self%members))
-    call stream%pass('next_tick', self%next_tick)
-    call pass_queue(self%returning, stream)
-    call pass_draws(self%draws, stream)
-    call stream%pass('known_hits', self%known_hits)
-    call stream%pass('told_hits', self%told_hits)
-    call stream%pass('fraction', self%fraction)
-    call stream%pass('moving', self%moving)
-  end subroutine pass_own
 
 end module battery_reservoir
