@@ -195,6 +195,12 @@ information: build/stamps/packages
 	  echo "$$new" > build/generated/build_information.inc
 	  rm -f build/mpifort_*/battery/*build_information.f90.o*
 	fi
+	# fpm keeps objects of sources that are gone or have moved.
+	sources=$$(find src app -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
+	if [[ "$$sources" != "$$(cat build/stamps/sources 2> /dev/null)" ]]; then
+	  rm -rf build/mpifort_* build/probe/build build/test_package
+	  echo "$$sources" > build/stamps/sources
+	fi
 	processor=$$(gfortran -march=native -Q --help=target | sha256sum)
 	if [[ "$$processor" != "$$(cat build/stamps/processor 2> /dev/null)" ]]; then
 	  rm -rf build/mpifort_* build/probe/build

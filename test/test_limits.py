@@ -107,7 +107,7 @@ def test_little_address_space(tmp_path: Path, megabytes: int) -> None:
 
 @pytest.mark.parametrize("engine", ["excursion", "collision", "reservoir"])
 def test_a_state_is_saved_where_the_run_just_fits(tmp_path: Path, engine: str) -> None:
-    """What `--check` lets through with a little to spare can be stopped, gone on with, and stopped again."""
+    """What `--check` just lets through can be stopped, gone on with, and stopped again."""
     write(
         tmp_path,
         particles={"number": 400_000},

@@ -12,7 +12,6 @@ module battery_merge
   use battery_plan, only: plan_type
   use battery_results, only: results_type, task_complete
   use battery_results_file, only: write_results
-  use battery_table, only: gated, ungated
   use battery_text, only: string_type
   implicit none (type, external)
   private
@@ -48,9 +47,6 @@ contains
     metadata%status = trim(metadata%status)
     metadata%shape = plan%shape
     metadata%engine = plan%engine
-    metadata%urn_radius = real(plan%base%urn_radius(1), dp)
-    metadata%channel1_length = real(plan%base%channel(gated)%length, dp)
-    metadata%channel2_length = real(plan%base%channel(ungated)%length, dp)
     metadata%start_time = real(plan%start_time, dp)
     call write_results(plan%file, results, metadata, error)
   end subroutine merge_results

@@ -103,6 +103,9 @@ contains
       twins(others, 'particles', 'number'), &
       twins(others, 'table', 'channel1_width'), &
       twins(others, 'table', 'channel2_width'), &
+      twins(others, 'table', 'channel1_length'), &
+      twins(others, 'table', 'channel2_length'), &
+      twins(others, 'table', 'urn_radius'), &
       twins(others, 'particles', 'urn1_fraction'), &
       key('scan', 'replicas', whole_key, '1', 'runs of each point, with other seeds', &
       least=1.0_wp)]

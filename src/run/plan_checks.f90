@@ -167,10 +167,26 @@ contains
           if (again > 0) exit
         end do
       end if
+      ! A channel that is closed has no length.
+      if (plan%scanned(at)%key == 'channel2_length' .and. size(values) > 1 .and. &
+        may_be_closed(plan)) again = 2
       if (again > 0) call add(problems, 'scan', plan%scanned(at)%key, to_text(values(again)), &
         'every point once; this value makes one that is there already')
     end do
   end subroutine check_repeats
+
+  !> Whether channel 2 is closed at some point.
+  pure function may_be_closed(plan) result(closed)
+    type(plan_type), intent(in) :: plan
+    logical :: closed
+    integer :: at
+
+    closed = .not. plan%base%channel(ungated)%width > 0.0_wp
+    do at = 1, size(plan%scanned)
+      if (plan%scanned(at)%key == 'channel2_width') &
+        closed = any(.not. plan%scanned(at)%values > 0.0_wp)
+    end do
+  end function may_be_closed
 
   !> Place of the first value that stands in a list before; 0 if there is none. Numbers are equal
   !> where those of tasks are (`battery_identity`).

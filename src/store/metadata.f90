@@ -25,7 +25,6 @@ module battery_metadata
     character(len=:), allocatable :: status
     !> As in the namelist, so that readers need not parse it.
     character(len=:), allocatable :: shape, engine
-    real(dp) :: urn_radius = 0.0_dp, channel1_length = 0.0_dp, channel2_length = 0.0_dp
     !> Time on the clock when the runs start; times in the file count from there.
     real(dp) :: start_time = 0.0_dp
   end type metadata_type
@@ -56,9 +55,6 @@ contains
     call put_text(file, 'status', metadata%status, error)
     call put_text(file, 'shape', metadata%shape, error)
     call put_text(file, 'engine', metadata%engine, error)
-    call put_real(file, 'urn_radius', metadata%urn_radius, error)
-    call put_real(file, 'channel1_length', metadata%channel1_length, error)
-    call put_real(file, 'channel2_length', metadata%channel2_length, error)
     call put_real(file, 'start_time', metadata%start_time, error)
   end subroutine write_metadata
 
