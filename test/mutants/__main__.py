@@ -24,8 +24,9 @@ HERE = Path(__file__).resolve().parent
 #: Suites without MPI in which the physics and what is measured are met.
 SUITES = ["test_blocks", "test_calendar", "test_channel", "test_collision", "test_disc",
           "test_excursion", "test_frozen", "test_gate", "test_identities", "test_instant",
-          "test_laws", "test_observer", "test_queue", "test_random", "test_reservoir",
-          "test_rotation", "test_simulation", "test_table", "test_timestep", "test_tournament"]
+          "test_laws", "test_observer", "test_opening_search", "test_queue", "test_random",
+          "test_reservoir", "test_rotation", "test_simulation", "test_table", "test_timestep",
+          "test_tournament"]
 
 
 def listed(name: str) -> list[list[str]]:
@@ -37,19 +38,21 @@ def listed(name: str) -> list[list[str]]:
     return [part for part in parts if part]
 
 
-def found_again(file: str, line: str, changed: str) -> Mutation:
-    """Find the first such line in its file; number 0 if it is gone."""
-    path = ROOT / file
-    text = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    number = next((number for number, one in enumerate(text, 1) if one.strip() == line), 0)
-    return Mutation(file, number, line, changed)
+def found_again(home: str, line: str, changed: str) -> Mutation:
+    """Find the first such line in a file or in the files of a folder; number 0 if it is gone."""
+    start = ROOT / home
+    for path in [start] if start.is_file() else sorted(start.rglob("*.f90")):
+        for number, one in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            if one.strip() == line:
+                return Mutation(str(path.relative_to(ROOT)), number, line, changed)
+    return Mutation(home, 0, line, changed)
 
 
 def known_equivalent(mutation: Mutation) -> str:
     """Return why no test can tell a mutant from the program; empty if one should."""
-    for file, line, changed, *why in listed("equivalent.txt"):
-        if (file, line, changed) == (mutation.file, mutation.line.strip(),
-                                     mutation.changed.strip()):
+    for home, line, changed, *why in listed("equivalent.txt"):
+        if mutation.file.startswith(home) and (line, changed) == (mutation.line.strip(),
+                                                                  mutation.changed.strip()):
             return " ".join(why)
     return ""
 

@@ -25,7 +25,8 @@ FOLDER = ROOT / "build/mutants"
 #: No mutant may take longer than so many times what the sound program takes, and some seconds.
 PATIENCE, SECONDS = 5.0, 20.0
 USE = re.compile(r"^\s*use\s*(?:,\s*non_intrinsic\s*)?(?:::)?\s*(\w+)", re.MULTILINE | re.I)
-MODULE = re.compile(r"^\s*(?:module|submodule\s*\(.*\))\s+(\w+)\s*$", re.MULTILINE | re.I)
+#: A module's name, or that of the module that a submodule belongs to.
+MODULE = re.compile(r"^\s*(?:module\s+|submodule\s*\()(\w+)(?:\s*$|[:\w]*\))", re.MULTILINE | re.I)
 
 
 class UnsoundError(Exception):
