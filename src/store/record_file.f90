@@ -236,7 +236,7 @@ contains
     close (unit)
   end subroutine read_single
 
-  !> Moves a record without a copy; `from` is empty then.
+  !> Moves a record to `to` without a copy; `from` is empty then.
   pure subroutine move_record(from, to)
     type(record_type), intent(inout) :: from
     type(record_type), intent(out) :: to
