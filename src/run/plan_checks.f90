@@ -44,7 +44,7 @@ contains
       as_fraction = base%threshold_fraction(1) >= 0.0_wp .or. is_scanned(plan, 'threshold_fraction')
       if (.not. (as_number .or. as_fraction)) &
         call add(problems, 'gate', 'threshold', 'is missing', &
-        'one whole number from 0 up, or threshold_fraction, or a list of either in &scan')
+        'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan')
       if (as_number .and. as_fraction) &
         call add(problems, merge('gate', 'scan', base%threshold_fraction(1) >= 0.0_wp), &
         'threshold_fraction', 'is given beside threshold', 'one of the two')
