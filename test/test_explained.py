@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 SOURCES = Path(__file__).resolve().parents[1] / "src"
-ROOMS = ["base", "interop", "input", "run", "observe", "store", "ensemble"]
+ROOMS = sorted(path.name for path in SOURCES.iterdir() if path.is_dir())
 START = re.compile(r"^  (?:\w[\w()=]* )*?(?:subroutine|function) (\w+)\((.*?)\)", re.MULTILINE)
 
 

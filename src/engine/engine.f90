@@ -21,6 +21,7 @@ module battery_engine
     real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
   end type particles_type
 
+  !> What all engines have. A kind of engine extends it by how its particles move.
   type, abstract :: engine_type
     type(table_type) :: table
     !> The gates of urn 1 and urn 2.
@@ -116,6 +117,7 @@ contains
   subroutine start_alike(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
+    !> Of both gates.
     integer, intent(in) :: threshold
     type(particles_type), intent(inout) :: particles
     real(wp), intent(in) :: clock
@@ -230,6 +232,7 @@ contains
   !> Room for so many particles.
   pure subroutine allocate_particles(particles, number)
     type(particles_type), intent(out) :: particles
+    !> How many.
     integer, intent(in) :: number
 
     allocate (particles%x(number), particles%y(number), particles%ux(number), particles%uy(number))

@@ -41,6 +41,7 @@ contains
   !> that is saved or read, as may happen at any time. Measured: 196, 177, 139, 109, 244;
   !> without a state 93, 87, 92, 65, 89.
   pure function bytes_a_particle(name) result(bytes)
+    !> That of the engine, as in the namelist.
     character(len=*), intent(in) :: name
     real(dp) :: bytes
 

@@ -26,6 +26,7 @@ module battery_history
   integer, parameter :: event_of(4) = [event_crossing1, event_crossing1, event_crossing2, &
     event_crossing2], way_of(4) = [12, 21, 12, 21]
 
+  !> The history of one window. Arrays may be longer than their counts say.
   type :: history_type
     !> Length of the window.
     real(wp) :: duration = 0.0_wp
@@ -68,6 +69,7 @@ contains
   !> Makes room for that many crossings and events, at least doubling what must grow.
   subroutine make_room(history, crossings, events)
     type(history_type), intent(inout) :: history
+    !> How many must fit in all; events only if they are logged.
     integer, intent(in) :: crossings, events
     integer :: room
 
@@ -98,6 +100,7 @@ contains
     real(wp), intent(in) :: time
     !> `channel1_12` ...
     integer, intent(in) :: crossing
+    !> Its number, from 1.
     integer, intent(in) :: particle
 
     if (history%crossings == size(history%crossing_time)) call make_room(history, &
@@ -114,6 +117,7 @@ contains
     type(history_type), intent(inout) :: history
     !> Since the window began.
     real(wp), intent(in) :: time
+    !> That of urn 1 or 2, and how many it turns back.
     integer, intent(in) :: gate, counted
 
     if (history%logging) call record_event(history, time, event_reversal, gate, counted)

@@ -39,6 +39,7 @@ module battery_calendar
   !> So many buckets are looked at together.
   integer, parameter :: chunk = 64
 
+  !> The events of a page of time, from the beginning of which its times count.
   type :: calendar_type
     !> Length of a page and width of a bucket, powers of two.
     real(wp) :: page = 0.0_wp, width = 0.0_wp, per_width = 0.0_wp
@@ -107,8 +108,11 @@ contains
   pure subroutine schedule_all(calendar, flight, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)
+    !> How many.
     integer, intent(in) :: count
+    !> Whose, each at most once.
     integer, intent(in) :: particle(count)
+    !> When each is due, on the clock of the page.
     real(wp), intent(in) :: time(count)
     integer :: k
     logical :: some_at_once
@@ -243,6 +247,7 @@ contains
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(in) :: flight(:)
     real(wp), intent(in) :: horizon
+    !> On the clock of the page; `horizon` or the end of the page if nothing is due before.
     real(wp), intent(out) :: time
     integer :: bucket
 

@@ -10,6 +10,7 @@ module battery_queue
   private
   public :: queue_type, empty_queue, push, pop, remove, shift_queue, pass_queue
 
+  !> Numbers, each with a time; `time` and `who` have room for `room` of them.
   type :: queue_type
     !> How many are in it, and for how many there is room.
     integer :: count = 0, room = 0
@@ -81,6 +82,7 @@ contains
   !> The first leaves the queue, which is not empty.
   pure subroutine pop(queue, who)
     type(queue_type), intent(inout) :: queue
+    !> Who that is.
     integer, intent(out) :: who
 
     call put_in_order(queue)

@@ -17,6 +17,7 @@ module battery_tournament
     integer(int32) :: particle = 0
   end type node_type
 
+  !> The events of `number` particles, in 2 `number` - 1 nodes.
   type :: tournament_type
     integer :: number = 0
     !> Node 1 is the root: `node(1)%time` and `node(1)%particle` are the next event.
@@ -28,6 +29,7 @@ contains
   !> A tournament of the particles 1 ... size(time) with these times.
   pure subroutine new_tournament(tournament, time)
     type(tournament_type), intent(inout) :: tournament
+    !> When each particle has its event; huge for never.
     real(wp), intent(in) :: time(:)
     integer :: i, k, n, winner
 

@@ -21,6 +21,7 @@ module battery_gate
   public :: gate_type, new_gate, hold, enter, must_turn, undecided, decide, turned_back
   public :: first_to_cross, cross_first, cross, shift_gate, pass_gate
 
+  !> The gate of one side: its rule, and whom it counts.
   type :: gate_type
     !> More than so many turn.
     integer :: threshold = 0
@@ -48,6 +49,7 @@ contains
     type(gate_type), intent(inout) :: gate
     !> When it will reach the middle line, on the clock of the engine.
     real(wp), intent(in) :: crossing_time
+    !> Its number, from 1.
     integer, intent(in) :: particle
 
     call push(gate%counted, crossing_time, particle)
@@ -58,6 +60,7 @@ contains
     type(gate_type), intent(inout) :: gate
     !> When it will reach the middle line, on the clock of the engine.
     real(wp), intent(in) :: crossing_time
+    !> Its number, from 1.
     integer, intent(in) :: particle
 
     call push(gate%counted, crossing_time, particle)
@@ -83,6 +86,7 @@ contains
   !> The instant is over: whether the gate turns back those counted, `gate%counted%who(:count)`.
   pure subroutine decide(gate, turns)
     type(gate_type), intent(inout) :: gate
+    !> Whether all those counted are to be turned back.
     logical, intent(out) :: turns
 
     turns = gate%entered .and. must_turn(gate)
@@ -100,6 +104,7 @@ contains
   !> The first of those counted crosses the middle line.
   pure subroutine cross_first(gate, particle)
     type(gate_type), intent(inout) :: gate
+    !> Who that is; not counted any more.
     integer, intent(out) :: particle
 
     call pop(gate%counted, particle)
@@ -108,6 +113,7 @@ contains
   !> This particle, which is counted, crosses the middle line.
   pure subroutine cross(gate, particle)
     type(gate_type), intent(inout) :: gate
+    !> Its number; not counted any more.
     integer, intent(in) :: particle
 
     call remove(gate%counted, particle)

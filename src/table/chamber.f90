@@ -17,6 +17,7 @@ module battery_chamber
   private
   public :: chamber_type, prepare_openings, leave_channels
 
+  !> What every kind of chamber has and does; lengths in the unit of the table.
   type, abstract :: chamber_type
     !> Of each channel: the distance of its chord from the centre, its width and its length.
     real(wp) :: chord(2) = 0.0_wp, width(2) = 0.0_wp, length(2) = 0.0_wp
@@ -70,6 +71,7 @@ contains
   pure subroutine prepare_openings(chamber, table, side)
     class(chamber_type), intent(inout) :: chamber
     type(table_type), intent(in) :: table
+    !> 1 or 2.
     integer, intent(in) :: side
 
     chamber%chord = table%urn(side)%chord

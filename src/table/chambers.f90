@@ -19,6 +19,7 @@ contains
     type(table_type), intent(in) :: table
     !> 1 or 2.
     integer, intent(in) :: side
+    !> Holds the chamber.
     type(urn_chamber_type), intent(out) :: urn
 
     allocate (urn%chamber, source=new_disc(table, side))

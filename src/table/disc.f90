@@ -37,6 +37,7 @@ module battery_disc
   end type disc_type
 
   interface
+    !> Whole visits of a batch: what they need and what they yield is told at `visits_type`.
     module subroutine cross_urns(self, visits)
       implicit none (type, external)
       class(disc_type), intent(in) :: self
@@ -49,6 +50,7 @@ contains
   !> The urn of a side of the table.
   pure function new_disc(table, side) result(disc)
     type(table_type), intent(in) :: table
+    !> 1 or 2.
     integer, intent(in) :: side
     type(disc_type) :: disc
 
@@ -66,8 +68,11 @@ contains
     class(disc_type), intent(in) :: self
     !> The channel it leaves through, at the height y, with |u_x| and u_y.
     integer, intent(in) :: channel
+    !> Height and `before` are lengths; the velocity, of length 1, is that at the chord.
     real(wp), intent(in) :: y, along, across, before
+    !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
+    !> How many, 0 or more.
     integer(int64), intent(out) :: hits
     real(wp) :: x, ux, s, c, ahead, turn, rest
     complex(wp) :: impact, incidence
@@ -99,8 +104,12 @@ contains
   !> For ever along a regular star; without length of its chords, along the wall.
   pure subroutine place_endless(self, elapsed, angle, cosine, sine, position, velocity, hits)
     class(disc_type), intent(in) :: self
+    !> Time since an impact, which lies at this angle (radians, from the x axis of the local frame);
+    !> cosine and sine of the incidence.
     real(wp), intent(in) :: elapsed, angle, cosine, sine
+    !> x and y of each in the local frame: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
+    !> Wall hits since that impact, itself included; less than 0: so many come before it.
     integer(int64), intent(out) :: hits
     real(wp) :: step, turned, rest
     complex(wp) :: impact

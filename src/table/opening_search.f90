@@ -17,8 +17,10 @@ contains
   !> counted from the middle of its opening: of the first, or of the second one. `found` is false if
   !> the orbit is periodic and never gets there.
   pure subroutine find_opening(angle1, angle2, start, step, total, landing, first_side, found)
+    !> Integer angles; `start` and `step` in [0, full_turn).
     integer(angle_kind), intent(in) :: angle1, angle2, start, step
     integer(angle_kind), intent(out) :: total, landing
+    !> `first_side`: whether it is the opening about 0.
     logical, intent(out) :: first_side, found
     integer(angle_kind), parameter :: half_turn = full_turn/2
     !> An orbit that misses the narrower opening so often is searched for each opening alone.

@@ -20,6 +20,7 @@ contains
 
   !> An angle in radians within (-2 pi, 2 pi), as an integer in [0, full_turn).
   elemental function to_turn(angle) result(turn)
+    !> In radians.
     real(wp), intent(in) :: angle
     integer(angle_kind) :: turn
     real(wp), parameter :: per_radian = real(full_turn, wp)/(2.0_wp*pi)
@@ -30,6 +31,7 @@ contains
   !> The direction of the unit vector (x, y) in [0, full_turn): near each axis the rest of the
   !> quarter turns is what counts, to all its digits.
   elemental function turn_of(x, y) result(turn)
+    !> Components of the vector, of length 1.
     real(wp), intent(in) :: x, y
     integer(angle_kind) :: turn, rest
     integer(angle_kind), parameter :: quarter = full_turn/4
@@ -44,7 +46,9 @@ contains
 
   !> Cosine and sine of an integer angle in (-full_turn, full_turn).
   elemental subroutine unit_vector(turn, x, y)
+    !> The angle.
     integer(angle_kind), intent(in) :: turn
+    !> Its cosine and its sine.
     real(wp), intent(out) :: x, y
     real(wp) :: angle, square
     !> Below it the terms written here are all that count.
@@ -63,6 +67,7 @@ contains
 
   !> An integer angle in (-full_turn, full_turn), in radians.
   elemental function from_turn(turn) result(angle)
+    !> The angle.
     integer(angle_kind), intent(in) :: turn
     real(wp) :: angle
 
@@ -74,6 +79,7 @@ contains
   !> `circle` is `full_turn` if absent, and half of it where opposite points are the same. Expects
   !> 0 <= start, step < circle and 0 <= width < circle.
   pure subroutine first_entry(start, step, width, steps, landing, found, circle)
+    !> Integer angles: where the orbit starts, by how much it goes on, how wide the target is.
     integer(angle_kind), intent(in) :: start, step, width
     integer(angle_kind), intent(out) :: steps, landing
     logical, intent(out) :: found

@@ -34,6 +34,7 @@ module battery_table
   !> The way along x from the origin to each side.
   real(wp), parameter :: x_direction(2) = [-1.0_wp, 1.0_wp]
 
+  !> An urn of the table: lengths.
   type :: urn_type
     real(wp) :: radius = 1.0_wp
     !> Distance of the chord of each channel from the centre.
@@ -42,11 +43,13 @@ module battery_table
     real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp
   end type urn_type
 
+  !> A channel of the table: lengths.
   type :: channel_type
     !> From wall to wall (0: closed), and from urn to urn, both halves together.
     real(wp) :: width = 0.0_wp, length = 1.0_wp
   end type channel_type
 
+  !> The whole table: urns by side, channels by `gated` and `ungated`.
   type :: table_type
     !> How many sides there are: 2, or 1 for the single urn.
     integer :: sides = 2
@@ -139,6 +142,7 @@ contains
   !> A of eq. (eq000): the disc less the segments cut off by the chords.
   pure function area_of_urn(table, side) result(urn_area)
     type(table_type), intent(in) :: table
+    !> 1 or 2.
     integer, intent(in) :: side
     real(wp) :: urn_area
 
@@ -175,6 +179,7 @@ contains
   !> Length of the arc of an urn that is left between the openings.
   pure function arc_length(table, side) result(length)
     type(table_type), intent(in) :: table
+    !> 1 or 2.
     integer, intent(in) :: side
     real(wp) :: length
 
@@ -211,6 +216,7 @@ contains
   !> Mean length of a visit to an urn that is entered evenly through its openings.
   pure function mean_visit(table, side) result(time)
     type(table_type), intent(in) :: table
+    !> 1 or 2.
     integer, intent(in) :: side
     real(wp) :: time
 
@@ -244,7 +250,9 @@ contains
   !> two numbers `across` and `up` uniform in [0, 1]: uniform in the urn where it is `inside`, which
   !> is so more than two times in five. Between near chords it is looked for there alone.
   pure subroutine try_point(radius, lower, upper, across, up, x, y, inside)
+    !> `radius`, `lower` and `upper` are lengths.
     real(wp), intent(in) :: radius, lower, upper, across, up
+    !> The point, from the centre: lengths.
     real(wp), intent(out) :: x, y
     logical, intent(out) :: inside
 
@@ -260,6 +268,7 @@ contains
   !> The side of a point; the middle line belongs to side 2, if there is one.
   elemental function side_at(table, x) result(side)
     type(table_type), intent(in) :: table
+    !> In the frame of the table, a length.
     real(wp), intent(in) :: x
     integer :: side
 
@@ -270,6 +279,7 @@ contains
   !> how far beyond a wall a point may lie.
   pure function chamber_at(table, x, y, tolerance) result(chamber)
     type(table_type), intent(in) :: table
+    !> In the frame of the table, lengths.
     real(wp), intent(in) :: x, y, tolerance
     integer :: chamber
     real(wp) :: from_centre

@@ -34,6 +34,7 @@ module battery_excursion
   !> How many particles are taken over at a time at the start.
   integer, parameter :: start_chunk = 4096
 
+  !> The engine: a flight for each particle, and the calendar of their events.
   type, extends(engine_type) :: excursion_type
     private
     !> Most events of one window; the visits of a window should fit into the cache.
@@ -162,6 +163,7 @@ contains
     end associate
   end subroutine finish_visits
 
+  !> One window of at most the time `duration`: its events, then the visits that they begin.
   subroutine live(self, duration, history)
     class(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -199,6 +201,7 @@ contains
     self%told_hits = self%known_hits
   end subroutine live
 
+  !> Sets back the calendar, the flights and the clock.
   subroutine turn_page(self)
     class(excursion_type), intent(inout) :: self
 
@@ -207,8 +210,7 @@ contains
     call turn_clock(self)
   end subroutine turn_page
 
-  !> All events before `ends`, in the order of time; gathers the visits that begin with them. `done`
-  !> of the `last` sorted ones were.
+  !> All events before `ends` in order, `done` of `last` sorted ones; gathers visits they begin.
   subroutine walk(self, began, ends, last, due_time, particle, middle, number, flight, history, &
     done)
     type(excursion_type), intent(inout) :: self
@@ -320,6 +322,7 @@ contains
     visits%turned(count) = never
   end subroutine send
 
+  !> Where the particles `first` ... `last` are now, by going back in their flights.
   subroutine all_particles(self, first, last, particles)
     class(excursion_type), intent(in) :: self
     integer, intent(in) :: first, last
@@ -344,6 +347,7 @@ contains
     end do
   end subroutine all_particles
 
+  !> Wall hits from the start until now: those known, put right for where each is.
   function collisions(self) result(total)
     class(excursion_type), intent(in) :: self
     integer(int64) :: total
@@ -359,6 +363,7 @@ contains
     end do
   end function collisions
 
+  !> How many are parked.
   function trapped(self) result(total)
     class(excursion_type), intent(in) :: self
     integer(int64) :: total
@@ -367,6 +372,7 @@ contains
       parked_in_channel)
   end function trapped
 
+  !> The flights and counts, through a stream; the calendar follows from the flights.
   subroutine pass_own(self, stream)
     class(excursion_type), intent(inout) :: self
     type(stream_type), intent(inout) :: stream

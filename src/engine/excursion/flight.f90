@@ -31,10 +31,14 @@ contains
   !> to enter a gate. Without branches: with many particles each flight is a line of memory, and
   !> many of them are to be on their way at a time, before the events are walked through one by one.
   pure subroutine look_up(number, flight, n, particle, due, middle)
+    !> How many particles there are, and how many events.
     integer, intent(in) :: number, n
     type(flight_type), intent(in) :: flight(number)
+    !> Whose the events are.
     integer, intent(in) :: particle(n)
+    !> When each event is due.
     real(wp), intent(in) :: due(n)
+    !> When each would cross; without meaning for one that enters no gate.
     real(wp), intent(out) :: middle(n)
     integer :: k
 
@@ -45,8 +49,10 @@ contains
 
   !> Takes what a batch needs to know of its particles from their flights.
   pure subroutine gather(number, flight, n, particle, turned, passage, time, y, along, across)
+    !> How many particles there are, and how many are in the batch.
     integer, intent(in) :: number, n
     type(flight_type), intent(in) :: flight(number)
+    !> Who is in the batch.
     integer, intent(in) :: particle(n)
     !> When a gate turned each back, or `never`.
     real(wp), intent(in) :: turned(n)
@@ -67,11 +73,17 @@ contains
   !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
   pure subroutine land(number, flight, n, particle, urn, channel, time, length, y, along, across, &
     through)
+    !> How many particles there are, and how many are in the batch.
     integer, intent(in) :: number, n
     type(flight_type), intent(inout) :: flight(number)
+    !> Who is in the batch, and in which urn (1 or 2).
     integer, intent(in) :: particle(n), urn(n)
+    !> The channel each goes to, or `no_channel`.
     integer(int64), intent(in) :: channel(n)
+    !> Way through the urn, a length; height, |u_x| and u_y at its end; time in the channel beyond,
+    !> from end to end. For `no_channel` as in `visits_type`.
     real(wp), intent(in) :: length(n), y(n), along(n), across(n), through(n)
+    !> In: when each visit begins. Out: huge if there is no event.
     real(wp), intent(inout) :: time(n)
     integer :: j, i
     real(wp) :: leaves
@@ -100,8 +112,11 @@ contains
   pure subroutine locate(chamber, flight, now, position, velocity, hits)
     class(chamber_type), intent(in) :: chamber
     type(flight_type), intent(in) :: flight
+    !> The time, on the clock of the flight.
     real(wp), intent(in) :: now
+    !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
+    !> Whole number of either sign.
     integer(int64), intent(out) :: hits
     real(wp) :: elapsed, turned, passed
     integer :: channel

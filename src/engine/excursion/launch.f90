@@ -21,7 +21,9 @@ contains
   subroutine launch(table, i, x, y, ux, uy, from_channels, flight, visits, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
+    !> Place, lengths, and velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
+    !> Whether those in the channels are taken, or those in the urns.
     logical, intent(in) :: from_channels
     type(flight_type), intent(inout) :: flight
     !> Visits to the urn of its side.

@@ -42,6 +42,7 @@ module battery_reservoir
   !> And no more ticks than this.
   real(wp), parameter :: window_ticks = 1.0e6_wp
 
+  !> The engine: a stay for each particle, and those that tick.
   type, extends(engine_type) :: reservoir_type
     private
     type(stay_type), allocatable :: stay(:)
@@ -147,6 +148,7 @@ contains
     self%fraction = 0.0_wp
   end subroutine prepare
 
+  !> Those in channels go on as they do, those in urns begin a stay.
   subroutine take_over(self, particles)
     class(reservoir_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -187,6 +189,7 @@ contains
     hits = int(stay%hits, int64) - passed_walls(self%table, stay, -stay%time)
   end function hits_to_come
 
+  !> One window of at most the time `duration`; hits of urns are their mean.
   subroutine live(self, duration, history)
     class(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -207,6 +210,7 @@ contains
     self%told_hits = self%known_hits
   end subroutine live
 
+  !> Sets back the queue, the stays, the next tick and the clock.
   subroutine turn_page(self)
     class(reservoir_type), intent(inout) :: self
 

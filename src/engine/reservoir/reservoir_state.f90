@@ -7,6 +7,7 @@ submodule (battery_reservoir) battery_reservoir_state
 
 contains
 
+  !> Where the particles `first` ... `last` are now; in an urn a place is drawn.
   module procedure all_particles
     real(wp) :: place(4)
     integer(int64) :: key
@@ -24,6 +25,7 @@ contains
     end do
   end procedure all_particles
 
+  !> Wall hits from the start until now: those known, put right for where each particle is.
   module procedure collisions
     real(wp) :: outside
     integer :: i
@@ -69,10 +71,12 @@ contains
     end do
   end function missed_time
 
+  !> How many are parked.
   module procedure trapped
     total = self%number - self%moving
   end procedure trapped
 
+  !> The stays, those that tick, the numbers drawn ahead and the counts, through a stream.
   module procedure pass_own
     call stream%pass('time', self%stay%time)
     call stream%pass('y', self%stay%y)

@@ -19,6 +19,7 @@ module battery_stay
   !> periodic line; flying to and fro across a channel for ever.
   integer, parameter :: from_gate = 1, from_return = 2, in_gate = 3, to_return = 4, parked = 5
 
+  !> What is known of a particle, but for when it enters its urn.
   type :: stay_type
     !> When it entered the channel it is or was last in, at which height, with |u_x| and u_y.
     !> `parked`: time, y, x, u_y.
@@ -90,6 +91,7 @@ contains
   !> is dated back to where it would have entered; `entered` is when any other enters its urn.
   pure subroutine take_in(table, x, y, ux, uy, stay, entered)
     type(table_type), intent(in) :: table
+    !> Place in the frame of the table, lengths; velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     type(stay_type), intent(out) :: stay
     real(wp), intent(out) :: entered
@@ -158,7 +160,9 @@ contains
   pure function whereabouts(table, stay, entered, now, key, count) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
+    !> When it enters its urn, if it goes there or is there; the time now, on the same clock.
     real(wp), intent(in) :: entered, now
+    !> Of the seed and the time; number of the particle.
     integer(int64), intent(in) :: key, count
     real(wp) :: place(4)
     real(wp) :: gone, left, begins

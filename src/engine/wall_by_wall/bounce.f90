@@ -65,6 +65,7 @@ module battery_bounce
 
 contains
 
+  !> What the motions on a table need to know of it.
   pure function new_walls(table) result(walls)
     type(table_type), intent(in) :: table
     type(walls_type) :: walls
@@ -95,6 +96,7 @@ contains
   !> A particle at a place, with a velocity of length 1.
   pure function put_down(table, x, y, ux, uy) result(motion)
     type(table_type), intent(in) :: table
+    !> In the frame of the table; lengths, and components of the velocity.
     real(wp), intent(in) :: x, y, ux, uy
     type(motion_type) :: motion
 
@@ -124,6 +126,7 @@ contains
   !> Moves straight on for a while.
   elemental subroutine fly(motion, time)
     type(motion_type), intent(inout) :: motion
+    !> How long.
     real(wp), intent(in) :: time
 
     motion%x = motion%x + motion%ux*time
@@ -136,6 +139,7 @@ contains
     !> The side that the particle is on.
     type(side_type), intent(in) :: w
     type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next; huge if that is nothing.
     real(wp), intent(out) :: wait
     real(wp) :: out, qx, qy, vx, vy, norm, outward, kick
 
@@ -246,6 +250,7 @@ contains
   pure subroutine hit_channel(walls, motion, wait)
     type(walls_type), intent(in) :: walls
     type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next.
     real(wp), intent(out) :: wait
 
     motion%y = sign(half_width(walls, motion), motion%uy)
@@ -257,6 +262,7 @@ contains
   pure subroutine enter_channel(walls, motion, wait)
     type(walls_type), intent(in) :: walls
     type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next.
     real(wp), intent(out) :: wait
 
     if (motion%next == meets_gate) then
@@ -274,6 +280,7 @@ contains
   pure subroutine leave_channel(walls, motion, wait)
     type(walls_type), intent(in) :: walls
     type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next.
     real(wp), intent(out) :: wait
     real(wp) :: half, qx, room
 
@@ -299,6 +306,7 @@ contains
   pure subroutine cross_line(walls, motion, wait)
     type(walls_type), intent(in) :: walls
     type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next.
     real(wp), intent(out) :: wait
     integer(int8) :: to
 
@@ -315,6 +323,7 @@ contains
   pure subroutine turn_back(walls, motion, wait)
     type(walls_type), intent(in) :: walls
     type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next.
     real(wp), intent(out) :: wait
 
     motion%ux = -motion%ux

@@ -25,6 +25,7 @@ module battery_collision
   !> wider than nothing a single particle would keep the run from hearing a signal.
   integer(int64), parameter :: most_hits = 2_int64**24
 
+  !> The engine: where each was at its last event, and when each has its next.
   type, extends(wall_by_wall_type) :: collision_type
     private
     type(motion_type), allocatable :: motion(:)
@@ -47,6 +48,7 @@ module battery_collision
 
 contains
 
+  !> Walls, the longest window, and room for the particles.
   subroutine prepare(self)
     class(collision_type), intent(inout) :: self
 
@@ -58,6 +60,7 @@ contains
     allocate (self%due(self%number), source=huge(1.0_wp))
   end subroutine prepare
 
+  !> Takes in the particles, and begins the tournament of their first events.
   subroutine take_over(self, particles)
     class(collision_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -73,6 +76,7 @@ contains
     deallocate (self%due)
   end subroutine begin_tournament
 
+  !> One window of at most the time `duration`, event by event.
   subroutine live(self, duration, history)
     class(collision_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -148,7 +152,7 @@ contains
     call end_instant(self, time - began, first, history)
   end subroutine live_instant
 
-  !> In its place.
+  !> Turns particle `i` of a gate back, where it is kept.
   subroutine turn_particle(self, i)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -160,6 +164,7 @@ contains
     call set_time(self%tournament, i, self%now + wait)
   end subroutine turn_particle
 
+  !> Particle `i`, flown on from its last event until now, if it meets anything at all.
   pure function motion_now(self, i) result(motion)
     class(collision_type), intent(in) :: self
     integer, intent(in) :: i
@@ -170,6 +175,7 @@ contains
     motion%time = self%now
   end function motion_now
 
+  !> Particle `i` as it is now; its next event is due after the time `wait`.
   subroutine write_down(self, i, motion, wait)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -184,6 +190,7 @@ contains
     end if
   end subroutine write_down
 
+  !> Sets back the motions, the tournament and the clock.
   subroutine turn_page(self)
     class(collision_type), intent(inout) :: self
 
@@ -192,6 +199,7 @@ contains
     call turn_clock(self)
   end subroutine turn_page
 
+  !> The counts, the motions and when each has its event, through a stream.
   subroutine pass_own(self, stream)
     class(collision_type), intent(inout) :: self
     type(stream_type), intent(inout) :: stream

@@ -38,6 +38,7 @@ module battery_synchronous
   !> wider than nothing a single particle would keep the run from hearing a signal.
   integer(int64), parameter :: most_hits = 2_int64**24
 
+  !> The engine: all particles as they are now, in rows.
   type, extends(wall_by_wall_type) :: synchronous_type
     private
     !> All of them now: lane, which number (`in_x` ...), row. Who is not there or meets nothing
@@ -63,6 +64,7 @@ module battery_synchronous
 
 contains
 
+  !> Walls, the longest window, and rows in which nobody is yet.
   subroutine prepare(self)
     class(synchronous_type), intent(inout) :: self
     integer :: number
@@ -81,6 +83,7 @@ contains
     allocate (self%kept_ux(number), self%kept_uy(number), source=0.0_wp)
   end subroutine prepare
 
+  !> Takes in the particles, and finds the least time left in each lane.
   subroutine take_over(self, particles)
     class(synchronous_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -89,6 +92,7 @@ contains
     call pass(self, 0.0_wp)
   end subroutine take_over
 
+  !> One window of at most the time `duration`, event by event.
   subroutine live(self, duration, history)
     class(synchronous_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -208,6 +212,7 @@ contains
     i = 0
   end subroutine who_is_due
 
+  !> Particle `i` from its row; with its velocity, even if it stands still there.
   pure function motion_now(self, i) result(motion)
     class(synchronous_type), intent(in) :: self
     integer, intent(in) :: i
@@ -225,6 +230,7 @@ contains
     motion%next = self%next(i)
   end function motion_now
 
+  !> Particle `i` into its row, with the time `wait` left until its next event.
   subroutine write_down(self, i, motion, wait)
     class(synchronous_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -272,6 +278,7 @@ contains
     end do
   end subroutine renew_all
 
+  !> The counts and the rows, as they stand, through a stream.
   subroutine pass_own(self, stream)
     class(synchronous_type), intent(inout) :: self
     type(stream_type), intent(inout) :: stream

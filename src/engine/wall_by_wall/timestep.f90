@@ -40,6 +40,7 @@ module battery_timestep
   !> A window is at most so many urn radii long, and has about so many moves of particles.
   real(wp), parameter :: window_radii = 2.0_wp, window_moves = 262144.0_wp
 
+  !> The engine: all particles as they are now, array by array.
   type, extends(wall_by_wall_type) :: timestep_type
     private
     !> Times that a particle went round a corner through the wall, as far as that could be seen.
@@ -78,6 +79,7 @@ contains
       //', the least of urn_radius and half of each channel''s length'
   end function supports
 
+  !> Walls, the steps of a window, and room for the particles.
   subroutine prepare(self)
     class(timestep_type), intent(inout) :: self
     integer :: number
@@ -94,6 +96,7 @@ contains
     allocate (self%side(number), self%chamber(number), self%busy(number))
   end subroutine prepare
 
+  !> Some steps, not beyond the time `duration`.
   subroutine live(self, duration, history)
     class(timestep_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -320,6 +323,7 @@ contains
     call cross_over(self, history, since, i, from, int(self%chamber(i)))
   end subroutine go_over
 
+  !> Particle `i` as it is now; what it meets next is not known.
   pure function motion_now(self, i) result(motion)
     class(timestep_type), intent(in) :: self
     integer, intent(in) :: i
@@ -329,6 +333,7 @@ contains
       side=self%side(i), chamber=self%chamber(i))
   end function motion_now
 
+  !> Particle `i` as it is now; the time `wait` until its next event says whether it is busy.
   subroutine write_down(self, i, motion, wait)
     class(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -345,6 +350,7 @@ contains
     self%busy(i) = wait <= self%time_step
   end subroutine write_down
 
+  !> The counts and the particles, through a stream.
   subroutine pass_own(self, stream)
     class(timestep_type), intent(inout) :: self
     type(stream_type), intent(inout) :: stream

@@ -22,6 +22,7 @@ module battery_wall_by_wall
   public :: wall_by_wall_type, prepare_walls, take_in, pass_counts, meet, end_instant, count_hits, &
     enter_gate, cross_over, longest_window
 
+  !> What these engines have; a kind of them adds when events happen.
   type, abstract, extends(engine_type) :: wall_by_wall_type
     type(walls_type) :: walls
     !> N1 - N2.
@@ -75,6 +76,7 @@ contains
   !> At most so many radii of the larger urn, and about as many events.
   pure function longest_window(self, radii, events) result(window)
     class(wall_by_wall_type), intent(in) :: self
+    !> A number of radii.
     real(wp), intent(in) :: radii
     !> Events in all.
     real(wp), intent(in) :: events
@@ -110,6 +112,7 @@ contains
     class(wall_by_wall_type), intent(inout) :: self
     type(history_type), intent(inout) :: history
     real(wp), intent(in) :: since
+    !> Its number, from 1.
     integer, intent(in) :: particle
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
@@ -145,6 +148,7 @@ contains
     type(history_type), intent(inout) :: history
     !> Since the window began.
     real(wp), intent(in) :: since
+    !> Its number, from 1.
     integer, intent(in) :: particle
     type(motion_type), intent(in) :: motion
 
@@ -159,6 +163,7 @@ contains
     type(history_type), intent(inout) :: history
     !> Since the window began.
     real(wp), intent(in) :: since
+    !> Its number; side 1 or 2; `in_gate` or `in_return`.
     integer, intent(in) :: particle, side, chamber
 
     if (chamber == in_gate) then
@@ -228,6 +233,7 @@ contains
     call turned_back(self%gate(side))
   end subroutine turn_gate
 
+  !> Turns particle `i` of a gate back.
   subroutine turn_particle(self, i)
     class(wall_by_wall_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -239,6 +245,7 @@ contains
     call self%write_down(i, motion, wait)
   end subroutine turn_particle
 
+  !> Where the particles `first` ... `last` are now, in the frame of the table.
   subroutine all_particles(self, first, last, particles)
     class(wall_by_wall_type), intent(in) :: self
     integer, intent(in) :: first, last
@@ -257,6 +264,7 @@ contains
     end do
   end subroutine all_particles
 
+  !> Wall collisions since the start.
   function collisions(self) result(total)
     class(wall_by_wall_type), intent(in) :: self
     integer(int64) :: total
@@ -264,6 +272,7 @@ contains
     total = self%hits
   end function collisions
 
+  !> How many can never leave where they are.
   function trapped(self) result(total)
     class(wall_by_wall_type), intent(in) :: self
     integer(int64) :: total
