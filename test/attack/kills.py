@@ -24,16 +24,27 @@ SIGNALS = [signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal
 MOST_STARTS = 8
 
 
+def has_begun(folder: Path, numbers: list[int]) -> bool:
+    """Tell whether rank 0 has the output, and so MPI has started all ranks."""
+    try:
+        owner = (folder / "out.h5.owner").read_text(encoding="utf-8").split()
+    except OSError:
+        return False
+    return any(str(number) in owner for number in numbers)
+
+
 def disturb(folder: Path, choice: random.Random, outcome: Outcome) -> bool:
     """Start it and send signals; tell whether it was complete all the same."""
     ranks = choice.choice([0, 1, 2, 3, 4])
     victims = choice.choice(["one", "all", "mpirun", "everything"])
     process = start("case.nml", folder=folder, ranks=ranks)
     numbers = rank_processes(process, ranks) if choice.random() < 0.9 else []
+    begun = True
     for _ in range(choice.choice([1, 1, 1, 2, 3])):
         what = choice.choice(SIGNALS)
         time.sleep(choice.choice([choice.uniform(0, 0.1), choice.uniform(0, 0.6)]))
         outcome.tried += 1
+        begun = begun and has_begun(folder, numbers)
         if victims == "everything":
             kill_all(process)
         elif victims == "mpirun" or not numbers:
@@ -41,7 +52,8 @@ def disturb(folder: Path, choice: random.Random, outcome: Outcome) -> bool:
         else:
             send([choice.choice(numbers)] if victims == "one" else numbers, what)
     found = ended(process)
-    if found.hung:
+    # Ranks that are killed while MPI starts leave mpirun, or the others, waiting for ever.
+    if found.hung and (begun or not numbers):
         outcome.findings.append(f"{ranks} ranks, signals to {victims}: hung")
     # Without mpirun the exit code is the program's own.
     if ranks == 0 and victims != "everything" and found.code not in {
