@@ -2,9 +2,10 @@
 !> output). What is written is safe from the program's own end at once, whatever becomes of it; a
 !> sync makes it safe from that of the machine, and takes milliseconds that need not be waited for.
 module battery_background_sync
-  use, intrinsic :: iso_c_binding, only: c_int, c_ptr, c_char, c_null_char, c_null_ptr, c_associated
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_null_char, c_null_ptr, c_associated
+  use battery_c_shapes, only: address_of_path, number_of_address
   use battery_error, only: error_type, fatal_error
-  use battery_paths, only: system_message, error_text
+  use battery_paths, only: system_message, fail_with
   implicit none (type, external)
   private
   public :: sync_type, begin_sync, end_sync
@@ -20,28 +21,9 @@ module battery_background_sync
     type(c_ptr) :: control = c_null_ptr
   end type sync_type
 
-  interface
-    function c_begin(path) result(control) bind(c, name='battery_sync_begin')
-      import :: c_ptr, c_char
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      type(c_ptr) :: control
-    end function c_begin
-
-    function c_is_under_way(control) result(yes) bind(c, name='battery_sync_is_under_way')
-      import :: c_int, c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: control
-      integer(c_int) :: yes
-    end function c_is_under_way
-
-    function c_end(control) result(status) bind(c, name='battery_sync_end')
-      import :: c_int, c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: control
-      integer(c_int) :: status
-    end function c_end
-  end interface
+  procedure(address_of_path), bind(c, name='battery_sync_begin') :: c_begin
+  procedure(number_of_address), bind(c, name='battery_sync_is_under_way') :: c_is_under_way
+  procedure(number_of_address), bind(c, name='battery_sync_end') :: c_end
 
 contains
 
@@ -72,7 +54,6 @@ contains
     type(sync_type), intent(inout) :: sync
     !> The file may not be on the disk.
     type(error_type), allocatable, intent(out) :: error
-    integer(c_int) :: status
     character(len=:), allocatable :: path
     logical :: again
 
@@ -80,13 +61,10 @@ contains
     call move_alloc(sync%path, path)
     again = sync%again
     sync%again = .false.
-    status = c_end(sync%control)
-    if (status /= 0) then
-      call fatal_error(error, path//': cannot be brought to the disk: '//error_text(int(status)))
-    else if (again) then
-      call begin_sync(sync, path, error)
-      if (.not. allocated(error)) call end_sync(sync, error)
-    end if
+    call fail_with(c_end(sync%control), path//': cannot be brought to the disk', error)
+    if (allocated(error) .or. .not. again) return
+    call begin_sync(sync, path, error)
+    if (.not. allocated(error)) call end_sync(sync, error)
   end subroutine end_sync
 
 end module battery_background_sync

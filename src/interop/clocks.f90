@@ -1,19 +1,13 @@
 !> Clocks, and waiting.
 module battery_clocks
   use, intrinsic :: iso_c_binding, only: c_int
+  use battery_c_shapes, only: number_of_number
   use battery_kinds, only: dp, int64
   implicit none (type, external)
   private
   public :: wall_seconds, cpu_seconds, rest
 
-  interface
-    function c_usleep(microseconds) result(status) bind(c, name='usleep')
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: microseconds
-      integer(c_int) :: status
-    end function c_usleep
-  end interface
+  procedure(number_of_number), bind(c, name='usleep') :: c_usleep
 
 contains
 

@@ -2,7 +2,9 @@
 !> Python's `hashlib` give the same digits.
 module battery_digest
   use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_int8_t, c_ptr, c_null_ptr, c_associated
+  use battery_c_shapes, only: address_known, action_on_address
   use battery_kinds, only: int8
+  use battery_text, only: lower_case
   implicit none (type, external)
   private
   public :: digest_type, begin_digest, add_to_digest, end_digest, digest_length
@@ -18,49 +20,32 @@ module battery_digest
     logical :: is_good = .false.
   end type digest_type
 
+  procedure(address_known), bind(c, name='EVP_sha256') :: c_sha256
+  procedure(address_known), bind(c, name='EVP_MD_CTX_new') :: c_new
+  procedure(action_on_address), bind(c, name='EVP_MD_CTX_free') :: c_free
+
   interface
-    function c_sha256() result(method) bind(c, name='EVP_sha256')
-      import :: c_ptr
-      implicit none (type, external)
-      type(c_ptr) :: method
-    end function c_sha256
-
-    function c_new() result(context) bind(c, name='EVP_MD_CTX_new')
-      import :: c_ptr
-      implicit none (type, external)
-      type(c_ptr) :: context
-    end function c_new
-
-    function c_init(context, method, engine) result(good) bind(c, name='EVP_DigestInit_ex')
+    integer(c_int) function c_init(context, method, engine) bind(c, name='EVP_DigestInit_ex')
       import :: c_ptr, c_int
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: context, method, engine
-      integer(c_int) :: good
     end function c_init
 
-    function c_update(context, bytes, count) result(good) bind(c, name='EVP_DigestUpdate')
+    integer(c_int) function c_update(context, bytes, count) bind(c, name='EVP_DigestUpdate')
       import :: c_ptr, c_int, c_int8_t, c_size_t
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: context
       integer(c_int8_t), intent(in) :: bytes(*)
       integer(c_size_t), value, intent(in) :: count
-      integer(c_int) :: good
     end function c_update
 
-    function c_final(context, bytes, count) result(good) bind(c, name='EVP_DigestFinal_ex')
+    integer(c_int) function c_final(context, bytes, count) bind(c, name='EVP_DigestFinal_ex')
       import :: c_ptr, c_int, c_int8_t
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: context
       integer(c_int8_t), intent(out) :: bytes(*)
       integer(c_int), intent(out) :: count
-      integer(c_int) :: good
     end function c_final
-
-    subroutine c_free(context) bind(c, name='EVP_MD_CTX_free')
-      import :: c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: context
-    end subroutine c_free
   end interface
 
 contains
@@ -95,18 +80,15 @@ contains
     character(len=:), allocatable, intent(out) :: text
     integer(c_int8_t) :: bytes(digest_length/2)
     integer(c_int) :: count
-    character(len=*), parameter :: digits = '0123456789abcdef'
-    integer :: k, byte
+    character(len=digest_length) :: digits
 
     if (digest%is_good) digest%is_good = c_final(digest%context, bytes, count) == 1
     if (c_associated(digest%context)) call c_free(digest%context)
     digest%context = c_null_ptr
     text = ''
     if (.not. digest%is_good) return
-    do k = 1, size(bytes)
-      byte = iand(int(bytes(k)), 255)
-      text = text//digits(byte/16 + 1:byte/16 + 1)//digits(mod(byte, 16) + 1:mod(byte, 16) + 1)
-    end do
+    write (digits, '(*(z2.2))') bytes
+    text = lower_case(digits)
   end subroutine end_digest
 
 end module battery_digest

@@ -1,6 +1,7 @@
 !> The whole of a file, or of what comes through a pipe, as one text.
 module battery_file_text
   use, intrinsic :: iso_c_binding, only: c_int, c_int64_t, c_char, c_null_char
+  use battery_c_shapes, only: number_of_path, number_of_number
   use battery_kinds, only: int64
   use battery_error, only: error_type, fatal_error, exit_stopped_early
   use battery_paths, only: is_folder, is_pipe_or_device, system_message
@@ -13,36 +14,24 @@ module battery_file_text
   !> What `read_some` says besides a number of bytes: at the end, not yet.
   integer(int64), parameter :: at_end = 0, not_yet = -2
 
-  interface
-    function c_open_input(path) result(descriptor) bind(c, name='battery_open_input')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: descriptor
-    end function c_open_input
+  procedure(number_of_path), bind(c, name='battery_open_input') :: c_open_input
+  procedure(number_of_number), bind(c, name='battery_close') :: c_close
 
-    function c_size_of(descriptor) result(bytes) bind(c, name='battery_size_of')
+  interface
+    integer(c_int64_t) function c_size_of(descriptor) bind(c, name='battery_size_of')
       import :: c_int, c_int64_t
       implicit none (type, external)
       integer(c_int), value, intent(in) :: descriptor
-      integer(c_int64_t) :: bytes
     end function c_size_of
 
-    function c_read_some(descriptor, bytes, room) result(length) bind(c, name='battery_read_some')
+    integer(c_int64_t) function c_read_some(descriptor, bytes, room) &
+      bind(c, name='battery_read_some')
       import :: c_char, c_int, c_int64_t
       implicit none (type, external)
       integer(c_int), value, intent(in) :: descriptor
       integer(c_int64_t), value, intent(in) :: room
       character(kind=c_char), intent(inout) :: bytes(room)
-      integer(c_int64_t) :: length
     end function c_read_some
-
-    function c_close(descriptor) result(status) bind(c, name='battery_close')
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: descriptor
-      integer(c_int) :: status
-    end function c_close
   end interface
 
 contains
@@ -55,13 +44,11 @@ contains
     character(len=:), allocatable, intent(out) :: text
     type(error_type), allocatable, intent(out) :: error
 
-    text = ''
-    if (is_folder(path)) then
-      call fatal_error(error, path//': is a folder, not a file')
-    else if (is_pipe_or_device(path)) then
+    if (is_pipe_or_device(path)) then
+      text = ''
       call fatal_error(error, path//': is a pipe or a device, not a file')
     else
-      call read_all(path, huge(0_int64), text, error)
+      call read_input(path, huge(0_int64), text, error)
     end if
   end subroutine read_text
 
@@ -74,26 +61,16 @@ contains
     character(len=:), allocatable, intent(out) :: text
     !> Code `exit_stopped_early` if a signal came while nothing came through the pipe.
     type(error_type), allocatable, intent(out) :: error
+    integer(int64), parameter :: least_room = 4096_int64
+    character(len=:), allocatable :: larger
+    integer :: descriptor, status
+    integer(int64) :: filled, length
 
     text = ''
     if (is_folder(path)) then
       call fatal_error(error, path//': is a folder, not a file')
-    else
-      call read_all(path, most, text, error)
+      return
     end if
-  end subroutine read_input
-
-  !> Reads to the end.
-  subroutine read_all(path, most, text, error)
-    character(len=*), intent(in) :: path
-    integer(int64), intent(in) :: most
-    character(len=:), allocatable, intent(inout) :: text
-    type(error_type), allocatable, intent(out) :: error
-    integer(int64), parameter :: least_room = 4096_int64
-    character(len=:), allocatable :: larger
-    integer(c_int) :: descriptor, status
-    integer(int64) :: filled, length
-
     descriptor = c_open_input(path//c_null_char)
     if (descriptor < 0) then
       call fatal_error(error, path//': cannot be read: '//system_message())
@@ -122,6 +99,6 @@ contains
     end if
     status = c_close(descriptor)
     text = text(:filled)
-  end subroutine read_all
+  end subroutine read_input
 
 end module battery_file_text

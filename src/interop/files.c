@@ -63,13 +63,12 @@ int battery_follow(char *path, int room) {
 /* Bytes of the longest path. */
 int battery_longest_path(void) { return PATH_MAX; }
 
-/* The folder a path lies in, its links resolved; `folder` has `room` bytes, PATH_MAX or more. */
+/* The folder a path lies in, its links resolved; `folder` has `room` bytes, PATH_MAX or more. Gives
+   its length, 0 if it is not there. */
 int battery_real_folder(const char *path, char *folder, int room) {
-  if (room < PATH_MAX) return ENAMETOOLONG;
-  if (realpath(path, folder) == NULL) return errno;
+  if (room < PATH_MAX || realpath(path, folder) == NULL) return 0;
   char *slash = strrchr(folder, '/');
-  if (slash != NULL) slash[slash == folder ? 1 : 0] = '\0';
-  return 0;
+  return slash == folder ? 1 : (int)(slash - folder);
 }
 
 /* Whether there is a file or folder of that name; whether this process may read it, write to it. */

@@ -1,99 +1,36 @@
 !> What Fortran cannot do with files: sync, atomic rename, remove, rights, folders and what is in
 !> them.
 module battery_files
-  use, intrinsic :: iso_c_binding, only: c_int, c_char, c_ptr, c_null_char, c_associated
+  use, intrinsic :: iso_c_binding, only: c_char, c_ptr, c_null_char, c_associated
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_paths, only: is_folder, folder_of, system_message, error_text, text_at
+  use battery_c_shapes, only: number_known, number_of_path, number_of_paths, number_of_address, &
+    address_of_path
+  use battery_paths, only: is_folder, folder_of, system_message, fail_with, text_at
   use battery_text, only: string_type
   implicit none (type, external)
   private
   public :: file_exists, is_readable, is_writable, is_disk_error, files_like
   public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
 
+  procedure(number_of_path), bind(c, name='battery_exists') :: c_exists
+  procedure(number_of_path), bind(c, name='battery_may_read') :: c_may_read
+  procedure(number_of_path), bind(c, name='battery_may_write') :: c_may_write
+  procedure(number_of_path), bind(c, name='battery_remove') :: c_remove
+  procedure(number_of_path), bind(c, name='battery_make_folder') :: c_make_folder
+  procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
+  procedure(number_of_path), bind(c, name='battery_create_new') :: c_create_new
+  procedure(number_of_paths), bind(c, name='rename') :: c_rename
+  procedure(number_known), bind(c, name='battery_is_disk_error') :: c_is_disk_error
+  procedure(address_of_path), bind(c, name='opendir') :: c_opendir
+  procedure(number_of_address), bind(c, name='closedir') :: c_closedir
+
   interface
-    function c_exists(path) result(status) bind(c, name='battery_exists')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: status
-    end function c_exists
-
-    function c_may_read(path) result(status) bind(c, name='battery_may_read')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: status
-    end function c_may_read
-
-    function c_may_write(path) result(status) bind(c, name='battery_may_write')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: status
-    end function c_may_write
-
-    function c_rename(old, new) result(status) bind(c, name='rename')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: old(*), new(*)
-      integer(c_int) :: status
-    end function c_rename
-
-    function c_remove(path) result(status) bind(c, name='battery_remove')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: status
-    end function c_remove
-
-    function c_make_folder(path) result(status) bind(c, name='battery_make_folder')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: status
-    end function c_make_folder
-
-    function c_sync(path) result(status) bind(c, name='battery_sync')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: status
-    end function c_sync
-
-    function c_is_disk_error() result(yes) bind(c, name='battery_is_disk_error')
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int) :: yes
-    end function c_is_disk_error
-
-    function c_create_new(path) result(status) bind(c, name='battery_create_new')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: status
-    end function c_create_new
-
-    function c_opendir(path) result(folder) bind(c, name='opendir')
-      import :: c_char, c_ptr
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      type(c_ptr) :: folder
-    end function c_opendir
-
-    function c_next_like(folder, pattern) result(name) bind(c, name='battery_next_like')
+    type(c_ptr) function c_next_like(folder, pattern) bind(c, name='battery_next_like')
       import :: c_char, c_ptr
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: folder
       character(kind=c_char), intent(in) :: pattern(*)
-      type(c_ptr) :: name
     end function c_next_like
-
-    function c_closedir(folder) result(status) bind(c, name='closedir')
-      import :: c_int, c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: folder
-      integer(c_int) :: status
-    end function c_closedir
   end interface
 
 contains
@@ -131,11 +68,8 @@ contains
     character(len=*), intent(in) :: path
     !> It is not there, or the disk has failed.
     type(error_type), allocatable, intent(out) :: error
-    integer(c_int) :: status
 
-    status = c_sync(path//c_null_char)
-    if (status /= 0) call fatal_error(error, path//': cannot be written to the disk: ' &
-      //error_text(int(status)))
+    call fail_with(c_sync(path//c_null_char), path//': cannot be written to the disk', error)
   end subroutine sync_file
 
   !> Gives a file another name in one step; what had that name is gone.
@@ -144,9 +78,8 @@ contains
     character(len=*), intent(in) :: old, new
     type(error_type), allocatable, intent(out) :: error
 
-    if (c_rename(old//c_null_char, new//c_null_char) /= 0) then
+    if (c_rename(old//c_null_char, new//c_null_char) /= 0) &
       call fatal_error(error, old//': cannot be renamed to '//new//': '//system_message())
-    end if
   end subroutine rename_file
 
   !> Puts a finished temporary file under its final name, so that after a crash there is either the
@@ -168,11 +101,8 @@ contains
     !> A link is removed, not what it points to.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
-    integer(c_int) :: status
 
-    status = c_remove(path//c_null_char)
-    if (status /= 0) call fatal_error(error, path//': cannot be removed: ' &
-      //error_text(int(status)))
+    call fail_with(c_remove(path//c_null_char), path//': cannot be removed', error)
   end subroutine remove_file
 
   !> Makes a folder; one that is there already is no error. The error's code is `exit_bad_input`
@@ -199,11 +129,8 @@ contains
     !> In a folder that is there.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
-    integer(c_int) :: status
 
-    status = c_create_new(path//c_null_char)
-    if (status /= 0) call fatal_error(error, path//': cannot be made anew: ' &
-      //error_text(int(status)))
+    call fail_with(c_create_new(path//c_null_char), path//': cannot be made anew', error)
   end subroutine create_new_file
 
   !> Whether the disk is at fault for what failed last, and not a name or a right.
@@ -221,7 +148,7 @@ contains
     type(string_type), allocatable :: names(:)
     type(string_type), allocatable :: more(:)
     type(c_ptr) :: open_folder, name
-    integer(c_int) :: status
+    integer :: status
     integer :: found
 
     allocate (names(16))

@@ -6,6 +6,7 @@
 !> are added modulo one: uniform if either of them is.
 module battery_gsl
   use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_double, c_int64_t, c_associated
+  use battery_c_shapes, only: action_on_address
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
   implicit none (type, external)
@@ -18,25 +19,19 @@ module battery_gsl
     type(c_ptr) :: handle = c_null_ptr
   end type generator_type
 
+  procedure(action_on_address), bind(c, name='battery_generator_free') :: c_free
+
   interface
-    function c_new(seed) result(handle) bind(c, name='battery_generator_new')
+    type(c_ptr) function c_new(seed) bind(c, name='battery_generator_new')
       import :: c_ptr, c_int64_t
       implicit none (type, external)
       integer(c_int64_t), value, intent(in) :: seed
-      type(c_ptr) :: handle
     end function c_new
 
-    subroutine c_free(handle) bind(c, name='battery_generator_free')
-      import :: c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: handle
-    end subroutine c_free
-
-    function c_uniform(handle) result(number) bind(c, name='battery_generator_uniform')
+    real(c_double) function c_uniform(handle) bind(c, name='battery_generator_uniform')
       import :: c_ptr, c_double
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: handle
-      real(c_double) :: number
     end function c_uniform
   end interface
 

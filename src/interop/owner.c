@@ -56,13 +56,14 @@ static void read_open(int descriptor, char *text, int room) {
   text[length > 0 ? length : 0] = '\0';
 }
 
-/* What the file says; empty if there is none. */
-void battery_read_owner(const char *path, char *text, int room) {
+/* What the file says, and its length; empty if there is none. */
+int battery_read_owner(const char *path, char *text, int room) {
   int descriptor = open(path, O_RDONLY | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK);
   text[0] = '\0';
-  if (descriptor < 0) return;
+  if (descriptor < 0) return 0;
   read_open(descriptor, text, room);
   close(descriptor);
+  return (int)strlen(text);
 }
 
 /* Whether two texts begin with the same word: the name of the host. */
@@ -197,10 +198,11 @@ void battery_disown(owner_type *owner) {
   free(owner);
 }
 
-/* Name of this machine, without blanks; `name` has `room` bytes. */
-void battery_host_name(char *name, int room) {
+/* Name of this machine, without blanks, and its length; `name` has `room` bytes. */
+int battery_host_name(char *name, int room) {
   if (gethostname(name, (size_t)room) != 0 || name[0] == '\0') strncpy(name, "unknown", (size_t)room);
   name[room - 1] = '\0';
   for (char *at = name; *at != '\0'; at++)
     if (*at <= ' ') *at = '_';
+  return (int)strlen(name);
 }

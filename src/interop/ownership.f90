@@ -12,6 +12,8 @@
 module battery_ownership
   use, intrinsic :: iso_c_binding, only: c_int, c_int64_t, c_double, c_char, c_ptr, c_null_char, &
     c_null_ptr, c_associated
+  use battery_c_shapes, only: action_on_address, number_of_address, number_of_text, &
+    number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
   use battery_files, only: is_disk_error
@@ -59,9 +61,14 @@ module battery_ownership
     type(c_ptr), private :: handle = c_null_ptr
   end type ownership_type
 
+  procedure(number_of_address), bind(c, name='battery_still_owns') :: c_still_owns
+  procedure(action_on_address), bind(c, name='battery_disown') :: c_disown
+  procedure(number_of_path_and_text), bind(c, name='battery_read_owner') :: c_read_owner
+  procedure(number_of_text), bind(c, name='battery_host_name') :: c_host_name
+
   interface
-    function c_own(path, text, interval, with_locks, insist, beat, holder, room, owner) &
-      result(outcome) bind(c, name='battery_own')
+    integer(c_int) function c_own(path, text, interval, with_locks, insist, beat, holder, room, &
+      owner) bind(c, name='battery_own')
       import :: c_char, c_int, c_int64_t, c_double, c_ptr
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*), text(*)
@@ -71,36 +78,7 @@ module battery_ownership
       integer(c_int), value, intent(in) :: room
       character(kind=c_char), intent(inout) :: holder(room)
       type(c_ptr), intent(inout) :: owner
-      integer(c_int) :: outcome
     end function c_own
-
-    function c_still_owns(owner) result(yes) bind(c, name='battery_still_owns')
-      import :: c_int, c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: owner
-      integer(c_int) :: yes
-    end function c_still_owns
-
-    subroutine c_disown(owner) bind(c, name='battery_disown')
-      import :: c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: owner
-    end subroutine c_disown
-
-    subroutine c_read_owner(path, text, room) bind(c, name='battery_read_owner')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int), value, intent(in) :: room
-      character(kind=c_char), intent(inout) :: text(room)
-    end subroutine c_read_owner
-
-    subroutine c_host_name(name, room) bind(c, name='battery_host_name')
-      import :: c_char, c_int
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: room
-      character(kind=c_char), intent(inout) :: name(room)
-    end subroutine c_host_name
   end interface
 
 contains
@@ -169,8 +147,7 @@ contains
     insist = wall_seconds() - watch%last_beat > missed_beats*habits%interval
     beat = watch%beat
     outcome = c_own(ownership%path//c_null_char, ownership%text//c_null_char, &
-      real(habits%interval, c_double), merge(1_c_int, 0_c_int, habits%with_locks), &
-      merge(1_c_int, 0_c_int, insist), beat, watch%holder, longest_text, ownership%handle)
+      habits%interval, merge(1, 0, habits%with_locks), merge(1, 0, insist), beat, watch%holder, longest_text, ownership%handle)
     select case (outcome)
     case (taken)
       if (.not. insist) return
@@ -210,8 +187,7 @@ contains
 
     yes = .false.
     if (.not. allocated(ownership%path)) return
-    call c_read_owner(ownership%path//c_null_char, now, longest_text)
-    length = index(now, c_null_char) - 1
+    length = c_read_owner(ownership%path//c_null_char, now, longest_text)
     yes = length > 0 .and. now(:length) /= ownership%text
   end function is_taken_over
 
@@ -229,11 +205,12 @@ contains
     character(len=longest_host) :: host
     character(len=8) :: date
     character(len=10) :: time
+    integer :: length
 
-    call c_host_name(host, longest_host)
+    length = c_host_name(host, longest_host)
     call date_and_time(date, time)
-    text = host(:index(host, c_null_char) - 1)//' '//to_text(process_number())//' '//date(:4)//'-' &
-      //date(5:6)//'-'//date(7:)//' '//time(:2)//':'//time(3:4)//':'//time(5:)
+    text = host(:length)//' '//to_text(process_number())//' '//date(:4)//'-'//date(5:6)//'-'//date(7:) &
+      //' '//time(:2)//':'//time(3:4)//':'//time(5:)
   end function owner_text
 
   !> Who owns an output since when, in words.

@@ -2,73 +2,36 @@
 module battery_paths
   use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer, &
     c_associated
+  use battery_c_shapes, only: number_known, number_of_path, number_of_paths, number_of_text, &
+    number_of_path_and_text
   use battery_error, only: error_type, fatal_error, exit_bad_input
   implicit none (type, external)
   private
   public :: is_file, is_folder, is_pipe_or_device, same_file, folder_of
   public :: real_folder_of, follow_links
-  public :: system_message, text_at, error_text
+  public :: system_message, text_at, fail_with
 
   !> What a path names.
   integer(c_int), parameter :: a_file = 1, a_folder = 2, something_else = 3
 
+  procedure(number_of_path), bind(c, name='battery_kind_of') :: c_kind_of
+  procedure(number_of_paths), bind(c, name='battery_same_file') :: c_same_file
+  procedure(number_known), bind(c, name='battery_longest_path') :: c_longest_path
+  procedure(number_of_text), bind(c, name='battery_follow') :: c_follow
+  procedure(number_of_path_and_text), bind(c, name='battery_real_folder') :: c_real_folder
+  procedure(number_known), bind(c, name='battery_errno') :: c_errno
+
   interface
-    function c_kind_of(path) result(kind) bind(c, name='battery_kind_of')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int) :: kind
-    end function c_kind_of
-
-    function c_same_file(one, other) result(yes) bind(c, name='battery_same_file')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: one(*), other(*)
-      integer(c_int) :: yes
-    end function c_same_file
-
-    function c_longest_path() result(length) bind(c, name='battery_longest_path')
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int) :: length
-    end function c_longest_path
-
-    function c_follow(path, room) result(status) bind(c, name='battery_follow')
-      import :: c_char, c_int
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: room
-      character(kind=c_char), intent(inout) :: path(room)
-      integer(c_int) :: status
-    end function c_follow
-
-    function c_real_folder(path, folder, room) result(status) &
-      bind(c, name='battery_real_folder')
-      import :: c_char, c_int
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-      integer(c_int), value, intent(in) :: room
-      character(kind=c_char), intent(inout) :: folder(room)
-      integer(c_int) :: status
-    end function c_real_folder
-
-    function c_errno() result(number) bind(c, name='battery_errno')
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int) :: number
-    end function c_errno
-
-    function c_strerror(number) result(text) bind(c, name='strerror')
+    type(c_ptr) function c_strerror(number) bind(c, name='strerror')
       import :: c_int, c_ptr
       implicit none (type, external)
       integer(c_int), value, intent(in) :: number
-      type(c_ptr) :: text
     end function c_strerror
 
-    function c_strlen(text) result(length) bind(c, name='strlen')
+    integer(c_size_t) function c_strlen(text) bind(c, name='strlen')
       import :: c_ptr, c_size_t
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: text
-      integer(c_size_t) :: length
     end function c_strlen
   end interface
 
@@ -130,10 +93,11 @@ contains
     !> Of a file.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: folder
+    integer :: length
 
-    folder = repeat(c_null_char, c_longest_path())
-    if (c_real_folder(path//c_null_char, folder, c_longest_path()) /= 0) folder = c_null_char
-    folder = folder(:index(folder, c_null_char) - 1)
+    folder = repeat(' ', c_longest_path())
+    length = c_real_folder(path//c_null_char, folder, c_longest_path())
+    folder = folder(:length)
   end function real_folder_of
 
   !> Where a name is a link, what it points to in the end, which need not be there; others stay.
@@ -143,16 +107,14 @@ contains
     !> Code `exit_bad_input`: links in a circle, for instance.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: final
-    integer(c_int) :: status
 
     if (len(path) >= c_longest_path()) return
     final = path//repeat(c_null_char, c_longest_path() - len(path))
-    status = c_follow(final, c_longest_path())
-    if (status == 0) then
-      path = final(:index(final, c_null_char) - 1)
+    call fail_with(c_follow(final, c_longest_path()), 'the link cannot be followed', error)
+    if (allocated(error)) then
+      error%code = exit_bad_input
     else
-      call fatal_error(error, 'the link cannot be followed: '//error_text(int(status)), &
-        exit_bad_input)
+      path = final(:index(final, c_null_char) - 1)
     end if
   end subroutine follow_links
 
@@ -160,8 +122,19 @@ contains
   function system_message() result(message)
     character(len=:), allocatable :: message
 
-    message = error_text(int(c_errno()))
+    message = text_at(c_strerror(c_errno()))
   end function system_message
+
+  !> An error if what C was asked for came to the number of one: its text follows `what`.
+  subroutine fail_with(number, what, error)
+    !> What C calls `errno`; 0: all is well.
+    integer, intent(in) :: number
+    !> What failed, with the name of its file.
+    character(len=*), intent(in) :: what
+    type(error_type), allocatable, intent(out) :: error
+
+    if (number /= 0) call fatal_error(error, what//': '//text_at(c_strerror(number)))
+  end subroutine fail_with
 
   !> The text of C that an address points to.
   function text_at(address) result(text)
@@ -169,25 +142,11 @@ contains
     type(c_ptr), intent(in) :: address
     character(len=:), allocatable :: text
     character(kind=c_char), pointer :: letters(:)
-    integer :: at
 
     text = ''
     if (.not. c_associated(address)) return
     call c_f_pointer(address, letters, [c_strlen(address)])
-    deallocate (text)
-    allocate (character(len=size(letters)) :: text)
-    do at = 1, size(letters)
-      text(at:at) = letters(at)
-    end do
+    text = transfer(letters, repeat(' ', size(letters)))
   end function text_at
-
-  !> What the system calls an error of that number.
-  function error_text(number) result(text)
-    !> What C calls `errno`.
-    integer, intent(in) :: number
-    character(len=:), allocatable :: text
-
-    text = text_at(c_strerror(int(number, c_int)))
-  end function error_text
 
 end module battery_paths

@@ -4,7 +4,7 @@
 !> program at once. Signals within half a second of the first count as that one: `timeout` and some
 !> batch systems send each signal to the process and to its group.
 module battery_signals
-  use, intrinsic :: iso_c_binding, only: c_int
+  use battery_c_shapes, only: action, number_known
   use battery_kinds, only: dp
   use battery_clocks, only: wall_seconds
   use battery_error, only: error_type, fatal_error, exit_stopped_early
@@ -18,21 +18,8 @@ module battery_signals
   !> When the program began to watch, and when it must stop, on the clock of `wall_seconds`.
   real(dp) :: began = 0.0_dp, deadline = huge(1.0_dp)
 
-  interface
-    subroutine signals_watch() bind(c)
-      implicit none (type, external)
-    end subroutine signals_watch
-
-    function signals_received() result(which) bind(c)
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int) :: which
-    end function signals_received
-
-    subroutine signals_forget() bind(c)
-      implicit none (type, external)
-    end subroutine signals_forget
-  end interface
+  procedure(action), bind(c) :: signals_watch, signals_forget
+  procedure(number_known), bind(c) :: signals_received
 
 contains
 
@@ -60,24 +47,16 @@ contains
     if (.not. requested .and. deadline < huge(1.0_dp)) requested = wall_seconds() >= deadline
   end function stop_requested
 
-  !> Name of the signal that has asked for a stop; empty if none has.
-  function stop_signal() result(name)
-    character(len=:), allocatable :: name
-    integer :: which
-
-    name = ''
-    which = int(signals_received())
-    if (which > 0) name = trim(names(which))
-  end function stop_signal
-
   !> What is said where a stop was asked for before there was anything to save.
   subroutine stopped_before_start(error)
     !> Code `exit_stopped_early`; its message names the signal or the time limit.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
+    integer :: which
 
-    reason = stop_signal()
-    if (reason == '') reason = '&limits wall_minutes'
+    which = signals_received()
+    reason = '&limits wall_minutes'
+    if (which > 0) reason = trim(names(which))
     call fatal_error(error, 'stopped by '//reason//'; nothing was written', exit_stopped_early)
   end subroutine stopped_before_start
 

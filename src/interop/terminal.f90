@@ -1,6 +1,7 @@
 !> What the program prints. What could not be printed is remembered, and makes the run fail.
 module battery_terminal
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_size_t
+  use battery_c_shapes, only: action, number_known
   implicit none (type, external)
   private
   public :: guard_streams, say, say_partly, complain, all_was_printed, is_terminal, &
@@ -9,40 +10,23 @@ module battery_terminal
   !> False once something could not be printed on standard output.
   logical :: printed = .true.
 
-  interface
-    subroutine terminal_guard() bind(c)
-      implicit none (type, external)
-    end subroutine terminal_guard
+  !> To be called before any file is opened: text never goes into a file that has taken the place of
+  !> a closed standard output or standard error.
+  procedure(action), bind(c, name='terminal_guard') :: guard_streams
 
-    function terminal_write(to_errors, text, length) result(status) bind(c)
+  procedure(number_known), bind(c) :: terminal_output, terminal_parent_output
+
+  interface
+    integer(c_int) function terminal_write(to_errors, text, length) bind(c)
       import :: c_int, c_char, c_size_t
       implicit none (type, external)
       integer(c_int), value, intent(in) :: to_errors
       character(kind=c_char), intent(in) :: text(*)
       integer(c_size_t), value, intent(in) :: length
-      integer(c_int) :: status
     end function terminal_write
-
-    function terminal_output() result(yes) bind(c)
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int) :: yes
-    end function terminal_output
-
-    function terminal_parent_output() result(yes) bind(c)
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int) :: yes
-    end function terminal_parent_output
   end interface
 
 contains
-
-  !> To be called before any file is opened: text never goes into a file that has taken the place of
-  !> a closed standard output or standard error.
-  subroutine guard_streams()
-    call terminal_guard()
-  end subroutine guard_streams
 
   !> Prints a line, or several, on standard output.
   subroutine say(text)
@@ -65,7 +49,7 @@ contains
   subroutine complain(text)
     !> Without a line end.
     character(len=*), intent(in) :: text
-    integer(c_int) :: status
+    integer :: status
 
     status = terminal_write(1_c_int, text//new_line('a'), len(text, c_size_t) + 1)
   end subroutine complain
@@ -91,7 +75,7 @@ contains
     logical :: parent_is_terminal
     integer :: answer
 
-    answer = int(terminal_parent_output())
+    answer = terminal_parent_output()
     parent_is_terminal = answer == 1
     if (answer < 0) parent_is_terminal = unknown
   end function parent_is_terminal
