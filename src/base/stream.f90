@@ -46,7 +46,7 @@ module battery_stream
     procedure :: failed
     !> Whether all that was written has been read.
     procedure :: at_end
-    procedure, private :: open_item, put, room_for, pass_size
+    procedure, private :: open_item, pass_words, room_for, pass_size
   end type stream_type
 
 contains
@@ -123,7 +123,8 @@ contains
     mark = fingerprint_of(kind//' '//name)
     if (.not. self%reading) then
       call self%room_for(2 + (items*bytes + word_bytes - 1)/word_bytes)
-      call self%put([mark, items])
+      if (.not. self%measuring) self%word(self%length + 1:self%length + 2) = [mark, items]
+      self%length = self%length + 2
       return
     end if
     if (self%length + 2 > size(self%word)) then
@@ -151,14 +152,28 @@ contains
     call move_alloc(more, self%word)
   end subroutine room_for
 
-  !> Whole words behind the head of an item.
-  pure subroutine put(self, words)
+  !> An item as words, the last of them filled up with zeros: they are put into the stream, or what
+  !> is in the stream is put into them.
+  pure subroutine pass_words(self, name, kind, bytes, items, words)
     class(stream_type), intent(inout) :: self
-    integer(int64), intent(in) :: words(:)
+    character(len=*), intent(in) :: name, kind
+    integer, intent(in) :: bytes, items
+    integer(int64), intent(inout) :: words(:)
+    integer(int64) :: last
+    integer :: bits
 
-    if (.not. self%measuring) self%word(self%length + 1:self%length + size(words)) = words
-    self%length = self%length + size(words)
-  end subroutine put
+    call self%open_item(name, kind, bytes, int(items, int64))
+    if (self%failed()) return
+    last = self%length + size(words)
+    if (self%reading) then
+      words = self%word(self%length + 1:last)
+    else if (.not. self%measuring) then
+      self%word(self%length + 1:last) = words
+      bits = int(8*mod(int(items, int64)*bytes, int(word_bytes, int64)))
+      if (bits > 0) self%word(last) = ibits(self%word(last), 0, bits)
+    end if
+    self%length = last
+  end subroutine pass_words
 
   !> One logical value.
   pure subroutine pass_logical(self, name, value)
@@ -172,7 +187,6 @@ contains
     value = word == 1
   end subroutine pass_logical
 
-  !> One whole number.
   pure subroutine pass_int32(self, name, value)
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -195,7 +209,6 @@ contains
     value = one(1)
   end subroutine pass_int64
 
-  !> One real number.
   pure subroutine pass_real(self, name, value)
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -212,19 +225,11 @@ contains
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     integer(int8), intent(inout) :: values(:)
-    integer(int64) :: items, words
+    integer(int64), allocatable :: words(:)
 
-    items = size(values, kind=int64)
-    call self%open_item(name, 'int8', 1, items)
-    if (self%failed()) return
-    words = (items + 7)/8
-    if (self%reading) then
-      values = transfer(self%word(self%length + 1:self%length + words), values, int(items))
-      self%length = self%length + words
-    else
-      call self%put(transfer([values, spread(0_int8, 1, int(8*words - items))], 0_int64, &
-        int(words)))
-    end if
+    words = transfer(values, [0_int64])
+    call self%pass_words(name, 'int8', 1, size(values), words)
+    if (self%reading) values = transfer(words, values, size(values))
   end subroutine pass_int8s
 
   !> Short whole numbers; none that a state has is beyond those of eight bits.
@@ -239,41 +244,26 @@ contains
     values = small
   end subroutine pass_int16s
 
-  !> Whole numbers, two in a word.
   pure subroutine pass_int32s(self, name, values)
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     integer(int32), intent(inout) :: values(:)
-    integer(int64) :: items, words
+    integer(int64), allocatable :: words(:)
 
-    items = size(values, kind=int64)
-    call self%open_item(name, 'int32', 4, items)
-    if (self%failed()) return
-    words = (items + 1)/2
-    if (self%reading) then
-      values = transfer(self%word(self%length + 1:self%length + words), values, int(items))
-      self%length = self%length + words
-    else
-      call self%put(transfer([values, spread(0_int32, 1, int(2*words - items))], 0_int64, &
-        int(words)))
-    end if
+    words = transfer(values, [0_int64])
+    call self%pass_words(name, 'int32', 4, size(values), words)
+    if (self%reading) values = transfer(words, values, size(values))
   end subroutine pass_int32s
 
   pure subroutine pass_int64s(self, name, values)
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     integer(int64), intent(inout) :: values(:)
-    integer(int64) :: items
+    integer(int64), allocatable :: words(:)
 
-    items = size(values, kind=int64)
-    call self%open_item(name, 'int64', word_bytes, items)
-    if (self%failed()) return
-    if (self%reading) then
-      values = self%word(self%length + 1:self%length + items)
-      self%length = self%length + items
-    else
-      call self%put(values)
-    end if
+    words = transfer(values, [0_int64])
+    call self%pass_words(name, 'int64', word_bytes, size(values), words)
+    if (self%reading) values = transfer(words, values, size(values))
   end subroutine pass_int64s
 
   !> Real numbers of the program's precision, to all their bits.
@@ -281,20 +271,11 @@ contains
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), intent(inout) :: values(:)
-    integer(int64) :: items, words
-    integer, parameter :: bytes = storage_size(1.0_wp)/8
+    integer(int64), allocatable :: words(:)
 
-    items = size(values, kind=int64)
-    call self%open_item(name, 'real', bytes, items)
-    if (self%failed()) return
-    words = (items*bytes + word_bytes - 1)/word_bytes
-    if (self%reading) then
-      values = transfer(self%word(self%length + 1:self%length + words), values, int(items))
-      self%length = self%length + words
-    else
-      call self%put(transfer([values, spread(0.0_wp, 1, int((words*word_bytes - items*bytes) &
-        /bytes))], 0_int64, int(words)))
-    end if
+    words = transfer(values, [0_int64])
+    call self%pass_words(name, 'real', storage_size(1.0_wp)/8, size(values), words)
+    if (self%reading) values = transfer(words, values, size(values))
   end subroutine pass_reals
 
   pure subroutine pass_int32_list(self, name, values)
@@ -303,11 +284,10 @@ contains
     integer(int32), allocatable, intent(inout) :: values(:)
     integer :: items
 
-    items = 0
-    if (allocated(values)) items = size(values)
+    if (.not. allocated(values)) allocate (values(0))
+    items = size(values)
     call self%pass_size(name, items)
     if (self%failed()) return
-    if (.not. allocated(values)) allocate (values(items))
     if (size(values) /= items) values = spread(0_int32, 1, items)
     call self%pass_int32s(name, values)
   end subroutine pass_int32_list
@@ -318,11 +298,10 @@ contains
     real(wp), allocatable, intent(inout) :: values(:)
     integer :: items
 
-    items = 0
-    if (allocated(values)) items = size(values)
+    if (.not. allocated(values)) allocate (values(0))
+    items = size(values)
     call self%pass_size(name, items)
     if (self%failed()) return
-    if (.not. allocated(values)) allocate (values(items))
     if (size(values) /= items) values = spread(0.0_wp, 1, items)
     call self%pass_reals(name, values)
   end subroutine pass_real_list

@@ -41,53 +41,44 @@ contains
   pure function real32_text(number) result(text)
     real(real32), intent(in) :: number
     character(len=:), allocatable :: text
-    character(len=40) :: buffer, layout
-    real(real32) :: again
-    integer :: digits
-    !> Beyond this, fewer digits could round to more than there is.
-    real(real32), parameter :: nearly_huge = 1.0e38_real32
 
-    do digits = first_digits(abs(number) < nearly_huge, abs(number) >= tiny(number), &
-      precision(number), 9), 9
-      write (layout, '(a, i0, a)') '(es40.', digits - 1, 'e3)'
-      write (buffer, layout) number
-      if (.not. abs(number) <= huge(number)) exit
-      read (buffer, *) again
-      if (.not. abs(again - number) > 0.0_real32) exit
-    end do
-    text = plain_notation(trim(adjustl(buffer)))
+    text = shortest_text(real(number, real64), 9, precision(number), real(tiny(number), real64), &
+      1.0e38_real64)
   end function real32_text
 
   pure function real64_text(number) result(text)
     real(real64), intent(in) :: number
     character(len=:), allocatable :: text
+
+    text = shortest_text(number, 17, precision(number), tiny(number), 1.0e307_real64)
+  end function real64_text
+
+  !> The shortest text that is read as the same number. So many digits as are always kept give it,
+  !> with zeros at its end; numbers that have fewer digits of their own, those below `normal`, are
+  !> tried from one digit up; beyond `nearly_huge`, fewer could round to more than there is.
+  pure function shortest_text(number, most, kept, normal, nearly_huge) result(text)
+    real(real64), intent(in) :: number
+    !> Digits that tell any two numbers apart; fewer than 17: of a number of 32 bits.
+    integer, intent(in) :: most
+    integer, intent(in) :: kept
+    real(real64), intent(in) :: normal, nearly_huge
+    character(len=:), allocatable :: text
     character(len=40) :: buffer, layout
     real(real64) :: again
     integer :: digits
-    !> Beyond this, fewer digits could round to more than there is.
-    real(real64), parameter :: nearly_huge = 1.0e307_real64
 
-    do digits = first_digits(abs(number) < nearly_huge, abs(number) >= tiny(number), &
-      precision(number), 17), 17
+    digits = merge(kept, 1, abs(number) >= normal)
+    if (.not. abs(number) < nearly_huge) digits = most
+    do digits = digits, most
       write (layout, '(a, i0, a)') '(es40.', digits - 1, 'e3)'
       write (buffer, layout) number
       if (.not. abs(number) <= huge(number)) exit
       read (buffer, *) again
+      if (most < 17) again = real(real(again, real32), real64)
       if (.not. abs(again - number) > 0.0_real64) exit
     end do
     text = plain_notation(trim(adjustl(buffer)))
-  end function real64_text
-
-  !> How many digits are tried first. So many as are always kept give the shortest text, with zeros
-  !> at its end; numbers that have fewer digits of their own are tried from one digit up.
-  pure function first_digits(roundable, normal, kept, most) result(digits)
-    logical, intent(in) :: roundable, normal
-    integer, intent(in) :: kept, most
-    integer :: digits
-
-    digits = merge(kept, 1, normal)
-    if (.not. roundable) digits = most
-  end function first_digits
+  end function shortest_text
 
   pure function real128_text(number) result(text)
     real(real128), intent(in) :: number
@@ -106,18 +97,13 @@ contains
     logical, intent(in) :: value
     character(len=:), allocatable :: text
 
-    if (value) then
-      text = '.true.'
-    else
-      text = '.false.'
-    end if
+    text = trim(merge('.true. ', '.false.', value))
   end function logical_text
 
   !> Text of `1.25E+001` as people write it: 12.5; far from 1, 1.25e+9.
   pure function plain_notation(scientific) result(text)
     character(len=*), intent(in) :: scientific
-    character(len=:), allocatable :: text
-    character(len=:), allocatable :: sign, digits
+    character(len=:), allocatable :: text, sign, digits
     integer :: mark, exponent, count
 
     mark = scan(scientific, 'Ee')
@@ -129,9 +115,8 @@ contains
     sign = ''
     if (scientific(1:1) == '-') sign = '-'
     digits = scientific(len(sign) + 1:len(sign) + 1)//scientific(len(sign) + 3:mark - 1)
-    count = verify(digits, '0', back=.true.)
-    digits = digits(:max(count, 1))
-    count = len(digits)
+    count = max(verify(digits, '0', back=.true.), 1)
+    digits = digits(:count)
     if (exponent < -4 .or. exponent > 8) then
       text = sign//digits(1:1)
       if (count > 1) text = text//'.'//digits(2:)

@@ -7,32 +7,32 @@ module battery_key
   use battery_text, only: string_type, to_text, is_one_of, new_line_character
   implicit none (type, external)
   private
-  public :: key_type, find_key, group_names, keys_of_group, allowed_text, keys_text
+  public :: key_type, find_key, different, allowed_text, keys_text
   public :: whole_key, real_key, text_key, logical_key
 
   !> Types of keys.
   integer, parameter :: whole_key = 1, real_key = 2, text_key = 3, logical_key = 4
 
-  !> One key of a namelist: where it stands, what may be its value, what it means.
+  !> One key of a namelist: where it stands, what it means, what may be its value.
   type :: key_type
-    character(len=:), allocatable :: group, name
+    character(len=24) :: group = '', name = ''
     integer :: kind = whole_key
-    !> How many values it takes at the most.
-    integer :: most_values = 1
-    !> Whether its three values are `first, last, how many`.
-    logical :: is_range = .false.
     !> As it would be written; empty if there is none.
-    character(len=:), allocatable :: default
+    character(len=16) :: default = ''
+    !> What it means.
+    character(len=80) :: meaning = ''
     !> Least number that is allowed, and whether it is itself forbidden; greatest whole number.
     real(wp) :: least = -huge(1.0_wp)
     logical :: above = .false.
     integer(int64) :: greatest = huge(1)
+    !> How many values it takes at the most.
+    integer :: most_values = 1
+    !> Whether its three values are `first, last, how many`.
+    logical :: is_range = .false.
     !> Words that are allowed, set apart by blanks; empty: any.
-    character(len=:), allocatable :: choices
+    character(len=80) :: choices = ''
     !> Unit, and symbol in the paper; empty if there is none.
-    character(len=:), allocatable :: unit, symbol
-    !> What it means.
-    character(len=:), allocatable :: meaning
+    character(len=8) :: unit = '', symbol = ''
     !> Whether it changes the results; if not, a run may go on with another value.
     logical :: decides = .true.
   end type key_type
@@ -52,39 +52,20 @@ contains
     end do
   end function find_key
 
-  !> The names of all groups, in the order of their first keys.
-  pure function group_names(keys) result(names)
-    !> All there are.
-    type(key_type), intent(in) :: keys(:)
+  !> The different names of a list, in their order, without the blanks at their ends.
+  pure function different(list) result(names)
+    !> Groups, or keys of a group.
+    character(len=*), intent(in) :: list(:)
     type(string_type), allocatable :: names(:)
     type(string_type) :: name
     integer :: at
 
     allocate (names(0))
-    do at = 1, size(keys)
-      if (is_one_of(keys(at)%group, names)) cycle
-      name%text = keys(at)%group
-      names = [names, name]
+    do at = 1, size(list)
+      name%text = trim(list(at))
+      if (.not. is_one_of(name%text, names)) names = [names, name]
     end do
-  end function group_names
-
-  !> The names of the keys of a group.
-  pure function keys_of_group(keys, group) result(names)
-    !> All there are.
-    type(key_type), intent(in) :: keys(:)
-    !> Its name, in small letters, without &.
-    character(len=*), intent(in) :: group
-    type(string_type), allocatable :: names(:)
-    type(string_type) :: name
-    integer :: at
-
-    allocate (names(0))
-    do at = 1, size(keys)
-      if (keys(at)%group /= group) cycle
-      name%text = keys(at)%name
-      names = [names, name]
-    end do
-  end function keys_of_group
+  end function different
 
   !> What is allowed for a key, in words.
   pure function allowed_text(key) result(text)
@@ -100,7 +81,7 @@ contains
       text = '.true. or .false.'
     case default
       text = 'one text in quotes'
-      if (key%choices /= '') text = choices_text(key%choices)
+      if (key%choices /= '') text = choices_text(trim(key%choices))
     end select
   end function allowed_text
 
@@ -154,22 +135,18 @@ contains
     !> All there are.
     type(key_type), intent(in) :: keys(:)
     character(len=:), allocatable :: text
-    type(string_type), allocatable :: groups(:)
-    character(len=:), allocatable :: default
-    integer :: at, group
+    character(len=16) :: default
+    integer :: at
 
-    groups = group_names(keys)
     text = ''
-    do group = 1, size(groups)
-      text = text//'&'//groups(group)%text//new_line_character
-      do at = 1, size(keys)
-        if (keys(at)%group /= groups(group)%text) cycle
-        default = keys(at)%default
-        if (default == '') default = 'none'
-        text = text//'  '//padded(keys(at)%name, 26)//padded(default, 13) &
-          //'! '//keys(at)%meaning//'; '//allowed_text(keys(at))//new_line_character
-      end do
-      text = text//'/'//new_line_character
+    do at = 1, size(keys)
+      if (all(keys(:at - 1)%group /= keys(at)%group)) &
+        text = text//'&'//trim(keys(at)%group)//new_line_character
+      default = keys(at)%default
+      if (default == '') default = 'none'
+      text = text//'  '//padded(trim(keys(at)%name), 26)//padded(trim(default), 13) &
+        //'! '//trim(keys(at)%meaning)//'; '//allowed_text(keys(at))//new_line_character
+      if (all(keys(at + 1:)%group /= keys(at)%group)) text = text//'/'//new_line_character
     end do
   end function keys_text
 

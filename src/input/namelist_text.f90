@@ -7,7 +7,7 @@ module battery_namelist_text
   use battery_remarks, only: remarks_type, add_remark, shown_text
   implicit none (type, external)
   private
-  public :: value_type, entry_type, group_type, split_namelist
+  public :: value_type, entry_type, group_type, split_namelist, written_text
 
   !> Most values of one key, repeats counted.
   integer, parameter, public :: most_values = 100000
@@ -40,6 +40,8 @@ module battery_namelist_text
     type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
     integer :: group_count = 0, entry_count = 0
+    !> Those of the key that is being read.
+    type(value_type), allocatable :: values(:)
     type(remarks_type) :: remarks
   end type reader_type
 
@@ -61,7 +63,8 @@ contains
     type(reader_type) :: reader
     integer :: at
 
-    allocate (reader%groups(count([(text(at:at) == '&', at=1, len(text))])), reader%entries(64))
+    allocate (reader%groups(count([(text(at:at) == '&', at=1, len(text))])), reader%entries(64), &
+      reader%values(most_values))
     reader%text = text
     ! A mark of the byte order that some editors put first.
     if (index(text, char(239)//char(187)//char(191)) == 1) reader%at = 4
@@ -80,6 +83,29 @@ contains
     entries = reader%entries(:reader%entry_count)
     remarks = reader%remarks
   end subroutine split_namelist
+
+  !> Values as they were written, shortened if there are many.
+  pure function written_text(values) result(text)
+    !> Of one key.
+    type(value_type), intent(in) :: values(:)
+    character(len=:), allocatable :: text
+    integer, parameter :: shown = 80
+    integer :: at
+
+    text = ''
+    do at = 1, size(values)
+      if (at > 1) text = text//', '
+      if (values(at)%quoted) then
+        text = text//''''//values(at)%text//''''
+      else
+        text = text//values(at)%text
+      end if
+      if (len(text) > shown) then
+        text = text(:shown)//' ...'
+        return
+      end if
+    end do
+  end function written_text
 
   !> Reads from the `&` of a group to behind its end.
   subroutine read_group(reader)
@@ -167,13 +193,11 @@ contains
     !> Group and key.
     character(len=*), intent(in) :: name
     type(value_type), allocatable, intent(out) :: values(:)
-    type(value_type), allocatable :: found(:)
     type(value_type) :: value
     integer :: repeats, count
     character(len=:), allocatable :: problem
     logical :: after_comma
 
-    allocate (found(8))
     count = 0
     after_comma = .true.
     do
@@ -197,10 +221,11 @@ contains
       else if (count + repeats > most_values) then
         call complain('too many values; allowed: '//to_text(most_values))
       else
-        call add_values(found, count, value, repeats)
+        reader%values(count + 1:count + repeats) = value
+        count = count + repeats
       end if
     end do
-    values = found(:count)
+    values = reader%values(:count)
 
   contains
 
@@ -211,23 +236,6 @@ contains
     end subroutine complain
 
   end subroutine read_values
-
-  !> Adds a value so many times to the first `count`.
-  pure subroutine add_values(values, count, value, repeats)
-    type(value_type), allocatable, intent(inout) :: values(:)
-    integer, intent(inout) :: count
-    type(value_type), intent(in) :: value
-    integer, intent(in) :: repeats
-    type(value_type), allocatable :: more(:)
-
-    if (count + repeats > size(values)) then
-      allocate (more(max(2*size(values), count + repeats)))
-      more(:count) = values(:count)
-      call move_alloc(more, values)
-    end if
-    values(count + 1:count + repeats) = value
-    count = count + repeats
-  end subroutine add_values
 
   !> Reads one value, with how often it is repeated.
   subroutine read_value(reader, value, repeats, problem)
@@ -242,15 +250,13 @@ contains
     repeats = 1
     call take_before(reader, scan(reader%text(reader%at:), value_ends), word)
     star = index(word, '*')
-    if (star > 1) then
-      if (verify(word(:star - 1), '0123456789') == 0) then
-        if (star > 8) then
-          problem = 'too many values: '//shown_text(word)
-          return
-        end if
-        read (word(:star - 1), *) repeats
-        word = word(star + 1:)
+    if (star > 1 .and. verify(word(:star - 1), '0123456789') == 0) then
+      if (star > 8) then
+        problem = 'too many values: '//shown_text(word)
+        return
       end if
+      read (word(:star - 1), *) repeats
+      word = word(star + 1:)
     end if
     value%text = word
     if (word == '' .and. scan(next_sign(reader), '"'//achar(39)) == 1) then
@@ -274,8 +280,7 @@ contains
 
     quote = next_sign(reader)
     reader%at = reader%at + 1
-    count = index(reader%text(reader%at:), line_end)
-    if (count == 0) count = len(reader%text) - reader%at + 1
+    count = line_length(reader)
     allocate (character(len=count) :: letters)
     count = 0
     do
@@ -314,22 +319,18 @@ contains
   pure subroutine skip_blanks(reader, commas)
     type(reader_type), intent(inout) :: reader
     logical, intent(in), optional :: commas
-    logical :: also_commas
 
-    also_commas = .false.
-    if (present(commas)) also_commas = commas
-    do
-      if (at_end(reader)) return
+    do while (.not. at_end(reader))
       select case (next_sign(reader))
+      case (line_end)
+        reader%line = reader%line + 1
+        reader%at = reader%at + 1
       case (' ', tab, return_sign)
         reader%at = reader%at + 1
-      case (line_end)
-        reader%at = reader%at + 1
-        reader%line = reader%line + 1
       case ('!')
         call skip_line(reader)
       case (',')
-        if (.not. also_commas) return
+        if (.not. present(commas)) return
         reader%at = reader%at + 1
       case default
         return
@@ -340,24 +341,27 @@ contains
   !> Passes over the rest of a line, but not over its end.
   pure subroutine skip_line(reader)
     type(reader_type), intent(inout) :: reader
-    integer :: length
 
-    length = index(reader%text(reader%at:), line_end)
-    if (length == 0) length = len(reader%text) - reader%at + 2
-    reader%at = reader%at + length - 1
+    reader%at = reader%at + line_length(reader)
   end subroutine skip_line
 
   !> The rest of a line, to be shown.
   pure function rest_of_line(reader) result(rest)
     type(reader_type), intent(in) :: reader
     character(len=:), allocatable :: rest
+
+    rest = shown_text(trim(reader%text(reader%at:reader%at + line_length(reader) - 1)))
+    if (rest == '') rest = 'the end of the line'
+  end function rest_of_line
+
+  !> Letters up to the end of the line.
+  pure function line_length(reader) result(length)
+    type(reader_type), intent(in) :: reader
     integer :: length
 
     length = index(reader%text(reader%at:), line_end) - 1
     if (length < 0) length = len(reader%text) - reader%at + 1
-    rest = shown_text(trim(reader%text(reader%at:reader%at + length - 1)))
-    if (rest == '') rest = 'the end of the line'
-  end function rest_of_line
+  end function line_length
 
   !> Takes what stands before sign number `next` from here; all that is left if that is 0.
   subroutine take_before(reader, next, text)

@@ -3,6 +3,8 @@
 !> Fortran's own input is too kind: it reads `3-2` as 0.03, `2*1` as two numbers, `1,,2` as one that
 !> stays what it was, and what is too large or too small as infinite or 0.
 module battery_numbers
+  use, intrinsic :: ieee_exceptions, only: ieee_status_type, ieee_overflow, ieee_get_status, &
+    ieee_set_halting_mode, ieee_set_status
   use battery_kinds, only: wp, int64
   use battery_text, only: to_text, lower_case
   implicit none (type, external)
@@ -24,14 +26,12 @@ contains
     integer(int64), intent(out) :: number
     !> What is wrong with it; empty: nothing.
     character(len=:), allocatable, intent(out) :: wrong
-    integer :: first
 
     number = 0
     wrong = ''
-    first = 1 + sign_length(text)
-    if (len(text) < first .or. verify(text(first:), digits) > 0) then
+    if (.not. is_whole(text)) then
       wrong = 'is not a whole number'
-    else if (len(text) - first + 1 > most_digits) then
+    else if (len(text) - sign_length(text) > most_digits) then
       wrong = 'has more than '//to_text(most_digits)//' digits'
     else
       read (text, *) number
@@ -40,14 +40,15 @@ contains
 
   !> A number: a sign or none, digits with a point or without, and an exponent or none: e or d, a
   !> sign or none, digits. It must be neither too large nor so small that it would become 0.
-  pure subroutine read_decimal(text, number, wrong)
+  subroutine read_decimal(text, number, wrong)
     !> Without blanks.
     character(len=*), intent(in) :: text
     !> 0 if something is wrong.
     real(wp), intent(out) :: number
     !> What is wrong with it; empty: nothing.
     character(len=:), allocatable, intent(out) :: wrong
-    integer :: first, last, mark, power, status
+    type(ieee_status_type) :: before
+    integer :: first, last, mark
 
     number = 0.0_wp
     wrong = ''
@@ -56,29 +57,23 @@ contains
     last = merge(mark - 1, len(text), mark > 0)
     if (is_endless(text(first:))) then
       wrong = 'is not finite'
-    else if (.not. is_mantissa(text(first:last)) .or. mark == len(text)) then
+    else if (.not. is_mantissa(text(first:last))) then
       wrong = 'is not a number'
     else if (mark > 0) then
-      if (.not. is_exponent(text(mark + 1:))) wrong = 'is not a number'
+      if (.not. is_whole(text(mark + 1:))) wrong = 'is not a number'
     end if
     if (wrong /= '') return
-    ! Zero, however it is written.
-    if (scan(text(first:last), '123456789') == 0) then
-      if (text(1:1) == '-') number = -number
-      return
-    end if
-    power = power_of(text(first:last))
-    if (mark > 0) power = power + exponent_of(text(mark + 1:))
-    if (is_beyond(text(first:last), power)) then
+    ! What is too large becomes infinite, and must not end a program that traps that.
+    call ieee_get_status(before)
+    call ieee_set_halting_mode(ieee_overflow, .false.)
+    read (text, *) number
+    call ieee_set_status(before)
+    if (abs(number) > huge(number)) then
       wrong = 'is not finite: the largest number is '//to_text(huge(number))
-      return
-    end if
-    if (power >= least_power()) then
-      read (text, *, iostat=status) number
-      if (status /= 0) wrong = 'is not a number'
-    end if
-    if (wrong == '' .and. .not. abs(number) > 0.0_wp) &
+    else if (.not. abs(number) > 0.0_wp .and. scan(text(first:last), '123456789') > 0) then
       wrong = 'is too near 0: the least number above 0 is '//to_text(tiny(number))
+    end if
+    if (wrong /= '') number = 0.0_wp
   end subroutine read_decimal
 
   !> 1 if a text begins with a sign, else 0.
@@ -110,70 +105,12 @@ contains
   end function is_mantissa
 
   !> Whether these are digits, with or without a sign.
-  pure function is_exponent(text) result(yes)
+  pure function is_whole(text) result(yes)
     character(len=*), intent(in) :: text
     logical :: yes
 
     yes = .false.
     if (len(text) > sign_length(text)) yes = verify(text(1 + sign_length(text):), digits) == 0
-  end function is_exponent
-
-  !> The exponent in digits with a sign; beyond a million, some number beyond every real.
-  pure function exponent_of(text) result(power)
-    character(len=*), intent(in) :: text
-    integer :: power
-    integer, parameter :: enough = 10**8
-    integer :: at
-
-    power = 0
-    do at = 1 + sign_length(text), len(text)
-      power = min(10*power + index(digits, text(at:at)) - 1, enough)
-    end do
-    if (text(1:1) == '-') power = -power
-  end function exponent_of
-
-  !> The power of ten of the first digit that is not 0.
-  pure function power_of(mantissa) result(power)
-    character(len=*), intent(in) :: mantissa
-    integer :: power
-    integer :: point, first
-
-    point = index(mantissa//'.', '.')
-    first = scan(mantissa, '123456789')
-    power = point - first
-    if (first < point) power = power - 1
-  end function power_of
-
-  !> Whether a number, whose first digit stands for this power of ten, is beyond the largest real.
-  pure function is_beyond(mantissa, power) result(beyond)
-    character(len=*), intent(in) :: mantissa
-    integer, intent(in) :: power
-    logical :: beyond
-    character(len=60) :: largest
-    integer :: at, next, most
-
-    write (largest, '(es60.35e4)') huge(1.0_wp)
-    largest = adjustl(largest)
-    read (largest(index(largest, 'E') + 1:), *) most
-    beyond = power > most
-    if (power /= most) return
-    ! Digit by digit.
-    next = 1
-    do at = scan(mantissa, '123456789'), len(mantissa)
-      if (mantissa(at:at) == '.') cycle
-      if (largest(next:next) == '.') next = next + 1
-      if (largest(next:next) == 'E') exit
-      beyond = mantissa(at:at) > largest(next:next)
-      if (mantissa(at:at) /= largest(next:next)) exit
-      next = next + 1
-    end do
-  end function is_beyond
-
-  !> The least power of ten of which any digit can be told from 0.
-  pure function least_power() result(power)
-    integer :: power
-
-    power = -range(1.0_wp) - precision(1.0_wp) - 4
-  end function least_power
+  end function is_whole
 
 end module battery_numbers

@@ -20,8 +20,8 @@ module battery_remarks
   !> All that is wrong.
   type :: remarks_type
     integer :: count = 0
-    !> The first `count` count.
-    type(remark_type), allocatable, private :: all(:)
+    !> Those that are told: the first of all, in the order of their lines, and the last.
+    type(remark_type), private :: first(most_told), last
   end type remarks_type
 
 contains
@@ -33,21 +33,20 @@ contains
     integer, intent(in) :: line
     !> What, where in the line, and what is allowed.
     character(len=*), intent(in) :: text
-    type(remark_type), allocatable :: more(:)
-    integer :: at
+    type(remark_type) :: remark
+    integer :: place, told
 
-    if (.not. allocated(remarks%all)) allocate (remarks%all(16))
-    if (remarks%count == size(remarks%all)) then
-      allocate (more(2*size(remarks%all)))
-      do at = 1, remarks%count
-        more(at)%line = remarks%all(at)%line
-        call move_alloc(remarks%all(at)%text, more(at)%text)
-      end do
-      call move_alloc(more, remarks%all)
+    remark%line = line
+    remark%text = text
+    told = min(remarks%count, most_told)
+    place = 1 + count(remarks%first(:told)%line <= line)
+    if (place <= most_told) then
+      told = min(told + 1, most_told)
+      remarks%first(place + 1:told) = remarks%first(place:told - 1)
+      remarks%first(place) = remark
     end if
+    if (line >= remarks%last%line) remarks%last = remark
     remarks%count = remarks%count + 1
-    remarks%all(remarks%count)%line = line
-    remarks%all(remarks%count)%text = text
   end subroutine add_remark
 
   !> All remarks about the file `name`, one a line in the order of its lines, those without a line
@@ -56,21 +55,15 @@ contains
     type(remarks_type), intent(in) :: remarks
     character(len=*), intent(in) :: name
     character(len=:), allocatable :: text
-    logical, allocatable :: told(:)
-    integer :: turn, next, last
+    integer :: at
 
     text = ''
-    allocate (told(remarks%count), source=.false.)
-    do turn = 1, min(remarks%count, most_told)
-      next = minloc(remarks%all(:remarks%count)%line, dim=1, mask=.not. told)
-      told(next) = .true.
-      if (turn > 1) text = text//new_line_character
-      text = text//one_text(remarks%all(next), name)
+    do at = 1, min(remarks%count, most_told)
+      if (at > 1) text = text//new_line_character
+      text = text//one_text(remarks%first(at), name)
     end do
-    if (remarks%count <= most_told) return
-    last = maxloc(remarks%all(:remarks%count)%line, dim=1, mask=.not. told, back=.true.)
-    text = text//new_line_character//'... and '//to_text(remarks%count - most_told) &
-      //' more; the last: '//one_text(remarks%all(last), name)
+    if (remarks%count > most_told) text = text//new_line_character//'... and ' &
+      //to_text(remarks%count - most_told)//' more; the last: '//one_text(remarks%last, name)
   end function remarks_text
 
   pure function one_text(remark, name) result(text)

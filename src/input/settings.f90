@@ -3,16 +3,18 @@
 !>
 !> Which keys there are is in the list that it is given.
 module battery_settings
-  use battery_kinds, only: wp, int64
-  use battery_text, only: string_type, to_text, join, is_one_of, closest_word
+  use battery_kinds, only: wp, int32, int64
+  use battery_text, only: string_type, to_text, lower_case, join, closest_word
+  use battery_numbers, only: read_whole, read_decimal
   use battery_remarks, only: remarks_type, add_remark, shown_text
-  use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist
-  use battery_namelist_values, only: read_integer, read_real, read_logical
-  use battery_key, only: key_type, group_names, keys_of_group, find_key, allowed_text, &
-    whole_key, real_key, text_key, logical_key
+  use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist, &
+    written_text
+  use battery_key, only: key_type, different, find_key, allowed_text, whole_key, real_key, &
+    text_key, logical_key
   implicit none (type, external)
   private
   public :: setting_type, settings_type, read_settings, find_setting
+  public :: take, take_list, take_text
 
   !> Longest text of a key: the longest path that the system takes.
   integer, parameter :: longest_text = 4000
@@ -40,6 +42,12 @@ module battery_settings
     type(setting_type), allocatable :: all(:)
     type(remarks_type) :: problems
   end type settings_type
+
+  !> Takes the `value` of a key, which stays as it was where there is none; `group` and `name` are
+  !> in small letters. Of two numbers, one that is given counts for both.
+  interface take
+    module procedure :: take_one, take_two
+  end interface take
 
 contains
 
@@ -84,7 +92,7 @@ contains
     integer, allocatable :: first_line(:)
     integer :: at, name
 
-    names = group_names(keys)
+    names = different(keys%group)
     allocate (first_line(size(names)), source=0)
     do at = 1, size(groups)
       do name = 1, size(names)
@@ -109,20 +117,19 @@ contains
     type(entry_type), intent(in) :: entry
     type(remarks_type), intent(inout) :: problems
     type(string_type), allocatable :: names(:)
-    character(len=:), allocatable :: elsewhere
+    character(len=:), allocatable :: hint
     integer :: at
 
-    if (.not. is_one_of(entry%group, group_names(keys))) return
-    names = keys_of_group(keys, entry%group)
-    elsewhere = ''
-    do at = 1, size(keys)
-      if (elsewhere /= '') exit
-      if (keys(at)%name == entry%key) elsewhere = ' (it belongs to &'//keys(at)%group//')'
-    end do
-    if (elsewhere == '') elsewhere = suggestion('', entry%key, names)
-    call add_remark(problems, entry%line, name_of(entry)//' = ' &
-      //written_text(entry%values)//': there is no such key'//elsewhere &
-      //'; allowed: '//join(names, ', '))
+    if (all(keys%group /= entry%group)) return
+    names = different(pack(keys%name, keys%group == entry%group))
+    at = findloc(keys%name == entry%key, .true., dim=1)
+    if (at > 0) then
+      hint = ' (it belongs to &'//trim(keys(at)%group)//')'
+    else
+      hint = suggestion('', entry%key, names)
+    end if
+    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values) &
+      //': there is no such key'//hint//'; allowed: '//join(names, ', '))
   end subroutine refuse_key
 
   function suggestion(sign, word, names) result(text)
@@ -153,12 +160,12 @@ contains
     setting%text = ''
     setting%canonical = ''
     if (key%default == '') return
-    entry%group = key%group
-    entry%key = key%name
+    entry%group = trim(key%group)
+    entry%key = trim(key%name)
     allocate (entry%values(1))
     entry%values(1)%quoted = key%kind == text_key
-    entry%values(1)%text = key%default
-    if (key%kind == text_key) entry%values(1)%text = key%default(2:len(key%default) - 1)
+    entry%values(1)%text = trim(key%default)
+    if (key%kind == text_key) entry%values(1)%text = key%default(2:len_trim(key%default) - 1)
     call take_entry(entry, setting, problems)
     setting%given = .false.
   end subroutine take_default
@@ -170,30 +177,27 @@ contains
     type(remarks_type), intent(inout) :: problems
     character(len=:), allocatable :: wrong
     type(string_type), allocatable :: written(:)
-    integer :: at, count
+    integer :: at
 
     setting%given = .true.
     setting%line = entry%line
-    count = size(entry%values)
-    wrong = wrong_count(setting%key, count)
-    if (wrong == '') then
-      deallocate (setting%integers, setting%reals)
-      allocate (written(count))
-      allocate (setting%integers(merge(count, 0, setting%key%kind == whole_key)))
-      allocate (setting%reals(merge(count, 0, setting%key%kind == real_key)))
-      do at = 1, count
-        call take_value(entry%values(at), at, setting, written(at)%text, wrong)
-        if (wrong /= '') exit
-      end do
-    end if
-    if (wrong == '') then
-      setting%canonical = join(written, ' ')
-    end if
-    if (wrong == '' .and. setting%key%is_range) wrong = wrong_range(setting%reals)
-    setting%known = wrong == ''
-    if (wrong == '') return
-    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values)//': ' &
-      //wrong//'; allowed: '//allowed_text(setting%key))
+    associate (key => setting%key, count => size(entry%values))
+      wrong = wrong_count(key, count)
+      if (wrong == '') then
+        setting%integers = [(0_int64, at=1, merge(count, 0, key%kind == whole_key))]
+        setting%reals = [(0.0_wp, at=1, merge(count, 0, key%kind == real_key))]
+        allocate (written(count))
+        do at = 1, count
+          call take_value(entry%values(at), at, setting, written(at)%text, wrong)
+          if (wrong /= '') exit
+        end do
+      end if
+      if (wrong == '') setting%canonical = join(written, ' ')
+      if (wrong == '' .and. key%is_range) wrong = wrong_range(setting%reals)
+      setting%known = wrong == ''
+      if (wrong /= '') call add_remark(problems, entry%line, name_of(entry)//' = ' &
+        //written_text(entry%values)//': '//wrong//'; allowed: '//allowed_text(key))
+    end associate
   end subroutine take_entry
 
   !> What is wrong with the number of values; empty: nothing.
@@ -222,29 +226,30 @@ contains
     type(setting_type), intent(inout) :: setting
     character(len=:), allocatable, intent(out) :: written, wrong
 
-    wrong = ''
-    select case (setting%key%kind)
-    case (whole_key)
-      call read_integer(value, setting%integers(at), wrong)
-      if (wrong /= '') return
-      written = to_text(setting%integers(at))
-      wrong = out_of_bounds(setting%key, real(setting%integers(at), wp))
-      if (setting%integers(at) > setting%key%greatest) &
-        wrong = 'is beyond '//to_text(setting%key%greatest)
-    case (real_key)
-      call read_real(value, setting%reals(at), wrong)
-      if (wrong /= '') return
-      written = to_text(setting%reals(at))
-      wrong = out_of_bounds(setting%key, setting%reals(at))
-    case (logical_key)
-      call read_logical(value, setting%flag, wrong)
-      written = to_text(setting%flag)
-    case default
-      ! Blanks at the end are no part of a text, as everywhere in Fortran, which pads with them.
-      written = ''''//trim(value%text)//''''
-      wrong = wrong_text(setting%key, value)
-      if (wrong == '') setting%text = trim(value%text)
-    end select
+    associate (key => setting%key)
+      select case (key%kind)
+      case (whole_key)
+        call read_whole(value%text, setting%integers(at), wrong)
+        if (value%quoted) wrong = 'is not a whole number'
+        written = to_text(setting%integers(at))
+        if (wrong == '' .and. setting%integers(at) > key%greatest) &
+          wrong = 'is beyond '//to_text(key%greatest)
+        if (wrong == '') wrong = out_of_bounds(key, real(setting%integers(at), wp))
+      case (real_key)
+        call read_decimal(value%text, setting%reals(at), wrong)
+        if (value%quoted) wrong = 'is not a number'
+        written = to_text(setting%reals(at))
+        if (wrong == '') wrong = out_of_bounds(key, setting%reals(at))
+      case (logical_key)
+        call read_logical(value, setting%flag, wrong)
+        written = to_text(setting%flag)
+      case default
+        ! Blanks at the end are no part of a text, as everywhere in Fortran, which pads with them.
+        written = ''''//trim(value%text)//''''
+        wrong = wrong_text(key, value)
+        if (wrong == '') setting%text = trim(value%text)
+      end select
+    end associate
   end subroutine take_value
 
   pure function out_of_bounds(key, number) result(wrong)
@@ -253,9 +258,27 @@ contains
     character(len=:), allocatable :: wrong
 
     wrong = ''
-    if (number < key%least) wrong = 'is too small'
-    if (key%above .and. number <= key%least) wrong = 'is too small'
+    if (number < key%least .or. (key%above .and. number <= key%least)) wrong = 'is too small'
   end function out_of_bounds
+
+  !> True or false, with or without points, whole or as T and F.
+  pure subroutine read_logical(value, flag, wrong)
+    type(value_type), intent(in) :: value
+    logical, intent(out) :: flag
+    character(len=:), allocatable, intent(out) :: wrong
+
+    wrong = ''
+    flag = .false.
+    select case (lower_case(value%text))
+    case ('.true.', 'true', '.t.', 't')
+      flag = .true.
+    case ('.false.', 'false', '.f.', 'f')
+      flag = .false.
+    case default
+      wrong = 'is neither true nor false'
+    end select
+    if (value%quoted) wrong = 'is a text'
+  end subroutine read_logical
 
   pure function wrong_text(key, value) result(wrong)
     type(key_type), intent(in) :: key
@@ -273,7 +296,7 @@ contains
       wrong = 'begins with a blank'
     else if (key%choices /= '') then
       if (value%text == '' .or. index(trim(value%text), ' ') > 0 .or. &
-        index(' '//key%choices//' ', ' '//trim(value%text)//' ') == 0) wrong = 'is not known'
+        index(' '//key%choices, ' '//trim(value%text)//' ') == 0) wrong = 'is not known'
     end if
   end function wrong_text
 
@@ -284,10 +307,9 @@ contains
     integer, parameter :: first_visible = 32, delete = 127
     integer :: at
 
-    yes = .false.
-    do at = 1, len(text)
-      yes = yes .or. iachar(text(at:at)) < first_visible .or. iachar(text(at:at)) == delete
-    end do
+    associate (code => [(iachar(text(at:at)), at=1, len(text))])
+      yes = any(code < first_visible .or. code == delete)
+    end associate
   end function has_control_sign
 
   !> A range has a whole number of values.
@@ -301,28 +323,6 @@ contains
       wrong = 'how many is not a whole number from 1 to '//to_text(longest_range)
   end function wrong_range
 
-  !> Values as they were written, shortened if there are many.
-  pure function written_text(values) result(text)
-    type(value_type), intent(in) :: values(:)
-    character(len=:), allocatable :: text
-    integer, parameter :: shown = 80
-    integer :: at
-
-    text = ''
-    do at = 1, size(values)
-      if (at > 1) text = text//', '
-      if (values(at)%quoted) then
-        text = text//''''//values(at)%text//''''
-      else
-        text = text//values(at)%text
-      end if
-      if (len(text) > shown) then
-        text = text(:shown)//' ...'
-        return
-      end if
-    end do
-  end function written_text
-
   !> Place of a key in the settings, which must have it.
   pure function find_setting(settings, group, name) result(place)
     type(settings_type), intent(in) :: settings
@@ -330,10 +330,66 @@ contains
     character(len=*), intent(in) :: group, name
     integer :: place
 
-    do place = 1, size(settings%all)
-      if (settings%all(place)%key%group == group .and. settings%all(place)%key%name == name) return
-    end do
-    error stop 'a key is asked for that is not declared'
+    place = find_key(settings%all%key, group, name)
+    if (place == 0) error stop 'a key is asked for that is not declared'
   end function find_setting
+
+  pure subroutine take_one(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    class(*), intent(inout) :: value
+
+    call take_at(settings%all(find_setting(settings, group, name)), 1, value)
+  end subroutine take_one
+
+  pure subroutine take_two(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    class(*), intent(inout) :: value(2)
+
+    associate (setting => settings%all(find_setting(settings, group, name)))
+      call take_at(setting, 1, value(1))
+      call take_at(setting, size(setting%integers) + size(setting%reals), value(2))
+    end associate
+  end subroutine take_two
+
+  !> Takes value number `at` of a setting.
+  pure subroutine take_at(setting, at, value)
+    type(setting_type), intent(in) :: setting
+    integer, intent(in) :: at
+    class(*), intent(inout) :: value
+
+    if (.not. setting%known) return
+    select type (value)
+    type is (integer(int32))
+      value = int(setting%integers(at))
+    type is (integer(int64))
+      value = setting%integers(at)
+    type is (real(wp))
+      value = setting%reals(at)
+    type is (logical)
+      value = setting%flag
+    class default
+      error stop 'no key has a value of this type'
+    end select
+  end subroutine take_at
+
+  !> Takes all values of a key of numbers, `name` in its `group`, as `value`.
+  pure subroutine take_list(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    real(wp), allocatable, intent(inout) :: value(:)
+
+    value = settings%all(find_setting(settings, group, name))%reals
+  end subroutine take_list
+
+  !> Takes the text of a key, `name` in its `group`, as `value`.
+  pure subroutine take_text(settings, group, name, value)
+    type(settings_type), intent(in) :: settings
+    character(len=*), intent(in) :: group, name
+    character(len=:), allocatable, intent(inout) :: value
+
+    value = settings%all(find_setting(settings, group, name))%text
+  end subroutine take_text
 
 end module battery_settings

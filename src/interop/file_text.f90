@@ -76,8 +76,8 @@ contains
       call fatal_error(error, path//': cannot be read: '//system_message())
       return
     end if
-    deallocate (text)
-    allocate (character(len=max(least_room, min(c_size_of(descriptor) + 1, most))) :: text)
+    allocate (character(len=max(least_room, min(c_size_of(descriptor) + 1, most))) :: larger)
+    call move_alloc(larger, text)
     filled = 0
     do
       if (filled == len(text, int64)) then

@@ -6,8 +6,8 @@ module battery_namelist_input
   use battery_text, only: to_text, new_line_character
   use battery_table, only: gated, ungated
   use battery_remarks, only: add_remark, remarks_text, shown_text
-  use battery_settings, only: settings_type, setting_type, read_settings, find_setting
-  use battery_taking, only: take, take_list
+  use battery_settings, only: settings_type, setting_type, read_settings, find_setting, take, &
+    take_list, take_text
   use battery_key, only: key_type, whole_key
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
@@ -60,7 +60,7 @@ contains
     type(plan_type), intent(inout) :: plan
 
     associate (base => plan%base)
-      call take(settings, 'table', 'shape', plan%shape)
+      call take_text(settings, 'table', 'shape', plan%shape)
       call take(settings, 'table', 'urn_radius', base%urn_radius)
       call take(settings, 'table', 'channel1_width', base%channel(gated)%width)
       call take(settings, 'table', 'channel1_length', base%channel(gated)%length)
@@ -80,8 +80,8 @@ contains
     type(plan_type), intent(inout) :: plan
 
     call take(settings, 'particles', 'seed', plan%seed)
-    call take(settings, 'particles', 'initial_file', plan%initial_file)
-    call take(settings, 'run', 'engine', plan%engine)
+    call take_text(settings, 'particles', 'initial_file', plan%initial_file)
+    call take_text(settings, 'run', 'engine', plan%engine)
     call take(settings, 'run', 'collisions', plan%collisions)
     call take(settings, 'run', 'transient_collisions', plan%transient_collisions)
     call take(settings, 'run', 'duration', plan%duration)
@@ -89,7 +89,7 @@ contains
     call take(settings, 'run', 'start_time', plan%start_time)
     call take(settings, 'run', 'time_step', plan%time_step)
     call take(settings, 'scan', 'replicas', plan%replicas)
-    call take(settings, 'output', 'file', plan%file)
+    call take_text(settings, 'output', 'file', plan%file)
     call take(settings, 'output', 'series_interval', plan%series_interval)
     call take_list(settings, 'output', 'snapshot_times', plan%snapshot_times)
     call take(settings, 'output', 'event_log', plan%event_log)
@@ -109,12 +109,12 @@ contains
     do at = 1, size(settings%all) - 1
       ! A list stands before its range.
       if (settings%all(at)%key%group /= 'scan' .or. .not. settings%all(at + 1)%key%is_range) cycle
-      one%key = settings%all(at)%key%name
+      one%key = trim(settings%all(at)%key%name)
       if (settings%all(at)%given .and. settings%all(at + 1)%given) then
         call refuse_range('is given beside '//one%key, 'one of the two')
       else if (settings%all(at)%given .and. settings%all(at)%known) then
         one%values = values_of(settings%all(at))
-        call append(one)
+        plan%scanned = [plan%scanned, one]
       else if (settings%all(at + 1)%given .and. settings%all(at + 1)%known) then
         one%values = range_of(settings%all(at + 1), settings%all(at)%key%kind == whole_key)
         if (settings%all(at)%key%kind == whole_key .and. &
@@ -122,7 +122,7 @@ contains
           call refuse_range(to_text(maxval(one%values)), 'numbers up to ' &
             //to_text(settings%all(at)%key%greatest))
         else
-          call append(one)
+          plan%scanned = [plan%scanned, one]
         end if
       end if
     end do
@@ -135,24 +135,11 @@ contains
 
       ! One by one: gfortran 12 loses a component's text in a structure constructor.
       problem%group = 'scan'
-      problem%key = settings%all(at + 1)%key%name
+      problem%key = trim(settings%all(at + 1)%key%name)
       problem%value = value
       problem%allowed = allowed
       call add_problem(settings, problem)
     end subroutine refuse_range
-
-    subroutine append(one)
-      type(scanned_type), intent(in) :: one
-      type(scanned_type), allocatable :: more(:)
-      integer :: k
-
-      allocate (more(size(plan%scanned) + 1))
-      do k = 1, size(plan%scanned)
-        more(k) = plan%scanned(k)
-      end do
-      more(size(more)) = one
-      call move_alloc(more, plan%scanned)
-    end subroutine append
 
   end subroutine fill_scan
 
@@ -225,7 +212,7 @@ contains
     joint = ' = '
     if (index(problem%value, 'is ') == 1) joint = ' '
     call add_remark(settings%problems, line, '&'//problem%group//' ' &
-      //settings%all(place)%key%name//joint//problem%value//'; allowed: '//problem%allowed)
+      //trim(settings%all(place)%key%name)//joint//problem%value//'; allowed: '//problem%allowed)
   end subroutine add_problem
 
   !> One error from all problems, in the order of the lines; none if there are none.
@@ -256,7 +243,7 @@ contains
       if (.not. now%all(at)%key%decides) cycle
       if (before%all(at)%canonical == now%all(at)%canonical) cycle
       if (text /= '') text = text//new_line_character
-      text = text//'&'//now%all(at)%key%group//' '//now%all(at)%key%name//': was ' &
+      text = text//'&'//trim(now%all(at)%key%group)//' '//trim(now%all(at)%key%name)//': was ' &
         //value_text(before%all(at)%canonical)//', is '//value_text(now%all(at)%canonical)
     end do
   end function differing_keys
