@@ -68,9 +68,10 @@ contains
         [4*observer%entries])
       allocate (found%events(0), found%event_times(0))
       if (events%count > 0) then
-        found%events = [events%kind(:events%count), events%where(:events%count), &
-          events%particle(:events%count)]
-        found%event_times = real(events%time(:events%count), dp)
+        associate (event => events%event(:events%count))
+          found%events = [event%kind, event%where, event%particle]
+          found%event_times = real(event%time, dp)
+        end associate
       end if
     end associate
     ! A run by collisions may end before the time of a snapshot.

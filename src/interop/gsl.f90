@@ -1,17 +1,18 @@
-!> Random numbers from the GNU Scientific Library, with seeds of 64 bits.
+!> Random numbers from the GNU Scientific Library, with seeds of 64 bits; and its sort.
 !>
 !> GSL's generators take 32 bits. So there are two of different kind, `mt19937` (Matsumoto and
 !> Nishimura, ACM TOMACS 8, 3 (1998), doi:10.1145/272991.272995) and `cmrg` (L'Ecuyer, Operations
 !> Research 44, 816 (1996), doi:10.1287/opre.44.5.816), each with half of the seed, whose numbers
 !> are added modulo one: uniform if either of them is.
 module battery_gsl
-  use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_double, c_int64_t, c_associated
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_double, c_int64_t, c_size_t, &
+    c_associated
   use battery_c_shapes, only: action_on_address
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
   implicit none (type, external)
   private
-  public :: generator_type, new_generator, free_generator, uniform
+  public :: generator_type, new_generator, free_generator, uniform, sort_order
 
   !> One stream of random numbers; copies share the stream.
   type :: generator_type
@@ -33,6 +34,16 @@ module battery_gsl
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: handle
     end function c_uniform
+
+    !> The places, from 0 on, of `count` numbers in the order in which they grow, each `stride`
+    !> behind the one before.
+    subroutine sort_order(order, numbers, stride, count) bind(c, name='gsl_sort_index')
+      import :: c_double, c_size_t
+      implicit none (type, external)
+      integer(c_size_t), value, intent(in) :: stride, count
+      integer(c_size_t), intent(out) :: order(count)
+      real(c_double), intent(in) :: numbers(*)
+    end subroutine sort_order
   end interface
 
 contains

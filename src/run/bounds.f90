@@ -9,14 +9,14 @@ module battery_bounds
   use battery_table, only: table_type, area, perimeter, arc_length, longest_run
   implicit none (type, external)
   private
-  public :: bounds_type, radius_bounds, length_bounds, width_bounds, time_bounds, clock_bounds
-  public :: whole_of, complaint, can_count_hits
+  public :: bounds_type, bounds_text, can_count_hits, of_powers, of_lengths, of_widths, of_times, &
+    of_clocks
 
   !> The least share of the longest length that another may be: 4096 steps of the coordinates.
-  real(wp), parameter :: finest = 4096.0_wp*epsilon(1.0_wp)
+  real(wp), parameter, public :: finest = 4096.0_wp*epsilon(1.0_wp)
 
   !> Fourth powers of lengths up to here, and one over them, are numbers.
-  real(wp), parameter :: greatest_radius = 2.0_wp**(maxexponent(1.0_wp)/4)
+  real(wp), parameter, public :: greatest_radius = 2.0_wp**(maxexponent(1.0_wp)/4)
 
   !> Visits in which an urn is hit this many times as often as in the mean are counted, too.
   real(wp), parameter :: longest_visit = 64.0_wp
@@ -33,77 +33,12 @@ module battery_bounds
 
 contains
 
-  !> Bounds of the radius of an urn.
-  pure function radius_bounds() result(bounds)
-    type(bounds_type) :: bounds
-
-    bounds = bounds_type(1.0_wp/greatest_radius, greatest_radius, of_powers)
-  end function radius_bounds
-
-  !> Bounds of the length of a channel beside an urn, and beside the other channel, `other` long
-  !> (0: closed).
-  pure function length_bounds(radius, other) result(bounds)
-    !> Of the urn; both in the unit of length.
-    real(wp), intent(in) :: radius, other
-    type(bounds_type) :: bounds
-
-    bounds = bounds_type(finest*max(radius, other), radius/finest, of_lengths)
-  end function length_bounds
-
-  !> Bounds of the width of a channel, on a table whose longest other length is `longest`. Close
-  !> to the diameter the arcs and the area that are left lose their digits in the same way.
-  pure function width_bounds(radius, longest) result(bounds)
-    !> Of the urn; both in the unit of length.
-    real(wp), intent(in) :: radius, longest
-    type(bounds_type) :: bounds
-
-    bounds = bounds_type(finest*longest, (2.0_wp - finest)*radius, of_widths)
-  end function width_bounds
-
-  !> Bounds of a length of time on a table whose longest length is `longest`.
-  pure function time_bounds(radius, longest) result(bounds)
-    !> Of the urn; both in the unit of length.
-    real(wp), intent(in) :: radius, longest
-    type(bounds_type) :: bounds
-
-    bounds = bounds_type(finest*longest, longest_run*radius, of_times)
-  end function time_bounds
-
-  !> Bounds of a time that the clock shows.
-  pure function clock_bounds(radius) result(bounds)
-    !> Of the urn, in the unit of length.
-    real(wp), intent(in) :: radius
-    type(bounds_type) :: bounds
-
-    bounds = bounds_type(0.0_wp, longest_run*radius, of_clocks)
-  end function clock_bounds
-
-  !> The longest time below `whole` that what is left after it can be told from nothing.
-  elemental function whole_of(whole) result(part)
-    real(wp), intent(in) :: whole
-    real(wp) :: part
-
-    part = (1.0_wp - finest)*whole
-  end function whole_of
-
-  !> What is allowed instead of `value`; empty if it is within its bounds.
-  pure function complaint(value, bounds) result(allowed)
-    real(wp), intent(in) :: value
+  !> What bounds allow, and what they follow from.
+  pure function bounds_text(bounds) result(text)
     type(bounds_type), intent(in) :: bounds
-    character(len=:), allocatable :: allowed
-
-    allowed = ''
-    if (value >= bounds%least .and. value <= bounds%most) return
-    allowed = 'from '//to_text(bounds%least)//' to '//to_text(bounds%most)//', ' &
-      //reason_text(bounds%reason)
-  end function complaint
-
-  !> What bounds follow from, in words.
-  pure function reason_text(reason) result(text)
-    integer, intent(in) :: reason
     character(len=:), allocatable :: text
 
-    select case (reason)
+    select case (bounds%reason)
     case (of_lengths)
       text = 'so that '//to_text(finest) &
         //' of the longest of urn_radius and the channels'' lengths is no longer than the shortest'
@@ -118,7 +53,8 @@ contains
     case default
       text = 'whose powers are still numbers'
     end select
-  end function reason_text
+    text = 'from '//to_text(bounds%least)//' to '//to_text(bounds%most)//', '//text
+  end function bounds_text
 
   !> Whether the wall hits of `number` particles in the time `duration` (0: not known), those of the
   !> visits under way included, are fewer than a whole number can count.

@@ -7,11 +7,17 @@ module battery_event_log
   private
   public :: event_log_type, append_events, pass_events
 
-  !> The event log of a run: times since its start; kinds, places and particles as in the engine.
+  !> An event: its time since the start of the run; kind, place and particle as in the engine.
+  type :: event_type
+    real(wp) :: time
+    integer(int32) :: kind, where, particle
+  end type event_type
+
+  !> The event log of a run.
   type :: event_log_type
+    !> The first `count` count.
     integer :: count = 0
-    real(wp), allocatable :: time(:)
-    integer(int32), allocatable :: kind(:), where(:), particle(:)
+    type(event_type), allocatable :: event(:)
   end type event_log_type
 
 contains
@@ -24,46 +30,24 @@ contains
     real(wp), intent(in) :: elapsed
     !> Set if there is no memory for them; then the log stays as it is.
     logical, intent(inout) :: out_of_room
-    integer :: total
+    type(event_type), allocatable :: longer(:)
+    integer :: total, status, k
 
-    if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), &
-      log%particle(0))
+    if (.not. allocated(log%event)) allocate (log%event(0))
     total = log%count + history%events
-    if (total > size(log%time)) call lengthen_log(log, max(total, 2*size(log%time), 1024), &
-      out_of_room)
-    if (out_of_room) return
-    log%time(log%count + 1:total) = elapsed + history%event_time(:history%events)
-    log%kind(log%count + 1:total) = history%event_kind(:history%events)
-    log%where(log%count + 1:total) = history%event_where(:history%events)
-    log%particle(log%count + 1:total) = history%event_particle(:history%events)
+    if (total > size(log%event)) then
+      allocate (longer(max(total, 2*size(log%event), 1024)), stat=status)
+      out_of_room = out_of_room .or. status /= 0
+      if (out_of_room) return
+      longer(:log%count) = log%event(:log%count)
+      call move_alloc(longer, log%event)
+    end if
+    do k = 1, history%events
+      log%event(log%count + k) = event_type(elapsed + history%event_time(k), &
+        history%event_kind(k), history%event_where(k), history%event_particle(k))
+    end do
     log%count = total
   end subroutine append_events
-
-  !> Makes room in the event log for so many events, if there is memory for it.
-  subroutine lengthen_log(log, room, out_of_room)
-    type(event_log_type), intent(inout) :: log
-    integer, intent(in) :: room
-    logical, intent(inout) :: out_of_room
-    type(event_log_type) :: longer
-    integer :: status
-
-    allocate (longer%time(room), stat=status)
-    if (status == 0) allocate (longer%kind(room), stat=status)
-    if (status == 0) allocate (longer%where(room), stat=status)
-    if (status == 0) allocate (longer%particle(room), stat=status)
-    if (status /= 0) then
-      out_of_room = .true.
-      return
-    end if
-    longer%time(:log%count) = log%time(:log%count)
-    longer%kind(:log%count) = log%kind(:log%count)
-    longer%where(:log%count) = log%where(:log%count)
-    longer%particle(:log%count) = log%particle(:log%count)
-    call move_alloc(longer%time, log%time)
-    call move_alloc(longer%kind, log%kind)
-    call move_alloc(longer%where, log%where)
-    call move_alloc(longer%particle, log%particle)
-  end subroutine lengthen_log
 
   !> The event log so far.
   subroutine pass_events(log, stream)
@@ -73,12 +57,11 @@ contains
 
     call stream%pass('events', log%count)
     if (stream%failed() .or. log%count == 0) return
-    if (stream%reading) allocate (log%time(log%count), log%kind(log%count), log%where(log%count), &
-      log%particle(log%count))
-    call stream%pass('event_time', log%time(:log%count))
-    call stream%pass('event_kind', log%kind(:log%count))
-    call stream%pass('event_where', log%where(:log%count))
-    call stream%pass('event_particle', log%particle(:log%count))
+    if (stream%reading) allocate (log%event(log%count))
+    call stream%pass('event_time', log%event(:log%count)%time)
+    call stream%pass('event_kind', log%event(:log%count)%kind)
+    call stream%pass('event_where', log%event(:log%count)%where)
+    call stream%pass('event_particle', log%event(:log%count)%particle)
   end subroutine pass_events
 
 end module battery_event_log

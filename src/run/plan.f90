@@ -12,12 +12,12 @@ module battery_plan
   use battery_table, only: table_type, channel_type, new_table, shape_circuit, shape_urn, gated, &
     ungated
   use battery_engine, only: particles_type
-  use battery_simulation, only: setup_type
+  use battery_simulation, only: run_type, setup_type
   use battery_identity, only: identity_of
   implicit none (type, external)
   private
   public :: plan_type, point_type, scanned_type, problem_type, complete_plan
-  public :: point_of, table_of, setup_of, is_scanned, rounded
+  public :: point_of, table_of, setup_of, is_scanned, values_of, rounded
 
   !> Value of whole numbers and shares that were not given.
   integer, parameter :: not_given = -1
@@ -47,9 +47,8 @@ module battery_plan
     character(len=:), allocatable :: group, key, value, allowed
   end type problem_type
 
-  !> Components are named like the keys of the namelist, lengths in units of choice, and times in
-  !> lengths over the speed.
-  type :: plan_type
+  !> Components are named like the keys of the namelist; lengths in units of choice.
+  type, extends(run_type) :: plan_type
     !> The whole input, and the file it came from.
     character(len=:), allocatable :: text, input_file
     character(len=:), allocatable :: shape
@@ -62,19 +61,9 @@ module battery_plan
     character(len=:), allocatable :: initial_file
     !> What the initial file says; without one, no arrays.
     type(particles_type) :: start
-    character(len=:), allocatable :: engine
-    integer(int64) :: collisions = 0
-    !> Negative: half of the collisions.
-    integer(int64) :: transient_collisions = not_given
-    real(wp) :: duration = 0.0_wp, transient_duration = 0.0_wp
-    real(wp) :: start_time = 0.0_wp
-    !> Step of the engine `timestep`; 0: not given.
-    real(wp) :: time_step = 0.0_wp
     !> Where the results go.
     character(len=:), allocatable :: file
-    real(wp) :: series_interval = 0.0_wp
-    real(wp), allocatable :: snapshot_times(:)
-    logical :: event_log = .false., final_state = .false.
+    logical :: final_state = .false.
     real(wp) :: wall_minutes = 0.0_wp, checkpoint_minutes = 0.0_wp
     !> Points of the scan, from `complete_plan`; 0 if there are problems.
     integer :: point_count = 0
@@ -100,13 +89,23 @@ contains
     !> Its name.
     character(len=*), intent(in) :: key
     logical :: yes
+
+    yes = size(values_of(plan, key)) > 0
+  end function is_scanned
+
+  !> The values of a key that is scanned; none if it is not.
+  pure function values_of(plan, key) result(values)
+    type(plan_type), intent(in) :: plan
+    !> Its name.
+    character(len=*), intent(in) :: key
+    real(wp), allocatable :: values(:)
     integer :: at
 
-    yes = .false.
+    allocate (values(0))
     do at = 1, size(plan%scanned)
-      yes = yes .or. plan%scanned(at)%key == key
+      if (plan%scanned(at)%key == key) values = plan%scanned(at)%values
     end do
-  end function is_scanned
+  end function values_of
 
   !> Point `number` of the scan, from 1 to `plan%point_count`, with threshold and urn1_number as
   !> they follow from shares and defaults.
@@ -196,18 +195,9 @@ contains
     type(point_type) :: at
 
     at = point_of(plan, point)
-    setup%engine = plan%engine
+    setup%run_type = plan%run_type
     setup%table = table_of(plan, at)
     setup%threshold = at%threshold
-    setup%collisions = plan%collisions
-    setup%transient_collisions = plan%transient_collisions
-    setup%duration = plan%duration
-    setup%transient_duration = plan%transient_duration
-    setup%start_time = plan%start_time
-    setup%time_step = plan%time_step
-    setup%series_interval = plan%series_interval
-    setup%snapshot_times = plan%snapshot_times
-    setup%event_log = plan%event_log
     setup%seed = identity_of(setup, at%number, at%urn1_number, plan%initial_fingerprint, &
       plan%seed, replica)
   end function setup_of

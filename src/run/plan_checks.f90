@@ -1,9 +1,13 @@
 !> How the parts of a plan fit together.
 submodule (battery_plan) battery_plan_checks
+  use, intrinsic :: iso_c_binding, only: c_size_t
+  use battery_kinds, only: dp
   use battery_text, only: to_text
+  use battery_gsl, only: sort_order
+  use battery_table, only: longest_run
   use battery_identity, only: twelve_digits
-  use battery_bounds, only: bounds_type, radius_bounds, length_bounds, width_bounds, time_bounds, &
-    clock_bounds, complaint, whole_of, can_count_hits
+  use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
+    of_powers, of_lengths, of_widths, of_times, of_clocks
   implicit none (type, external)
 
 contains
@@ -59,8 +63,8 @@ contains
     end if
     if (plan%initial_file /= '') then
       call refuse_scan('urn1_fraction', '&particles initial_file is given')
-      if (values_of(plan, 'number') > 1) call add(problems, 'scan', 'number', &
-        to_text(values_of(plan, 'number'))//' numbers', &
+      if (size(values_of(plan, 'number')) > 1) call add(problems, 'scan', 'number', &
+        to_text(size(values_of(plan, 'number')))//' numbers', &
         'one, since &particles initial_file is given')
     end if
 
@@ -75,26 +79,14 @@ contains
 
   end subroutine check_given
 
-  !> How many values of a key are scanned; 0: it is not.
-  pure function values_of(plan, key) result(count)
-    type(plan_type), intent(in) :: plan
-    character(len=*), intent(in) :: key
-    integer :: count
-    integer :: at
-
-    count = 0
-    do at = 1, size(plan%scanned)
-      if (plan%scanned(at)%key == key) count = size(plan%scanned(at)%values)
-    end do
-  end function values_of
-
   !> The run is longer than its transient, and its engine has a step if it needs one.
   pure subroutine check_length(plan, problems)
     type(plan_type), intent(in) :: plan
     type(problem_type), allocatable, intent(inout) :: problems(:)
 
     if (plan%duration > 0.0_wp) then
-      if (plan%transient_duration > whole_of(plan%duration)) &
+      ! What is left after it must be told from nothing.
+      if (plan%transient_duration > (1.0_wp - finest)*plan%duration) &
         call add(problems, 'run', 'transient_duration', to_text(plan%transient_duration), &
         'below duration, which is '//to_text(plan%duration))
     else
@@ -150,14 +142,15 @@ contains
   subroutine check_repeats(plan, problems)
     type(plan_type), intent(in) :: plan
     type(problem_type), allocatable, intent(inout) :: problems(:)
-    real(wp), allocatable :: values(:), numbers(:)
+    real(wp), allocatable :: values(:), numbers(:), widths(:)
     integer :: at, k, again
 
-    numbers = [real(plan%base%number, wp)]
-    if (plan%base%number == not_given) numbers = [real(wp) ::]
-    do at = 1, size(plan%scanned)
-      if (plan%scanned(at)%key == 'number') numbers = plan%scanned(at)%values
-    end do
+    numbers = values_of(plan, 'number')
+    if (size(numbers) == 0 .and. plan%base%number /= not_given) &
+      numbers = [real(plan%base%number, wp)]
+    ! A channel that is closed has no length.
+    widths = values_of(plan, 'channel2_width')
+    if (size(widths) == 0) widths = [plan%base%channel(ungated)%width]
     do at = 1, size(plan%scanned)
       values = plan%scanned(at)%values
       again = first_repeat(values)
@@ -167,26 +160,12 @@ contains
           if (again > 0) exit
         end do
       end if
-      ! A channel that is closed has no length.
       if (plan%scanned(at)%key == 'channel2_length' .and. size(values) > 1 .and. &
-        may_be_closed(plan)) again = 2
+        any(.not. widths > 0.0_wp)) again = 2
       if (again > 0) call add(problems, 'scan', plan%scanned(at)%key, to_text(values(again)), &
         'every point once; this value makes one that is there already')
     end do
   end subroutine check_repeats
-
-  !> Whether channel 2 is closed at some point.
-  pure function may_be_closed(plan) result(closed)
-    type(plan_type), intent(in) :: plan
-    logical :: closed
-    integer :: at
-
-    closed = .not. plan%base%channel(ungated)%width > 0.0_wp
-    do at = 1, size(plan%scanned)
-      if (plan%scanned(at)%key == 'channel2_width') &
-        closed = any(.not. plan%scanned(at)%values > 0.0_wp)
-    end do
-  end function may_be_closed
 
   !> Place of the first value that stands in a list before; 0 if there is none. Numbers are equal
   !> where those of tasks are (`battery_identity`).
@@ -194,66 +173,34 @@ contains
     real(wp), intent(in) :: values(:)
     integer :: place
     real(wp) :: known(size(values))
-    integer :: order(size(values)), k
+    integer(c_size_t) :: order(size(values)), k
 
     known = twelve_digits(values)
-    call sort(known, order)
+    call sort_order(order, real(known, dp), 1_c_size_t, size(order, kind=c_size_t))
+    order = order + 1
     place = huge(1)
     do k = 2, size(order)
-      if (known(order(k)) <= known(order(k - 1))) place = min(place, max(order(k), order(k - 1)))
+      if (known(order(k)) <= known(order(k - 1))) &
+        place = min(place, int(max(order(k), order(k - 1))))
     end do
     if (place == huge(1)) place = 0
   end function first_repeat
-
-  !> The order in which values grow (a heap sort: a list may have 1e5).
-  subroutine sort(values, order)
-    real(wp), intent(in) :: values(:)
-    integer, intent(out) :: order(size(values))
-    integer :: last, at, moved
-
-    order = [(at, at=1, size(values))]
-    do at = size(values)/2, 1, -1
-      call sift(at, size(values))
-    end do
-    do last = size(values), 2, -1
-      moved = order(1)
-      order(1) = order(last)
-      order(last) = moved
-      call sift(1, last - 1)
-    end do
-
-  contains
-
-    subroutine sift(top, last)
-      integer, intent(in) :: top, last
-      integer :: at, child, kept
-
-      at = top
-      kept = order(at)
-      do while (2*at <= last)
-        child = 2*at
-        if (child < last) then
-          if (values(order(child + 1)) > values(order(child))) child = child + 1
-        end if
-        if (values(order(child)) <= values(kept)) exit
-        order(at) = order(child)
-        at = child
-      end do
-      order(at) = kept
-    end subroutine sift
-
-  end subroutine sort
 
   !> What is wrong with one point: lengths, times, numbers of particles.
   subroutine check_point(plan, point, problems)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
     type(problem_type), allocatable, intent(inout) :: problems(:)
+    real(wp) :: radii(2), longest
     integer :: before
 
     before = size(problems)
-    call check_lengths(plan, point, problems)
-    if (size(problems) == before) call check_times(plan, point, problems)
+    radii = [minval(point%urn_radius), maxval(point%urn_radius)]
+    if (plan%shape == 'urn') radii = point%urn_radius(1)
+    longest = max(point%channel(gated)%length, open_length(point))
+    call check_lengths(plan, point, radii, longest, problems)
+    if (size(problems) == before) &
+      call check_times(plan, point, radii(1), max(radii(2), longest), problems)
     if (point%urn1_fraction > 1.0_wp) call add(problems, group_of(plan, 'particles', &
       'urn1_fraction'), 'urn1_fraction', to_text(point%urn1_fraction), 'numbers from 0 to 1')
     if (point%number == not_given .or. size(problems) > before) return
@@ -281,24 +228,22 @@ contains
   end function group_of
 
   !> Openings must fit into the urns, and no length may be lost beside another.
-  subroutine check_lengths(plan, point, problems)
+  subroutine check_lengths(plan, point, radii, longest, problems)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
+    !> The least and the greatest; length of the longest channel that is open.
+    real(wp), intent(in) :: radii(2), longest
     type(problem_type), allocatable, intent(inout) :: problems(:)
-    real(wp) :: radii(2)
-    integer :: before, urns
+    integer :: before
 
     before = size(problems)
-    urns = merge(1, 2, plan%shape == 'urn')
-    radii = [minval(point%urn_radius(:urns)), maxval(point%urn_radius(:urns))]
-    call check_range(plan, 'table', 'urn_radius', radii(1), radius_bounds(), problems)
+    call check_range(plan, 'table', 'urn_radius', radii(1), bounds_type(1.0_wp/greatest_radius, &
+      greatest_radius, of_powers), problems)
     if (size(problems) > before) return
-    call check_range(plan, 'table', 'urn_radius', radii(2), length_bounds(radii(1), &
-      longest_channel(point)), problems)
-    call check_range(plan, 'table', 'channel1_length', point%channel(gated)%length, &
-      length_bounds(radii(1), open_length(point)), problems)
-    if (open_length(point) > 0.0_wp) call check_range(plan, 'table', 'channel2_length', &
-      point%channel(ungated)%length, length_bounds(radii(1), point%channel(gated)%length), problems)
+    call check_beside('urn_radius', radii(2), longest)
+    call check_beside('channel1_length', point%channel(gated)%length, open_length(point))
+    if (open_length(point) > 0.0_wp) call check_beside('channel2_length', &
+      point%channel(ungated)%length, point%channel(gated)%length)
     ! Beside a length that is not allowed, no other makes sense.
     if (size(problems) > before) return
     call check_width('channel1_width', point%channel(gated)%width)
@@ -306,6 +251,16 @@ contains
 
   contains
 
+    !> Beside an urn, and beside another length (0: there is none).
+    subroutine check_beside(key, length, other)
+      character(len=*), intent(in) :: key
+      real(wp), intent(in) :: length, other
+
+      call check_range(plan, 'table', key, length, bounds_type(finest*max(radii(1), other), &
+        radii(1)/finest, of_lengths), problems)
+    end subroutine check_beside
+
+    !> Close to the diameter the arcs and the area that are left lose their digits as well.
     subroutine check_width(key, width)
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: width
@@ -314,42 +269,48 @@ contains
         call add(problems, group_of(plan, 'table', key), key, to_text(width), &
           'below 2 urn_radius, which is '//to_text(2.0_wp*radii(1)))
       else if (width > 0.0_wp) then
-        call check_range(plan, 'table', key, width, width_bounds(radii(1), max(radii(2), &
-          longest_channel(point))), problems)
+        call check_range(plan, 'table', key, width, bounds_type(finest*max(radii(2), longest), &
+          (2.0_wp - finest)*radii(1), of_widths), problems)
       end if
     end subroutine check_width
 
   end subroutine check_lengths
 
   !> The clock must resolve the table, and the table the times.
-  pure subroutine check_times(plan, point, problems)
+  subroutine check_times(plan, point, radius, longest, problems)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
+    !> The least radius, and the longest length of the table.
+    real(wp), intent(in) :: radius, longest
     type(problem_type), allocatable, intent(inout) :: problems(:)
-    type(bounds_type) :: bounds
-    real(wp) :: radius, longest
-    integer :: urns
+    type(bounds_type) :: clock
+    real(wp) :: step
 
-    urns = merge(1, 2, plan%shape == 'urn')
-    radius = minval(point%urn_radius(:urns))
-    bounds = time_bounds(radius, max(maxval(point%urn_radius(:urns)), longest_channel(point)))
-    if (plan%duration > 0.0_wp) call check_range(plan, 'run', 'duration', plan%duration, bounds, &
-      problems)
-    if (plan%series_interval > 0.0_wp) call check_range(plan, 'output', 'series_interval', &
-      plan%series_interval, bounds, problems)
-    if (plan%time_step > 0.0_wp) then
-      call check_range(plan, 'run', 'time_step', plan%time_step, bounds, problems)
-      ! A step that cannot jump over a gate or out of an urn.
-      longest = min(radius, 0.5_wp*point%channel(gated)%length)
-      if (plan%shape /= 'urn') longest = min(longest, 0.5_wp*point%channel(ungated)%length)
-      if (plan%engine == 'timestep' .and. plan%time_step >= longest) &
-        call add(problems, 'run', 'time_step', to_text(plan%time_step), 'below ' &
-        //to_text(longest)//', the least of urn_radius and half of each channel''s length')
-    end if
-    bounds = clock_bounds(radius)
-    call check_range(plan, 'run', 'start_time', plan%start_time, bounds, problems)
+    call check_time('run', 'duration', plan%duration)
+    call check_time('output', 'series_interval', plan%series_interval)
+    call check_time('run', 'time_step', plan%time_step)
+    ! A step that cannot jump over a gate or out of an urn.
+    step = min(radius, 0.5_wp*point%channel(gated)%length)
+    if (plan%shape /= 'urn') step = min(step, 0.5_wp*point%channel(ungated)%length)
+    if (plan%engine == 'timestep' .and. plan%time_step >= step) &
+      call add(problems, 'run', 'time_step', to_text(plan%time_step), 'below ' &
+      //to_text(step)//', the least of urn_radius and half of each channel''s length')
+    clock = bounds_type(0.0_wp, longest_run*radius, of_clocks)
+    call check_range(plan, 'run', 'start_time', plan%start_time, clock, problems)
     if (size(plan%snapshot_times) > 0) call check_range(plan, 'output', 'snapshot_times', &
-      maxval(plan%snapshot_times), bounds, problems)
+      maxval(plan%snapshot_times), clock, problems)
+
+  contains
+
+    !> A length of time; 0: there is none.
+    subroutine check_time(group, key, time)
+      character(len=*), intent(in) :: group, key
+      real(wp), intent(in) :: time
+
+      if (time > 0.0_wp) call check_range(plan, group, key, time, bounds_type(finest*longest, &
+        longest_run*radius, of_times), problems)
+    end subroutine check_time
+
   end subroutine check_times
 
   !> A value within its bounds.
@@ -360,8 +321,8 @@ contains
     type(bounds_type), intent(in) :: bounds
     type(problem_type), allocatable, intent(inout) :: problems(:)
 
-    if (complaint(value, bounds) /= '') call add(problems, group_of(plan, group, key), key, &
-      to_text(value), complaint(value, bounds))
+    if (.not. (value >= bounds%least .and. value <= bounds%most)) &
+      call add(problems, group_of(plan, group, key), key, to_text(value), bounds_text(bounds))
   end subroutine check_range
 
   !> Length of channel 2, or 0 if it is closed.
@@ -371,14 +332,6 @@ contains
 
     length = merge(point%channel(ungated)%length, 0.0_wp, point%channel(ungated)%width > 0.0_wp)
   end function open_length
-
-  !> The longer of the open channels.
-  pure function longest_channel(point) result(length)
-    type(point_type), intent(in) :: point
-    real(wp) :: length
-
-    length = max(point%channel(gated)%length, open_length(point))
-  end function longest_channel
 
   !> One more problem.
   pure subroutine add(problems, group, key, value, allowed)

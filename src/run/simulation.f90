@@ -20,27 +20,33 @@ module battery_simulation
     bytes_an_event
   implicit none (type, external)
   private
-  public :: setup_type, simulation_type, begin_simulation, step, progress, verify
+  public :: run_type, setup_type, simulation_type, begin_simulation, step, progress, verify
   public :: pass_simulation
 
-  !> What is simulated; the particles come apart from it.
-  type :: setup_type
+  !> What all simulations of a run have in common. Components are named like the keys of the
+  !> namelist; times in lengths over the speed.
+  type :: run_type
     character(len=:), allocatable :: engine
-    type(table_type) :: table
-    !> Of the gates of urn 1 and 2.
-    integer :: threshold(2) = 0
-    !> Length of the run and of its transient in wall collisions, or, if `duration` > 0, in time.
-    integer(int64) :: collisions = 0, transient_collisions = 0
+    !> Length of the run and of its transient (negative: half of it) in wall collisions, or, if
+    !> `duration` > 0, in time.
+    integer(int64) :: collisions = 0, transient_collisions = -1
     real(wp) :: duration = 0.0_wp, transient_duration = 0.0_wp
     real(wp) :: start_time = 0.0_wp
-    !> Step of the engine `timestep`.
+    !> Step of the engine `timestep`; 0: not given.
     real(wp) :: time_step = 0.0_wp
-    !> Seed of engines that draw random numbers.
-    integer(int64) :: seed = 0
     real(wp) :: series_interval = 0.0_wp
     !> Times since the start, ascending, at which positions and velocities are kept.
     real(wp), allocatable :: snapshot_times(:)
     logical :: event_log = .false.
+  end type run_type
+
+  !> What is simulated; the particles come apart from it.
+  type, extends(run_type) :: setup_type
+    type(table_type) :: table
+    !> Of the gates of urn 1 and 2.
+    integer :: threshold(2) = 0
+    !> Seed of engines that draw random numbers.
+    integer(int64) :: seed = 0
   end type setup_type
 
   !> A simulation under way.
@@ -102,69 +108,63 @@ contains
     type(setup_type), intent(in) :: setup
     type(particles_type), intent(inout) :: particles
     type(error_type), allocatable, intent(out) :: error
-    integer :: urn1_number
 
-    simulation%setup = setup
-    call make_engine(setup, simulation%engine, error)
+    call prepare(simulation, setup, error)
     if (allocated(error)) return
-    urn1_number = count(particles%x < 0.0_wp)
-    simulation%observer = new_observer(size(particles%x), urn1_number, &
-      setup%table%sides == 2, setup%series_interval, &
-      power_below(maxval(setup%table%urn%radius)))
-    call check_room(bytes_to_come(simulation, size(particles%x)), &
-      'the engine of '//to_text(size(particles%x))//' particles and what is kept of them', error)
+    simulation%observer = new_observer(size(particles%x), count(particles%x < 0.0_wp), &
+      setup%table%sides == 2, setup%series_interval, power_below(maxval(setup%table%urn%radius)))
+    call check_rest(simulation, error)
     if (allocated(error)) return
-    allocate (simulation%snapshot(size(setup%snapshot_times)))
-    call keep_start(simulation, particles)
+    ! The snapshot at the start is what the engine is given, not what it makes of it.
+    if (any(setup%snapshot_times(:min(size(setup%snapshot_times), 1)) <= 0.0_wp)) then
+      simulation%snapshots_taken = 1
+      simulation%snapshot(1) = particles
+    end if
     call simulation%engine%start(setup%table, setup%threshold, particles, setup%start_time)
-    simulation%history%logging = setup%event_log
-    call set_target(simulation)
+    if (.not. setup%duration > 0.0_wp) then
+      if (setup%transient_collisions <= 0) call end_transient(simulation, 0_int64)
+      simulation%next_count = target_of(simulation)
+    end if
     call reach_stops(simulation)
   end subroutine begin_simulation
 
-  !> The engine of a setup, not yet started, if it can simulate the table.
-  subroutine make_engine(setup, engine, error)
+  !> The engine of a setup, not yet started, if it can simulate the table, and room for snapshots.
+  subroutine prepare(simulation, setup, error)
+    type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
-    class(engine_type), allocatable, intent(out) :: engine
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
 
-    call new_engine(setup%engine, engine, error)
+    simulation%setup = setup
+    simulation%history%logging = setup%event_log
+    allocate (simulation%snapshot(size(setup%snapshot_times)))
+    call new_engine(setup%engine, simulation%engine, error)
     if (allocated(error)) return
-    engine%time_step = setup%time_step
-    engine%seed = setup%seed
-    reason = engine%supports(setup%table)
+    simulation%engine%time_step = setup%time_step
+    simulation%engine%seed = setup%seed
+    reason = simulation%engine%supports(setup%table)
     if (reason /= '') call fatal_error(error, 'the engine '''//setup%engine &
       //''' cannot simulate this table: '//reason)
-  end subroutine make_engine
+  end subroutine prepare
 
-  !> The snapshot at the start is what the engine is given, not what it makes of it.
-  pure subroutine keep_start(simulation, particles)
-    type(simulation_type), intent(inout) :: simulation
-    type(particles_type), intent(in) :: particles
-
-    if (.not. snapshots_left(simulation)) return
-    if (simulation%setup%snapshot_times(1) > 0.0_wp) return
-    simulation%snapshots_taken = 1
-    simulation%snapshot(1) = particles
-  end subroutine keep_start
-
-  !> Bytes that a simulation will take of which the particles are there already: its engine, and its
-  !> snapshots and series as far as they are known.
-  pure function bytes_to_come(simulation, number) result(bytes)
+  !> An error if there is no memory for what comes to the particles that are there already: their
+  !> engine, and snapshots and series as far as they are known.
+  subroutine check_rest(simulation, error)
     type(simulation_type), intent(in) :: simulation
-    integer, intent(in) :: number
-    real(dp) :: bytes
+    type(error_type), allocatable, intent(out) :: error
     !> Bytes of the positions and velocities of a particle.
     real(dp), parameter :: there = 32.0_dp
+    real(dp) :: bytes
 
-    associate (setup => simulation%setup)
+    associate (setup => simulation%setup, number => simulation%observer%number)
       bytes = particle_bytes(setup%engine, number) - there*number &
         + bytes_a_state*size(setup%snapshot_times)*number
       if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
         bytes = bytes + bytes_an_entry*real(setup%duration/setup%series_interval, dp)
+      call check_room(bytes, 'the engine of '//to_text(number) &
+        //' particles and what is kept of them', error)
     end associate
-  end function bytes_to_come
+  end subroutine check_rest
 
   !> Gives the run up where its series or its event log could not be brought home if they doubled.
   subroutine look_for_room(simulation)
@@ -254,10 +254,8 @@ contains
     call take_snapshots(simulation)
     if (.not. simulation%setup%duration > 0.0_wp) return
     if (.not. simulation%observer%measuring) then
-      if (reached(simulation, simulation%setup%transient_duration)) then
-        simulation%transient_collisions = simulation%engine%collisions()
-        call end_transient(simulation)
-      end if
+      if (reached(simulation, simulation%setup%transient_duration)) &
+        call end_transient(simulation, simulation%engine%collisions())
     end if
     if (reached(simulation, simulation%setup%duration)) then
       call end_series(simulation%observer, &
@@ -268,10 +266,13 @@ contains
     end if
   end subroutine reach_stops
 
-  subroutine end_transient(simulation)
+  !> The averages begin, after so many collisions.
+  subroutine end_transient(simulation, collisions)
     type(simulation_type), intent(inout) :: simulation
+    integer(int64), intent(in) :: collisions
 
     simulation%transient_time = simulation%elapsed
+    simulation%transient_collisions = collisions
     call begin_measuring(simulation%observer)
   end subroutine end_transient
 
@@ -284,14 +285,6 @@ contains
       simulation%observer%measuring)
   end function target_of
 
-  subroutine set_target(simulation)
-    type(simulation_type), intent(inout) :: simulation
-
-    if (simulation%setup%duration > 0.0_wp) return
-    if (simulation%setup%transient_collisions <= 0) call end_transient(simulation)
-    simulation%next_count = target_of(simulation)
-  end subroutine set_target
-
   !> Ends the transient or the run once the exact count has reached its target. What is known may
   !> run ahead of what has happened, so the exact count is only taken when it can matter.
   subroutine count_collisions(simulation)
@@ -303,10 +296,8 @@ contains
       simulation%windows_since_count < windows_between_counts) return
     simulation%windows_since_count = 0
     exact = simulation%engine%collisions()
-    if (exact >= target_of(simulation) .and. .not. simulation%observer%measuring) then
-      simulation%transient_collisions = exact
-      call end_transient(simulation)
-    end if
+    if (exact >= target_of(simulation) .and. .not. simulation%observer%measuring) &
+      call end_transient(simulation, exact)
     if (exact >= simulation%setup%collisions) then
       simulation%collisions = exact
       simulation%done = .true.
@@ -340,18 +331,10 @@ contains
     !> The state does not fit, or the engine cannot be had.
     type(error_type), allocatable, intent(out) :: error
 
-    if (stream%reading) then
-      simulation%setup = setup
-      call make_engine(setup, simulation%engine, error)
-      if (allocated(error)) return
-      simulation%history%logging = setup%event_log
-      allocate (simulation%snapshot(size(setup%snapshot_times)))
-    end if
+    if (stream%reading) call prepare(simulation, setup, error)
+    if (allocated(error)) return
     call pass_observer(simulation%observer, stream)
-    if (stream%reading .and. .not. stream%failed()) &
-      call check_room(bytes_to_come(simulation, &
-      simulation%observer%number), 'the engine of '//to_text(simulation%observer%number) &
-      //' particles and what is kept of them', error)
+    if (stream%reading .and. .not. stream%failed()) call check_rest(simulation, error)
     if (allocated(error)) return
     if (.not. stream%failed()) call simulation%engine%pass_state(setup%table, setup%threshold, &
       stream)
