@@ -2,8 +2,8 @@
 module battery_command_line
   use battery_build_information, only: program_version, git_commit
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_text, only: string_type, closest_word, new_line_character
-  use battery_key, only: keys_text
+  use battery_text, only: string_type, closest_word, join, new_line_character
+  use battery_key, only: keys_text, different
   use battery_keys, only: all_keys
   implicit none (type, external)
   private
@@ -12,6 +12,9 @@ module battery_command_line
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
     'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, battery --version'
+
+  character(len=11), parameter :: options(5) = [character(len=11) :: '--check', '--overwrite', &
+    '--quiet', '--help', '--version']
 
   !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
   !> second to save their states.
@@ -108,19 +111,12 @@ contains
     case ('--version')
       command%version = .true.
     case default
-      meant = closest_word(word, option_names())
+      meant = closest_word(word, different(options))
       if (meant /= '') meant = ' (did you mean '//meant//'?)'
-      call add(problems, word//': there is no such option'//meant &
-        //'; allowed: --check, --overwrite, --quiet, --help, --version')
+      call add(problems, word//': there is no such option'//meant//'; allowed: ' &
+        //join(different(options), ', '))
     end select
   end subroutine take_option
-
-  pure function option_names() result(names)
-    type(string_type), allocatable :: names(:)
-
-    names = [string_type('--check'), string_type('--overwrite'), string_type('--quiet'), &
-      string_type('--help'), string_type('--version')]
-  end function option_names
 
   pure subroutine add(problems, text)
     character(len=:), allocatable, intent(inout) :: problems

@@ -30,10 +30,8 @@ contains
     type(error_type), allocatable, intent(out) :: error
     integer :: status
 
-    allocate (particles%x(number), stat=status)
-    if (status == 0) allocate (particles%y(number), stat=status)
-    if (status == 0) allocate (particles%ux(number), stat=status)
-    if (status == 0) allocate (particles%uy(number), stat=status)
+    allocate (particles%x(number), particles%y(number), particles%ux(number), &
+      particles%uy(number), stat=status)
     if (status /= 0) call fatal_error(error, 'no memory for '//to_text(number)//' particles')
   end subroutine make_room
 
@@ -48,6 +46,7 @@ contains
     !> No memory, no generator, or a stop was asked for.
     type(error_type), allocatable, intent(out) :: error
     type(generator_type) :: generator
+    real(wp) :: angle
     integer :: at
 
     call make_room(particles, number, error)
@@ -60,7 +59,9 @@ contains
       end if
       call place_in_urn(generator, table, merge(1, 2, at <= urn1_number), particles%x(at), &
         particles%y(at))
-      call draw_direction(generator, particles%ux(at), particles%uy(at))
+      angle = 2.0_wp*pi*real(uniform(generator), wp)
+      particles%ux(at) = cos(angle)
+      particles%uy(at) = sin(angle)
     end do
     call free_generator(generator)
     if (stop_requested()) call stopped_before_start(error)
@@ -85,17 +86,6 @@ contains
     end do
     x = x_direction(side)*(table%urn(side)%centre - inward)
   end subroutine place_in_urn
-
-  !> A direction uniform on the circle.
-  subroutine draw_direction(generator, ux, uy)
-    type(generator_type), intent(in) :: generator
-    real(wp), intent(out) :: ux, uy
-    real(wp) :: angle
-
-    angle = 2.0_wp*pi*real(uniform(generator), wp)
-    ux = cos(angle)
-    uy = sin(angle)
-  end subroutine draw_direction
 
   !> `number` particles from a file, as `parse_particles` reads its text.
   subroutine read_particles(file, table, number, particles, error)
@@ -127,7 +117,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(remarks_type) :: remarks
     character(len=:), allocatable :: problem
-    real(wp) :: state(4)
+    real(wp) :: state(4), speed
     integer(int64) :: first, last, next
     integer :: line, count
 
@@ -158,7 +148,11 @@ contains
       if (problem /= '') then
         call add_remark(remarks, line, problem)
       else if (count <= number) then
-        call keep(state, count, particles)
+        speed = hypot(state(3), state(4))
+        particles%x(count) = state(1)
+        particles%y(count) = state(2)
+        particles%ux(count) = state(3)/speed
+        particles%uy(count) = state(4)/speed
       end if
     end do
     if (count /= number) call add_remark(remarks, 0, 'has '//to_text(count) &
@@ -180,20 +174,6 @@ contains
     inside = .true.
   end function are_inside
 
-  !> Takes over one particle; its velocity is made 1 long.
-  pure subroutine keep(state, at, particles)
-    real(wp), intent(in) :: state(4)
-    integer, intent(in) :: at
-    type(particles_type), intent(inout) :: particles
-    real(wp) :: speed
-
-    speed = hypot(state(3), state(4))
-    particles%x(at) = state(1)
-    particles%y(at) = state(2)
-    particles%ux(at) = state(3)/speed
-    particles%uy(at) = state(4)/speed
-  end subroutine keep
-
   !> One line of an initial file: its four numbers, and what is wrong with it (empty: nothing).
   subroutine read_line(line, table, state, problem)
     character(len=*), intent(in) :: line
@@ -203,6 +183,7 @@ contains
     !> Beyond this, squares are not finite.
     real(wp), parameter :: far = 0.25_wp*sqrt(huge(1.0_wp))
     integer :: first(4), last(4), k
+    logical :: lost
 
     state = 0.0_wp
     call find_columns(line, first, last, problem)
@@ -217,19 +198,13 @@ contains
       problem = 'has a speed that is not finite; allowed: any above 0'
     else if (.not. hypot(state(3), state(4)) > tiny(1.0_wp)) then
       problem = 'has the speed '//to_text(hypot(state(3), state(4)))//'; allowed: any above 0'
-    else if (maxval(abs(state(:2))) > far) then
-      problem = outside_text(state)
-    else if (chamber_at(table, state(1), state(2), 0.0_wp) == outside) then
-      problem = outside_text(state)
+    else
+      lost = maxval(abs(state(:2))) > far
+      if (.not. lost) lost = chamber_at(table, state(1), state(2), 0.0_wp) == outside
+      if (lost) problem = 'lies outside the table: x = '//to_text(state(1))//', y = ' &
+        //to_text(state(2))
     end if
   end subroutine read_line
-
-  pure function outside_text(state) result(text)
-    real(wp), intent(in) :: state(4)
-    character(len=:), allocatable :: text
-
-    text = 'lies outside the table: x = '//to_text(state(1))//', y = '//to_text(state(2))
-  end function outside_text
 
   !> Where the four columns of a line are, set apart by blanks or by one comma with or without
   !> blanks; `problem` says what is wrong with them.
@@ -241,6 +216,8 @@ contains
     logical :: after_comma
 
     problem = ''
+    first = 1
+    last = 0
     columns = 0
     after_comma = .true.
     at = 1
@@ -266,10 +243,6 @@ contains
     if (after_comma .and. problem == '') problem = 'has a comma without a number behind it'
     if (problem == '' .and. columns /= 4) problem = 'has '//to_text(columns) &
       //' columns; allowed: 4, x y ux uy'
-    if (problem /= '') then
-      first = 1
-      last = 0
-    end if
   end subroutine find_columns
 
 end module battery_initial_state

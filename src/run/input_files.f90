@@ -9,9 +9,9 @@ module battery_input_files
   use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
     follow_links
   use battery_settings, only: settings_type
-  use battery_namelist_input, only: fill_plan, add_problem, report
+  use battery_namelist_input, only: fill_plan, report
   use battery_initial_state, only: parse_particles, are_inside
-  use battery_plan, only: plan_type, point_type, problem_type, point_of, table_of
+  use battery_plan, only: plan_type, point_type, refuse, point_of, table_of
   implicit none (type, external)
   private
   public :: read_namelist
@@ -39,21 +39,20 @@ contains
       return
     end if
     call fill_plan(text, file, settings, plan)
-    call check_files(settings, plan)
-    call report(file, settings, error)
+    call check_files(plan)
+    call report(plan, settings, error)
     call take_initial_file(plan, error)
   end subroutine read_namelist
 
   !> The results must have a place to go, which is no input's; an output that is a link is what it
   !> points to.
-  subroutine check_files(settings, plan)
-    type(settings_type), intent(inout) :: settings
+  subroutine check_files(plan)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable :: trouble
     character(len=:), allocatable :: folder, reason
 
-    if (is_pipe_or_device(plan%initial_file)) call add_problem(settings, problem_type('particles', &
-      'initial_file', ''''//plan%initial_file//''': this is a pipe or a device', 'a file'))
+    if (is_pipe_or_device(plan%initial_file)) call refuse(plan, 'initial_file', &
+      ''''//plan%initial_file//''': this is a pipe or a device', 'a file')
     if (plan%file == '') return
     call follow_links(plan%file, trouble)
     folder = folder_of(plan%file)
@@ -76,8 +75,8 @@ contains
     if (reason == '') reason = trouble_with_input(plan%file, plan%input_file)
     if (reason == '' .and. plan%initial_file /= '') &
       reason = trouble_with_input(plan%file, plan%initial_file)
-    if (reason /= '') call add_problem(settings, problem_type('output', 'file', ''''//plan%file &
-      //''': '//reason, 'a file in a folder that exists and can be written to'))
+    if (reason /= '') call refuse(plan, 'file', ''''//plan%file//''': '//reason, &
+      'a file in a folder that exists and can be written to')
   end subroutine check_files
 
   !> Whether what is written for an output would spoil an input, by whatever names and links; empty:

@@ -6,15 +6,15 @@ module battery_namelist_input
   use battery_text, only: to_text, new_line_character
   use battery_table, only: gated, ungated
   use battery_remarks, only: add_remark, remarks_text, shown_text
-  use battery_settings, only: settings_type, setting_type, read_settings, find_setting, take, &
+  use battery_settings, only: settings_type, read_settings, find_setting, take, &
     take_list, take_text
   use battery_key, only: key_type, whole_key
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
-  use battery_plan, only: plan_type, scanned_type, problem_type, complete_plan
+  use battery_plan, only: plan_type, scanned_type, problem_type, complete_plan, refuse
   implicit none (type, external)
   private
-  public :: parse_namelist, fill_plan, add_problem, report, differing_keys
+  public :: parse_namelist, fill_plan, report, differing_keys
 
 contains
 
@@ -28,7 +28,7 @@ contains
     type(settings_type) :: settings
 
     call fill_plan(text, name, settings, plan)
-    call report(name, settings, error)
+    call report(plan, settings, error)
   end subroutine parse_namelist
 
   !> Reads a text, sets the components of a plan, and lets it check itself. The problems are in the
@@ -38,20 +38,16 @@ contains
     character(len=*), intent(in) :: text, name
     type(settings_type), intent(out) :: settings
     type(plan_type), intent(out) :: plan
-    type(problem_type), allocatable :: problems(:)
-    integer :: at
 
     call read_settings(text, all_keys(), settings)
     plan%text = text
     plan%input_file = name
+    allocate (plan%scanned(0), plan%problems(0))
     call fill_point(settings, plan)
     call fill_run(settings, plan)
     call fill_scan(settings, plan)
-    call check_pairs(settings)
-    call complete_plan(plan, problems)
-    do at = 1, size(problems)
-      call add_problem(settings, problems(at))
-    end do
+    call check_pairs(settings, plan)
+    call complete_plan(plan)
   end subroutine fill_plan
 
   !> What may differ between the points of a scan.
@@ -100,131 +96,103 @@ contains
 
   !> Lists of the scan, each from itself or from its range, in the order of the keys.
   subroutine fill_scan(settings, plan)
-    type(settings_type), intent(inout) :: settings
+    type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
     type(scanned_type) :: one
     integer :: at
 
-    allocate (plan%scanned(0))
     do at = 1, size(settings%all) - 1
       ! A list stands before its range.
-      if (settings%all(at)%key%group /= 'scan' .or. .not. settings%all(at + 1)%key%is_range) cycle
-      one%key = trim(settings%all(at)%key%name)
-      if (settings%all(at)%given .and. settings%all(at + 1)%given) then
-        call refuse_range('is given beside '//one%key, 'one of the two')
-      else if (settings%all(at)%given .and. settings%all(at)%known) then
-        one%values = values_of(settings%all(at))
-        plan%scanned = [plan%scanned, one]
-      else if (settings%all(at + 1)%given .and. settings%all(at + 1)%known) then
-        one%values = range_of(settings%all(at + 1), settings%all(at)%key%kind == whole_key)
-        if (settings%all(at)%key%kind == whole_key .and. &
-          any(one%values > settings%all(at)%key%greatest)) then
-          call refuse_range(to_text(maxval(one%values)), 'numbers up to ' &
-            //to_text(settings%all(at)%key%greatest))
-        else
-          plan%scanned = [plan%scanned, one]
+      associate (list => settings%all(at), range => settings%all(at + 1))
+        if (list%key%group /= 'scan' .or. .not. range%key%is_range) cycle
+        one%key = trim(list%key%name)
+        ! The numbers of a key are of one of the two types.
+        one%values = [list%reals, real(list%integers, wp)]
+        if (list%given .and. range%given) then
+          call refuse(plan, trim(range%key%name), 'is given beside '//one%key, 'one of the two')
+          cycle
+        else if (range%known) then
+          one%values = range_of(range%reals, list%key%kind == whole_key)
+          if (list%key%kind == whole_key .and. any(one%values > list%key%greatest)) then
+            call refuse(plan, trim(range%key%name), to_text(maxval(one%values)), &
+              'numbers up to '//to_text(list%key%greatest))
+            cycle
+          end if
         end if
-      end if
+        if (list%known .or. range%known) plan%scanned = [plan%scanned, one]
+      end associate
     end do
-
-  contains
-
-    subroutine refuse_range(value, allowed)
-      character(len=*), intent(in) :: value, allowed
-      type(problem_type) :: problem
-
-      ! One by one: gfortran 12 loses a component's text in a structure constructor.
-      problem%group = 'scan'
-      problem%key = trim(settings%all(at + 1)%key%name)
-      problem%value = value
-      problem%allowed = allowed
-      call add_problem(settings, problem)
-    end subroutine refuse_range
-
   end subroutine fill_scan
-
-  !> The values of a list.
-  pure function values_of(setting) result(values)
-    type(setting_type), intent(in) :: setting
-    real(wp), allocatable :: values(:)
-
-    if (setting%key%kind == whole_key) then
-      values = real(setting%integers, wp)
-    else
-      values = setting%reals
-    end if
-  end function values_of
 
   !> The values of a range, evenly spaced: whole numbers, or numbers of 12 digits, so that a value
   !> is the same in ranges of other lengths.
-  pure function range_of(setting, whole) result(values)
-    type(setting_type), intent(in) :: setting
+  pure function range_of(range, whole) result(values)
+    !> First, last, how many.
+    real(wp), intent(in) :: range(3)
     logical, intent(in) :: whole
     real(wp), allocatable :: values(:)
     integer :: at, count
 
-    count = nint(setting%reals(3))
-    associate (first => setting%reals(1), last => setting%reals(2))
-      allocate (values(count))
-      do at = 1, count
-        values(at) = first + (at - 1)*((last - first)/max(count - 1, 1))
-      end do
-      values = twelve_digits(values)
-      if (whole) values = anint(values)
-      ! What the user wrote stays as it is.
-      if (.not. whole) values(1) = first
-      if (.not. whole .and. count > 1) values(count) = last
+    count = nint(range(3))
+    associate (first => range(1), last => range(2))
+      values = twelve_digits([(first + (at - 1)*((last - first)/max(count - 1, 1)), at=1, count)])
+      if (whole) then
+        values = anint(values)
+      else
+        ! What the user wrote stays as it is.
+        values(1) = first
+        if (count > 1) values(count) = last
+      end if
     end associate
   end function range_of
 
   !> A run has one length: in collisions or in time.
-  subroutine check_pairs(settings)
-    type(settings_type), intent(inout) :: settings
-    integer :: duration, other
-    logical :: in_time
+  subroutine check_pairs(settings, plan)
+    type(settings_type), intent(in) :: settings
+    type(plan_type), intent(inout) :: plan
 
-    duration = find_setting(settings, 'run', 'duration')
-    in_time = .false.
-    if (settings%all(duration)%known) in_time = settings%all(duration)%reals(1) > 0.0_wp
-    if (.not. in_time) return
-    other = find_setting(settings, 'run', 'collisions')
-    if (settings%all(other)%given) call add_problem(settings, problem_type('run', 'collisions', &
-      'is given beside duration', 'one of the two'))
-    other = find_setting(settings, 'run', 'transient_collisions')
-    if (settings%all(other)%given) call add_problem(settings, problem_type('run', &
-      'transient_collisions', 'is given beside duration', 'transient_duration'))
+    if (.not. plan%duration > 0.0_wp) return
+    if (settings%all(find_setting(settings, 'run', 'collisions'))%given) &
+      call refuse(plan, 'collisions', 'is given beside duration', 'one of the two')
+    if (settings%all(find_setting(settings, 'run', 'transient_collisions'))%given) &
+      call refuse(plan, 'transient_collisions', 'is given beside duration', 'transient_duration')
   end subroutine check_pairs
 
   !> Adds a problem of the plan, at the line where its key is.
   subroutine add_problem(settings, problem)
     type(settings_type), intent(inout) :: settings
     type(problem_type), intent(in) :: problem
-    integer :: place, line
     character(len=:), allocatable :: joint
+    integer :: place
 
-    place = find_setting(settings, problem%group, problem%key)
-    if (problem%group == 'scan' .and. .not. settings%all(place)%given .and. &
-      settings%all(min(place + 1, size(settings%all)))%key%is_range) place = place + 1
-    line = 0
-    if (settings%all(place)%given) line = settings%all(place)%line
-    ! A key that was refused already is not refused again.
-    if (settings%all(place)%given .and. .not. settings%all(place)%known) return
-    joint = ' = '
-    if (index(problem%value, 'is ') == 1) joint = ' '
-    call add_remark(settings%problems, line, '&'//problem%group//' ' &
-      //trim(settings%all(place)%key%name)//joint//problem%value//'; allowed: '//problem%allowed)
+    associate (all => settings%all)
+      ! A key stands before its list in &scan, and that before its range.
+      place = findloc(all%key%name == problem%key, .true., dim=1, back=problem%scanned)
+      if (problem%scanned .and. .not. all(place)%given) place = place + 1
+      ! A key that was refused already is not refused again.
+      if (all(place)%given .and. .not. all(place)%known) return
+      joint = ' = '
+      if (index(problem%value, 'is ') == 1) joint = ' '
+      call add_remark(settings%problems, merge(all(place)%line, 0, all(place)%given), '&' &
+        //trim(all(place)%key%group)//' '//trim(all(place)%key%name)//joint//problem%value &
+        //'; allowed: '//problem%allowed)
+    end associate
   end subroutine add_problem
 
   !> One error from all problems, in the order of the lines; none if there are none.
-  subroutine report(name, settings, error)
-    !> Stands for the file in the message.
-    character(len=*), intent(in) :: name
-    type(settings_type), intent(in) :: settings
+  subroutine report(plan, settings, error)
+    type(plan_type), intent(in) :: plan
+    type(settings_type), intent(inout) :: settings
     !> Code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
+    integer :: at
 
+    do at = 1, size(plan%problems)
+      call add_problem(settings, plan%problems(at))
+    end do
     if (settings%problems%count > 0) &
-      call fatal_error(error, remarks_text(settings%problems, name), exit_bad_input)
+      call fatal_error(error, remarks_text(settings%problems, plan%input_file), &
+      exit_bad_input)
   end subroutine report
 
   !> The keys in which two inputs differ, one a line with both values; empty if they make the same

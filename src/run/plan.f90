@@ -16,7 +16,7 @@ module battery_plan
   use battery_identity, only: identity_of
   implicit none (type, external)
   private
-  public :: plan_type, point_type, scanned_type, problem_type, complete_plan
+  public :: plan_type, point_type, scanned_type, problem_type, complete_plan, refuse
   public :: point_of, table_of, setup_of, is_scanned, values_of, rounded
 
   !> Value of whole numbers and shares that were not given.
@@ -44,7 +44,9 @@ module battery_plan
 
   !> Something wrong with a plan: the key, its value, and what is allowed instead.
   type :: problem_type
-    character(len=:), allocatable :: group, key, value, allowed
+    character(len=:), allocatable :: key, value, allowed
+    !> Whether the value is one of a scan.
+    logical :: scanned = .false.
   end type problem_type
 
   !> Components are named like the keys of the namelist; lengths in units of choice.
@@ -65,6 +67,8 @@ module battery_plan
     character(len=:), allocatable :: file
     logical :: final_state = .false.
     real(wp) :: wall_minutes = 0.0_wp, checkpoint_minutes = 0.0_wp
+    !> What is wrong with it.
+    type(problem_type), allocatable :: problems(:)
     !> Points of the scan, from `complete_plan`; 0 if there are problems.
     integer :: point_count = 0
     !> Fingerprint of what the initial file holds; 0: there is none.
@@ -72,16 +76,24 @@ module battery_plan
   end type plan_type
 
   interface
-    !> Checks how the parts of a plan fit together and counts the points (`plan_checks.f90`).
-    module subroutine complete_plan(plan, problems)
+    !> Checks how the parts of a plan fit together and counts the points (`plan_checks.f90`). Adds to
+    !> its problems all that is wrong; of many values of a list the first.
+    module subroutine complete_plan(plan)
       implicit none (type, external)
       type(plan_type), intent(inout) :: plan
-      !> All that is wrong; of many values of a list the first.
-      type(problem_type), allocatable, intent(out) :: problems(:)
     end subroutine complete_plan
   end interface
 
 contains
+
+  !> One more problem of a plan.
+  pure subroutine refuse(plan, key, value, allowed)
+    type(plan_type), intent(inout) :: plan
+    !> Name of the key, its value, and what is allowed instead.
+    character(len=*), intent(in) :: key, value, allowed
+
+    plan%problems = [plan%problems, problem_type(key, value, allowed, is_scanned(plan, key))]
+  end subroutine refuse
 
   !> Whether a key is scanned.
   pure function is_scanned(plan, key) result(yes)

@@ -13,47 +13,44 @@ submodule (battery_plan) battery_plan_checks
 contains
 
   module procedure complete_plan
-    integer :: at
+    integer :: at, before
 
-    allocate (problems(0))
+    before = size(plan%problems)
     if (plan%transient_collisions < 0) plan%transient_collisions = plan%collisions/2
-    call check_given(plan, problems)
-    call check_length(plan, problems)
-    call check_output(plan, problems)
+    call check_given(plan)
+    call check_length(plan)
+    call check_output(plan)
     plan%point_count = 0
     if (task_total(plan) > most_tasks) then
-      call add(problems, 'scan', 'replicas', to_text(task_total(plan))//' tasks in all', &
+      call refuse(plan, 'replicas', to_text(task_total(plan))//' tasks in all', &
         'up to '//to_text(most_tasks)//' points times replicas')
     else
       plan%point_count = int(task_total(plan)/plan%replicas)
-      call check_repeats(plan, problems)
+      call check_repeats(plan)
       do at = 1, plan%point_count
-        call check_point(plan, point_of(plan, at), problems)
-        if (size(problems) > 0) exit
+        call check_point(plan, point_of(plan, at))
+        if (size(plan%problems) > before) exit
       end do
     end if
-    if (size(problems) > 0) plan%point_count = 0
+    if (size(plan%problems) > before) plan%point_count = 0
   end procedure complete_plan
 
   !> What must be given, and what must not be given twice.
-  subroutine check_given(plan, problems)
-    type(plan_type), intent(in) :: plan
-    type(problem_type), allocatable, intent(inout) :: problems(:)
+  subroutine check_given(plan)
+    type(plan_type), intent(inout) :: plan
     logical :: as_number, as_fraction
 
     associate (base => plan%base)
       if (base%number == not_given .and. .not. is_scanned(plan, 'number')) &
-        call add(problems, 'particles', 'number', 'is missing', 'one whole number from 1 up')
+        call refuse(plan, 'number', 'is missing', 'one whole number from 1 up')
       as_number = base%threshold(1) /= not_given .or. is_scanned(plan, 'threshold')
       as_fraction = base%threshold_fraction(1) >= 0.0_wp .or. is_scanned(plan, 'threshold_fraction')
-      if (.not. (as_number .or. as_fraction)) &
-        call add(problems, 'gate', 'threshold', 'is missing', &
+      if (.not. (as_number .or. as_fraction)) call refuse(plan, 'threshold', 'is missing', &
         'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan')
-      if (as_number .and. as_fraction) &
-        call add(problems, merge('gate', 'scan', base%threshold_fraction(1) >= 0.0_wp), &
-        'threshold_fraction', 'is given beside threshold', 'one of the two')
+      if (as_number .and. as_fraction) call refuse(plan, 'threshold_fraction', &
+        'is given beside threshold', 'one of the two')
       if (base%urn1_number /= not_given .and. (base%urn1_fraction >= 0.0_wp &
-        .or. is_scanned(plan, 'urn1_fraction'))) call add(problems, 'particles', 'urn1_number', &
+        .or. is_scanned(plan, 'urn1_fraction'))) call refuse(plan, 'urn1_number', &
         'is given beside urn1_fraction', 'one of the two')
     end associate
     if (plan%shape == 'urn') then
@@ -63,7 +60,7 @@ contains
     end if
     if (plan%initial_file /= '') then
       call refuse_scan('urn1_fraction', '&particles initial_file is given')
-      if (size(values_of(plan, 'number')) > 1) call add(problems, 'scan', 'number', &
+      if (size(values_of(plan, 'number')) > 1) call refuse(plan, 'number', &
         to_text(size(values_of(plan, 'number')))//' numbers', &
         'one, since &particles initial_file is given')
     end if
@@ -73,55 +70,51 @@ contains
     subroutine refuse_scan(key, reason)
       character(len=*), intent(in) :: key, reason
 
-      if (is_scanned(plan, key)) call add(problems, 'scan', key, 'is scanned', 'nothing, since ' &
-        //reason)
+      if (is_scanned(plan, key)) call refuse(plan, key, 'is scanned', 'nothing, since '//reason)
     end subroutine refuse_scan
 
   end subroutine check_given
 
   !> The run is longer than its transient, and its engine has a step if it needs one.
-  pure subroutine check_length(plan, problems)
-    type(plan_type), intent(in) :: plan
-    type(problem_type), allocatable, intent(inout) :: problems(:)
+  pure subroutine check_length(plan)
+    type(plan_type), intent(inout) :: plan
 
     if (plan%duration > 0.0_wp) then
       ! What is left after it must be told from nothing.
       if (plan%transient_duration > (1.0_wp - finest)*plan%duration) &
-        call add(problems, 'run', 'transient_duration', to_text(plan%transient_duration), &
+        call refuse(plan, 'transient_duration', to_text(plan%transient_duration), &
         'below duration, which is '//to_text(plan%duration))
     else
       if (plan%transient_duration > 0.0_wp) &
-        call add(problems, 'run', 'transient_duration', to_text(plan%transient_duration), &
+        call refuse(plan, 'transient_duration', to_text(plan%transient_duration), &
         '0, unless duration is given')
       ! None are known where their number was refused.
       if (plan%collisions > 0 .and. plan%transient_collisions >= plan%collisions) &
-        call add(problems, 'run', 'transient_collisions', to_text(plan%transient_collisions), &
+        call refuse(plan, 'transient_collisions', to_text(plan%transient_collisions), &
         'below collisions, which is '//to_text(plan%collisions))
     end if
     if (plan%engine == 'timestep' .and. .not. plan%time_step > 0.0_wp) &
-      call add(problems, 'run', 'time_step', 'is missing', &
+      call refuse(plan, 'time_step', 'is missing', &
       'one number above 0, since the engine is ''timestep''')
   end subroutine check_length
 
-  pure subroutine check_output(plan, problems)
-    type(plan_type), intent(in) :: plan
-    type(problem_type), allocatable, intent(inout) :: problems(:)
+  pure subroutine check_output(plan)
+    type(plan_type), intent(inout) :: plan
     integer :: at
 
-    if (plan%file == '') call add(problems, 'output', 'file', '''''', 'the name of a file')
+    if (plan%file == '') call refuse(plan, 'file', '''''', 'the name of a file')
     associate (times => plan%snapshot_times)
       do at = 2, size(times)
         if (times(at) > times(at - 1)) cycle
-        call add(problems, 'output', 'snapshot_times', to_text(times(at)), &
+        call refuse(plan, 'snapshot_times', to_text(times(at)), &
           'times that grow; the one before is '//to_text(times(at - 1)))
         exit
       end do
-      if (plan%duration > 0.0_wp .and. any(times > plan%duration)) call add(problems, 'output', &
+      if (plan%duration > 0.0_wp .and. any(times > plan%duration)) call refuse(plan, &
         'snapshot_times', to_text(maxval(times)), 'up to &run duration, which is ' &
         //to_text(plan%duration))
     end associate
-    if (plan%event_log .and. task_total(plan) /= 1_int64) &
-      call add(problems, 'output', 'event_log', '.true.', &
+    if (plan%event_log .and. task_total(plan) /= 1_int64) call refuse(plan, 'event_log', '.true.', &
       '.false., since the scan has '//to_text(task_total(plan))//' tasks')
   end subroutine check_output
 
@@ -139,9 +132,8 @@ contains
 
   !> No point may be there twice: the same task would be done twice. Whole numbers that come from
   !> shares count as the numbers.
-  subroutine check_repeats(plan, problems)
-    type(plan_type), intent(in) :: plan
-    type(problem_type), allocatable, intent(inout) :: problems(:)
+  subroutine check_repeats(plan)
+    type(plan_type), intent(inout) :: plan
     real(wp), allocatable :: values(:), numbers(:), widths(:)
     integer :: at, k, again
 
@@ -162,7 +154,7 @@ contains
       end if
       if (plan%scanned(at)%key == 'channel2_length' .and. size(values) > 1 .and. &
         any(.not. widths > 0.0_wp)) again = 2
-      if (again > 0) call add(problems, 'scan', plan%scanned(at)%key, to_text(values(again)), &
+      if (again > 0) call refuse(plan, plan%scanned(at)%key, to_text(values(again)), &
         'every point once; this value makes one that is there already')
     end do
   end subroutine check_repeats
@@ -187,65 +179,52 @@ contains
   end function first_repeat
 
   !> What is wrong with one point: lengths, times, numbers of particles.
-  subroutine check_point(plan, point, problems)
-    type(plan_type), intent(in) :: plan
+  subroutine check_point(plan, point)
+    type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
-    type(problem_type), allocatable, intent(inout) :: problems(:)
     real(wp) :: radii(2), longest
     integer :: before
 
-    before = size(problems)
+    before = size(plan%problems)
     radii = [minval(point%urn_radius), maxval(point%urn_radius)]
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(gated)%length, open_length(point))
-    call check_lengths(plan, point, radii, longest, problems)
-    if (size(problems) == before) &
-      call check_times(plan, point, radii(1), max(radii(2), longest), problems)
-    if (point%urn1_fraction > 1.0_wp) call add(problems, group_of(plan, 'particles', &
-      'urn1_fraction'), 'urn1_fraction', to_text(point%urn1_fraction), 'numbers from 0 to 1')
-    if (point%number == not_given .or. size(problems) > before) return
+    call check_lengths(plan, point, radii, longest)
+    if (size(plan%problems) == before) call check_times(plan, point, radii(1), max(radii(2), &
+      longest))
+    if (point%urn1_fraction > 1.0_wp) call refuse(plan, 'urn1_fraction', &
+      to_text(point%urn1_fraction), 'numbers from 0 to 1')
+    if (point%number == not_given .or. size(plan%problems) > before) return
     if (point%urn1_number > point%number) then
-      call add(problems, 'particles', 'urn1_number', to_text(point%urn1_number), &
+      call refuse(plan, 'urn1_number', to_text(point%urn1_number), &
         'from 0 to number, which is '//to_text(point%number))
     else if (plan%shape == 'urn' .and. point%urn1_number /= point%number) then
-      call add(problems, 'particles', 'urn1_number', to_text(point%urn1_number), &
+      call refuse(plan, 'urn1_number', to_text(point%urn1_number), &
         to_text(point%number)//', all particles, since the shape ''urn'' has one urn')
     end if
     if (.not. can_count_hits(table_of(plan, point), point%number, plan%duration)) &
-      call add(problems, group_of(plan, 'particles', 'number'), 'number', to_text(point%number), &
+      call refuse(plan, 'number', to_text(point%number), &
       'fewer, or wider openings: such visits have more wall collisions than can be counted')
   end subroutine check_point
 
-  !> The group in which a key has the value that counts.
-  pure function group_of(plan, group, key) result(name)
-    type(plan_type), intent(in) :: plan
-    !> The key's own group.
-    character(len=*), intent(in) :: group, key
-    character(len=:), allocatable :: name
-
-    name = group
-    if (is_scanned(plan, key)) name = 'scan'
-  end function group_of
-
   !> Openings must fit into the urns, and no length may be lost beside another.
-  subroutine check_lengths(plan, point, radii, longest, problems)
-    type(plan_type), intent(in) :: plan
+  subroutine check_lengths(plan, point, radii, longest)
+    type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
     !> The least and the greatest; length of the longest channel that is open.
     real(wp), intent(in) :: radii(2), longest
-    type(problem_type), allocatable, intent(inout) :: problems(:)
     integer :: before
 
-    before = size(problems)
-    call check_range(plan, 'table', 'urn_radius', radii(1), bounds_type(1.0_wp/greatest_radius, &
-      greatest_radius, of_powers), problems)
-    if (size(problems) > before) return
+    before = size(plan%problems)
+    call check_range(plan, 'urn_radius', radii(1), bounds_type(1.0_wp/greatest_radius, &
+      greatest_radius, of_powers))
+    if (size(plan%problems) > before) return
     call check_beside('urn_radius', radii(2), longest)
     call check_beside('channel1_length', point%channel(gated)%length, open_length(point))
     if (open_length(point) > 0.0_wp) call check_beside('channel2_length', &
       point%channel(ungated)%length, point%channel(gated)%length)
     ! Beside a length that is not allowed, no other makes sense.
-    if (size(problems) > before) return
+    if (size(plan%problems) > before) return
     call check_width('channel1_width', point%channel(gated)%width)
     call check_width('channel2_width', point%channel(ungated)%width)
 
@@ -256,8 +235,8 @@ contains
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: length, other
 
-      call check_range(plan, 'table', key, length, bounds_type(finest*max(radii(1), other), &
-        radii(1)/finest, of_lengths), problems)
+      call check_range(plan, key, length, bounds_type(finest*max(radii(1), other), &
+        radii(1)/finest, of_lengths))
     end subroutine check_beside
 
     !> Close to the diameter the arcs and the area that are left lose their digits as well.
@@ -266,63 +245,61 @@ contains
       real(wp), intent(in) :: width
 
       if (width >= 2.0_wp*radii(1)) then
-        call add(problems, group_of(plan, 'table', key), key, to_text(width), &
+        call refuse(plan, key, to_text(width), &
           'below 2 urn_radius, which is '//to_text(2.0_wp*radii(1)))
       else if (width > 0.0_wp) then
-        call check_range(plan, 'table', key, width, bounds_type(finest*max(radii(2), longest), &
-          (2.0_wp - finest)*radii(1), of_widths), problems)
+        call check_range(plan, key, width, bounds_type(finest*max(radii(2), longest), &
+          (2.0_wp - finest)*radii(1), of_widths))
       end if
     end subroutine check_width
 
   end subroutine check_lengths
 
   !> The clock must resolve the table, and the table the times.
-  subroutine check_times(plan, point, radius, longest, problems)
-    type(plan_type), intent(in) :: plan
+  subroutine check_times(plan, point, radius, longest)
+    type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
     !> The least radius, and the longest length of the table.
     real(wp), intent(in) :: radius, longest
-    type(problem_type), allocatable, intent(inout) :: problems(:)
     type(bounds_type) :: clock
     real(wp) :: step
 
-    call check_time('run', 'duration', plan%duration)
-    call check_time('output', 'series_interval', plan%series_interval)
-    call check_time('run', 'time_step', plan%time_step)
+    call check_time('duration', plan%duration)
+    call check_time('series_interval', plan%series_interval)
+    call check_time('time_step', plan%time_step)
     ! A step that cannot jump over a gate or out of an urn.
     step = min(radius, 0.5_wp*point%channel(gated)%length)
     if (plan%shape /= 'urn') step = min(step, 0.5_wp*point%channel(ungated)%length)
     if (plan%engine == 'timestep' .and. plan%time_step >= step) &
-      call add(problems, 'run', 'time_step', to_text(plan%time_step), 'below ' &
+      call refuse(plan, 'time_step', to_text(plan%time_step), 'below ' &
       //to_text(step)//', the least of urn_radius and half of each channel''s length')
     clock = bounds_type(0.0_wp, longest_run*radius, of_clocks)
-    call check_range(plan, 'run', 'start_time', plan%start_time, clock, problems)
-    if (size(plan%snapshot_times) > 0) call check_range(plan, 'output', 'snapshot_times', &
-      maxval(plan%snapshot_times), clock, problems)
+    call check_range(plan, 'start_time', plan%start_time, clock)
+    if (size(plan%snapshot_times) > 0) call check_range(plan, 'snapshot_times', &
+      maxval(plan%snapshot_times), clock)
 
   contains
 
     !> A length of time; 0: there is none.
-    subroutine check_time(group, key, time)
-      character(len=*), intent(in) :: group, key
+    subroutine check_time(key, time)
+      character(len=*), intent(in) :: key
       real(wp), intent(in) :: time
 
-      if (time > 0.0_wp) call check_range(plan, group, key, time, bounds_type(finest*longest, &
-        longest_run*radius, of_times), problems)
+      if (time > 0.0_wp) call check_range(plan, key, time, bounds_type(finest*longest, &
+        longest_run*radius, of_times))
     end subroutine check_time
 
   end subroutine check_times
 
   !> A value within its bounds.
-  pure subroutine check_range(plan, group, key, value, bounds, problems)
-    type(plan_type), intent(in) :: plan
-    character(len=*), intent(in) :: group, key
+  pure subroutine check_range(plan, key, value, bounds)
+    type(plan_type), intent(inout) :: plan
+    character(len=*), intent(in) :: key
     real(wp), intent(in) :: value
     type(bounds_type), intent(in) :: bounds
-    type(problem_type), allocatable, intent(inout) :: problems(:)
 
     if (.not. (value >= bounds%least .and. value <= bounds%most)) &
-      call add(problems, group_of(plan, group, key), key, to_text(value), bounds_text(bounds))
+      call refuse(plan, key, to_text(value), bounds_text(bounds))
   end subroutine check_range
 
   !> Length of channel 2, or 0 if it is closed.
@@ -332,13 +309,5 @@ contains
 
     length = merge(point%channel(ungated)%length, 0.0_wp, point%channel(ungated)%width > 0.0_wp)
   end function open_length
-
-  !> One more problem.
-  pure subroutine add(problems, group, key, value, allowed)
-    type(problem_type), allocatable, intent(inout) :: problems(:)
-    character(len=*), intent(in) :: group, key, value, allowed
-
-    problems = [problems, problem_type(group, key, value, allowed)]
-  end subroutine add
 
 end submodule battery_plan_checks

@@ -52,10 +52,8 @@ contains
     logical :: enough
     type(memory_type) :: left
 
-    enough = bytes <= little
-    if (enough) return
-    left = memory_left(1)
-    enough = bytes + base_bytes <= left%bytes
+    if (bytes > little) left = memory_left(1)
+    enough = bytes <= little .or. bytes + base_bytes <= left%bytes
   end function enough_room
 
   !> An error if so many bytes for `what` cannot be had: allocating without asking would end the
@@ -67,11 +65,10 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
 
-    if (bytes <= little) return
+    if (enough_room(bytes)) return
     left = memory_left(1)
-    if (bytes + base_bytes > left%bytes) call fatal_error(error, 'no memory for '//what//': ' &
-      //size_text(bytes + base_bytes)//' are needed, there are '//size_text(left%bytes)//' (' &
-      //left%limit//')')
+    call fatal_error(error, 'no memory for '//what//': '//size_text(bytes + base_bytes) &
+      //' are needed, there are '//size_text(left%bytes)//' ('//left%limit//')')
   end subroutine check_room
 
   !> A number of bytes as a reader would say it: `35 MB`, `1.2 GB`.

@@ -116,7 +116,7 @@ contains
     call check_rest(simulation, error)
     if (allocated(error)) return
     ! The snapshot at the start is what the engine is given, not what it makes of it.
-    if (any(setup%snapshot_times(:min(size(setup%snapshot_times), 1)) <= 0.0_wp)) then
+    if (next_snapshot(simulation) <= 0.0_wp) then
       simulation%snapshots_taken = 1
       simulation%snapshot(1) = particles
     end if
@@ -196,7 +196,7 @@ contains
     if (simulation%setup%duration > 0.0_wp) then
       call reach_stops(simulation)
     else
-      if (snapshots_left(simulation)) call take_snapshots(simulation)
+      call take_snapshots(simulation)
       call count_collisions(simulation)
     end if
   end subroutine step
@@ -209,9 +209,7 @@ contains
     time = huge(1.0_wp)
     if (simulation%setup%series_interval > 0.0_wp) &
       time = most_entries*simulation%setup%series_interval
-    if (snapshots_left(simulation)) &
-      time = min(time, simulation%setup%snapshot_times(simulation%snapshots_taken + 1) &
-      - simulation%elapsed)
+    time = min(time, next_snapshot(simulation) - simulation%elapsed)
     if (simulation%setup%duration > 0.0_wp) then
       time = min(time, simulation%setup%duration - simulation%elapsed)
       if (.not. simulation%observer%measuring) &
@@ -219,12 +217,16 @@ contains
     end if
   end function time_to_stop
 
-  pure function snapshots_left(simulation)
+  !> Time since the start of the next snapshot; huge: there is none.
+  pure function next_snapshot(simulation) result(time)
     type(simulation_type), intent(in) :: simulation
-    logical :: snapshots_left
+    real(wp) :: time
 
-    snapshots_left = simulation%snapshots_taken < size(simulation%setup%snapshot_times)
-  end function snapshots_left
+    time = huge(1.0_wp)
+    associate (times => simulation%setup%snapshot_times, next => simulation%snapshots_taken + 1)
+      if (next <= size(times)) time = times(next)
+    end associate
+  end function next_snapshot
 
   !> Whether a stop `time` after the start has been reached, but for the rounding of the sum.
   pure function reached(simulation, time)
@@ -238,9 +240,7 @@ contains
   subroutine take_snapshots(simulation)
     type(simulation_type), intent(inout) :: simulation
 
-    do while (snapshots_left(simulation))
-      if (.not. reached(simulation, simulation%setup%snapshot_times(simulation%snapshots_taken &
-        + 1))) exit
+    do while (reached(simulation, next_snapshot(simulation)))
       simulation%snapshots_taken = simulation%snapshots_taken + 1
       call simulation%engine%particles(1, simulation%engine%number, &
         simulation%snapshot(simulation%snapshots_taken))
