@@ -25,10 +25,9 @@ contains
   end subroutine mix_word
 
   !> The fingerprint of a text.
-  pure function fingerprint_of(text) result(fingerprint)
+  pure integer(int64) function fingerprint_of(text) result(fingerprint)
     !> Any bytes; a blank at the end counts.
     character(len=*), intent(in) :: text
-    integer(int64) :: fingerprint
     integer :: k
 
     fingerprint = fingerprint_start

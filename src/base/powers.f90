@@ -8,17 +8,15 @@ module battery_powers
 contains
 
   !> The largest power of two that is at most `number`, which is above 0.
-  elemental function power_below(number) result(power)
+  elemental real(wp) function power_below(number) result(power)
     real(wp), intent(in) :: number
-    real(wp) :: power
 
     power = scale(1.0_wp, exponent(number) - 1)
   end function power_below
 
   !> The smallest power of two that is at least `number`, which is above 0.
-  elemental function power_above(number) result(power)
+  elemental real(wp) function power_above(number) result(power)
     real(wp), intent(in) :: number
-    real(wp) :: power
 
     power = power_below(number)
     if (power < number) power = 2.0_wp*power

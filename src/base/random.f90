@@ -29,10 +29,9 @@ module battery_random
 contains
 
   !> A generator; the same seed gives the same numbers.
-  pure function new_random(seed) result(random)
+  pure type(random_type) function new_random(seed) result(random)
     !> Any 64 bits.
     integer(int64), intent(in) :: seed
-    type(random_type) :: random
     integer :: lane, word
 
     do word = 1, 4
@@ -69,27 +68,24 @@ contains
   end subroutine draw_uniform
 
   !> A number uniform in (0, 1) that belongs to two whole numbers, without a state.
-  elemental function hashed_uniform(key, count) result(number)
+  elemental real(wp) function hashed_uniform(key, count) result(number)
     !> Any 64 bits: whose number it is, and which.
     integer(int64), intent(in) :: key, count
-    real(wp) :: number
 
     number = uniform(mixed(mixed(key) + golden*count))
   end function hashed_uniform
 
   !> The highest bits of a word as a number in (0, 1).
-  elemental function uniform(word) result(number)
+  elemental real(wp) function uniform(word) result(number)
     integer(int64), intent(in) :: word
-    real(wp) :: number
 
     number = (real(shiftr(word, 64 - bits), wp) + 0.5_wp)*step
   end function uniform
 
   !> SplitMix64 without its counter: one to one on 64 bits. Products wrap around.
-  elemental function mixed(word) result(z)
+  elemental integer(int64) function mixed(word) result(z)
     !> Any 64 bits.
     integer(int64), intent(in) :: word
-    integer(int64) :: z
 
     z = word
     z = ieor(z, shiftr(z, 30))*(-4658895280553007687_int64)

@@ -52,10 +52,9 @@ module battery_stream
 contains
 
   !> An empty stream, to be written.
-  pure function new_stream(room) result(stream)
+  pure type(stream_type) function new_stream(room) result(stream)
     !> Words that it will take, where that is known.
     integer(int64), intent(in), optional :: room
-    type(stream_type) :: stream
 
     stream%length = 2
     if (present(room)) then
@@ -67,18 +66,16 @@ contains
   end function new_stream
 
   !> A stream that is only to tell, by `length`, how many words it would take.
-  pure function measuring_stream() result(stream)
-    type(stream_type) :: stream
+  pure type(stream_type) function measuring_stream() result(stream)
 
     stream = new_stream()
     stream%measuring = .true.
   end function measuring_stream
 
   !> A stream to be read, of words that were written.
-  pure function stream_of(word) result(stream)
+  pure type(stream_type) function stream_of(word) result(stream)
     !> `word(:length)` of the stream that was written.
     integer(int64), intent(in) :: word(:)
-    type(stream_type) :: stream
 
     stream%reading = .true.
     stream%word = word
@@ -93,17 +90,15 @@ contains
   end function stream_of
 
   !> Whether something did not fit.
-  pure function failed(self)
+  pure logical function failed(self)
     class(stream_type), intent(in) :: self
-    logical :: failed
 
     failed = allocated(self%problem)
   end function failed
 
   !> Whether all that was written has been read.
-  pure function at_end(self)
+  pure logical function at_end(self)
     class(stream_type), intent(in) :: self
-    logical :: at_end
 
     at_end = self%length == size(self%word)
   end function at_end

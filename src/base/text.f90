@@ -170,12 +170,11 @@ contains
   end function join
 
   !> Whether a list holds a word.
-  pure function is_one_of(word, list) result(found)
+  pure logical function is_one_of(word, list) result(found)
     !> Blanks at its end count.
     character(len=*), intent(in) :: word
     !> What it may be.
     type(string_type), intent(in) :: list(:)
-    logical :: found
     integer :: at
 
     found = .false.
@@ -205,9 +204,8 @@ contains
   end function closest_word
 
   !> How many letters must be put in, left out or changed to get from one word to the other.
-  pure function edit_distance(one, other) result(distance)
+  pure integer function edit_distance(one, other) result(distance)
     character(len=*), intent(in) :: one, other
-    integer :: distance
     integer :: row(0:len(other)), diagonal, above, first, second
 
     row = [(second, second=0, len(other))]

@@ -40,12 +40,11 @@ module battery_key
 contains
 
   !> Place of a key in a list of keys; 0 if it is not there.
-  pure function find_key(keys, group, name) result(place)
+  pure integer function find_key(keys, group, name) result(place)
     !> All there are.
     type(key_type), intent(in) :: keys(:)
     !> In small letters.
     character(len=*), intent(in) :: group, name
-    integer :: place
 
     do place = size(keys), 1, -1
       if (keys(place)%group == group .and. keys(place)%name == name) return

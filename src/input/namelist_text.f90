@@ -301,9 +301,8 @@ contains
   end subroutine read_quoted
 
   !> Whether a name and = come next: then the values have ended.
-  function key_follows(reader) result(follows)
+  logical function key_follows(reader) result(follows)
     type(reader_type), intent(in) :: reader
-    logical :: follows
     type(reader_type) :: ahead
     character(len=:), allocatable :: name
 
@@ -355,9 +354,8 @@ contains
   end function rest_of_line
 
   !> Letters up to the end of the line.
-  pure function line_length(reader) result(length)
+  pure integer function line_length(reader) result(length)
     type(reader_type), intent(in) :: reader
-    integer :: length
 
     length = index(reader%text(reader%at:), line_end) - 1
     if (length < 0) length = len(reader%text) - reader%at + 1

@@ -77,18 +77,16 @@ contains
   end subroutine read_decimal
 
   !> 1 if a text begins with a sign, else 0.
-  pure function sign_length(text) result(length)
+  pure integer function sign_length(text) result(length)
     character(len=*), intent(in) :: text
-    integer :: length
 
     length = 0
     if (len(text) > 0) length = merge(1, 0, scan(text(1:1), '+-') == 1)
   end function sign_length
 
   !> Whether this stands for what is not finite.
-  pure function is_endless(text) result(yes)
+  pure logical function is_endless(text) result(yes)
     character(len=*), intent(in) :: text
-    logical :: yes
     character(len=3) :: word
 
     word = lower_case(text(:min(len(text), 3)))
@@ -96,18 +94,16 @@ contains
   end function is_endless
 
   !> Whether these are digits with at most one point among them.
-  pure function is_mantissa(text) result(yes)
+  pure logical function is_mantissa(text) result(yes)
     character(len=*), intent(in) :: text
-    logical :: yes
 
     yes = scan(text, digits) > 0 .and. verify(text, digits//'.') == 0 .and. &
       index(text, '.') == index(text, '.', back=.true.)
   end function is_mantissa
 
   !> Whether these are digits, with or without a sign.
-  pure function is_whole(text) result(yes)
+  pure logical function is_whole(text) result(yes)
     character(len=*), intent(in) :: text
-    logical :: yes
 
     yes = .false.
     if (len(text) > sign_length(text)) yes = verify(text(1 + sign_length(text):), digits) == 0

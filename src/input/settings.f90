@@ -301,9 +301,8 @@ contains
   end function wrong_text
 
   !> Whether a text has a sign in it that is not to be seen: a tab, a line end, a delete.
-  pure function has_control_sign(text) result(yes)
+  pure logical function has_control_sign(text) result(yes)
     character(len=*), intent(in) :: text
-    logical :: yes
     integer, parameter :: first_visible = 32, delete = 127
     integer :: at
 
@@ -324,11 +323,10 @@ contains
   end function wrong_range
 
   !> Place of a key in the settings, which must have it.
-  pure function find_setting(settings, group, name) result(place)
+  pure integer function find_setting(settings, group, name) result(place)
     type(settings_type), intent(in) :: settings
     !> In small letters.
     character(len=*), intent(in) :: group, name
-    integer :: place
 
     place = find_key(settings%all%key, group, name)
     if (place == 0) error stop 'a key is asked for that is not declared'

@@ -12,8 +12,7 @@ module battery_clocks
 contains
 
   !> Seconds on a clock that never goes back; differences mean something, the value does not.
-  function wall_seconds() result(seconds)
-    real(dp) :: seconds
+  real(dp) function wall_seconds() result(seconds)
     integer(int64) :: ticks, rate
 
     call system_clock(ticks, rate)
@@ -21,8 +20,7 @@ contains
   end function wall_seconds
 
   !> Seconds of processor time that this process has used.
-  function cpu_seconds() result(seconds)
-    real(dp) :: seconds
+  real(dp) function cpu_seconds() result(seconds)
 
     call cpu_time(seconds)
   end function cpu_seconds

@@ -36,28 +36,25 @@ module battery_files
 contains
 
   !> Whether there is a file or folder of that name.
-  function file_exists(path) result(yes)
+  logical function file_exists(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
-    logical :: yes
 
     yes = c_exists(path//c_null_char) /= 0
   end function file_exists
 
   !> Whether this process may read the file or folder.
-  function is_readable(path) result(yes)
+  logical function is_readable(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
-    logical :: yes
 
     yes = c_may_read(path//c_null_char) /= 0
   end function is_readable
 
   !> Whether this process may write to the file or folder.
-  function is_writable(path) result(yes)
+  logical function is_writable(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
-    logical :: yes
 
     yes = c_may_write(path//c_null_char) /= 0
   end function is_writable
@@ -134,8 +131,7 @@ contains
   end subroutine create_new_file
 
   !> Whether the disk is at fault for what failed last, and not a name or a right.
-  function is_disk_error() result(yes)
-    logical :: yes
+  logical function is_disk_error() result(yes)
 
     yes = c_is_disk_error() /= 0
   end function is_disk_error

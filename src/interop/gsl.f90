@@ -69,9 +69,8 @@ contains
   end subroutine free_generator
 
   !> Next number, uniform in [0, 1), with steps of 2**(-53).
-  function uniform(generator) result(number)
+  real(dp) function uniform(generator) result(number)
     type(generator_type), intent(in) :: generator
-    real(dp) :: number
 
     number = c_uniform(generator%handle)
   end function uniform

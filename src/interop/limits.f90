@@ -32,9 +32,8 @@ module battery_limits
 contains
 
   !> What this process can still have, if `sharing` processes of the machine want as much as it.
-  function memory_left(sharing) result(left)
+  type(memory_type) function memory_left(sharing) result(left)
     integer, intent(in) :: sharing
-    type(memory_type) :: left
 
     left%limit = 'no limit'
     call limit_by(left, kilobyte*number_in('/proc/meminfo', 'MemAvailable:')/sharing, 'free memory')
@@ -54,10 +53,9 @@ contains
   end subroutine limit_by
 
   !> What a limit of this process leaves, beside what `used` in its status says.
-  function under_limit(of_data, used) result(bytes)
+  real(dp) function under_limit(of_data, used) result(bytes)
     integer(c_int), intent(in) :: of_data
     character(len=*), intent(in) :: used
-    real(dp) :: bytes
 
     bytes = limits_memory(of_data)
     if (bytes < 0.0_dp) then
@@ -68,8 +66,7 @@ contains
   end function under_limit
 
   !> What the control groups that this process is in, and all above them, leave.
-  function group_left() result(bytes)
-    real(dp) :: bytes
+  real(dp) function group_left() result(bytes)
     character(len=1024) :: line
     integer :: unit, status, colon
 
@@ -115,9 +112,8 @@ contains
 
   !> The number that follows a name at the beginning of a line, such as `MemAvailable:  123 kB`;
   !> `none` if there is none, as where it says `max`.
-  function number_in(file, name) result(number)
+  real(dp) function number_in(file, name) result(number)
     character(len=*), intent(in) :: file, name
-    real(dp) :: number
     character(len=256) :: line
     integer :: unit, status
 

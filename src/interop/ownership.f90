@@ -147,7 +147,8 @@ contains
     insist = wall_seconds() - watch%last_beat > missed_beats*habits%interval
     beat = watch%beat
     outcome = c_own(ownership%path//c_null_char, ownership%text//c_null_char, &
-      habits%interval, merge(1, 0, habits%with_locks), merge(1, 0, insist), beat, watch%holder, longest_text, ownership%handle)
+      habits%interval, merge(1, 0, habits%with_locks), merge(1, 0, insist), beat, watch%holder, &
+      longest_text, ownership%handle)
     select case (outcome)
     case (taken)
       if (.not. insist) return
@@ -179,9 +180,8 @@ contains
 
   !> Whether the output is another run's now: then nothing may be written any more. A file that is
   !> gone tells nothing.
-  function is_taken_over(ownership) result(yes)
+  logical function is_taken_over(ownership) result(yes)
     type(ownership_type), intent(in) :: ownership
-    logical :: yes
     character(len=longest_text) :: now
     integer :: length
 
@@ -209,8 +209,8 @@ contains
 
     length = c_host_name(host, longest_host)
     call date_and_time(date, time)
-    text = host(:length)//' '//to_text(process_number())//' '//date(:4)//'-'//date(5:6)//'-'//date(7:) &
-      //' '//time(:2)//':'//time(3:4)//':'//time(5:)
+    text = host(:length)//' '//to_text(process_number())//' '//date(:4)//'-'//date(5:6)//'-' &
+      //date(7:)//' '//time(:2)//':'//time(3:4)//':'//time(5:)
   end function owner_text
 
   !> Who owns an output since when, in words.

@@ -38,37 +38,33 @@ module battery_paths
 contains
 
   !> Whether there is a file of that name, and no folder, pipe or device.
-  function is_file(path) result(yes)
+  logical function is_file(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
-    logical :: yes
 
     yes = c_kind_of(path//c_null_char) == a_file
   end function is_file
 
   !> Whether there is a folder of that name.
-  function is_folder(path) result(yes)
+  logical function is_folder(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
-    logical :: yes
 
     yes = c_kind_of(path//c_null_char) == a_folder
   end function is_folder
 
   !> Whether there is something else of that name: a pipe, a device, a socket.
-  function is_pipe_or_device(path) result(yes)
+  logical function is_pipe_or_device(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
-    logical :: yes
 
     yes = c_kind_of(path//c_null_char) == something_else
   end function is_pipe_or_device
 
   !> Whether two paths name one and the same file, by whatever link.
-  function same_file(one, other) result(yes)
+  logical function same_file(one, other) result(yes)
     !> Where either is not there, they are not the same.
     character(len=*), intent(in) :: one, other
-    logical :: yes
 
     yes = c_same_file(one//c_null_char, other//c_null_char) /= 0
   end function same_file

@@ -5,8 +5,8 @@ module battery_process
   private
   public :: leave, process_number
 
-  !> Ends the program, without the word `STOP` that Fortran prints. Its argument is what the shell is
-  !> told, 0 to 255.
+  !> Ends the program, without the word `STOP` that Fortran prints. Its argument is what the shell
+  !> is told, 0 to 255.
   procedure(action_on_number), bind(c, name='exit') :: leave
 
   !> Number of this process, as the system has it.

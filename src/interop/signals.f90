@@ -40,8 +40,7 @@ contains
   end subroutine stop_after
 
   !> Whether a signal or the time limit has asked for a stop.
-  function stop_requested() result(requested)
-    logical :: requested
+  logical function stop_requested() result(requested)
 
     requested = signals_received() /= 0
     if (.not. requested .and. deadline < huge(1.0_dp)) requested = wall_seconds() >= deadline

@@ -55,24 +55,21 @@ contains
   end subroutine complain
 
   !> Whether all that was said has been printed.
-  function all_was_printed()
-    logical :: all_was_printed
+  logical function all_was_printed()
 
     all_was_printed = printed
   end function all_was_printed
 
   !> Whether standard output is a terminal.
-  function is_terminal()
-    logical :: is_terminal
+  logical function is_terminal()
 
     is_terminal = terminal_output() == 1
   end function is_terminal
 
   !> Whether the standard output of the process that started this one is a terminal; `unknown` where
   !> that cannot be told.
-  function parent_is_terminal(unknown)
+  logical function parent_is_terminal(unknown)
     logical, intent(in) :: unknown
-    logical :: parent_is_terminal
     integer :: answer
 
     answer = terminal_parent_output()

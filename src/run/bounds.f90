@@ -58,11 +58,10 @@ contains
 
   !> Whether the wall hits of `number` particles in the time `duration` (0: not known), those of the
   !> visits under way included, are fewer than a whole number can count.
-  pure function can_count_hits(table, number, duration) result(can)
+  pure logical function can_count_hits(table, number, duration) result(can)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
     real(wp), intent(in) :: duration
-    logical :: can
     real(wp) :: visit
 
     visit = max(arc_length(table, 1), arc_length(table, 2))/sum(table%channel%width)

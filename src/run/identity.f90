@@ -62,13 +62,12 @@ contains
   end function identity_of
 
   !> The identity of what is kept of a task: the task, and which series, snapshots and so on.
-  function kept_with(identity, setup, final_state) result(kept)
+  integer(int64) function kept_with(identity, setup, final_state) result(kept)
     !> Of the task, as `identity_of` gives it.
     integer(int64), intent(in) :: identity
     type(setup_type), intent(in) :: setup
     !> Whether the final state is kept.
     logical, intent(in) :: final_state
-    integer(int64) :: kept
     integer :: k
 
     kept = identity
@@ -100,10 +99,9 @@ contains
   end function digits_of
 
   !> The number that has the first 12 digits of a number, rounded.
-  elemental function twelve_digits(number) result(rounded)
+  elemental real(wp) function twelve_digits(number) result(rounded)
     !> Finite.
     real(wp), intent(in) :: number
-    real(wp) :: rounded
     character(len=24) :: text
 
     text = digits_of(number)

@@ -30,8 +30,10 @@ contains
     type(error_type), allocatable, intent(out) :: error
     integer :: status
 
-    allocate (particles%x(number), particles%y(number), particles%ux(number), &
-      particles%uy(number), stat=status)
+    allocate (particles%x(number), stat=status)
+    if (status == 0) allocate (particles%y(number), stat=status)
+    if (status == 0) allocate (particles%ux(number), stat=status)
+    if (status == 0) allocate (particles%uy(number), stat=status)
     if (status /= 0) call fatal_error(error, 'no memory for '//to_text(number)//' particles')
   end subroutine make_room
 
@@ -161,10 +163,9 @@ contains
   end subroutine parse_particles
 
   !> Whether all particles are inside a table.
-  pure function are_inside(table, particles) result(inside)
+  pure logical function are_inside(table, particles) result(inside)
     type(table_type), intent(in) :: table
     type(particles_type), intent(in) :: particles
-    logical :: inside
     integer :: at
 
     inside = .false.

@@ -76,8 +76,8 @@ module battery_plan
   end type plan_type
 
   interface
-    !> Checks how the parts of a plan fit together and counts the points (`plan_checks.f90`). Adds to
-    !> its problems all that is wrong; of many values of a list the first.
+    !> Checks how the parts of a plan fit together and counts the points (`plan_checks.f90`). Adds
+    !> to its problems all that is wrong; of many values of a list the first.
     module subroutine complete_plan(plan)
       implicit none (type, external)
       type(plan_type), intent(inout) :: plan
@@ -96,11 +96,10 @@ contains
   end subroutine refuse
 
   !> Whether a key is scanned.
-  pure function is_scanned(plan, key) result(yes)
+  pure logical function is_scanned(plan, key) result(yes)
     type(plan_type), intent(in) :: plan
     !> Its name.
     character(len=*), intent(in) :: key
-    logical :: yes
 
     yes = size(values_of(plan, key)) > 0
   end function is_scanned
@@ -121,10 +120,9 @@ contains
 
   !> Point `number` of the scan, from 1 to `plan%point_count`, with threshold and urn1_number as
   !> they follow from shares and defaults.
-  pure function point_of(plan, number) result(point)
+  pure type(point_type) function point_of(plan, number) result(point)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: number
-    type(point_type) :: point
     integer :: list, left, values
 
     point = plan%base
@@ -178,20 +176,18 @@ contains
   end subroutine set_value
 
   !> The nearest whole number, at most the largest there is.
-  elemental function rounded(number)
+  elemental integer function rounded(number)
     !> Of either sign.
     real(wp), intent(in) :: number
-    integer :: rounded
 
     rounded = huge(1)
     if (number < 0.999_wp*huge(1)) rounded = nint(number)
   end function rounded
 
   !> The table of a point.
-  pure function table_of(plan, point) result(table)
+  pure type(table_type) function table_of(plan, point) result(table)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
-    type(table_type) :: table
 
     table = new_table(merge(shape_urn, shape_circuit, plan%shape == 'urn'), point%urn_radius, &
       point%channel(gated)%width, point%channel(gated)%length, point%channel(ungated)%width, &
@@ -200,10 +196,9 @@ contains
 
   !> What the simulation of point number `point` and replica `replica`, from 1, is set up with. Its
   !> seed is its identity.
-  function setup_of(plan, point, replica) result(setup)
+  type(setup_type) function setup_of(plan, point, replica) result(setup)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: point, replica
-    type(setup_type) :: setup
     type(point_type) :: at
 
     at = point_of(plan, point)

@@ -119,9 +119,8 @@ contains
   end subroutine check_output
 
   !> Points times replicas; beyond `most_tasks`, some larger number.
-  pure function task_total(plan) result(total)
+  pure integer(int64) function task_total(plan) result(total)
     type(plan_type), intent(in) :: plan
-    integer(int64) :: total
     integer :: at
 
     total = plan%replicas
@@ -161,9 +160,8 @@ contains
 
   !> Place of the first value that stands in a list before; 0 if there is none. Numbers are equal
   !> where those of tasks are (`battery_identity`).
-  function first_repeat(values) result(place)
+  integer function first_repeat(values) result(place)
     real(wp), intent(in) :: values(:)
-    integer :: place
     real(wp) :: known(size(values))
     integer(c_size_t) :: order(size(values)), k
 
@@ -303,9 +301,8 @@ contains
   end subroutine check_range
 
   !> Length of channel 2, or 0 if it is closed.
-  pure function open_length(point) result(length)
+  pure real(wp) function open_length(point) result(length)
     type(point_type), intent(in) :: point
-    real(wp) :: length
 
     length = merge(point%channel(ungated)%length, 0.0_wp, point%channel(ungated)%width > 0.0_wp)
   end function open_length

@@ -36,20 +36,18 @@ module battery_room
 contains
 
   !> Bytes that `number` particles take in an engine, with what they start from.
-  pure function particle_bytes(engine, number) result(bytes)
+  pure real(dp) function particle_bytes(engine, number) result(bytes)
     !> Its name in the namelist.
     character(len=*), intent(in) :: engine
     integer, intent(in) :: number
-    real(dp) :: bytes
 
     bytes = bytes_a_particle(engine)*number
   end function particle_bytes
 
   !> Whether this process can have so many bytes, and then some to work with.
-  function enough_room(bytes) result(enough)
+  logical function enough_room(bytes) result(enough)
     !> Beside those that the process has already.
     real(dp), intent(in) :: bytes
-    logical :: enough
     type(memory_type) :: left
 
     if (bytes > little) left = memory_left(1)

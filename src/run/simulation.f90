@@ -202,9 +202,8 @@ contains
   end subroutine step
 
   !> Time until the run must be exactly at a snapshot, the end of the transient, or its own end.
-  pure function time_to_stop(simulation) result(time)
+  pure real(wp) function time_to_stop(simulation) result(time)
     type(simulation_type), intent(in) :: simulation
-    real(wp) :: time
 
     time = huge(1.0_wp)
     if (simulation%setup%series_interval > 0.0_wp) &
@@ -218,9 +217,8 @@ contains
   end function time_to_stop
 
   !> Time since the start of the next snapshot; huge: there is none.
-  pure function next_snapshot(simulation) result(time)
+  pure real(wp) function next_snapshot(simulation) result(time)
     type(simulation_type), intent(in) :: simulation
-    real(wp) :: time
 
     time = huge(1.0_wp)
     associate (times => simulation%setup%snapshot_times, next => simulation%snapshots_taken + 1)
@@ -229,10 +227,9 @@ contains
   end function next_snapshot
 
   !> Whether a stop `time` after the start has been reached, but for the rounding of the sum.
-  pure function reached(simulation, time)
+  pure logical function reached(simulation, time)
     type(simulation_type), intent(in) :: simulation
     real(wp), intent(in) :: time
-    logical :: reached
 
     reached = simulation%elapsed >= time - rounding*time
   end function reached
@@ -277,9 +274,8 @@ contains
   end subroutine end_transient
 
   !> Collisions at which the present part of the run, transient or the rest, ends.
-  pure function target_of(simulation) result(collisions)
+  pure integer(int64) function target_of(simulation) result(collisions)
     type(simulation_type), intent(in) :: simulation
-    integer(int64) :: collisions
 
     collisions = merge(simulation%setup%collisions, simulation%setup%transient_collisions, &
       simulation%observer%measuring)
@@ -307,9 +303,8 @@ contains
   end subroutine count_collisions
 
   !> Share of the run that is done, 0 to 1.
-  pure function progress(simulation) result(share)
+  pure real(wp) function progress(simulation) result(share)
     type(simulation_type), intent(in) :: simulation
-    real(wp) :: share
 
     if (simulation%done) then
       share = 1.0_wp
