@@ -31,8 +31,8 @@ contains
     call report(plan, settings, error)
   end subroutine parse_namelist
 
-  !> Reads a text, sets the components of a plan, and lets it check itself. The problems are in the
-  !> settings.
+  !> Reads a text, sets the components of a plan, and lets it check itself. Problems of the text are
+  !> in the settings, those of what it says in the plan.
   subroutine fill_plan(text, name, settings, plan)
     !> All of the namelist, and the name of its file.
     character(len=*), intent(in) :: text, name
@@ -43,15 +43,14 @@ contains
     plan%text = text
     plan%input_file = name
     allocate (plan%scanned(0), plan%problems(0))
-    call fill_point(settings, plan)
-    call fill_run(settings, plan)
+    call fill_values(settings, plan)
     call fill_scan(settings, plan)
     call check_pairs(settings, plan)
     call complete_plan(plan)
   end subroutine fill_plan
 
-  !> What may differ between the points of a scan.
-  subroutine fill_point(settings, plan)
+  !> What may differ between the points of a scan, and what all tasks have in common.
+  subroutine fill_values(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
 
@@ -68,13 +67,6 @@ contains
       call take(settings, 'gate', 'threshold', base%threshold)
       call take(settings, 'gate', 'threshold_fraction', base%threshold_fraction)
     end associate
-  end subroutine fill_point
-
-  !> What all tasks have in common.
-  subroutine fill_run(settings, plan)
-    type(settings_type), intent(in) :: settings
-    type(plan_type), intent(inout) :: plan
-
     call take(settings, 'particles', 'seed', plan%seed)
     call take_text(settings, 'particles', 'initial_file', plan%initial_file)
     call take_text(settings, 'run', 'engine', plan%engine)
@@ -92,7 +84,7 @@ contains
     call take(settings, 'output', 'final_state', plan%final_state)
     call take(settings, 'limits', 'wall_minutes', plan%wall_minutes)
     call take(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
-  end subroutine fill_run
+  end subroutine fill_values
 
   !> Lists of the scan, each from itself or from its range, in the order of the keys.
   subroutine fill_scan(settings, plan)
