@@ -60,57 +60,34 @@ contains
     end do
   end subroutine collect_results
 
-  !> Puts one result into its place.
+  !> Puts one result into its place; runs of unequal length leave NaN behind the shorter.
   subroutine place(plan, found, task, results)
     type(plan_type), intent(in) :: plan
     type(task_result_type), intent(in) :: found
     type(task_type), intent(in) :: task
     type(results_type), intent(inout) :: results
+    integer :: entries, k
 
     associate (p => task%point, r => task%replica)
       results%task_status(r, p) = found%status
       results%average(r, p, :) = found%measured%average
       results%error(r, p, :) = found%measured%error
       results%counted(r, p, :) = found%measured%counted
-      call place_arrays(plan, found, task, results)
+      entries = size(found%series_urn1_number)
+      if (entries > 0) then
+        call room_for_series(entries, plan, results)
+        results%series_urn1_number(:entries, r, p) = found%series_urn1_number
+        do k = 1, 4
+          results%series_flow(:entries, r, p, k) = found%series_flow(k::4)
+        end do
+      end if
     end associate
-  end subroutine place
-
-  !> Series, snapshots, events and final state; runs of unequal length leave NaN behind the shorter.
-  subroutine place_arrays(plan, found, task, results)
-    type(plan_type), intent(in) :: plan
-    type(task_result_type), intent(in) :: found
-    type(task_type), intent(in) :: task
-    type(results_type), intent(inout) :: results
-    integer :: n, entries, k, q
-    integer(int64) :: at
-
-    n = task%number
-    entries = size(found%series_urn1_number)
-    if (entries > 0) then
-      call room_for_series(entries, plan, results)
-      results%series_urn1_number(:entries, task%replica, task%point) = found%series_urn1_number
-      do q = 1, 4
-        results%series_flow(:entries, task%replica, task%point, q) = found%series_flow(q::4)
-      end do
-    end if
     if (size(found%snapshots) > 0) then
-      call room_for_snapshots(n, plan, results)
-      do k = 1, size(results%snapshot_time)
-        at = 4_int64*n*(k - 1)
-        call unpack_state(found%snapshots(at + 1:at + 4_int64*n), n, &
-          results%snapshot_x(:, k, task%replica, task%point), &
-          results%snapshot_y(:, k, task%replica, task%point), &
-          results%snapshot_ux(:, k, task%replica, task%point), &
-          results%snapshot_uy(:, k, task%replica, task%point))
-      end do
+      results%snapshot_time = real(plan%snapshot_times, dp)
+      call place_states(plan, found%snapshots, size(plan%snapshot_times), task, results%snapshots)
     end if
-    if (size(found%final_state) > 0) then
-      call room_for_final(n, plan, results)
-      call unpack_state(found%final_state, n, results%final_x(:, task%replica, task%point), &
-        results%final_y(:, task%replica, task%point), results%final_ux(:, task%replica, &
-        task%point), results%final_uy(:, task%replica, task%point))
-    end if
+    if (size(found%final_state) > 0) &
+      call place_states(plan, found%final_state, 1, task, results%final_state)
     if (plan%event_log) then
       k = size(found%event_times)
       results%event_time = found%event_times
@@ -118,18 +95,37 @@ contains
       results%event_where = found%events(k + 1:2*k)
       results%event_particle = found%events(2*k + 1:3*k)
     end if
-  end subroutine place_arrays
+  end subroutine place
 
-  pure subroutine unpack_state(flat, n, x, y, ux, uy)
+  !> Puts the states of a task at `times` times into their places in `states`, where there is room
+  !> for them afterwards.
+  subroutine place_states(plan, flat, times, task, states)
+    type(plan_type), intent(in) :: plan
+    !> One time after the other: x, y, ux, uy of all particles.
     real(dp), intent(in) :: flat(:)
-    integer, intent(in) :: n
-    real(dp), intent(inout) :: x(:), y(:), ux(:), uy(:)
+    integer, intent(in) :: times
+    type(task_type), intent(in) :: task
+    real(dp), allocatable, intent(inout) :: states(:, :, :, :, :)
+    real(dp), allocatable :: longer(:, :, :, :, :)
+    integer :: n, before, time, which
+    integer(int64) :: at
 
-    x(:n) = flat(:n)
-    y(:n) = flat(n + 1:2*n)
-    ux(:n) = flat(2*n + 1:3*n)
-    uy(:n) = flat(3*n + 1:4*n)
-  end subroutine unpack_state
+    n = task%number
+    before = 0
+    if (allocated(states)) before = size(states, 1)
+    if (n > before) then
+      allocate (longer(n, times, plan%replicas, plan%point_count, 4), source=unknown_real())
+      if (before > 0) longer(:before, :, :, :, :) = states
+      call move_alloc(longer, states)
+    end if
+    at = 0
+    do time = 1, times
+      do which = 1, 4
+        states(:n, time, task%replica, task%point, which) = flat(at + 1:at + n)
+        at = at + n
+      end do
+    end do
+  end subroutine place_states
 
   !> Series arrays with room for `entries` entries of every task; keeps what is there.
   subroutine room_for_series(entries, plan, results)
@@ -153,64 +149,5 @@ contains
     call move_alloc(flow, results%series_flow)
     results%series_time = [(real(k - 1, dp)*real(plan%series_interval, dp), k=1, entries)]
   end subroutine room_for_series
-
-  !> Snapshot arrays with room for `n` particles; keeps what is there.
-  subroutine room_for_snapshots(n, plan, results)
-    integer, intent(in) :: n
-    type(plan_type), intent(in) :: plan
-    type(results_type), intent(inout) :: results
-
-    if (.not. allocated(results%snapshot_time)) results%snapshot_time = real(plan%snapshot_times, &
-      dp)
-    call extend(results%snapshot_x)
-    call extend(results%snapshot_y)
-    call extend(results%snapshot_ux)
-    call extend(results%snapshot_uy)
-
-  contains
-
-    subroutine extend(array)
-      real(dp), allocatable, intent(inout) :: array(:, :, :, :)
-      real(dp), allocatable :: longer(:, :, :, :)
-      integer :: before
-
-      before = 0
-      if (allocated(array)) before = size(array, 1)
-      if (n <= before) return
-      allocate (longer(n, size(plan%snapshot_times), plan%replicas, plan%point_count), &
-        source=unknown_real())
-      if (before > 0) longer(:before, :, :, :) = array
-      call move_alloc(longer, array)
-    end subroutine extend
-
-  end subroutine room_for_snapshots
-
-  !> Arrays of the final state with room for `n` particles; keeps what is there.
-  subroutine room_for_final(n, plan, results)
-    integer, intent(in) :: n
-    type(plan_type), intent(in) :: plan
-    type(results_type), intent(inout) :: results
-
-    call extend(results%final_x)
-    call extend(results%final_y)
-    call extend(results%final_ux)
-    call extend(results%final_uy)
-
-  contains
-
-    subroutine extend(array)
-      real(dp), allocatable, intent(inout) :: array(:, :, :)
-      real(dp), allocatable :: longer(:, :, :)
-      integer :: before
-
-      before = 0
-      if (allocated(array)) before = size(array, 1)
-      if (n <= before) return
-      allocate (longer(n, plan%replicas, plan%point_count), source=unknown_real())
-      if (before > 0) longer(:before, :, :) = array
-      call move_alloc(longer, array)
-    end subroutine extend
-
-  end subroutine room_for_final
 
 end module battery_collection

@@ -42,14 +42,21 @@ contains
     type(error_type), allocatable, intent(out) :: damage
     !> Code `exit_bad_input`: they are of another input, or what is there is no results file.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: before, initial_fingerprint
-    logical :: found
+    character(len=:), allocatable :: before, status, initial_fingerprint
 
-    call existing_results(plan%file, before, initial_fingerprint, found, complete, error)
-    if (allocated(error)) then
-      if (error%code == exit_failure) call move_alloc(error, damage)
-    else if (found) then
+    complete = .false.
+    if (.not. file_exists(plan%file)) return
+    call read_metadata(plan%file, before, status, initial_fingerprint, error)
+    if (.not. allocated(error)) then
+      complete = status == 'complete'
       call compare(plan, before, initial_fingerprint, error)
+    else if (error%code == exit_failure) then
+      error%message = error%message//'; there is no journal to write it anew from: ' &
+        //'remove the file, or compute it again with --overwrite'
+      call move_alloc(error, damage)
+    else
+      error%message = error%message//', but is there already; name another output file, ' &
+        //'move it away, or discard it with --overwrite'
     end if
   end subroutine look_at_results_file
 
@@ -81,11 +88,8 @@ contains
     integer(int64), allocatable :: kept(:, :)
     integer :: k
 
-    another = .false.
     kept = kept_in(journal_folder(plan))
-    do k = 1, size(kept, 2)
-      another = another .or. .not. is_task_of(plan, kept(1, k), kept(2, k))
-    end do
+    another = .not. all([(is_task_of(plan, kept(1, k), kept(2, k)), k=1, size(kept, 2))])
   end function belongs_to_another
 
   !> Results of another input are not gone on with, nor those of an initial file that has changed.
@@ -104,34 +108,5 @@ contains
       //new_line('a')//keys//new_line('a') &
       //'name another output file, or discard it with --overwrite', exit_bad_input)
   end subroutine compare
-
-  !> What stands under the name of the output file: nothing, or results of which input, complete or
-  !> not. Anything else there is an error: with the code `exit_failure` if it is a results file that
-  !> is damaged, else with `exit_bad_input`.
-  subroutine existing_results(file, input_text, initial_fingerprint, found, complete, error)
-    character(len=*), intent(in) :: file
-    character(len=:), allocatable, intent(out) :: input_text
-    !> Of the initial file, in hexadecimal digits; empty if there was none.
-    character(len=:), allocatable, intent(out) :: initial_fingerprint
-    logical, intent(out) :: found, complete
-    type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: status
-
-    complete = .false.
-    input_text = ''
-    initial_fingerprint = ''
-    found = file_exists(file)
-    if (.not. found) return
-    call read_metadata(file, input_text, status, error, initial_fingerprint)
-    complete = .not. allocated(error) .and. status == 'complete'
-    if (.not. allocated(error)) return
-    if (error%code == exit_failure) then
-      error%message = error%message//'; there is no journal to write it anew from: ' &
-        //'remove the file, or compute it again with --overwrite'
-    else
-      error%message = error%message//', but is there already; name another output file, ' &
-        //'move it away, or discard it with --overwrite'
-    end if
-  end subroutine existing_results
 
 end module battery_earlier_run

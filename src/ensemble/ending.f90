@@ -2,7 +2,7 @@
 module battery_ending
   use battery_kinds, only: dp
   use battery_clocks, only: wall_seconds
-  use battery_communicator, only: communicator_type, board_type, read_board, share_error, &
+  use battery_communicator, only: board_type, read_board, share_error, &
     summary_of, tasks_finished, tasks_failed, collisions_done
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type
@@ -21,10 +21,8 @@ contains
 
   !> Rank 0 merges the journal into the results file and says how it went. The journal is removed
   !> once all that it should have is in the results file.
-  subroutine finish(plan, communicator, journal, board, busy_seconds, began, quiet, exit_code, &
-      error)
+  subroutine finish(plan, journal, board, busy_seconds, began, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
-    type(communicator_type), intent(in) :: communicator
     type(journal_type), intent(in) :: journal
     type(board_type), intent(in) :: board
     !> What this rank spent in tasks, and when it began on the clock of `wall_seconds`.
@@ -39,19 +37,19 @@ contains
     real(dp) :: busy(3)
     logical :: all_done
 
-    busy = summary_of(communicator, busy_seconds/max(wall_seconds() - began, 1.0e-9_dp))
+    busy = summary_of(board%communicator, busy_seconds/max(wall_seconds() - began, 1.0e-9_dp))
     all_done = read_board(board, tasks_finished) >= board%tasks
     exit_code = exit_success
     if (read_board(board, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
-    if (communicator%rank == 0) then
+    if (board%communicator%rank == 0) then
       if (is_taken_over(journal%ownership)) then
         call fatal_error(error, taken_over_text(journal%ownership))
       else
-        call merge_results(plan, journal, communicator%size, results, failures, error)
+        call merge_results(plan, journal, results, failures, error)
       end if
-      if (.not. allocated(error)) call print_summary(plan, results, failures, communicator%size, &
-        busy, wall_seconds() - began, read_board(board, collisions_done), all_done, quiet)
+      if (.not. allocated(error)) call print_summary(plan, results, failures, journal%ranks, busy, &
+        wall_seconds() - began, read_board(board, collisions_done), all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then
         if (all(results%task_status == task_complete)) then
           call remove_journal(journal%folder, error)
@@ -61,7 +59,7 @@ contains
         end if
       end if
     end if
-    call share_error(communicator, error)
+    call share_error(board%communicator, error)
     if (allocated(error)) exit_code = exit_failure
   end subroutine finish
 

@@ -17,7 +17,6 @@ module battery_ensemble
   use battery_preparation, only: prepare
   use battery_signals, only: stop_after
   use battery_task, only: watch_type
-  use battery_tasks, only: task_count
   use battery_work, only: work
   implicit none (type, external)
   private
@@ -60,7 +59,6 @@ contains
     type(watch_type) :: watch
     real(dp) :: began
     logical :: complete
-    integer :: finished_before
 
     exit_code = exit_failure
     began = wall_seconds()
@@ -74,11 +72,10 @@ contains
     watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
     if (.not. watch%checkpoint_interval > 0.0_dp) watch%checkpoint_interval = huge(1.0_dp)
     call open_board(board, communicator, pending)
-    finished_before = task_count(plan) - board%tasks
-    call work(plan, communicator, finished_before, journal, board, watch, quiet, error)
+    call work(plan, journal, board, watch, quiet, error)
     call share_error(communicator, error)
     if (.not. allocated(error)) &
-      call finish(plan, communicator, journal, board, watch%busy, began, quiet, exit_code, error)
+      call finish(plan, journal, board, watch%busy, began, quiet, exit_code, error)
     call close_board(board)
   end subroutine run_owned
 
@@ -86,16 +83,11 @@ contains
   subroutine heed_time_limit(plan)
     type(plan_type), intent(in) :: plan
 
-    if (plan%wall_minutes > 0.0_dp) call stop_after(stop_seconds(real(plan%wall_minutes, dp)))
-  end subroutine heed_time_limit
-
-  !> Seconds until the run must begin to stop, so that it has ended before `wall_minutes`.
-  pure function stop_seconds(wall_minutes) result(seconds)
-    real(dp), intent(in) :: wall_minutes
     real(dp) :: seconds
 
-    seconds = 60.0_dp*wall_minutes
-    seconds = seconds - min(20.0_dp, 0.1_dp*seconds)
-  end function stop_seconds
+    seconds = 60.0_dp*real(plan%wall_minutes, dp)
+    ! To save states and to write results takes time as well.
+    if (seconds > 0.0_dp) call stop_after(seconds - min(20.0_dp, 0.1_dp*seconds))
+  end subroutine heed_time_limit
 
 end module battery_ensemble

@@ -8,7 +8,7 @@ module battery_merge
   use battery_error, only: error_type
   use battery_fingerprint, only: fingerprint_text
   use battery_journal, only: journal_type
-  use battery_metadata, only: metadata_type
+  use battery_metadata, only: metadata_type, add_text
   use battery_plan, only: plan_type
   use battery_results, only: results_type, task_complete
   use battery_results_file, only: write_results
@@ -20,11 +20,9 @@ module battery_merge
 contains
 
   !> Writes the results file from all that the journal has, which comes back in `results`.
-  subroutine merge_results(plan, journal, ranks, results, failures, error)
+  subroutine merge_results(plan, journal, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    !> How many ran.
-    integer, intent(in) :: ranks
     type(results_type), intent(out) :: results
     !> Why a task failed; not allocated where it did not.
     type(string_type), allocatable, intent(out) :: failures(:)
@@ -32,21 +30,20 @@ contains
     type(metadata_type) :: metadata
 
     call collect_results(plan, journal, results, failures)
-    metadata%program = 'battery'
-    metadata%version = program_version
-    metadata%git_commit = git_commit
-    metadata%compiler = compiler_version()
-    metadata%compiler_options = compiler_options()
-    metadata%mpi_library = mpi_library()
-    metadata%mpi_ranks = ranks
-    metadata%namelist = plan%text
-    metadata%initial_file_fingerprint = ''
-    if (plan%initial_file /= '') &
-      metadata%initial_file_fingerprint = fingerprint_text(plan%initial_fingerprint)
-    metadata%status = merge('complete', 'partial ', all(results%task_status == task_complete))
-    metadata%status = trim(metadata%status)
-    metadata%shape = plan%shape
-    metadata%engine = plan%engine
+    call add_text(metadata, 'program', 'battery')
+    call add_text(metadata, 'version', program_version)
+    call add_text(metadata, 'git_commit', git_commit)
+    call add_text(metadata, 'compiler', compiler_version())
+    call add_text(metadata, 'compiler_options', compiler_options())
+    call add_text(metadata, 'mpi_library', mpi_library())
+    call add_text(metadata, 'namelist', plan%text)
+    call add_text(metadata, 'initial_file_fingerprint', trim(merge(repeat(' ', 16), &
+      fingerprint_text(plan%initial_fingerprint), plan%initial_file == '')))
+    call add_text(metadata, 'status', trim(merge('complete', 'partial ', &
+      all(results%task_status == task_complete))))
+    call add_text(metadata, 'shape', plan%shape)
+    call add_text(metadata, 'engine', plan%engine)
+    metadata%mpi_ranks = journal%ranks
     metadata%start_time = real(plan%start_time, dp)
     call write_results(plan%file, results, metadata, error)
   end subroutine merge_results

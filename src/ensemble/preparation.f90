@@ -1,7 +1,7 @@
 !> The start of an ensemble: what is there already, and which tasks are still to be done.
 module battery_preparation
   use battery_kinds, only: int64
-  use battery_communicator, only: communicator_type, share_error, share_integers
+  use battery_communicator, only: communicator_type, share_error, share_words
   use battery_earlier_run, only: look_at_results_file, look_at_journal, discard, journal_folder
   use battery_error, only: error_type, fatal_error
   use battery_journal, only: journal_type, begin_journal, join_journal, read_rank_file, &
@@ -32,21 +32,21 @@ contains
     logical, intent(out) :: complete
     !> The same on all ranks; code `exit_bad_input` where something else is in the way.
     type(error_type), allocatable, intent(out) :: error
-    integer, allocatable :: numbers(:)
+    integer(int64), allocatable :: shared(:)
+    integer :: rank_files
 
-    allocate (numbers(2), source=0)
     allocate (pending(0))
     if (communicator%rank == 0) then
-      call look_at_output(plan, communicator%size, overwrite, quiet, complete, numbers(2), &
+      call look_at_output(plan, communicator%size, overwrite, quiet, complete, rank_files, &
         pending, error)
-      numbers(1) = merge(1, 0, complete)
+      shared = [merge(1, 0, complete), rank_files]
     end if
     call share_error(communicator, error)
     if (allocated(error)) return
-    call share_integers(communicator, numbers)
-    complete = numbers(1) == 1
-    call join_journal(journal, journal_folder(plan), numbers(2), &
-      communicator%rank, communicator%size)
+    call share_words(communicator, shared)
+    complete = shared(1) == 1
+    call join_journal(journal, journal_folder(plan), int(shared(2)), communicator%rank, &
+      communicator%size)
   end subroutine prepare
 
   !> Which tasks are pending, and how many rank files earlier starts have; begins the journal of a
@@ -62,6 +62,7 @@ contains
     type(error_type), allocatable :: damage
     logical, allocatable :: finished(:)
     logical :: found
+    integer :: k
 
     complete = .false.
     rank_files = 0
@@ -89,7 +90,8 @@ contains
     end if
     call open_journal(plan, ranks, rank_files, error)
     if (allocated(error)) return
-    pending = longest_first(plan, finished)
+    pending = pack([(k, k=1, size(finished))], .not. finished)
+    call put_longest_first(plan, pending)
     if (found .and. .not. quiet) call say('going on: ' &
       //to_text(count(finished))//' of '//to_text(size(finished))//' tasks are finished')
   end subroutine look_at_output
@@ -131,16 +133,5 @@ contains
       end do
     end do
   end function finished_tasks
-
-  !> The tasks that are not finished, the longest first, else in their order.
-  function longest_first(plan, finished) result(pending)
-    type(plan_type), intent(in) :: plan
-    logical, intent(in) :: finished(:)
-    integer, allocatable :: pending(:)
-    integer :: k
-
-    pending = pack([(k, k=1, size(finished))], .not. finished)
-    call put_longest_first(plan, pending)
-  end function longest_first
 
 end module battery_preparation

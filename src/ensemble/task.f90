@@ -82,7 +82,7 @@ contains
     type(simulation_type) :: simulation
     type(error_type), allocatable :: trouble
     real(dp) :: cpu_before, cpu_began, began, now
-    integer(int64) :: told, before
+    integer(int64) :: told
 
     stopped = .false.
     began = wall_seconds()
@@ -119,7 +119,7 @@ contains
     if (allocated(trouble)) then
       found = failed_result(task%task, task%kept, trouble%message)
     else
-      call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
+      call add_to_board(board, collisions_done, simulation%observer%collisions - told)
       found = result_of(task%task, task%kept, simulation, task%final_state, &
         cpu_before + cpu_seconds() - cpu_began)
     end if
@@ -131,13 +131,13 @@ contains
       real(dp) :: now, after
 
       now = wall_seconds()
-      call add_to_board(board, collisions_done, simulation%observer%collisions - told, before)
+      call add_to_board(board, collisions_done, simulation%observer%collisions - told)
       told = simulation%observer%collisions
-      if (stop_requested()) call add_to_board(board, stop_wanted, 1_int64, before)
+      if (stop_requested()) call add_to_board(board, stop_wanted, 1_int64)
       watch%stopping = read_board(board, stop_wanted) > 0
       after = wall_seconds()
       watch%next_look = after + min(longest_interval, max((after - now)/look_share, &
-        seconds_between_looks(board%ranks, look_interval)))
+        seconds_between_looks(board%communicator%size, look_interval)))
     end subroutine look_around
 
   end subroutine run_task
@@ -187,10 +187,6 @@ contains
     if (allocated(start%x)) then
       particles = start
     else
-      ! To draw them takes long: what cannot be had is found out before.
-      call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
-        //' particles', error)
-      if (allocated(error)) return
       call random_particles(task%setup%table, task%number, task%urn1_number, task%setup%seed, &
         particles, error)
     end if

@@ -125,8 +125,7 @@ contains
     call pass_result(copy, stream)
     record%owner = found%kept
     record%tag = found%task
-    record%integers = stream%word(:stream%length)
-    allocate (record%reals(0), record%bytes(0))
+    record%word = stream%word(:stream%length)
   end function to_record
 
   !> The result that a record is. A good record may still be a plan or a state under another name,
@@ -139,7 +138,7 @@ contains
     logical, intent(out) :: is_one
     type(stream_type) :: stream
 
-    stream = stream_of(record%integers)
+    stream = stream_of(record%word)
     call pass_result(found, stream)
     is_one = .not. stream%failed()
     if (is_one) is_one = stream%at_end() .and. abs(record%tag) <= huge(found%task)
@@ -152,13 +151,10 @@ contains
   subroutine pass_result(found, stream)
     type(task_result_type), intent(inout) :: found
     type(stream_type), intent(inout) :: stream
-    integer(int32), allocatable :: letters(:)
     integer(int64) :: quantities
-    integer :: k
 
     call stream%pass('status', found%status)
-    if (.not. stream%reading) letters = [(iachar(found%message(k:k)), k=1, len(found%message))]
-    call stream%pass_list('message', letters)
+    call stream%pass_text('message', found%message)
     quantities = fingerprint_of_quantities()
     call stream%pass('quantities', quantities)
     if (stream%failed()) return
@@ -176,11 +172,6 @@ contains
     call stream%pass_list('final_state', found%final_state)
     call stream%pass_list('events', found%events)
     call stream%pass_list('event_times', found%event_times)
-    if (stream%failed() .or. .not. stream%reading) return
-    found%message = repeat(' ', size(letters))
-    do k = 1, size(letters)
-      found%message(k:k) = achar(letters(k))
-    end do
   end subroutine pass_result
 
 end module battery_task_result

@@ -2,8 +2,8 @@
 module battery_work
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds, rest
-  use battery_communicator, only: communicator_type, board_type, take_task, add_to_board, &
-    read_board, tasks_finished, tasks_failed, stop_wanted
+  use battery_communicator, only: board_type, take_task, add_to_board, read_board, &
+    tasks_finished, tasks_failed, stop_wanted
   use battery_error, only: error_type, exit_failure
   use battery_journal, only: journal_type, write_finished, settle_journal
   use battery_ownership, only: is_taken_over
@@ -23,11 +23,8 @@ module battery_work
 contains
 
   !> One rank's part: takes tasks from the board until none is left.
-  subroutine work(plan, communicator, finished_before, journal, board, watch, quiet, error)
+  subroutine work(plan, journal, board, watch, quiet, error)
     type(plan_type), intent(in) :: plan
-    type(communicator_type), intent(in) :: communicator
-    !> Tasks that earlier starts have finished.
-    integer, intent(in) :: finished_before
     type(journal_type), intent(inout) :: journal
     type(board_type), intent(in) :: board
     type(watch_type), intent(inout) :: watch
@@ -36,12 +33,10 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(task_result_type) :: found
     type(screen_type) :: screen
-    integer(int64) :: before
     integer :: task
     logical :: stopped
 
-    screen = new_screen(communicator%rank == 0 .and. .not. quiet, task_count(plan), &
-      finished_before, communicator%size)
+    screen = new_screen(board%communicator%rank == 0 .and. .not. quiet, task_count(plan))
     do
       if (must_stop()) exit
       call take_task(board, task)
@@ -51,8 +46,8 @@ contains
       if (stopped .or. allocated(error)) exit
       call write_finished(journal, found, error)
       if (allocated(error)) exit
-      if (found%status == task_failed) call add_to_board(board, tasks_failed, 1_int64, before)
-      call add_to_board(board, tasks_finished, 1_int64, before)
+      if (found%status == task_failed) call add_to_board(board, tasks_failed, 1_int64)
+      call add_to_board(board, tasks_finished, 1_int64)
     end do
     if (.not. allocated(error)) call settle_journal(journal, error)
     ! Its rank 0 may be dead: nobody can be told any more.
@@ -62,7 +57,7 @@ contains
     end if
     ! The others must not wait for a rank that has failed.
     if (allocated(error)) then
-      call add_to_board(board, stop_wanted, 1_int64, before)
+      call add_to_board(board, stop_wanted, 1_int64)
     else
       call wait_for_others()
     end if
@@ -77,7 +72,7 @@ contains
       stopping = read_board(board, stop_wanted) > 0
       if (stopping) return
       stopping = stop_requested()
-      if (stopping) call add_to_board(board, stop_wanted, 1_int64, before)
+      if (stopping) call add_to_board(board, stop_wanted, 1_int64)
     end function must_stop
 
     !> A rank without a task still hears signals, and leaves the processor to those that have one.
@@ -91,7 +86,7 @@ contains
           if (must_stop()) exit
           if (read_board(board, tasks_finished) >= board%tasks) exit
           call show_ensemble(screen, board, 0.5_dp)
-          next_look = wall_seconds() + seconds_between_looks(board%ranks, nap)
+          next_look = wall_seconds() + seconds_between_looks(board%communicator%size, nap)
         end if
         call rest(nap)
       end do

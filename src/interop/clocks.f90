@@ -1,10 +1,10 @@
 !> Clocks, and waiting.
 module battery_clocks
-  use, intrinsic :: iso_c_binding, only: c_int
+  use, intrinsic :: iso_c_binding, only: c_int, c_char
   use battery_kinds, only: dp, int64
   implicit none (type, external)
   private
-  public :: wall_seconds, cpu_seconds, rest
+  public :: wall_seconds, cpu_seconds, utc_now, rest
 
   interface
     function c_usleep(microseconds) result(status) bind(c, name='usleep')
@@ -13,6 +13,13 @@ module battery_clocks
       integer(c_int), value, intent(in) :: microseconds
       integer(c_int) :: status
     end function c_usleep
+
+    subroutine c_utc(text, room) bind(c, name='battery_utc')
+      import :: c_char, c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: room
+      character(kind=c_char), intent(out) :: text(room)
+    end subroutine c_utc
   end interface
 
 contains
@@ -32,6 +39,15 @@ contains
 
     call cpu_time(seconds)
   end function cpu_seconds
+
+  !> The time of day, UTC: 2026-01-31T23:59:59Z.
+  function utc_now() result(text)
+    character(len=20) :: text
+    character(len=len(text) + 1) :: ended
+
+    call c_utc(ended, len(ended, c_int))
+    text = ended
+  end function utc_now
 
   !> Leaves the processor to others for a while, up to a second; a signal may end it early.
   subroutine rest(seconds)

@@ -8,7 +8,7 @@ module battery_observer
   use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
   use battery_history, only: history_type, channel1_12, channel2_12
-  use battery_quantities, only: measured_type, set_average, set_count, unknown_real
+  use battery_quantities, only: measured_type, set_average, set_count, flow_names, unknown_real
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -204,7 +204,6 @@ contains
   pure subroutine measure(observer, measured)
     type(observer_type), intent(in) :: observer
     type(measured_type), intent(inout) :: measured
-    character(len=*), parameter :: flows(4) = ['flow1_12', 'flow1_21', 'flow2_12', 'flow2_21']
     real(wp) :: time
     integer :: k
 
@@ -214,7 +213,7 @@ contains
     if (.not. time > 0.0_wp) return
     associate (o => observer, number => real(observer%number, wp))
       do k = 1, 4
-        call set_average(measured, flows(k), real(real(o%crossings(k), wp)/time, dp))
+        call set_average(measured, flow_names(k), real(real(o%crossings(k), wp)/time, dp))
       end do
       call set_average(measured, 'current1', &
         real(real(o%crossings(1) - o%crossings(2), wp)/time, dp), error_from(o%current1_blocks))

@@ -1,6 +1,6 @@
 !> Files of HDF5 and the paths in them, every status checked.
 !>
-!> The layer over HDF5 has four rooms: this one, attributes, datasets, dimension scales. A path is
+!> The layer over HDF5 has three rooms: this one, attributes, datasets. A path is
 !> absolute, the groups on its way are there already. An error names the file and the path.
 !>
 !> A new file is made in memory and written to the disk when it is closed: after a write that failed
@@ -40,17 +40,6 @@ module battery_hdf5_file
 
 contains
 
-  !> Starts HDF5 and switches off what it prints by itself.
-  subroutine start_hdf5(status)
-    integer, intent(out) :: status
-
-    status = 0
-    if (is_started) return
-    call h5open_f(status)
-    if (status == 0) call h5eset_auto_f(0, status)
-    is_started = status == 0
-  end subroutine start_hdf5
-
   !> Creates a file in memory; `close_file` writes it to the disk, over one of the same name.
   subroutine create_file(file, name, error)
     !> Open; to be closed with `close_file`.
@@ -73,7 +62,6 @@ contains
         name//': cannot be created: '//folder_of(name)//' may not be written to')
     end if
     if (allocated(error)) return
-    call start_hdf5(status)
     call new_access(access, status)
     if (status == 0) call h5pset_fapl_core_f(access, growth, .false., status)
     if (status == 0) call h5fcreate_f(name, h5f_acc_trunc_f, file%id, status, access_prp=access)
@@ -101,26 +89,31 @@ contains
       call fatal_error(error, name//': may not be read')
     end if
     if (allocated(error)) return
-    call start_hdf5(status)
-    if (status == 0) call h5fis_hdf5_f(name, is_hdf5, status)
-    if (status /= 0) is_hdf5 = .false.
     call new_access(access, status)
     if (status == 0) call h5fopen_f(name, h5f_acc_rdonly_f, file%id, status, access_prp=access)
     call release(access, status)
     if (status == 0) return
-    if (is_hdf5) then
+    call h5fis_hdf5_f(name, is_hdf5, status)
+    if (status == 0 .and. is_hdf5) then
       call fatal_error(error, name//': cannot be opened: damaged, or being written')
     else
       call fatal_error(error, name//': is not an HDF5 file')
     end if
   end subroutine open_file
 
-  !> How files are opened: closing one closes all that is open in it.
+  !> How files are opened: closing one closes all that is open in it. Starts HDF5 before, and
+  !> switches off what it prints by itself.
   subroutine new_access(access, status)
     integer(hid_t), intent(out) :: access
-    integer, intent(inout) :: status
+    integer, intent(out) :: status
 
     access = no_handle
+    status = 0
+    if (.not. is_started) then
+      call h5open_f(status)
+      if (status == 0) call h5eset_auto_f(0, status)
+      is_started = status == 0
+    end if
     if (status == 0) call h5pcreate_f(h5p_file_access_f, access, status)
     if (status == 0) call h5pset_fclose_degree_f(access, h5f_close_strong_f, status)
   end subroutine new_access
@@ -198,16 +191,17 @@ contains
     if (status /= 0) call fatal_error(error, name//': cannot be written: '//trim(reason))
   end subroutine write_image
 
-  !> Makes a group.
+  !> Makes a group; does nothing after an error.
   subroutine make_group(file, path, error)
     !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
     !> From the root.
     character(len=*), intent(in) :: path
-    type(error_type), allocatable, intent(out) :: error
+    type(error_type), allocatable, intent(inout) :: error
     integer(hid_t) :: group
     integer :: status
 
+    if (allocated(error)) return
     group = no_handle
     call h5gcreate_f(file%id, path, group, status)
     call release(group, status)

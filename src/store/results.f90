@@ -36,14 +36,15 @@ module battery_results
     real(dp), allocatable :: series_time(:)
     integer(int32), allocatable :: series_urn1_number(:, :, :)
     real(dp), allocatable :: series_flow(:, :, :, :)
-    !> Snapshots, if asked for: times since the start; (particle, snapshot, replica, point).
+    !> Snapshots, if asked for: times since the start; positions and velocities as (particle,
+    !> snapshot, replica, point, which), which is x, y, ux, uy.
     real(dp), allocatable :: snapshot_time(:)
-    real(dp), allocatable, dimension(:, :, :, :) :: snapshot_x, snapshot_y, snapshot_ux, snapshot_uy
+    real(dp), allocatable :: snapshots(:, :, :, :, :)
     !> Event log of the only task, if asked for.
     real(dp), allocatable :: event_time(:)
     integer(int32), allocatable :: event_kind(:), event_where(:), event_particle(:)
-    !> Final state, if asked for: (particle, replica, point).
-    real(dp), allocatable, dimension(:, :, :) :: final_x, final_y, final_ux, final_uy
+    !> Final state, if asked for: as a single snapshot.
+    real(dp), allocatable :: final_state(:, :, :, :, :)
   end type results_type
 
 contains
