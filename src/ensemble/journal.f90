@@ -25,7 +25,7 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
-  public :: rank_files_in, rank_files_of, kept_in, settle_journal
+  public :: rank_files_in, rank_files_of, kept_in, check_ownership
   public :: write_finished, write_state, read_state, remove_states
 
   !> The journal as one rank has it.
@@ -235,19 +235,12 @@ contains
   !> A rank whose run has lost the output writes nothing.
   subroutine check_ownership(journal, error)
     type(journal_type), intent(in) :: journal
+    !> Another run has taken over.
     type(error_type), allocatable, intent(out) :: error
 
     if (is_taken_over(journal%ownership)) call fatal_error(error, &
       taken_over_text(journal%ownership))
   end subroutine check_ownership
-
-  !> Waits until all results of this rank are on the disk.
-  subroutine settle_journal(journal, error)
-    type(journal_type), intent(inout) :: journal
-    type(error_type), allocatable, intent(out) :: error
-
-    call end_sync(journal%sync, error)
-  end subroutine settle_journal
 
   !> Removes both generations of the state of a task.
   subroutine remove_states(journal, task, error)

@@ -4,7 +4,7 @@ module battery_summary
   use battery_plan, only: plan_type
   use battery_tasks, only: task_count
   use battery_quantities, only: averaged_quantities, counted_quantities, place_of
-  use battery_results, only: results_type, average_of, task_complete
+  use battery_results, only: results_type, task_complete
   use battery_screen, only: duration_text, rate_text
   use battery_terminal, only: say
   use battery_command_line, only: ways_to_stop
@@ -72,7 +72,7 @@ contains
     real(dp), allocatable :: cpu_seconds(:, :)
     integer :: at(2)
 
-    cpu_seconds = average_of(results, 'cpu_seconds')
+    cpu_seconds = results%average(:, :, place_of('cpu_seconds', averaged_quantities()))
     at = maxloc(cpu_seconds, mask=results%task_status == task_complete)
     associate (r => at(1), p => at(2))
       call say('slowest task: '//duration_text(cpu_seconds(r, p)) &

@@ -23,6 +23,7 @@ module battery_task_result
     !> Why it failed.
     character(len=:), allocatable :: message
     type(measured_type) :: measured
+    !> Arrays are empty or not allocated where there is nothing; those read back are allocated.
     !> Series: N1, and flows as (4, entry).
     integer(int32), allocatable :: series_urn1_number(:)
     real(dp), allocatable :: series_flow(:)
@@ -66,7 +67,6 @@ contains
       found%series_urn1_number = int(observer%series_urn1_number(:observer%entries), int32)
       found%series_flow = reshape(real(observer%series_flow(:, :observer%entries), dp), &
         [4*observer%entries])
-      allocate (found%events(0), found%event_times(0))
       if (events%count > 0) then
         found%events = [events%kind(:events%count), events%where(:events%count), &
           events%particle(:events%count)]
@@ -79,7 +79,6 @@ contains
     do k = 1, simulation%snapshots_taken
       found%snapshots(n*(k - 1) + 1:n*k) = flat(simulation%snapshot(k))
     end do
-    allocate (found%final_state(0))
     if (final_state) then
       call simulation%engine%particles(1, simulation%engine%number, particles)
       found%final_state = flat(particles)
@@ -108,8 +107,6 @@ contains
     failed%status = task_failed
     failed%message = message
     failed%measured = new_measured()
-    allocate (failed%series_urn1_number(0), failed%series_flow(0), failed%snapshots(0))
-    allocate (failed%final_state(0), failed%events(0), failed%event_times(0))
   end function failed_result
 
   !> A result as a record.

@@ -1,11 +1,12 @@
 !> What each rank does in an ensemble: task after task, until none is left or all must stop.
 module battery_work
   use battery_kinds, only: dp, int64
+  use battery_background_sync, only: end_sync
   use battery_clocks, only: wall_seconds, rest
   use battery_communicator, only: board_type, take_task, add_to_board, read_board, &
     tasks_finished, tasks_failed, stop_wanted
   use battery_error, only: error_type, exit_failure
-  use battery_journal, only: journal_type, write_finished, settle_journal
+  use battery_journal, only: journal_type, write_finished
   use battery_ownership, only: is_taken_over
   use battery_plan, only: plan_type
   use battery_process, only: leave
@@ -49,7 +50,8 @@ contains
       if (found%status == task_failed) call add_to_board(board, tasks_failed, 1_int64)
       call add_to_board(board, tasks_finished, 1_int64)
     end do
-    if (.not. allocated(error)) call settle_journal(journal, error)
+    ! All results of this rank must be on the disk.
+    if (.not. allocated(error)) call end_sync(journal%sync, error)
     ! Its rank 0 may be dead: nobody can be told any more.
     if (allocated(error) .and. is_taken_over(journal%ownership)) then
       call complain(error%message)

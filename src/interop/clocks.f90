@@ -46,7 +46,7 @@ contains
     character(len=len(text) + 1) :: ended
 
     call c_utc(ended, len(ended, c_int))
-    text = ended
+    text = ended(:len(text))
   end function utc_now
 
   !> Leaves the processor to others for a while, up to a second; a signal may end it early.

@@ -13,7 +13,7 @@ module battery_observer
   implicit none (type, external)
   private
   public :: observer_type, new_observer, observe, begin_measuring, end_series
-  public :: measure, measured_time
+  public :: measure
   public :: pass_observer
 
   !> What has been measured of a run so far.
@@ -209,7 +209,7 @@ contains
 
     call set_count(measured, 'reversals', observer%reversals)
     call set_count(measured, 'bounce_backs', observer%bounce_backs)
-    time = measured_time(observer)
+    time = observer%time + observer%block_time
     if (.not. time > 0.0_wp) return
     associate (o => observer, number => real(observer%number, wp))
       do k = 1, 4
@@ -226,14 +226,6 @@ contains
         real(real(o%collision_spread_sum, wp)/(real(o%collisions_seen, wp)*number), dp))
     end associate
   end subroutine measure
-
-  !> Time since measuring began.
-  pure function measured_time(observer) result(time)
-    type(observer_type), intent(in) :: observer
-    real(wp) :: time
-
-    time = observer%time + observer%block_time
-  end function measured_time
 
   !> Standard error from blocks; NaN where there are too few.
   pure function error_from(blocks) result(error)

@@ -5,10 +5,9 @@
 module battery_hdf5_attributes
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_null_char, c_char, c_int
   use hdf5, only: hid_t, hsize_t, h5acreate_by_name_f, h5aopen_by_name_f, h5awrite_f, h5aread_f, &
-    h5aget_type_f, h5aget_space_f, h5screate_f, h5screate_simple_f, h5sget_simple_extent_ndims_f, &
-    h5tcopy_f, h5tset_cset_f, h5tis_variable_str_f, h5dvlen_reclaim_f, h5kind_to_type
-  use hdf5, only: h5s_scalar_f, h5t_string, h5t_cset_utf8_f, h5p_default_f, h5_real_kind, &
-    h5_integer_kind
+    h5aget_type_f, h5aget_space_f, h5screate_simple_f, h5tcopy_f, h5tset_cset_f, &
+    h5tis_variable_str_f, h5dvlen_reclaim_f, h5kind_to_type
+  use hdf5, only: h5t_string, h5t_cset_utf8_f, h5p_default_f, h5_real_kind, h5_integer_kind
   use battery_error, only: error_type
   use battery_paths, only: text_at
   use battery_hdf5_file, only: hdf5_file_type, release, check, no_handle
@@ -16,7 +15,7 @@ module battery_hdf5_attributes
   implicit none (type, external)
   private
   public :: write_attribute, write_text, read_text
-  public :: memory_type, memory_of, new_space, is_text
+  public :: memory_type, memory_of
 
   !> Values in memory, as HDF5 wants to know them.
   type :: memory_type
@@ -64,18 +63,18 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     character(len=:, kind=c_char), allocatable, target :: letters
     type(c_ptr), target :: address
-    integer(hid_t) :: text_type
+    type(memory_type) :: memory
     integer :: status
 
     if (allocated(error)) return
     letters = text//c_null_char
     address = c_loc(letters)
-    text_type = no_handle
-    call h5tcopy_f(h5t_string, text_type, status)
-    if (status == 0) call h5tset_cset_f(text_type, h5t_cset_utf8_f, status)
-    call add_attribute(file, path, name, memory_type(text_type, c_loc(address), &
-      [integer(hsize_t) ::]), error)
-    call release(text_type, status)
+    memory%address = c_loc(address)
+    allocate (memory%extents(0))
+    call h5tcopy_f(h5t_string, memory%value_type, status)
+    if (status == 0) call h5tset_cset_f(memory%value_type, h5t_cset_utf8_f, status)
+    call add_attribute(file, path, name, memory, error)
+    call release(memory%value_type, status)
   end subroutine write_text
 
   subroutine add_attribute(file, path, name, memory, error)
@@ -87,7 +86,8 @@ contains
     integer :: status
 
     attribute = no_handle
-    call new_space(memory%extents, space, status)
+    space = no_handle
+    call h5screate_simple_f(size(memory%extents), memory%extents, space, status)
     if (status == 0) call h5acreate_by_name_f(file%id, path, name, memory%value_type, space, &
       attribute, status)
     if (status == 0) call h5awrite_f(attribute, memory%value_type, memory%address, status)
@@ -95,23 +95,6 @@ contains
     call release(space, status)
     call check(file, path, 'cannot be given the attribute '//name, status, error)
   end subroutine add_attribute
-
-  !> A space of these extents; a scalar one if there are none.
-  subroutine new_space(extents, space, status)
-    !> One a dimension; none: a scalar.
-    integer(hsize_t), intent(in) :: extents(:)
-    !> To be closed by who asked for it.
-    integer(hid_t), intent(out) :: space
-    !> Negative: HDF5 has failed.
-    integer, intent(out) :: status
-
-    space = no_handle
-    if (size(extents) == 0) then
-      call h5screate_f(h5s_scalar_f, space, status)
-    else
-      call h5screate_simple_f(size(extents), extents, space, status)
-    end if
-  end subroutine new_space
 
   !> Reads an attribute that is a text; after an error it does nothing, and the text is empty.
   subroutine read_text(file, path, name, text, error)
@@ -126,6 +109,7 @@ contains
     type(c_ptr) :: buffer
     integer(hid_t) :: attribute, text_type, space
     integer :: status, freed
+    logical :: is_text
 
     text = ''
     if (allocated(error)) return
@@ -137,9 +121,8 @@ contains
     call h5aopen_by_name_f(file%id, path, name, attribute, status)
     if (status == 0) call h5aget_space_f(attribute, space, status)
     if (status == 0) call h5aget_type_f(attribute, text_type, status)
-    if (status == 0) then
-      if (.not. is_text(text_type, space)) status = -1
-    end if
+    if (status == 0) call h5tis_variable_str_f(text_type, is_text, status)
+    if (status == 0 .and. .not. is_text) status = -1
     if (status == 0) call h5aread_f(attribute, text_type, buffer, status)
     if (status == 0) then
       text = text_at(address)
@@ -150,18 +133,5 @@ contains
     call release(attribute, status)
     call check(file, path, 'has no text attribute '//name, status, error)
   end subroutine read_text
-
-  !> Whether something of this type and space is one text of variable length.
-  function is_text(value_type, space)
-    !> Handles of what is stored.
-    integer(hid_t), intent(in) :: value_type, space
-    logical :: is_text
-    integer :: dimensions, status
-
-    call h5tis_variable_str_f(value_type, is_text, status)
-    if (status /= 0) is_text = .false.
-    call h5sget_simple_extent_ndims_f(space, dimensions, status)
-    is_text = is_text .and. status == 0 .and. dimensions == 0
-  end function is_text
 
 end module battery_hdf5_attributes

@@ -4,16 +4,16 @@
 !> All types and ranks go through one procedure, as an address and extents. Extents are in Fortran
 !> order; readers in C or Python see them reversed.
 module battery_hdf5_datasets
-  use, intrinsic :: iso_c_binding, only: c_associated, c_null_ptr
+  use, intrinsic :: iso_c_binding, only: c_associated
   use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dwrite_f, h5pcreate_f, &
-    h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5tget_size_f, h5zfilter_avail_f, &
-    h5kind_to_type
+    h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5screate_simple_f, h5tget_size_f, &
+    h5zfilter_avail_f, h5kind_to_type
   use hdf5, only: h5p_dataset_create_f, h5z_filter_deflate_f, h5_integer_kind
   use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
   use battery_kinds, only: int32, int64
   use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, release, check, no_handle
-  use battery_hdf5_attributes, only: memory_type, memory_of, write_text, new_space
+  use battery_hdf5_attributes, only: memory_type, memory_of, write_text
   implicit none (type, external)
   private
   public :: write_dataset, write_scale, write_dimension
@@ -72,10 +72,12 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: mark = 'This is a netCDF dimension but not a netCDF variable.'
     character(len=len(mark) + 10) :: name
+    type(memory_type) :: memory
 
     write (name, '(a, i10)') mark, length
-    call write_memory(file, path, memory_type(h5kind_to_type(int32, h5_integer_kind), &
-      c_null_ptr, [int(length, hsize_t)]), '1', long_name, error, scale_name=name)
+    memory%value_type = h5kind_to_type(int32, h5_integer_kind)
+    memory%extents = [int(length, hsize_t)]
+    call write_memory(file, path, memory, '1', long_name, error, scale_name=name)
   end subroutine write_dimension
 
   !> A new dataset from values in memory, or without values if their address is null. A scale if it
@@ -90,9 +92,10 @@ contains
     integer :: status
 
     if (allocated(error)) return
+    space = no_handle
     layout = no_handle
     dataset = no_handle
-    call new_space(memory%extents, space, status)
+    call h5screate_simple_f(size(memory%extents), memory%extents, space, status)
     if (status == 0) call new_layout(memory, layout, status)
     if (status == 0) call h5dcreate_f(file%id, path, memory%value_type, space, dataset, status, &
       dcpl_id=layout)

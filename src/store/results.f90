@@ -3,11 +3,11 @@
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
   use battery_kinds, only: dp, int32, int64
-  use battery_quantities, only: averaged_quantities, counted_quantities, place_of, unknown_real, &
+  use battery_quantities, only: averaged_quantities, counted_quantities, unknown_real, &
     unknown_count
   implicit none (type, external)
   private
-  public :: results_type, new_results, scatter_of, average_of
+  public :: results_type, new_results, scatter_of
   public :: task_complete, task_failed, task_not_done
 
   !> Values of `task_status`.
@@ -72,16 +72,6 @@ contains
     allocate (results%error(replicas, points, averaged), source=unknown_real())
     allocate (results%counted(replicas, points, counted), source=unknown_count)
   end subroutine new_results
-
-  !> The averages of one quantity, (replica, point).
-  pure function average_of(results, name) result(values)
-    type(results_type), intent(in) :: results
-    !> Name of the quantity.
-    character(len=*), intent(in) :: name
-    real(dp) :: values(results%replicas, results%points)
-
-    values = results%average(:, :, place_of(name, averaged_quantities()))
-  end function average_of
 
   !> Standard error of the mean of the replicas of each point, from their scatter over the complete
   !> tasks; NaN where fewer than two are complete.

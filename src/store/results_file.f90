@@ -167,12 +167,11 @@ contains
       call write_particles(file, '/final', size(results%final_state, 1), error)
     end if
     do which = 1, 4
-      associate (name => trim(names(which)), unit => trim(units(which)), r => results)
-        if (allocated(r%snapshots)) call write_dataset(file, '/snapshots/'//name, &
-          r%snapshots(:, :, :, :, which), unit, meanings(which), error, by_particle)
-        if (allocated(r%final_state)) call write_dataset(file, '/final/'//name, &
-          r%final_state(:, 1, :, :, which), unit, meanings(which), error, by_last)
-      end associate
+      if (allocated(results%snapshots)) call write_dataset(file, '/snapshots/'//trim(names(which)), &
+        results%snapshots(:, :, :, :, which), trim(units(which)), meanings(which), error, &
+        by_particle)
+      if (allocated(results%final_state)) call write_dataset(file, '/final/'//trim(names(which)), &
+        results%final_state(:, 1, :, :, which), trim(units(which)), meanings(which), error, by_last)
     end do
   end subroutine write_states
 
