@@ -19,9 +19,8 @@ module battery_ensemble
   use battery_results, only: results_type, task_complete
   use battery_signals, only: stop_after
   use battery_summary, only: print_summary
-  use battery_task, only: watch_type
   use battery_text, only: string_type
-  use battery_work, only: work
+  use battery_work, only: watch_type, work
   implicit none (type, external)
   private
   public :: run_ensemble, heed_time_limit

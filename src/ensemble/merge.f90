@@ -8,14 +8,12 @@ module battery_merge
   use battery_fingerprint, only: fingerprint_text
   use battery_journal, only: journal_type, read_rank_file, rank_files_of
   use battery_metadata, only: metadata_type, add_text
-  use battery_plan, only: plan_type
+  use battery_plan, only: plan_type, point_of
   use battery_quantities, only: unknown_real
   use battery_results, only: results_type, new_results, task_complete, task_failed
   use battery_results_file, only: write_results
-  use battery_table, only: gated, ungated
-  use battery_task, only: task_type
   use battery_task_result, only: task_result_type
-  use battery_tasks, only: task_count, task_of
+  use battery_tasks, only: task_type, task_count, task_of
   use battery_text, only: string_type
   implicit none (type, external)
   private
@@ -68,17 +66,8 @@ contains
     call new_results(results, plan%point_count, plan%replicas)
     do k = 1, task_count(plan)
       task = task_of(plan, k)
-      results%number(task%point) = task%number
-      results%threshold(task%point) = task%setup%threshold(1)
-      results%gate_threshold(:, task%point) = task%setup%threshold
-      results%urn1_number(task%point) = task%urn1_number
-      associate (table => task%setup%table, p => task%point)
-        results%urn_radius(:, p) = real(table%urn%radius, dp)
-        results%channel1_width(p) = real(table%channel(gated)%width, dp)
-        results%channel1_length(p) = real(table%channel(gated)%length, dp)
-        results%channel2_width(p) = real(table%channel(ungated)%width, dp)
-        results%channel2_length(p) = real(table%channel(ungated)%length, dp)
-      end associate
+      results%point(task%point) = point_of(plan, task%point)
+      results%point(task%point)%urn_radius = task%setup%table%urn%radius
       results%seed(task%replica, task%point) = task%setup%seed
     end do
     files = rank_files_of(journal)

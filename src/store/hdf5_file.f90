@@ -9,13 +9,13 @@
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
   use hdf5, only: hid_t, size_t, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
-    h5fflush_f, h5fget_file_image_f, h5fis_hdf5_f, h5gcreate_f, h5pcreate_f, &
+    h5fflush_f, h5fget_file_image_f, h5gcreate_f, h5pcreate_f, &
     h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
     h5p_file_access_f
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: file_exists, is_readable, is_writable, create_new_file
+  use battery_files, only: is_writable, create_new_file
   use battery_paths, only: is_folder, folder_of
   use battery_seal, only: seal_length, seal_of
   use battery_text, only: to_text
@@ -69,7 +69,7 @@ contains
     if (status /= 0) call fatal_error(error, name//': cannot be created in memory')
   end subroutine create_file
 
-  !> Opens a file for reading.
+  !> Opens a file for reading. What is no file, or may not be read, is told by its seal.
   subroutine open_file(file, name, error)
     !> Open; to be closed with `close_file`.
     type(hdf5_file_type), intent(out) :: file
@@ -77,28 +77,13 @@ contains
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
     integer(hid_t) :: access
-    logical :: is_hdf5
     integer :: status
 
     file%name = name
-    if (.not. file_exists(name)) then
-      call fatal_error(error, name//': there is no such file')
-    else if (is_folder(name)) then
-      call fatal_error(error, name//': is a folder, not a file')
-    else if (.not. is_readable(name)) then
-      call fatal_error(error, name//': may not be read')
-    end if
-    if (allocated(error)) return
     call new_access(access, status)
     if (status == 0) call h5fopen_f(name, h5f_acc_rdonly_f, file%id, status, access_prp=access)
     call release(access, status)
-    if (status == 0) return
-    call h5fis_hdf5_f(name, is_hdf5, status)
-    if (status == 0 .and. is_hdf5) then
-      call fatal_error(error, name//': cannot be opened: damaged, or being written')
-    else
-      call fatal_error(error, name//': is not an HDF5 file')
-    end if
+    if (status /= 0) call fatal_error(error, name//': cannot be opened as an HDF5 file')
   end subroutine open_file
 
   !> How files are opened: closing one closes all that is open in it. Starts HDF5 before, and
@@ -174,12 +159,10 @@ contains
     open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
       status='old', iostat=status, iomsg=reason)
     if (status == 0) then
+      reason = 'it cannot be closed'
       write (unit, iostat=status, iomsg=reason) image, seal
       close (unit, iostat=closed)
-      if (status == 0 .and. closed /= 0) then
-        status = closed
-        reason = 'it cannot be closed'
-      end if
+      status = merge(closed, status, status == 0)
     end if
     if (status == 0) then
       inquire (file=name, size=bytes)

@@ -3,6 +3,7 @@
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
   use battery_kinds, only: dp, int32, int64
+  use battery_plan, only: point_type
   use battery_quantities, only: averaged_quantities, counted_quantities, unknown_real, &
     unknown_count
   implicit none (type, external)
@@ -16,14 +17,9 @@ module battery_results
   !> Reals that are not known are NaN, integers -1. Lengths are in units of the namelist, times in
   !> lengths over the speed.
   type :: results_type
-    integer :: points = 0, replicas = 0
-    !> The points of the scan, (point): N, T of gate 1, particles in urn 1 at the start, lengths.
-    integer(int32), allocatable :: number(:), threshold(:), urn1_number(:)
-    real(dp), allocatable :: channel1_width(:), channel1_length(:), channel2_width(:), &
-      channel2_length(:)
-    !> Of both gates and of both urns, (gate or urn, point).
-    integer(int32), allocatable :: gate_threshold(:, :)
-    real(dp), allocatable :: urn_radius(:, :)
+    integer :: replicas = 0
+    !> The points of the scan.
+    type(point_type), allocatable :: point(:)
     integer(int64), allocatable :: seed(:, :)
     !> From here on (replica, point), and the place of the quantity in its list.
     real(dp), allocatable :: average(:, :, :), error(:, :, :)
@@ -58,14 +54,8 @@ contains
 
     averaged = size(averaged_quantities())
     counted = size(counted_quantities())
-    results%points = points
     results%replicas = replicas
-    allocate (results%number(points), results%threshold(points), results%urn1_number(points), &
-      source=int(unknown_count, int32))
-    allocate (results%gate_threshold(2, points), source=int(unknown_count, int32))
-    allocate (results%channel1_width(points), results%channel1_length(points), &
-      results%channel2_width(points), results%channel2_length(points), source=unknown_real())
-    allocate (results%urn_radius(2, points), source=unknown_real())
+    allocate (results%point(points))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)
     allocate (results%average(replicas, points, averaged), source=unknown_real())

@@ -15,6 +15,7 @@ module battery_results_file
   use battery_results, only: results_type, scatter_of, task_complete, task_failed, task_not_done
   use battery_metadata, only: metadata_type, write_metadata
   use battery_seal, only: check_seal
+  use battery_table, only: gated, ungated
   implicit none (type, external)
   private
   public :: write_results
@@ -24,6 +25,10 @@ module battery_results_file
   character(len=*), parameter :: by_gate(*) = [character(len=6) :: '/gate', '/point']
   character(len=*), parameter :: by_urn(*) = [character(len=6) :: '/urn', '/point']
   character(len=*), parameter :: by_task(*) = [character(len=8) :: '/replica', '/point']
+
+  !> What times and numbers of particles mean.
+  character(len=*), parameter :: since_start = 'time since the start'
+  character(len=*), parameter :: in_order = 'particle, from 1, in the order of the initial file'
 
 contains
 
@@ -59,28 +64,30 @@ contains
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
 
-    call write_count(file, '/point', 0, results%points, 'point of the scan, from 0', error)
+    call write_count(file, '/point', 0, size(results%point), 'point of the scan, from 0', error)
     call write_count(file, '/replica', 0, results%replicas, 'replica of a point, from 0', error)
     call write_count(file, '/gate', 1, 2, 'gate, that of urn 1 and that of urn 2', error)
     call write_count(file, '/urn', 1, 2, 'urn', error)
-    call write_dataset(file, '/number', results%number, '1', 'particles N', error, by_point)
-    call write_dataset(file, '/threshold', results%threshold, '1', &
-      'threshold T of gate 1: a gate reverses when more particles head for the other', error, &
-      by_point)
-    call write_dataset(file, '/urn1_number', results%urn1_number, '1', &
-      'particles in urn 1 at the start', error, by_point)
-    call write_dataset(file, '/gate_threshold', results%gate_threshold, '1', &
-      'threshold T of each gate', error, by_gate)
-    call write_dataset(file, '/urn_radius', results%urn_radius, 'length', 'radius r of each urn', &
-      error, by_urn)
-    call write_dataset(file, '/channel1_width', results%channel1_width, 'length', &
-      'width w of channel 1', error, by_point)
-    call write_dataset(file, '/channel1_length', results%channel1_length, 'length', &
-      'length l of channel 1', error, by_point)
-    call write_dataset(file, '/channel2_width', results%channel2_width, 'length', &
-      'width w'' of channel 2', error, by_point)
-    call write_dataset(file, '/channel2_length', results%channel2_length, 'length', &
-      'length l'' of channel 2', error, by_point)
+    associate (p => results%point)
+      call write_dataset(file, '/number', p%number, '1', 'particles N', error, by_point)
+      call write_dataset(file, '/threshold', p%threshold(1), '1', &
+        'threshold T of gate 1: a gate reverses when more particles head for the other', error, &
+        by_point)
+      call write_dataset(file, '/urn1_number', p%urn1_number, '1', &
+        'particles in urn 1 at the start', error, by_point)
+      call write_dataset(file, '/gate_threshold', reshape([p%threshold(1), p%threshold(2)], &
+        [2, size(p)], order=[2, 1]), '1', 'threshold T of each gate', error, by_gate)
+      call write_dataset(file, '/urn_radius', reshape([p%urn_radius(1), p%urn_radius(2)], &
+        [2, size(p)], order=[2, 1]), 'length', 'radius r of each urn', error, by_urn)
+      call write_dataset(file, '/channel1_width', p%channel(gated)%width, 'length', &
+        'width w of channel 1', error, by_point)
+      call write_dataset(file, '/channel1_length', p%channel(gated)%length, 'length', &
+        'length l of channel 1', error, by_point)
+      call write_dataset(file, '/channel2_width', p%channel(ungated)%width, 'length', &
+        'width w'' of channel 2', error, by_point)
+      call write_dataset(file, '/channel2_length', p%channel(ungated)%length, 'length', &
+        'length l'' of channel 2', error, by_point)
+    end associate
     call write_dataset(file, '/seed', results%seed, '1', 'seed of the random start', error, by_task)
   end subroutine write_points
 
@@ -129,7 +136,7 @@ contains
 
     if (.not. allocated(results%series_time)) return
     call make_group(file, '/series', error)
-    call write_time(file, '/series/time', results%series_time, error)
+    call write_scale(file, '/series/time', results%series_time, 'time', since_start, error)
     call write_dataset(file, '/series/urn1_number', results%series_urn1_number, '1', &
       'particles at x < 0', error, by_time)
     call write_attribute(file, '/series/urn1_number', '_FillValue', int(unknown_count, int32), &
@@ -159,12 +166,12 @@ contains
 
     if (allocated(results%snapshots)) then
       call make_group(file, '/snapshots', error)
-      call write_time(file, '/snapshots/time', results%snapshot_time, error)
-      call write_particles(file, '/snapshots', size(results%snapshots, 1), error)
+      call write_scale(file, '/snapshots/time', results%snapshot_time, 'time', since_start, error)
+      call write_count(file, '/snapshots/particle', 1, size(results%snapshots, 1), in_order, error)
     end if
     if (allocated(results%final_state)) then
       call make_group(file, '/final', error)
-      call write_particles(file, '/final', size(results%final_state, 1), error)
+      call write_count(file, '/final/particle', 1, size(results%final_state, 1), in_order, error)
     end if
     do which = 1, 4
       if (allocated(results%snapshots)) call write_dataset(file, '/snapshots/'//trim(names(which)), &
@@ -186,8 +193,8 @@ contains
     call make_group(file, '/events', error)
     call write_dimension(file, '/events/event', size(results%event_time), &
       'events in the order of time', error)
-    call write_dataset(file, '/events/time', results%event_time, 'time', 'time since the start', &
-      error, by_event)
+    call write_dataset(file, '/events/time', results%event_time, 'time', since_start, error, &
+      by_event)
     call write_dataset(file, '/events/kind', results%event_kind, '1', 'what happens', error, &
       by_event)
     call write_attribute(file, '/events/kind', 'flag_values', [1_int32, 2_int32, 3_int32, &
@@ -211,26 +218,5 @@ contains
 
     call write_scale(file, path, int([(first + k, k=0, length - 1)], int32), '1', long_name, error)
   end subroutine write_count
-
-  !> The dimension of particles of a group, from 1 as in the event log.
-  subroutine write_particles(file, group, number, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: group
-    integer, intent(in) :: number
-    type(error_type), allocatable, intent(inout) :: error
-
-    call write_count(file, group//'/particle', 1, number, &
-      'particle, from 1, in the order of the initial file', error)
-  end subroutine write_particles
-
-  !> The dimension of time of a group.
-  subroutine write_time(file, path, times, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    real(dp), intent(in), contiguous :: times(:)
-    type(error_type), allocatable, intent(inout) :: error
-
-    call write_scale(file, path, times, 'time', 'time since the start', error)
-  end subroutine write_time
 
 end module battery_results_file
