@@ -75,10 +75,10 @@ contains
     type(stream_type) :: stream
     integer :: files
 
-    namelist = ''
-    initial_fingerprint = 0
-    files = 0
     call read_single(folder//'/plan', record, found)
+    files = 0
+    initial_fingerprint = 0
+    namelist = ''
     if (found) then
       stream = stream_of(record%word)
       call pass_plan(namelist, initial_fingerprint, files, stream)

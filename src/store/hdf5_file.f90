@@ -162,7 +162,7 @@ contains
       reason = 'it cannot be closed'
       write (unit, iostat=status, iomsg=reason) image, seal
       close (unit, iostat=closed)
-      status = merge(closed, status, status == 0)
+      if (status == 0) status = closed
     end if
     if (status == 0) then
       inquire (file=name, size=bytes)

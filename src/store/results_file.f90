@@ -174,9 +174,9 @@ contains
       call write_count(file, '/final/particle', 1, size(results%final_state, 1), in_order, error)
     end if
     do which = 1, 4
-      if (allocated(results%snapshots)) call write_dataset(file, '/snapshots/'//trim(names(which)), &
-        results%snapshots(:, :, :, :, which), trim(units(which)), meanings(which), error, &
-        by_particle)
+      if (allocated(results%snapshots)) call write_dataset(file, &
+        '/snapshots/'//trim(names(which)), results%snapshots(:, :, :, :, which), &
+        trim(units(which)), meanings(which), error, by_particle)
       if (allocated(results%final_state)) call write_dataset(file, '/final/'//trim(names(which)), &
         results%final_state(:, 1, :, :, which), trim(units(which)), meanings(which), error, by_last)
     end do
