@@ -37,25 +37,6 @@ contains
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
     type(ownership_type) :: ownership
-
-    exit_code = exit_failure
-    if (communicator%rank == 0) call take_ownership(ownership, plan%file, error)
-    call share_error(communicator, error)
-    if (allocated(error)) return
-    call share_text(communicator, ownership%path, 0)
-    call share_text(communicator, ownership%text, 0)
-    call run_owned(plan, communicator, ownership, overwrite, quiet, exit_code, error)
-    call give_up_ownership(ownership)
-  end subroutine run_ensemble
-
-  !> Runs an ensemble whose output this run owns.
-  subroutine run_owned(plan, communicator, ownership, overwrite, quiet, exit_code, error)
-    type(plan_type), intent(in) :: plan
-    type(communicator_type), intent(in) :: communicator
-    type(ownership_type), intent(in) :: ownership
-    logical, intent(in) :: overwrite, quiet
-    integer, intent(out) :: exit_code
-    type(error_type), allocatable, intent(out) :: error
     integer, allocatable :: pending(:)
     type(journal_type) :: journal
     type(board_type) :: board
@@ -64,23 +45,30 @@ contains
     logical :: complete
 
     exit_code = exit_failure
+    if (communicator%rank == 0) call take_ownership(ownership, plan%file, error)
+    call share_error(communicator, error)
+    if (allocated(error)) return
+    call share_text(communicator, ownership%path, 0)
+    call share_text(communicator, ownership%text, 0)
     began = wall_seconds()
     call prepare(plan, communicator, overwrite, quiet, journal, pending, complete, error)
-    if (allocated(error)) return
-    if (complete) then
+    if (allocated(error)) then
+      continue
+    else if (complete) then
       exit_code = exit_success
-      return
+    else
+      journal%ownership = ownership
+      if (plan%checkpoint_minutes > 0.0_dp) &
+        watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
+      call open_board(board, communicator, pending)
+      call work(plan, journal, board, watch, quiet, error)
+      call share_error(communicator, error)
+      if (.not. allocated(error)) &
+        call finish(plan, journal, board, watch%busy, began, quiet, exit_code, error)
+      call close_board(board)
     end if
-    journal%ownership = ownership
-    watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
-    if (.not. watch%checkpoint_interval > 0.0_dp) watch%checkpoint_interval = huge(1.0_dp)
-    call open_board(board, communicator, pending)
-    call work(plan, journal, board, watch, quiet, error)
-    call share_error(communicator, error)
-    if (.not. allocated(error)) &
-      call finish(plan, journal, board, watch%busy, began, quiet, exit_code, error)
-    call close_board(board)
-  end subroutine run_owned
+    call give_up_ownership(ownership)
+  end subroutine run_ensemble
 
   !> Rank 0 merges the journal into the results file and says how it went. The journal is removed
   !> once all that it should have is in the results file.

@@ -21,6 +21,7 @@ module battery_journal
     write_single, read_single
   use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
+  use battery_tasks, only: task_type
   use battery_stream, only: stream_type, new_stream, measuring_stream, stream_of
   implicit none (type, external)
   private
@@ -255,12 +256,9 @@ contains
   end subroutine remove_states
 
   !> Saves a simulation, over the older of its two generations.
-  subroutine write_state(journal, task, kept, simulation, cpu_seconds, error)
+  subroutine write_state(journal, task, simulation, cpu_seconds, error)
     type(journal_type), intent(inout) :: journal
-    !> Number of the task, and what it is known by.
-    integer, intent(in) :: task
-    !> `task_type%kept` of the task.
-    integer(int64), intent(in) :: kept
+    type(task_type), intent(in) :: task
     type(simulation_type), intent(inout) :: simulation
     !> Of a processor, spent on the task so far.
     real(dp), intent(in) :: cpu_seconds
@@ -280,12 +278,12 @@ contains
     stream = new_stream(stream%length)
     call pass_state(simulation, simulation%setup, seconds, stream, error)
     if (allocated(error)) return
-    record%owner = kept
-    record%tag = task
+    record%owner = task%kept
+    record%tag = task%task
     journal%generation = journal%generation + 1
     record%generation = journal%generation
     call move_alloc(stream%word, record%word)
-    name = file_of(journal, 'task', task)//generations(2 - mod(journal%generation, 2_int64))
+    name = file_of(journal, 'task', task%task)//generations(2 - mod(journal%generation, 2_int64))
     call write_single(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
@@ -303,13 +301,9 @@ contains
   end subroutine pass_state
 
   !> The newer of the whole states of a task, if there is one.
-  subroutine read_state(journal, task, kept, setup, simulation, cpu_seconds, found, error)
+  subroutine read_state(journal, task, simulation, cpu_seconds, found, error)
     type(journal_type), intent(inout) :: journal
-    !> Number of the task, and what it is known by.
-    integer, intent(in) :: task
-    !> `task_type%kept` of the task.
-    integer(int64), intent(in) :: kept
-    type(setup_type), intent(in) :: setup
+    type(task_type), intent(in) :: task
     type(simulation_type), intent(out) :: simulation
     !> Of a processor, spent on the task before.
     real(dp), intent(out) :: cpu_seconds
@@ -322,8 +316,8 @@ contains
 
     cpu_seconds = 0.0_dp
     do k = 1, 2
-      call read_single(file_of(journal, 'task', task)//generations(k), state(k), found)
-      if (state(k)%tag /= task .or. state(k)%owner /= kept) state(k) = record_type()
+      call read_single(file_of(journal, 'task', task%task)//generations(k), state(k), found)
+      if (state(k)%tag /= task%task .or. state(k)%owner /= task%kept) state(k) = record_type()
     end do
     ! Where there is none, or the result of a task, the generation is 0.
     newer = maxloc(state%generation, 1)
@@ -333,7 +327,7 @@ contains
     state(3 - newer) = record_type()
     stream = stream_of(state(newer)%word)
     state(newer) = record_type()
-    call pass_state(simulation, setup, cpu_seconds, stream, error)
+    call pass_state(simulation, task%setup, cpu_seconds, stream, error)
   end subroutine read_state
 
 end module battery_journal

@@ -9,6 +9,7 @@ module battery_task_result
   use battery_simulation, only: simulation_type
   use battery_record_file, only: record_type
   use battery_results, only: task_complete, task_failed, task_not_done
+  use battery_tasks, only: task_type
   implicit none (type, external)
   private
   public :: task_result_type, result_of, failed_result, to_record, from_record
@@ -37,14 +38,9 @@ module battery_task_result
 contains
 
   !> The result of a simulation that is done.
-  function result_of(task, kept, simulation, final_state, cpu_seconds) result(found)
-    !> Number of the task, and what it is known by.
-    integer, intent(in) :: task
-    !> `task_type%kept` of the task.
-    integer(int64), intent(in) :: kept
+  function result_of(task, simulation, cpu_seconds) result(found)
+    type(task_type), intent(in) :: task
     type(simulation_type), intent(in) :: simulation
-    !> Whether it is kept.
-    logical, intent(in) :: final_state
     !> Of a processor, spent on the task.
     real(dp), intent(in) :: cpu_seconds
     type(task_result_type) :: found
@@ -52,8 +48,8 @@ contains
     integer(int64) :: n
     integer :: k
 
-    found%task = task
-    found%kept = kept
+    found%task = task%task
+    found%kept = task%kept
     found%status = task_complete
     found%message = ''
     found%measured = new_measured()
@@ -79,7 +75,7 @@ contains
     do k = 1, simulation%snapshots_taken
       found%snapshots(n*(k - 1) + 1:n*k) = flat(simulation%snapshot(k))
     end do
-    if (final_state) then
+    if (task%final_state) then
       call simulation%engine%particles(1, simulation%engine%number, particles)
       found%final_state = flat(particles)
     end if
@@ -93,17 +89,14 @@ contains
   end function flat
 
   !> The result of a task that could not be done, with the reason.
-  function failed_result(task, kept, message) result(failed)
-    !> Number of the task, and what it is known by.
-    integer, intent(in) :: task
-    !> `task_type%kept` of the task.
-    integer(int64), intent(in) :: kept
+  function failed_result(task, message) result(failed)
+    type(task_type), intent(in) :: task
     !> The reason.
     character(len=*), intent(in) :: message
     type(task_result_type) :: failed
 
-    failed%task = task
-    failed%kept = kept
+    failed%task = task%task
+    failed%kept = task%kept
     failed%status = task_failed
     failed%message = message
     failed%measured = new_measured()

@@ -113,23 +113,13 @@ contains
           if (must_stop()) exit
           if (read_board(board, tasks_finished) >= board%tasks) exit
           call show_ensemble(screen, board, 0.5_dp)
-          next_look = wall_seconds() + seconds_between_looks(board%communicator%size, nap)
+          next_look = wall_seconds() + max(nap, board%communicator%size/looks_a_second)
         end if
         call rest(nap)
       end do
     end subroutine wait_for_others
 
   end subroutine work
-
-  !> Seconds between two looks at the board of each of so many ranks, at least `least`.
-  pure function seconds_between_looks(ranks, least) result(seconds)
-    !> How many look.
-    integer, intent(in) :: ranks
-    real(dp), intent(in) :: least
-    real(dp) :: seconds
-
-    seconds = max(least, ranks/looks_a_second)
-  end function seconds_between_looks
 
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
   !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's
@@ -173,8 +163,7 @@ contains
       stopped = watch%stopping
       now = wall_seconds()
       if (.not. stopped .and. now < watch%next_checkpoint) cycle
-      call write_state(journal, task%task, task%kept, simulation, &
-        cpu_before + cpu_seconds() - cpu_began, error)
+      call write_state(journal, task, simulation, cpu_before + cpu_seconds() - cpu_began, error)
       if (stopped .or. allocated(error)) exit
       watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
     end do
@@ -184,11 +173,10 @@ contains
     if (stopped .or. allocated(error)) return
     if (.not. allocated(trouble)) call verify(simulation, trouble)
     if (allocated(trouble)) then
-      found = failed_result(task%task, task%kept, trouble%message)
+      found = failed_result(task, trouble%message)
     else
       call add_to_board(board, collisions_done, simulation%observer%collisions - told)
-      found = result_of(task%task, task%kept, simulation, task%final_state, &
-        cpu_before + cpu_seconds() - cpu_began)
+      found = result_of(task, simulation, cpu_before + cpu_seconds() - cpu_began)
     end if
 
   contains
@@ -204,7 +192,7 @@ contains
       watch%stopping = read_board(board, stop_wanted) > 0
       after = wall_seconds()
       watch%next_look = after + min(longest_interval, max((after - now)/look_share, &
-        seconds_between_looks(board%communicator%size, look_interval)))
+        look_interval, board%communicator%size/looks_a_second))
     end subroutine look_around
 
   end subroutine run_task
@@ -235,8 +223,7 @@ contains
     call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
       //' particles', error)
     if (allocated(error)) return
-    call read_state(journal, task%task, task%kept, task%setup, simulation, cpu_before, resumed, &
-      error)
+    call read_state(journal, task, simulation, cpu_before, resumed, error)
     if (resumed .or. allocated(error)) return
     call place_particles(task, start, particles, error)
     if (allocated(error)) return
