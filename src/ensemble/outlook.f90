@@ -138,7 +138,9 @@ contains
     if (number /= 1) text = text//'s'
   end function counted
 
-  !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the plan.
+  !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the plan
+  !> that are run for a short while. Time is that of a processor, so that other work on the machine
+  !> does not count.
   subroutine calibrate(plan, most, seconds, rate, error)
     type(plan_type), intent(in) :: plan
     !> Particles of the largest task that there is memory for; larger ones are passed over.
@@ -147,8 +149,11 @@ contains
     real(dp), intent(out) :: seconds, rate
     type(error_type), allocatable, intent(out) :: error
     type(task_type) :: task
+    type(simulation_type) :: simulation
+    type(particles_type) :: particles
     integer :: tries, tried, k
-    real(dp) :: one_seconds, one_rate
+    integer(int64) :: before
+    real(dp) :: began, spent, elapsed, one_rate
 
     tries = min(most_tries, task_count(plan))
     tried = 0
@@ -157,52 +162,31 @@ contains
     do k = 1, tries
       task = task_of(plan, 1 + int(int(task_count(plan) - 1, int64)*(k - 1)/max(tries - 1, 1)))
       if (task%number > most) cycle
-      call try(task, plan%start, one_seconds, one_rate, error)
+      call place_particles(task, plan%start, particles, error)
+      if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
       if (allocated(error)) return
+      began = cpu_seconds()
+      before = simulation%engine%collisions()
+      elapsed = real(simulation%elapsed, dp)
+      do
+        call step(simulation)
+        spent = cpu_seconds() - began
+        if (stop_requested()) call stopped_before_start(error)
+        if (allocated(error)) return
+        if (spent > try_seconds .or. simulation%done) exit
+      end do
       tried = tried + 1
-      seconds = seconds + one_seconds
+      one_rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
       rate = rate + one_rate
+      if (plan%duration > 0.0_wp) then
+        seconds = seconds + spent*real(plan%duration, dp)/max(real(simulation%elapsed, dp) &
+          - elapsed, tiny(1.0_dp))
+      else
+        seconds = seconds + real(plan%collisions, dp)/max(one_rate, 1.0e-9_dp)
+      end if
     end do
     seconds = seconds/max(tried, 1)
     rate = rate/max(tried, 1)
   end subroutine calibrate
-
-  !> Runs a task for a short while. Its time is that of a processor, so that other work on the
-  !> machine does not count.
-  subroutine try(task, start, seconds, rate, error)
-    type(task_type), intent(in) :: task
-    !> What the initial file says.
-    type(particles_type), intent(in) :: start
-    real(dp), intent(out) :: seconds, rate
-    type(error_type), allocatable, intent(out) :: error
-    type(simulation_type) :: simulation
-    type(particles_type) :: particles
-    real(dp) :: began, spent, elapsed
-    integer(int64) :: before
-
-    call place_particles(task, start, particles, error)
-    if (allocated(error)) return
-    call begin_simulation(simulation, task%setup, particles, error)
-    if (allocated(error)) return
-    began = cpu_seconds()
-    before = simulation%engine%collisions()
-    elapsed = real(simulation%elapsed, dp)
-    do
-      call step(simulation)
-      spent = cpu_seconds() - began
-      if (stop_requested()) then
-        call stopped_before_start(error)
-        return
-      end if
-      if (spent > try_seconds .or. simulation%done) exit
-    end do
-    rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
-    if (task%setup%duration > 0.0_wp) then
-      seconds = spent*real(task%setup%duration, dp)/max(real(simulation%elapsed, dp) - elapsed, &
-        tiny(1.0_dp))
-    else
-      seconds = real(task%setup%collisions, dp)/max(rate, 1.0e-9_dp)
-    end if
-  end subroutine try
 
 end module battery_outlook

@@ -8,7 +8,7 @@ module battery_observer
   use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
   use battery_history, only: history_type, channel1_12, channel2_12
-  use battery_quantities, only: measured_type, set_average, set_count, flow_names, unknown_real
+  use battery_quantities, only: measured_type, set_average, set_count, flow_names
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -216,27 +216,18 @@ contains
         call set_average(measured, flow_names(k), real(real(o%crossings(k), wp)/time, dp))
       end do
       call set_average(measured, 'current1', &
-        real(real(o%crossings(1) - o%crossings(2), wp)/time, dp), error_from(o%current1_blocks))
+        real(real(o%crossings(1) - o%crossings(2), wp)/time, dp), &
+        real(standard_error(o%current1_blocks), dp))
       call set_average(measured, 'current2', &
-        real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), error_from(o%current2_blocks))
+        real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), &
+        real(standard_error(o%current2_blocks), dp))
       if (.not. o%two_halves) return
       call set_average(measured, 'chi', real((o%spread + o%block_spread)/(time*number), dp), &
-        error_from(o%chi_blocks))
+        real(standard_error(o%chi_blocks), dp))
       if (o%collisions_seen > 0) call set_average(measured, 'chi_collision', &
         real(real(o%collision_spread_sum, wp)/(real(o%collisions_seen, wp)*number), dp))
     end associate
   end subroutine measure
-
-  !> Standard error from blocks; NaN where there are too few.
-  pure function error_from(blocks) result(error)
-    type(blocks_type), intent(in) :: blocks
-    real(dp) :: error
-    real(wp) :: found
-    logical :: known
-
-    call standard_error(blocks, found, known)
-    error = merge(real(found, dp), unknown_real(), known)
-  end function error_from
 
   !> All that is needed to go on observing to the same last bit, into a stream or out of it.
   pure subroutine pass_observer(observer, stream)
