@@ -207,6 +207,8 @@ contains
     do k = 1, size(records)
       call from_record(records(k), results(good + 1), is_one)
       if (is_one) good = good + 1
+      ! Of large results there is not more than one copy here.
+      records(k) = record_type()
     end do
     results = results(:good)
   end subroutine read_rank_file
