@@ -56,7 +56,6 @@ contains
     type(board_type) :: board
     real(dp) :: began, before, after, summary(3), longest, spent
     integer :: task, k, operations
-    integer(int64) :: ignored
 
     call open_board(board, communicator, [(k, k=1, items)])
     longest = 0.0_dp
@@ -70,7 +69,7 @@ contains
         before = after
         call take_task(board, task)
         if (task == 0) exit
-        call add_to_board(board, tasks_finished, 1_int64, ignored)
+        call add_to_board(board, tasks_finished, 1_int64)
         after = wall_seconds()
         ! Three operations a task.
         operations = operations + 3

@@ -11,18 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import h5py
 import pytest
-from support.program import (
-    assert_same,
-    finish,
-    kill_all,
-    listing,
-    namelist,
-    rank_processes,
-    run,
-    send,
-    start,
-    wait_for,
-)
+from support import program
 
 if TYPE_CHECKING:
     from subprocess import Popen
@@ -35,7 +24,7 @@ BEATS_OF_A_DEAD_OWNER = "elsewhere 4711 2026-11-21 12:00:00.000"
 def write(folder: Path, name: str = "case.nml", collisions: int = SHORT, **keys: Any) -> None:
     """Write a case with two tasks."""
     (folder / name).write_text(
-        namelist(
+        program.namelist(
             particles={"number": 50, "seed": keys.get("seed", 1)},
             gate={"threshold": 2},
             run={"collisions": collisions},
@@ -48,9 +37,9 @@ def write(folder: Path, name: str = "case.nml", collisions: int = SHORT, **keys:
 
 def under_way(folder: Path, *arguments: str, ranks: int = 0) -> tuple[Popen[str], list[int]]:
     """Start a run and wait until it has saved a state."""
-    process = start("--quiet", *arguments, folder=folder, ranks=ranks)
-    numbers = rank_processes(process, ranks)
-    assert wait_for(lambda: any((folder / "out.h5.tasks").glob("task_*")), process)
+    process = program.start("--quiet", *arguments, folder=folder, ranks=ranks)
+    numbers = program.rank_processes(process, ranks)
+    assert program.wait_for(lambda: any((folder / "out.h5.tasks").glob("task_*")), process)
     return process, numbers
 
 
@@ -67,10 +56,10 @@ def test_a_second_run_is_told_who_has_the_output(tmp_path: Path, ranks: int, oth
     write(tmp_path, "other.nml", seed=2)
     process, numbers = under_way(tmp_path, "case.nml", ranks=ranks)
     options = ["--overwrite"] if other == "other.nml" else []
-    second = run(*options, other, folder=tmp_path, ranks=ranks)
+    second = program.run(*options, other, folder=tmp_path, ranks=ranks)
     at_work = process.poll() is None
-    send(numbers, signal.SIGTERM)
-    ended = finish(process)
+    program.send(numbers, signal.SIGTERM)
+    ended = program.finish(process)
     assert second.returncode == 2, (second.returncode, second.stdout, second.stderr)
     assert "out.h5: another run is at work on it" in second.stderr
     assert f"on {socket.gethostname()}, process " in second.stderr
@@ -83,8 +72,8 @@ def test_a_second_run_is_told_who_has_the_output(tmp_path: Path, ranks: int, oth
 def test_a_run_that_ends_soon_is_waited_for(tmp_path: Path) -> None:
     """Two runs of a short input at once: one computes, the other finds it complete."""
     write(tmp_path)
-    runs = [start("case.nml", folder=tmp_path) for _ in range(2)]
-    ended = [finish(process) for process in runs]
+    runs = [program.start("case.nml", folder=tmp_path) for _ in range(2)]
+    ended = [program.finish(process) for process in runs]
     assert [one.returncode for one in ended] == [0, 0], [one.stderr for one in ended]
     assert sum("is complete" in one.stdout for one in ended) == 1
     assert names(tmp_path) == ["case.nml", "out.h5"]
@@ -96,17 +85,17 @@ def test_a_dead_owner_is_replaced(tmp_path: Path, ranks: int) -> None:
     calm = tmp_path / "calm"
     calm.mkdir()
     write(calm)
-    assert run("case.nml", folder=calm).returncode == 0
+    assert program.run("case.nml", folder=calm).returncode == 0
     write(tmp_path, collisions=LONG)
     process, _ = under_way(tmp_path, "case.nml", ranks=ranks)
-    kill_all(process)
-    finish(process)
+    program.kill_all(process)
+    program.finish(process)
     assert (tmp_path / "out.h5.owner").exists()
     write(tmp_path)
-    ended = run("--overwrite", "case.nml", folder=tmp_path, ranks=ranks)
+    ended = program.run("--overwrite", "case.nml", folder=tmp_path, ranks=ranks)
     assert ended.returncode == 0, ended.stderr
     assert names(tmp_path) == ["calm", "case.nml", "out.h5"]
-    assert_same(tmp_path / "out.h5", calm / "out.h5")
+    program.assert_same(tmp_path / "out.h5", calm / "out.h5")
 
 
 def test_a_rank_that_outlives_rank_0_does_no_harm(tmp_path: Path) -> None:
@@ -114,26 +103,26 @@ def test_a_rank_that_outlives_rank_0_does_no_harm(tmp_path: Path) -> None:
     calm = tmp_path / "calm"
     calm.mkdir()
     write(calm)
-    assert run("case.nml", folder=calm).returncode == 0
+    assert program.run("case.nml", folder=calm).returncode == 0
     write(tmp_path, collisions=LONG)
     process, numbers = under_way(tmp_path, "case.nml", ranks=2)
-    send(numbers[1:], signal.SIGSTOP)
-    send([process.pid, numbers[0]], signal.SIGKILL)
+    program.send(numbers[1:], signal.SIGSTOP)
+    program.send([process.pid, numbers[0]], signal.SIGKILL)
     process.wait()
     write(tmp_path)
-    ended = run("--overwrite", "case.nml", folder=tmp_path)
-    send(numbers[1:], signal.SIGCONT)
-    finish(process)
+    ended = program.run("--overwrite", "case.nml", folder=tmp_path)
+    program.send(numbers[1:], signal.SIGCONT)
+    program.finish(process)
     assert ended.returncode == 0, ended.stderr
     assert names(tmp_path) == ["calm", "case.nml", "out.h5"]
-    assert_same(tmp_path / "out.h5", calm / "out.h5")
+    program.assert_same(tmp_path / "out.h5", calm / "out.h5")
 
 
 def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
     """A run that waits for another hears a signal, and exits with 3."""
     write(tmp_path, collisions=LONG)
     process, numbers = under_way(tmp_path, "case.nml")
-    second = start("case.nml", folder=tmp_path)
+    second = program.start("case.nml", folder=tmp_path)
     status = Path(f"/proc/{second.pid}/status")
     mask = 1 << (signal.SIGTERM - 1)
 
@@ -141,11 +130,11 @@ def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
         lines = [line for line in status.read_text().splitlines() if line.startswith("SigCgt")]
         return bool(int(lines[0].split()[1], 16) & mask)
 
-    assert wait_for(listens, second)
+    assert program.wait_for(listens, second)
     second.send_signal(signal.SIGTERM)
-    ended = finish(second)
-    send(numbers, signal.SIGKILL)
-    finish(process)
+    ended = program.finish(second)
+    program.send(numbers, signal.SIGKILL)
+    program.finish(process)
     assert ended.returncode == 3, (ended.returncode, ended.stderr)
     # Whether it waited already when the signal came is up to the machine.
     assert "stopped" in ended.stderr
@@ -166,7 +155,7 @@ def test_an_owner_on_another_machine(tmp_path: Path, beats: bool) -> None:
     thread = threading.Thread(target=beat)
     if beats:
         thread.start()
-    ended = run("case.nml", folder=tmp_path)
+    ended = program.run("case.nml", folder=tmp_path)
     over.set()
     if beats:
         thread.join()
@@ -184,10 +173,10 @@ def test_an_owner_beats(tmp_path: Path) -> None:
     process, numbers = under_way(tmp_path, "case.nml")
     owner = tmp_path / "out.h5.owner"
     first = owner.stat().st_mtime_ns
-    beats = wait_for(lambda: owner.stat().st_mtime_ns != first, process)
+    beats = program.wait_for(lambda: owner.stat().st_mtime_ns != first, process)
     text = owner.read_text()
-    send(numbers, signal.SIGKILL)
-    finish(process)
+    program.send(numbers, signal.SIGKILL)
+    program.finish(process)
     assert beats
     assert text.startswith(f"{socket.gethostname()} {numbers[0]} 20")
 
@@ -196,9 +185,9 @@ def test_a_check_takes_nothing(tmp_path: Path) -> None:
     """--check neither owns an output nor cares who does."""
     write(tmp_path)
     (tmp_path / "out.h5.owner").write_text(BEATS_OF_A_DEAD_OWNER)
-    before = listing(tmp_path)
-    assert run("--check", "case.nml", folder=tmp_path).returncode == 0
-    assert listing(tmp_path) == before
+    before = program.listing(tmp_path)
+    assert program.run("--check", "case.nml", folder=tmp_path).returncode == 0
+    assert program.listing(tmp_path) == before
 
 
 @pytest.mark.parametrize("what", ["folder", "link", "pipe"])
@@ -214,7 +203,7 @@ def test_what_is_no_owner_is_named(tmp_path: Path, what: str) -> None:
         owner.symlink_to(target)
     else:
         os.mkfifo(owner)
-    ended = run("case.nml", folder=tmp_path)
+    ended = program.run("case.nml", folder=tmp_path)
     assert ended.returncode == 2, (ended.stdout, ended.stderr)
     assert "out.h5.owner: is not a file that a run has left; remove it" in ended.stderr
     assert target.read_text() == "precious"
@@ -223,10 +212,10 @@ def test_what_is_no_owner_is_named(tmp_path: Path, what: str) -> None:
 def test_refused_and_complete_runs_leave_no_owner(tmp_path: Path) -> None:
     """Whatever comes of a run, its claim is gone when it ends."""
     write(tmp_path)
-    assert run("case.nml", folder=tmp_path).returncode == 0
-    assert "is complete" in run("case.nml", folder=tmp_path).stdout
+    assert program.run("case.nml", folder=tmp_path).returncode == 0
+    assert "is complete" in program.run("case.nml", folder=tmp_path).stdout
     write(tmp_path, seed=2)
-    assert run("case.nml", folder=tmp_path).returncode == 2
+    assert program.run("case.nml", folder=tmp_path).returncode == 2
     assert names(tmp_path) == ["case.nml", "out.h5"]
     with h5py.File(tmp_path / "out.h5") as file:
         assert file["task_status"].shape == (1, 2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -445,6 +446,16 @@ def test_attributes_of_the_contract(scan: Path) -> None:
     assert attributes["mpi_ranks"] == 1
     assert attributes["namelist"] == (scan.parent / "case.nml").read_text()
     assert re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ?$", attributes["created"])
+
+
+@pytest.mark.parametrize("zone", ["EAST-14", "WEST+11:30"])
+def test_created_is_utc(tmp_path: Path, zone: str) -> None:
+    """The file tells the time of day in UTC, wherever it is written: hours lie between zones."""
+    write(tmp_path, output={"file": "'out.h5'"})
+    assert run("case.nml", folder=tmp_path, environment={"TZ": zone}).returncode == 0
+    with h5py.File(tmp_path / "out.h5") as file:
+        created = datetime.fromisoformat(file.attrs["created"])
+    assert abs(created - datetime.now(UTC)) < timedelta(hours=1)
 
 
 def test_xarray_opens_it(scan: Path) -> None:

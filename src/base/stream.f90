@@ -35,6 +35,8 @@ module battery_stream
     procedure, private :: pass_logical, pass_int32, pass_int64, pass_real
     procedure, private :: pass_int8s, pass_int16s, pass_int32s, pass_int64s, pass_reals
     procedure, private :: pass_int32_list, pass_real_list
+    !> Passes a text of any length.
+    procedure :: pass_text
     !> Passes a number, `value`, or an array, `values`, that is as long on reading as it was on
     !> writing. By the `name` a stream of something else is found out.
     generic :: pass => pass_logical, pass_int32, pass_int64, pass_real, pass_int8s, pass_int16s, &
@@ -300,6 +302,26 @@ contains
     if (size(values) /= items) values = spread(0.0_wp, 1, items)
     call self%pass_reals(name, values)
   end subroutine pass_real_list
+
+  !> A text of any length and of any bytes.
+  pure subroutine pass_text(self, name, text)
+    class(stream_type), intent(inout) :: self
+    !> Of the component: by it a stream of something else is found out.
+    character(len=*), intent(in) :: name
+    !> On reading it becomes as long as what was written.
+    character(len=:), allocatable, intent(inout) :: text
+    integer(int8), allocatable :: letters(:)
+    integer :: length
+
+    length = 0
+    if (allocated(text)) length = len(text)
+    call self%pass_size(name, length)
+    if (self%failed()) return
+    allocate (letters(length), source=0_int8)
+    if (.not. self%reading .and. length > 0) letters = transfer(text, letters)
+    call self%pass_int8s(name, letters)
+    if (self%reading) text = transfer(letters, repeat(' ', length))
+  end subroutine pass_text
 
   !> The size of a list, which no state of so many words can hold if it is greater.
   pure subroutine pass_size(self, name, items)

@@ -9,21 +9,20 @@
 module battery_communicator
   use, intrinsic :: iso_c_binding, only: c_ptr, c_f_pointer
   use mpi_f08, only: MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
-    MPI_CHARACTER, MPI_BYTE, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
+    MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
     MPI_ADDRESS_KIND, MPI_MAX_LIBRARY_VERSION_STRING, MPI_Init, MPI_Initialized, MPI_Finalize, &
     MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &
-    MPI_Allreduce, &
-    MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, MPI_Win_flush, &
-    MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, MPI_Get_library_version, &
+    MPI_Allreduce, MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, &
+    MPI_Win_flush, MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, MPI_Get_library_version, &
     MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED
-  use battery_kinds, only: wp, dp, int64
+  use battery_kinds, only: dp, int64
   use battery_error, only: error_type
   use battery_terminal, only: is_terminal, parent_is_terminal
   implicit none (type, external)
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: ranks_on_node, output_is_terminal
-  public :: share_integers, share_number, share_reals, wait_for_all, summary_of, mpi_library
+  public :: share_words, wait_for_all, summary_of, mpi_library
   public :: board_type, open_board, close_board, add_to_board, read_board
   public :: take_task, help_board, help_interval
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
@@ -48,10 +47,8 @@ module battery_communicator
     type(MPI_Win) :: window
     !> Tasks on the list.
     integer :: tasks = 0
-    !> Ranks that look at the board, and whether this one holds it.
-    integer :: ranks = 1
-    logical :: mine = .false.
-    type(MPI_Comm) :: comm
+    !> The ranks that look at it; rank 0 holds it.
+    type(communicator_type) :: communicator
   end type board_type
 
 contains
@@ -61,18 +58,15 @@ contains
   subroutine open_communicator(communicator, parent)
     type(communicator_type), intent(out) :: communicator
     type(MPI_Comm), intent(in), optional :: parent
+    type(MPI_Comm) :: from
     logical :: running
 
     call MPI_Initialized(running)
-    if (.not. running) then
-      call MPI_Init()
-      communicator%mine = .true.
-    end if
-    if (present(parent)) then
-      call MPI_Comm_dup(parent, communicator%ranks)
-    else
-      call MPI_Comm_dup(MPI_COMM_WORLD, communicator%ranks)
-    end if
+    communicator%mine = .not. running
+    if (communicator%mine) call MPI_Init()
+    from = MPI_COMM_WORLD
+    if (present(parent)) from = parent
+    call MPI_Comm_dup(from, communicator%ranks)
     call MPI_Comm_rank(communicator%ranks, communicator%rank)
     call MPI_Comm_size(communicator%ranks, communicator%size)
   end subroutine open_communicator
@@ -89,23 +83,14 @@ contains
   subroutine share_error(communicator, error)
     type(communicator_type), intent(in) :: communicator
     type(error_type), allocatable, intent(inout) :: error
-    integer :: mine, first, code
-    character(len=:), allocatable :: text
+    integer :: mine, first
 
     mine = merge(communicator%rank, communicator%size, allocated(error))
     call MPI_Allreduce(mine, first, 1, MPI_INTEGER, MPI_MIN, communicator%ranks)
     if (first == communicator%size) return
-    code = 0
-    text = ''
-    if (allocated(error)) then
-      code = error%code
-      text = error%message
-    end if
-    call MPI_Bcast(code, 1, MPI_INTEGER, first, communicator%ranks)
-    call share_text(communicator, text, first)
     if (.not. allocated(error)) allocate (error)
-    error%code = code
-    error%message = text
+    call MPI_Bcast(error%code, 1, MPI_INTEGER, first, communicator%ranks)
+    call share_text(communicator, error%message, first)
   end subroutine share_error
 
   !> Every rank gets the text of rank `root`.
@@ -116,52 +101,24 @@ contains
     integer, intent(in) :: root
     integer :: length
 
-    length = 0
     if (communicator%rank == root) length = len(text)
     call MPI_Bcast(length, 1, MPI_INTEGER, root, communicator%ranks)
     if (communicator%rank /= root) text = repeat(' ', length)
     call MPI_Bcast(text, length, MPI_CHARACTER, root, communicator%ranks)
   end subroutine share_text
 
-  !> Every rank gets the integers of rank 0; on the others the array is allocated anew.
-  subroutine share_integers(communicator, integers)
+  !> Every rank gets the words of rank 0; on the others the array is allocated anew.
+  subroutine share_words(communicator, words)
     type(communicator_type), intent(in) :: communicator
     !> Given on rank 0.
-    integer, allocatable, intent(inout) :: integers(:)
+    integer(int64), allocatable, intent(inout) :: words(:)
     integer :: length
 
-    length = 0
-    if (communicator%rank == 0) length = size(integers)
+    if (communicator%rank == 0) length = size(words)
     call MPI_Bcast(length, 1, MPI_INTEGER, 0, communicator%ranks)
-    if (communicator%rank /= 0) then
-      if (allocated(integers)) deallocate (integers)
-      allocate (integers(length))
-    end if
-    call MPI_Bcast(integers, length, MPI_INTEGER, 0, communicator%ranks)
-  end subroutine share_integers
-
-  !> Every rank gets the number of rank 0.
-  subroutine share_number(communicator, number)
-    type(communicator_type), intent(in) :: communicator
-    !> Given on rank 0.
-    integer(int64), intent(inout) :: number
-
-    call MPI_Bcast(number, 1, MPI_INTEGER8, 0, communicator%ranks)
-  end subroutine share_number
-
-  !> Every rank gets the reals of rank 0; on the others the array is allocated anew.
-  subroutine share_reals(communicator, reals)
-    type(communicator_type), intent(in) :: communicator
-    !> Given on rank 0.
-    real(wp), allocatable, intent(inout) :: reals(:)
-    integer :: length
-
-    length = 0
-    if (communicator%rank == 0) length = size(reals)
-    call MPI_Bcast(length, 1, MPI_INTEGER, 0, communicator%ranks)
-    if (communicator%rank /= 0) allocate (reals(length))
-    call MPI_Bcast(reals, length*(storage_size(1.0_wp)/8), MPI_BYTE, 0, communicator%ranks)
-  end subroutine share_reals
+    if (communicator%rank /= 0) words = spread(0_int64, 1, length)
+    call MPI_Bcast(words, length, MPI_INTEGER8, 0, communicator%ranks)
+  end subroutine share_words
 
   !> No rank goes on before all are here. Collective.
   subroutine wait_for_all(communicator)
@@ -227,17 +184,16 @@ contains
     type(c_ptr) :: base
     integer(int64), pointer :: entries(:)
 
-    board%mine = communicator%rank == 0
-    board%ranks = communicator%size
-    board%comm = communicator%ranks
+    board%communicator = communicator
     board%tasks = size(tasks)
     call MPI_Bcast(board%tasks, 1, MPI_INTEGER, 0, communicator%ranks)
-    bytes = merge(int(board_size + board%tasks, MPI_ADDRESS_KIND)*storage_size(1_int64)/8, &
-      0_MPI_ADDRESS_KIND, board%mine)
+    bytes = 0
+    if (communicator%rank == 0) bytes = (board_size + int(board%tasks, MPI_ADDRESS_KIND)) &
+      *storage_size(1_int64)/8
     call MPI_Win_allocate(bytes, storage_size(1_int64)/8, MPI_INFO_NULL, communicator%ranks, base, &
       board%window)
     call MPI_Win_lock_all(0, board%window)
-    if (board%mine) then
+    if (communicator%rank == 0) then
       call c_f_pointer(base, entries, [board_size + board%tasks])
       entries(:board_size) = 0
       entries(board_size + 1:) = tasks
@@ -269,8 +225,8 @@ contains
     type(board_type), intent(in) :: board
     logical :: waiting
 
-    if (board%mine .and. board%ranks > 1) &
-      call MPI_Iprobe(MPI_ANY_SOURCE, MPI_ANY_TAG, board%comm, waiting, MPI_STATUS_IGNORE)
+    if (board%communicator%rank == 0 .and. board%communicator%size > 1) call MPI_Iprobe( &
+      MPI_ANY_SOURCE, MPI_ANY_TAG, board%communicator%ranks, waiting, MPI_STATUS_IGNORE)
   end subroutine help_board
 
   !> Collective.
@@ -289,11 +245,13 @@ contains
     !> Of either sign.
     integer(int64), intent(in) :: amount
     !> Its value before.
-    integer(int64), intent(out) :: before
+    integer(int64), intent(out), optional :: before
+    integer(int64), asynchronous :: found
 
-    call MPI_Fetch_and_op(amount, before, MPI_INTEGER8, 0, int(entry - 1, MPI_ADDRESS_KIND), &
+    call MPI_Fetch_and_op(amount, found, MPI_INTEGER8, 0, int(entry - 1, MPI_ADDRESS_KIND), &
       MPI_SUM, board%window)
     call MPI_Win_flush(0, board%window)
+    if (present(before)) before = found
   end subroutine add_to_board
 
   !> An entry as it is now.

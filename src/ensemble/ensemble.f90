@@ -8,17 +8,19 @@ module battery_ensemble
   use battery_kinds, only: dp
   use battery_clocks, only: wall_seconds
   use battery_communicator, only: communicator_type, board_type, open_board, close_board, &
-    share_error, share_text
-  use battery_ending, only: finish
-  use battery_error, only: error_type, exit_success, exit_failure
-  use battery_journal, only: journal_type
+    read_board, share_error, share_text, summary_of, tasks_finished, tasks_failed, collisions_done
+  use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
+  use battery_journal, only: journal_type, check_ownership
+  use battery_journal_folder, only: remove_journal
+  use battery_merge, only: merge_results
   use battery_ownership, only: ownership_type, take_ownership, give_up_ownership
   use battery_plan, only: plan_type
   use battery_preparation, only: prepare
+  use battery_results, only: results_type, task_complete
   use battery_signals, only: stop_after
-  use battery_task, only: watch_type
-  use battery_tasks, only: task_count
-  use battery_work, only: work
+  use battery_summary, only: print_summary
+  use battery_text, only: string_type
+  use battery_work, only: watch_type, work
   implicit none (type, external)
   private
   public :: run_ensemble, heed_time_limit
@@ -35,6 +37,12 @@ contains
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
     type(ownership_type) :: ownership
+    integer, allocatable :: pending(:)
+    type(journal_type) :: journal
+    type(board_type) :: board
+    type(watch_type) :: watch
+    real(dp) :: began
+    logical :: complete
 
     exit_code = exit_failure
     if (communicator%rank == 0) call take_ownership(ownership, plan%file, error)
@@ -42,60 +50,76 @@ contains
     if (allocated(error)) return
     call share_text(communicator, ownership%path, 0)
     call share_text(communicator, ownership%text, 0)
-    call run_owned(plan, communicator, ownership, overwrite, quiet, exit_code, error)
+    began = wall_seconds()
+    call prepare(plan, communicator, overwrite, quiet, journal, pending, complete, error)
+    if (allocated(error)) then
+      continue
+    else if (complete) then
+      exit_code = exit_success
+    else
+      journal%ownership = ownership
+      if (plan%checkpoint_minutes > 0.0_dp) &
+        watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
+      call open_board(board, communicator, pending)
+      call work(plan, journal, board, watch, quiet, error)
+      call share_error(communicator, error)
+      if (.not. allocated(error)) &
+        call finish(plan, journal, board, watch%busy, began, quiet, exit_code, error)
+      call close_board(board)
+    end if
     call give_up_ownership(ownership)
   end subroutine run_ensemble
 
-  !> Runs an ensemble whose output this run owns.
-  subroutine run_owned(plan, communicator, ownership, overwrite, quiet, exit_code, error)
+  !> Rank 0 merges the journal into the results file and says how it went. The journal is removed
+  !> once all that it should have is in the results file.
+  subroutine finish(plan, journal, board, busy_seconds, began, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
-    type(communicator_type), intent(in) :: communicator
-    type(ownership_type), intent(in) :: ownership
-    logical, intent(in) :: overwrite, quiet
+    type(journal_type), intent(in) :: journal
+    type(board_type), intent(in) :: board
+    !> What this rank spent in tasks, and when it began on the clock of `wall_seconds`.
+    real(dp), intent(in) :: busy_seconds, began
+    !> Whether only failures are told.
+    logical, intent(in) :: quiet
+    !> What the program should end with; the same on all ranks.
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
-    integer, allocatable :: pending(:)
-    type(journal_type) :: journal
-    type(board_type) :: board
-    type(watch_type) :: watch
-    real(dp) :: began
-    logical :: complete
-    integer :: finished_before
+    type(results_type) :: results
+    type(string_type), allocatable :: failures(:)
+    real(dp) :: busy(3)
+    logical :: all_done
 
-    exit_code = exit_failure
-    began = wall_seconds()
-    call prepare(plan, communicator, overwrite, quiet, journal, pending, complete, error)
-    if (allocated(error)) return
-    if (complete) then
-      exit_code = exit_success
-      return
+    busy = summary_of(board%communicator, busy_seconds/max(wall_seconds() - began, 1.0e-9_dp))
+    all_done = read_board(board, tasks_finished) >= board%tasks
+    exit_code = exit_success
+    if (read_board(board, tasks_failed) > 0) exit_code = exit_failure
+    if (.not. all_done) exit_code = exit_stopped_early
+    if (board%communicator%rank == 0) then
+      call check_ownership(journal, error)
+      if (.not. allocated(error)) call merge_results(plan, journal, results, failures, error)
+      if (.not. allocated(error)) call print_summary(plan, results, failures, journal%ranks, busy, &
+        wall_seconds() - began, read_board(board, collisions_done), all_done, quiet)
+      if (.not. allocated(error) .and. exit_code == exit_success) then
+        if (all(results%task_status == task_complete)) then
+          call remove_journal(journal%folder, error)
+        else
+          call fatal_error(error, 'some results in '//journal%folder//' cannot be read back; ' &
+            //'the same command computes them again')
+        end if
+      end if
     end if
-    journal%ownership = ownership
-    watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
-    if (.not. watch%checkpoint_interval > 0.0_dp) watch%checkpoint_interval = huge(1.0_dp)
-    call open_board(board, communicator, pending)
-    finished_before = task_count(plan) - board%tasks
-    call work(plan, communicator, finished_before, journal, board, watch, quiet, error)
-    call share_error(communicator, error)
-    if (.not. allocated(error)) &
-      call finish(plan, communicator, journal, board, watch%busy, began, quiet, exit_code, error)
-    call close_board(board)
-  end subroutine run_owned
+    call share_error(board%communicator, error)
+    if (allocated(error)) exit_code = exit_failure
+  end subroutine finish
 
   !> From now on the run stops in time for `wall_minutes`.
   subroutine heed_time_limit(plan)
     type(plan_type), intent(in) :: plan
 
-    if (plan%wall_minutes > 0.0_dp) call stop_after(stop_seconds(real(plan%wall_minutes, dp)))
-  end subroutine heed_time_limit
-
-  !> Seconds until the run must begin to stop, so that it has ended before `wall_minutes`.
-  pure function stop_seconds(wall_minutes) result(seconds)
-    real(dp), intent(in) :: wall_minutes
     real(dp) :: seconds
 
-    seconds = 60.0_dp*wall_minutes
-    seconds = seconds - min(20.0_dp, 0.1_dp*seconds)
-  end function stop_seconds
+    seconds = 60.0_dp*real(plan%wall_minutes, dp)
+    ! To save states and to write results takes time as well.
+    if (seconds > 0.0_dp) call stop_after(seconds - min(20.0_dp, 0.1_dp*seconds))
+  end subroutine heed_time_limit
 
 end module battery_ensemble

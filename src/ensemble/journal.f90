@@ -9,7 +9,7 @@
 !> never taken for this run's. A state says besides what it holds (`battery_stream`): one that is of
 !> another format is left alone, and its task begins anew.
 module battery_journal
-  use battery_kinds, only: dp, int8, int64
+  use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
   use battery_text, only: string_type, to_text
   use battery_background_sync, only: sync_type, begin_sync, end_sync
@@ -18,14 +18,15 @@ module battery_journal
   use battery_journal_folder, only: numbers_in
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
   use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single, move_record, free_record
+    write_single, read_single
   use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
+  use battery_tasks, only: task_type
   use battery_stream, only: stream_type, new_stream, measuring_stream, stream_of
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
-  public :: rank_files_in, rank_files_of, kept_in, settle_journal
+  public :: rank_files_in, rank_files_of, kept_in, check_ownership
   public :: write_finished, write_state, read_state, remove_states
 
   !> The journal as one rank has it.
@@ -44,6 +45,9 @@ module battery_journal
     type(sync_type) :: sync
   end type journal_type
 
+  !> Ends of the names of a state's files: generations are written to them in turn.
+  character(len=*), parameter :: generations(2) = ['.a', '.b']
+
 contains
 
   !> Name of the file `kind`_`number`.
@@ -58,7 +62,7 @@ contains
 
   !> Looks for the journal of an earlier start: its namelist, and the fingerprint of its initial
   !> file. `found` is false where there is none that can be read.
-  subroutine read_plan(folder, namelist, initial_fingerprint, found)
+  subroutine read_plan(folder, namelist, initial_fingerprint, found, rank_files)
     !> Of the journal.
     character(len=*), intent(in) :: folder
     !> Its text; empty if not found.
@@ -66,28 +70,35 @@ contains
     !> 0 if there was no initial file.
     integer(int64), intent(out) :: initial_fingerprint
     logical, intent(out) :: found
-    type(record_type) :: plan
-    integer :: k
+    !> Rank files that this and earlier starts may have made; 0 if not found.
+    integer, intent(out), optional :: rank_files
+    type(record_type) :: record
+    type(stream_type) :: stream
+    integer :: files
 
-    call read_single(folder//'/plan', plan, found)
-    if (found) found = is_plan(plan)
+    call read_single(folder//'/plan', record, found)
+    files = 0
     initial_fingerprint = 0
     namelist = ''
-    if (.not. found) return
-    initial_fingerprint = plan%tag
-    namelist = repeat(' ', size(plan%bytes))
-    do k = 1, size(plan%bytes)
-      namelist(k:k) = achar(iand(int(plan%bytes(k)), 255))
-    end do
+    if (found) then
+      stream = stream_of(record%word)
+      call pass_plan(namelist, initial_fingerprint, files, stream)
+      found = .not. stream%failed()
+    end if
+    if (present(rank_files)) rank_files = files
   end subroutine read_plan
 
-  !> Whether a record is a plan, and no result or state.
-  pure function is_plan(record) result(yes)
-    type(record_type), intent(in) :: record
-    logical :: yes
+  !> What the file `plan` says, through a stream.
+  pure subroutine pass_plan(namelist, initial_fingerprint, rank_files, stream)
+    character(len=:), allocatable, intent(inout) :: namelist
+    integer(int64), intent(inout) :: initial_fingerprint
+    integer, intent(inout) :: rank_files
+    type(stream_type), intent(inout) :: stream
 
-    yes = size(record%reals) == 0 .and. size(record%integers) <= 1
-  end function is_plan
+    call stream%pass_text('namelist', namelist)
+    call stream%pass('initial_fingerprint', initial_fingerprint)
+    call stream%pass('rank_files', rank_files)
+  end subroutine pass_plan
 
   !> The next free number of a rank file: beyond any that is there, and beyond those that earlier
   !> starts had for their ranks, whether they were used or not.
@@ -95,14 +106,12 @@ contains
     !> Of the journal.
     character(len=*), intent(in) :: folder
     integer :: rank_files
-    type(record_type) :: plan
+    character(len=:), allocatable :: namelist
+    integer(int64) :: initial_fingerprint
     logical :: found
 
-    rank_files = 1 + maxval([-1, numbers_in(folder)])
-    call read_single(folder//'/plan', plan, found)
-    if (.not. found) return
-    if (.not. is_plan(plan) .or. size(plan%integers) == 0) return
-    if (plan%integers(1) < huge(rank_files)) rank_files = max(rank_files, int(plan%integers(1)))
+    call read_plan(folder, namelist, initial_fingerprint, found, rank_files)
+    rank_files = max(rank_files, 1 + maxval([-1, numbers_in(folder)]))
   end function rank_files_in
 
   !> Numbers of the rank files that a journal may have, in any order. Those of this start are not
@@ -150,19 +159,19 @@ contains
     !> Those that this start's ranks may make included.
     integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
-    type(record_type) :: plan
-    integer :: k
+    type(stream_type) :: stream
+    character(len=:), allocatable :: text
+    integer(int64) :: fingerprint
+    integer :: files
 
     call make_folder(folder, error)
     if (allocated(error)) return
-    plan%tag = initial_fingerprint
-    plan%integers = [int(rank_files, int64)]
-    allocate (plan%reals(0), plan%bytes(len(namelist)))
-    do k = 1, len(namelist)
-      plan%bytes(k) = int(merge(iachar(namelist(k:k)) - 256, iachar(namelist(k:k)), &
-        iachar(namelist(k:k)) > 127), int8)
-    end do
-    call write_single(folder//'/plan.new', plan, error)
+    text = namelist
+    fingerprint = initial_fingerprint
+    files = rank_files
+    stream = new_stream()
+    call pass_plan(text, fingerprint, files, stream)
+    call write_single(folder//'/plan.new', record_type(word=stream%word(:stream%length)), error)
     if (.not. allocated(error)) call publish_file(folder//'/plan.new', folder//'/plan', error)
   end subroutine begin_journal
 
@@ -198,6 +207,8 @@ contains
     do k = 1, size(records)
       call from_record(records(k), results(good + 1), is_one)
       if (is_one) good = good + 1
+      ! Of large results there is not more than one copy here.
+      records(k) = record_type()
     end do
     results = results(:good)
   end subroutine read_rank_file
@@ -209,21 +220,17 @@ contains
     !> The result of the task.
     type(task_result_type), intent(in) :: found
     type(error_type), allocatable, intent(out) :: error
-    type(record_type) :: record
     character(len=:), allocatable :: name
 
     call check_ownership(journal, error)
     if (allocated(error)) return
-    record = to_record(found)
     name = file_of(journal, 'rank', journal%mine)
-    call append_record(name, record, journal%written, error)
+    call append_record(name, to_record(found), journal%written, error)
     if (allocated(error)) return
     call begin_sync(journal%sync, name, error)
     if (allocated(error)) return
     name = file_of(journal, 'task', found%task)
-    if (.not. file_exists(name//'.a')) then
-      if (.not. file_exists(name//'.b')) return
-    end if
+    if (.not. (file_exists(name//generations(1)) .or. file_exists(name//generations(2)))) return
     call end_sync(journal%sync, error)
     if (.not. allocated(error)) call remove_states(journal, found%task, error)
   end subroutine write_finished
@@ -231,19 +238,12 @@ contains
   !> A rank whose run has lost the output writes nothing.
   subroutine check_ownership(journal, error)
     type(journal_type), intent(in) :: journal
+    !> Another run has taken over.
     type(error_type), allocatable, intent(out) :: error
 
     if (is_taken_over(journal%ownership)) call fatal_error(error, &
       taken_over_text(journal%ownership))
   end subroutine check_ownership
-
-  !> Waits until all results of this rank are on the disk.
-  subroutine settle_journal(journal, error)
-    type(journal_type), intent(inout) :: journal
-    type(error_type), allocatable, intent(out) :: error
-
-    call end_sync(journal%sync, error)
-  end subroutine settle_journal
 
   !> Removes both generations of the state of a task.
   subroutine remove_states(journal, task, error)
@@ -252,91 +252,84 @@ contains
     integer, intent(in) :: task
     type(error_type), allocatable, intent(out) :: error
 
-    call remove_file(file_of(journal, 'task', task)//'.a', error)
-    if (.not. allocated(error)) call remove_file(file_of(journal, 'task', task)//'.b', error)
+    call remove_file(file_of(journal, 'task', task)//generations(1), error)
+    if (.not. allocated(error)) call remove_file(file_of(journal, 'task', task)//generations(2), &
+      error)
   end subroutine remove_states
 
   !> Saves a simulation, over the older of its two generations.
-  subroutine write_state(journal, task, kept, simulation, cpu_seconds, error)
+  subroutine write_state(journal, task, simulation, cpu_seconds, error)
     type(journal_type), intent(inout) :: journal
-    !> Number of the task, and what it is known by.
-    integer, intent(in) :: task
-    !> `task_type%kept` of the task.
-    integer(int64), intent(in) :: kept
+    type(task_type), intent(in) :: task
     type(simulation_type), intent(inout) :: simulation
     !> Of a processor, spent on the task so far.
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
     type(stream_type) :: stream
     type(record_type) :: record
+    real(dp) :: seconds
     character(len=:), allocatable :: name
 
     call check_ownership(journal, error)
     if (allocated(error)) return
+    seconds = cpu_seconds
     ! Measured first, and moved then: of a large state there is never more than one copy here.
     stream = measuring_stream()
-    call pass_simulation(simulation, simulation%setup, stream, error)
+    call pass_state(simulation, simulation%setup, seconds, stream, error)
     if (allocated(error)) return
     stream = new_stream(stream%length)
-    call pass_simulation(simulation, simulation%setup, stream, error)
+    call pass_state(simulation, simulation%setup, seconds, stream, error)
     if (allocated(error)) return
-    record%owner = kept
-    record%tag = task
+    record%owner = task%kept
+    record%tag = task%task
     journal%generation = journal%generation + 1
-    call move_alloc(stream%word, record%integers)
-    record%reals = [cpu_seconds, real(journal%generation, dp)]
-    allocate (record%bytes(0))
-    name = file_of(journal, 'task', task)//merge('.a', '.b', mod(journal%generation, 2_int64) == 1)
+    record%generation = journal%generation
+    call move_alloc(stream%word, record%word)
+    name = file_of(journal, 'task', task%task)//generations(2 - mod(journal%generation, 2_int64))
     call write_single(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
 
-  !> The newer of the whole states of a task, if there is one.
-  subroutine read_state(journal, task, kept, setup, simulation, cpu_seconds, found, error)
-    type(journal_type), intent(inout) :: journal
-    !> Number of the task, and what it is known by.
-    integer, intent(in) :: task
-    !> `task_type%kept` of the task.
-    integer(int64), intent(in) :: kept
+  !> What the file of a state says, through a stream.
+  subroutine pass_state(simulation, setup, cpu_seconds, stream, error)
+    type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
+    real(dp), intent(inout) :: cpu_seconds
+    type(stream_type), intent(inout) :: stream
+    type(error_type), allocatable, intent(out) :: error
+
+    call stream%pass('cpu_seconds', cpu_seconds)
+    call pass_simulation(simulation, setup, stream, error)
+  end subroutine pass_state
+
+  !> The newer of the whole states of a task, if there is one.
+  subroutine read_state(journal, task, simulation, cpu_seconds, found, error)
+    type(journal_type), intent(inout) :: journal
+    type(task_type), intent(in) :: task
     type(simulation_type), intent(out) :: simulation
     !> Of a processor, spent on the task before.
     real(dp), intent(out) :: cpu_seconds
     !> Whether there is one.
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
-    type(record_type) :: record, other
+    type(record_type) :: state(2)
     type(stream_type) :: stream
-    logical :: other_found
+    integer :: k, newer
 
-    journal%generation = 0
     cpu_seconds = 0.0_dp
-    call read_own('.a', record, found)
-    call read_own('.b', other, other_found)
-    if (other_found .and. found) other_found = other%reals(2) > record%reals(2)
-    if (other_found) call move_record(other, record)
-    call free_record(other)
-    found = found .or. other_found
+    do k = 1, 2
+      call read_single(file_of(journal, 'task', task%task)//generations(k), state(k), found)
+      if (state(k)%tag /= task%task .or. state(k)%owner /= task%kept) state(k) = record_type()
+    end do
+    ! Where there is none, or the result of a task, the generation is 0.
+    newer = maxloc(state%generation, 1)
+    journal%generation = state(newer)%generation
+    found = journal%generation > 0
     if (.not. found) return
-    cpu_seconds = record%reals(1)
-    journal%generation = nint(record%reals(2), int64)
-    stream = stream_of(record%integers)
-    call free_record(record)
-    call pass_simulation(simulation, setup, stream, error)
-
-  contains
-
-    !> The state in one of the two files, if it is whole, of this task, and no result of it.
-    subroutine read_own(generation, record, found)
-      character(len=*), intent(in) :: generation
-      type(record_type), intent(out) :: record
-      logical, intent(out) :: found
-
-      call read_single(file_of(journal, 'task', task)//generation, record, found)
-      if (found) found = record%tag == task .and. record%owner == kept &
-        .and. size(record%reals) == 2
-    end subroutine read_own
-
+    state(3 - newer) = record_type()
+    stream = stream_of(state(newer)%word)
+    state(newer) = record_type()
+    call pass_state(simulation, task%setup, cpu_seconds, stream, error)
   end subroutine read_state
 
 end module battery_journal

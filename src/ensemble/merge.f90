@@ -1,17 +1,19 @@
 !> From the journal of an ensemble to its results file.
 module battery_merge
   use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
-  use battery_kinds, only: dp
+  use battery_kinds, only: dp, int64
   use battery_build_information, only: program_version, git_commit
-  use battery_collection, only: collect_results
   use battery_communicator, only: mpi_library
   use battery_error, only: error_type
   use battery_fingerprint, only: fingerprint_text
-  use battery_journal, only: journal_type
-  use battery_metadata, only: metadata_type
-  use battery_plan, only: plan_type
-  use battery_results, only: results_type, task_complete
+  use battery_journal, only: journal_type, read_rank_file, rank_files_of
+  use battery_metadata, only: metadata_type, add_text
+  use battery_plan, only: plan_type, point_of
+  use battery_quantities, only: unknown_real
+  use battery_results, only: results_type, new_results, task_complete, task_failed
   use battery_results_file, only: write_results
+  use battery_task_result, only: task_result_type
+  use battery_tasks, only: task_type, task_count, task_of
   use battery_text, only: string_type
   implicit none (type, external)
   private
@@ -20,11 +22,9 @@ module battery_merge
 contains
 
   !> Writes the results file from all that the journal has, which comes back in `results`.
-  subroutine merge_results(plan, journal, ranks, results, failures, error)
+  subroutine merge_results(plan, journal, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    !> How many ran.
-    integer, intent(in) :: ranks
     type(results_type), intent(out) :: results
     !> Why a task failed; not allocated where it did not.
     type(string_type), allocatable, intent(out) :: failures(:)
@@ -32,23 +32,147 @@ contains
     type(metadata_type) :: metadata
 
     call collect_results(plan, journal, results, failures)
-    metadata%program = 'battery'
-    metadata%version = program_version
-    metadata%git_commit = git_commit
-    metadata%compiler = compiler_version()
-    metadata%compiler_options = compiler_options()
-    metadata%mpi_library = mpi_library()
-    metadata%mpi_ranks = ranks
-    metadata%namelist = plan%text
-    metadata%initial_file_fingerprint = ''
-    if (plan%initial_file /= '') &
-      metadata%initial_file_fingerprint = fingerprint_text(plan%initial_fingerprint)
-    metadata%status = merge('complete', 'partial ', all(results%task_status == task_complete))
-    metadata%status = trim(metadata%status)
-    metadata%shape = plan%shape
-    metadata%engine = plan%engine
+    call add_text(metadata, 'program', 'battery')
+    call add_text(metadata, 'version', program_version)
+    call add_text(metadata, 'git_commit', git_commit)
+    call add_text(metadata, 'compiler', compiler_version())
+    call add_text(metadata, 'compiler_options', compiler_options())
+    call add_text(metadata, 'mpi_library', mpi_library())
+    call add_text(metadata, 'namelist', plan%text)
+    call add_text(metadata, 'initial_file_fingerprint', trim(merge(repeat(' ', 16), &
+      fingerprint_text(plan%initial_fingerprint), plan%initial_file == '')))
+    call add_text(metadata, 'status', trim(merge('complete', 'partial ', &
+      all(results%task_status == task_complete))))
+    call add_text(metadata, 'shape', plan%shape)
+    call add_text(metadata, 'engine', plan%engine)
+    metadata%mpi_ranks = journal%ranks
     metadata%start_time = real(plan%start_time, dp)
     call write_results(plan%file, results, metadata, error)
   end subroutine merge_results
+
+  !> All results of the journal, in the arrays of the results file.
+  subroutine collect_results(plan, journal, results, failures)
+    type(plan_type), intent(in) :: plan
+    type(journal_type), intent(in) :: journal
+    type(results_type), intent(out) :: results
+    !> Why a task failed, (task); not allocated where it did not.
+    type(string_type), allocatable, intent(out) :: failures(:)
+    type(task_result_type), allocatable :: found(:)
+    type(task_type) :: task
+    integer, allocatable :: files(:)
+    integer :: file, k
+
+    allocate (failures(task_count(plan)))
+    call new_results(results, plan%point_count, plan%replicas)
+    do k = 1, task_count(plan)
+      task = task_of(plan, k)
+      results%point(task%point) = point_of(plan, task%point)
+      results%point(task%point)%urn_radius = task%setup%table%urn%radius
+      results%seed(task%replica, task%point) = task%setup%seed
+    end do
+    files = rank_files_of(journal)
+    do file = 1, size(files)
+      call read_rank_file(journal, files(file), found)
+      do k = 1, size(found)
+        if (found(k)%task < 1 .or. found(k)%task > task_count(plan)) cycle
+        task = task_of(plan, found(k)%task)
+        if (found(k)%kept /= task%kept) cycle
+        if (results%task_status(task%replica, task%point) == task_complete) cycle
+        call place(plan, found(k), task, results)
+        if (allocated(failures(found(k)%task)%text)) deallocate (failures(found(k)%task)%text)
+        if (found(k)%status == task_failed) failures(found(k)%task)%text = found(k)%message
+      end do
+    end do
+  end subroutine collect_results
+
+  !> Puts one result into its place; runs of unequal length leave NaN behind the shorter.
+  subroutine place(plan, found, task, results)
+    type(plan_type), intent(in) :: plan
+    type(task_result_type), intent(in) :: found
+    type(task_type), intent(in) :: task
+    type(results_type), intent(inout) :: results
+    integer :: entries, k
+
+    associate (p => task%point, r => task%replica)
+      results%task_status(r, p) = found%status
+      results%average(r, p, :) = found%measured%average
+      results%error(r, p, :) = found%measured%error
+      results%counted(r, p, :) = found%measured%counted
+      entries = size(found%series_urn1_number)
+      if (entries > 0) then
+        call room_for_series(entries, plan, results)
+        results%series_urn1_number(:entries, r, p) = found%series_urn1_number
+        do k = 1, 4
+          results%series_flow(:entries, r, p, k) = found%series_flow(k::4)
+        end do
+      end if
+    end associate
+    if (size(found%snapshots) > 0) then
+      results%snapshot_time = real(plan%snapshot_times, dp)
+      call place_states(plan, found%snapshots, size(plan%snapshot_times), task, results%snapshots)
+    end if
+    if (size(found%final_state) > 0) &
+      call place_states(plan, found%final_state, 1, task, results%final_state)
+    if (plan%event_log) then
+      k = size(found%event_times)
+      results%event_time = found%event_times
+      results%event_kind = found%events(:k)
+      results%event_where = found%events(k + 1:2*k)
+      results%event_particle = found%events(2*k + 1:3*k)
+    end if
+  end subroutine place
+
+  !> Puts the states of a task at `times` times into their places in `states`, where there is room
+  !> for them afterwards.
+  subroutine place_states(plan, flat, times, task, states)
+    type(plan_type), intent(in) :: plan
+    !> One time after the other: x, y, ux, uy of all particles.
+    real(dp), intent(in) :: flat(:)
+    integer, intent(in) :: times
+    type(task_type), intent(in) :: task
+    real(dp), allocatable, intent(inout) :: states(:, :, :, :, :)
+    real(dp), allocatable :: longer(:, :, :, :, :)
+    integer :: n, before, time, which
+    integer(int64) :: at
+
+    n = task%number
+    before = 0
+    if (allocated(states)) before = size(states, 1)
+    if (n > before) then
+      allocate (longer(n, times, plan%replicas, plan%point_count, 4), source=unknown_real())
+      if (before > 0) longer(:before, :, :, :, :) = states
+      call move_alloc(longer, states)
+    end if
+    at = 0
+    do time = 1, times
+      do which = 1, 4
+        states(:n, time, task%replica, task%point, which) = flat(at + 1:at + n)
+        at = at + n
+      end do
+    end do
+  end subroutine place_states
+
+  !> Series arrays with room for `entries` entries of every task; keeps what is there.
+  subroutine room_for_series(entries, plan, results)
+    integer, intent(in) :: entries
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(inout) :: results
+    integer, allocatable :: urn1_number(:, :, :)
+    real(dp), allocatable :: flow(:, :, :, :)
+    integer :: before, k
+
+    before = 0
+    if (allocated(results%series_time)) before = size(results%series_time)
+    if (entries <= before) return
+    allocate (urn1_number(entries, plan%replicas, plan%point_count), source=-1)
+    allocate (flow(entries, plan%replicas, plan%point_count, 4), source=unknown_real())
+    if (before > 0) then
+      urn1_number(:before, :, :) = results%series_urn1_number
+      flow(:before, :, :, :) = results%series_flow
+    end if
+    call move_alloc(urn1_number, results%series_urn1_number)
+    call move_alloc(flow, results%series_flow)
+    results%series_time = [(real(k - 1, dp)*real(plan%series_interval, dp), k=1, entries)]
+  end subroutine room_for_series
 
 end module battery_merge

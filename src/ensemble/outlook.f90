@@ -1,21 +1,28 @@
 !> What a plan will do and cost, before it is run: tasks, parameters, time from a short calibration,
 !> memory.
 module battery_outlook
-  use battery_kinds, only: wp, dp
-  use battery_calibration, only: calibrate
+  use battery_kinds, only: wp, dp, int64
+  use battery_clocks, only: cpu_seconds
+  use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_limits, only: memory_type, memory_left
   use battery_needs, only: needs_type, needs_of
   use battery_plan, only: plan_type, point_type, point_of
   use battery_room, only: base_bytes, size_text
   use battery_screen, only: duration_text, rate_text
+  use battery_signals, only: stop_requested, stopped_before_start
+  use battery_simulation, only: simulation_type, begin_simulation, step
   use battery_table, only: gated, ungated
-  use battery_tasks, only: task_count
+  use battery_tasks, only: task_type, task_count, task_of, place_particles
   use battery_terminal, only: say
   use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: print_outlook
+
+  !> Tasks tried for the calibration, and seconds spent on each.
+  integer, parameter :: most_tries = 5
+  real(dp), parameter :: try_seconds = 0.4_dp
 
 contains
 
@@ -130,5 +137,56 @@ contains
     text = to_text(number)//' '//what
     if (number /= 1) text = text//'s'
   end function counted
+
+  !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the plan
+  !> that are run for a short while. Time is that of a processor, so that other work on the machine
+  !> does not count.
+  subroutine calibrate(plan, most, seconds, rate, error)
+    type(plan_type), intent(in) :: plan
+    !> Particles of the largest task that there is memory for; larger ones are passed over.
+    integer, intent(in) :: most
+    !> Of a processor a task; collisions a second.
+    real(dp), intent(out) :: seconds, rate
+    type(error_type), allocatable, intent(out) :: error
+    type(task_type) :: task
+    type(simulation_type) :: simulation
+    type(particles_type) :: particles
+    integer :: tries, tried, k
+    integer(int64) :: before
+    real(dp) :: began, spent, elapsed, one_rate
+
+    tries = min(most_tries, task_count(plan))
+    tried = 0
+    seconds = 0.0_dp
+    rate = 0.0_dp
+    do k = 1, tries
+      task = task_of(plan, 1 + int(int(task_count(plan) - 1, int64)*(k - 1)/max(tries - 1, 1)))
+      if (task%number > most) cycle
+      call place_particles(task, plan%start, particles, error)
+      if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
+      if (allocated(error)) return
+      began = cpu_seconds()
+      before = simulation%engine%collisions()
+      elapsed = real(simulation%elapsed, dp)
+      do
+        call step(simulation)
+        spent = cpu_seconds() - began
+        if (stop_requested()) call stopped_before_start(error)
+        if (allocated(error)) return
+        if (spent > try_seconds .or. simulation%done) exit
+      end do
+      tried = tried + 1
+      one_rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
+      rate = rate + one_rate
+      if (plan%duration > 0.0_wp) then
+        seconds = seconds + spent*real(plan%duration, dp)/max(real(simulation%elapsed, dp) &
+          - elapsed, tiny(1.0_dp))
+      else
+        seconds = seconds + real(plan%collisions, dp)/max(one_rate, 1.0e-9_dp)
+      end if
+    end do
+    seconds = seconds/max(tried, 1)
+    rate = rate/max(tried, 1)
+  end subroutine calibrate
 
 end module battery_outlook

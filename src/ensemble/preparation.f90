@@ -1,12 +1,15 @@
 !> The start of an ensemble: what is there already, and which tasks are still to be done.
 module battery_preparation
   use battery_kinds, only: int64
-  use battery_communicator, only: communicator_type, share_error, share_integers
-  use battery_earlier_run, only: look_at_results_file, look_at_journal, discard, journal_folder
-  use battery_error, only: error_type, fatal_error
-  use battery_journal, only: journal_type, begin_journal, join_journal, read_rank_file, &
-    rank_files_of, rank_files_in
+  use battery_communicator, only: communicator_type, share_error, share_words
+  use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
+  use battery_files, only: file_exists, remove_file
+  use battery_fingerprint, only: fingerprint_text
+  use battery_journal, only: journal_type, read_plan, kept_in, begin_journal, join_journal, &
+    read_rank_file, rank_files_of, rank_files_in
   use battery_journal_folder, only: check_journal, remove_journal
+  use battery_metadata, only: read_metadata
+  use battery_namelist_input, only: differing_keys
   use battery_plan, only: plan_type
   use battery_results, only: task_complete
   use battery_task_result, only: task_result_type
@@ -32,21 +35,21 @@ contains
     logical, intent(out) :: complete
     !> The same on all ranks; code `exit_bad_input` where something else is in the way.
     type(error_type), allocatable, intent(out) :: error
-    integer, allocatable :: numbers(:)
+    integer(int64), allocatable :: shared(:)
+    integer :: rank_files
 
-    allocate (numbers(2), source=0)
     allocate (pending(0))
     if (communicator%rank == 0) then
-      call look_at_output(plan, communicator%size, overwrite, quiet, complete, numbers(2), &
+      call look_at_output(plan, communicator%size, overwrite, quiet, complete, rank_files, &
         pending, error)
-      numbers(1) = merge(1, 0, complete)
+      shared = [merge(1, 0, complete), rank_files]
     end if
     call share_error(communicator, error)
     if (allocated(error)) return
-    call share_integers(communicator, numbers)
-    complete = numbers(1) == 1
-    call join_journal(journal, journal_folder(plan), numbers(2), &
-      communicator%rank, communicator%size)
+    call share_words(communicator, shared)
+    complete = shared(1) == 1
+    call join_journal(journal, journal_folder(plan), int(shared(2)), communicator%rank, &
+      communicator%size)
   end subroutine prepare
 
   !> Which tasks are pending, and how many rank files earlier starts have; begins the journal of a
@@ -62,11 +65,13 @@ contains
     type(error_type), allocatable :: damage
     logical, allocatable :: finished(:)
     logical :: found
+    integer :: k
 
     complete = .false.
     rank_files = 0
     call check_journal(journal_folder(plan), error)
-    if (.not. allocated(error) .and. overwrite) call discard(plan, error)
+    if (.not. allocated(error) .and. overwrite) call remove_file(plan%file, error)
+    if (.not. allocated(error) .and. overwrite) call remove_journal(journal_folder(plan), error)
     if (.not. allocated(error)) call look_at_results_file(plan, complete, damage, error)
     if (allocated(error)) return
     if (complete) then
@@ -89,7 +94,8 @@ contains
     end if
     call open_journal(plan, ranks, rank_files, error)
     if (allocated(error)) return
-    pending = longest_first(plan, finished)
+    pending = pack([(k, k=1, size(finished))], .not. finished)
+    call put_longest_first(plan, pending)
     if (found .and. .not. quiet) call say('going on: ' &
       //to_text(count(finished))//' of '//to_text(size(finished))//' tasks are finished')
   end subroutine look_at_output
@@ -132,15 +138,88 @@ contains
     end do
   end function finished_tasks
 
-  !> The tasks that are not finished, the longest first, else in their order.
-  function longest_first(plan, finished) result(pending)
+  !> Folder of the journal of a plan.
+  pure function journal_folder(plan) result(folder)
     type(plan_type), intent(in) :: plan
-    logical, intent(in) :: finished(:)
-    integer, allocatable :: pending(:)
+    character(len=:), allocatable :: folder
+
+    folder = plan%file//'.tasks'
+  end function journal_folder
+
+  !> Results that are there must be of this input.
+  subroutine look_at_results_file(plan, complete, damage, error)
+    type(plan_type), intent(in) :: plan
+    !> Whether nothing is left to be done.
+    logical, intent(out) :: complete
+    !> What a results file cannot be read for.
+    type(error_type), allocatable, intent(out) :: damage
+    !> Code `exit_bad_input`: they are of another input, or what is there is no results file.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: before, status, initial_fingerprint
+
+    complete = .false.
+    if (.not. file_exists(plan%file)) return
+    call read_metadata(plan%file, before, status, initial_fingerprint, error)
+    if (.not. allocated(error)) then
+      complete = status == 'complete'
+      call compare(plan, before, initial_fingerprint, error)
+    else if (error%code == exit_failure) then
+      error%message = error%message//'; there is no journal to write it anew from: ' &
+        //'remove the file, or compute it again with --overwrite'
+      call move_alloc(error, damage)
+    else
+      error%message = error%message//', but is there already; name another output file, ' &
+        //'move it away, or discard it with --overwrite'
+    end if
+  end subroutine look_at_results_file
+
+  !> A journal must be of this input; if its plan is damaged, its other files must not say that
+  !> they are of another.
+  subroutine look_at_journal(plan, found, error)
+    type(plan_type), intent(in) :: plan
+    !> Whether there is a journal with a plan.
+    logical, intent(out) :: found
+    !> Code `exit_bad_input`: it is of another input.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: before
+    integer(int64) :: initial_fingerprint
+
+    call read_plan(journal_folder(plan), before, initial_fingerprint, found)
+    if (found) then
+      call compare(plan, before, fingerprint_text(initial_fingerprint), error)
+    else if (belongs_to_another(plan)) then
+      call fatal_error(error, journal_folder(plan)//' holds parts of another input, and the ' &
+        //'plan in it is damaged; name another output file, or discard it with --overwrite', &
+        exit_bad_input)
+    end if
+  end subroutine look_at_journal
+
+  !> Whether the journal has anything that is of another input, where its plan cannot tell.
+  function belongs_to_another(plan) result(another)
+    type(plan_type), intent(in) :: plan
+    logical :: another
+    integer(int64), allocatable :: kept(:, :)
     integer :: k
 
-    pending = pack([(k, k=1, size(finished))], .not. finished)
-    call put_longest_first(plan, pending)
-  end function longest_first
+    kept = kept_in(journal_folder(plan))
+    another = .not. all([(is_task_of(plan, kept(1, k), kept(2, k)), k=1, size(kept, 2))])
+  end function belongs_to_another
+
+  !> Results of another input are not gone on with, nor those of an initial file that has changed.
+  subroutine compare(plan, before, initial_fingerprint, error)
+    type(plan_type), intent(in) :: plan
+    character(len=*), intent(in) :: before, initial_fingerprint
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: keys
+
+    keys = differing_keys(before, plan%text)
+    if (keys == '' .and. plan%initial_file /= '' &
+      .and. initial_fingerprint /= fingerprint_text(plan%initial_fingerprint)) &
+      keys = '&particles initial_file: '''//plan%initial_file//''' has other contents now'
+    if (keys /= '') call fatal_error(error, plan%file &
+      //' was made from another input; these differ:' &
+      //new_line('a')//keys//new_line('a') &
+      //'name another output file, or discard it with --overwrite', exit_bad_input)
+  end subroutine compare
 
 end module battery_preparation

@@ -18,8 +18,8 @@ module battery_screen
     logical :: speaks = .false., terminal = .false.
     real(dp) :: began = 0.0_dp, next = 0.0_dp
     logical :: line_open = .false.
-    !> Tasks of the ensemble, those finished before this start, and ranks.
-    integer :: tasks = 0, finished_before = 0, ranks = 1
+    !> Tasks of the ensemble.
+    integer :: tasks = 0
   end type screen_type
 
   !> Seconds between two lines: on a terminal, in a log.
@@ -31,67 +31,54 @@ module battery_screen
 contains
 
   !> A screen that speaks or not.
-  function new_screen(speaks, tasks, finished_before, ranks) result(screen)
+  function new_screen(speaks, tasks) result(screen)
     !> Whether anything is shown.
     logical, intent(in) :: speaks
-    !> Of the ensemble, those finished before this start, and ranks.
-    integer, intent(in) :: tasks, finished_before, ranks
+    !> Of the ensemble.
+    integer, intent(in) :: tasks
     type(screen_type) :: screen
 
     screen%speaks = speaks
     screen%terminal = output_is_terminal()
     screen%tasks = tasks
-    screen%finished_before = finished_before
-    screen%ranks = ranks
     screen%began = wall_seconds()
     screen%next = screen%began + merge(terminal_interval, log_interval, screen%terminal)
   end function new_screen
 
-  !> Tells how far the ensemble is, if it is time to. This rank's task is done to `share` (0 to 1);
-  !> the tasks of the other ranks are taken to be as far.
+  !> Tells how far the ensemble is, if it is time to: tasks finished of all, and the collisions a
+  !> second. This rank's task is done to `share` (0 to 1); the tasks of the other ranks are taken to
+  !> be as far.
   subroutine show_ensemble(screen, board, share)
     type(screen_type), intent(inout) :: screen
     type(board_type), intent(in) :: board
     real(dp), intent(in) :: share
-    integer :: finished, running
-    real(dp) :: before
-
-    if (.not. screen%speaks) return
-    if (wall_seconds() < screen%next) return
-    finished = int(read_board(board, tasks_finished)) + screen%finished_before
-    running = min(screen%ranks, screen%tasks - finished)
-    before = real(screen%finished_before, dp)/screen%tasks
-    call show_progress(screen, min(1.0_dp, (finished + share*running)/screen%tasks), before, &
-      finished, screen%tasks, read_board(board, collisions_done))
-  end subroutine show_ensemble
-
-  !> Shows `share` done of the ensemble, `share_before` of it before this start, tasks finished of
-  !> all, and the collisions a second.
-  subroutine show_progress(screen, share, share_before, finished, tasks, collisions)
-    type(screen_type), intent(inout) :: screen
-    real(dp), intent(in) :: share, share_before
-    integer, intent(in) :: finished, tasks
-    integer(int64), intent(in) :: collisions
-    real(dp) :: now, spent, left
+    integer :: finished, finished_before
+    real(dp) :: now, spent, left, done, done_before
     character(len=:), allocatable :: line
     character(len=160) :: buffer
 
     now = wall_seconds()
+    if (.not. screen%speaks .or. now < screen%next) return
     screen%next = now + merge(terminal_interval, log_interval, screen%terminal)
+    finished_before = screen%tasks - board%tasks
+    finished = int(read_board(board, tasks_finished)) + finished_before
+    done_before = real(finished_before, dp)/screen%tasks
+    done = min(1.0_dp, (finished + share*min(board%communicator%size, screen%tasks - finished)) &
+      /screen%tasks)
     spent = now - screen%began
     left = 0.0_dp
-    if (share > share_before) left = spent*(1.0_dp - share)/(share - share_before)
-    write (buffer, '(i0, a, i0, a, f5.1, a)') finished, ' of ', tasks, ' tasks ', 100.0_dp*share, &
-      ' %  '//rate_text(real(collisions, dp)/max(spent, 1.0e-9_dp))//' collisions/s  ' &
-      //duration_text(left)//' left'
-    line = bar_of(share, screen_width - len_trim(buffer) - 2)//trim(buffer)
+    if (done > done_before) left = spent*(1.0_dp - done)/(done - done_before)
+    write (buffer, '(i0, a, i0, a, f5.1, a)') finished, ' of ', screen%tasks, ' tasks ', &
+      100.0_dp*done, ' %  '//rate_text(real(read_board(board, collisions_done), dp) &
+      /max(spent, 1.0e-9_dp))//' collisions/s  '//duration_text(left)//' left'
+    line = bar_of(done, screen_width - len_trim(buffer) - 2)//trim(buffer)
     if (screen%terminal) then
       call say_partly(achar(13)//line//repeat(' ', max(0, screen_width - len(line))))
       screen%line_open = .true.
     else
       call say(line)
     end if
-  end subroutine show_progress
+  end subroutine show_ensemble
 
   !> A bar as wide as there is room for, within reason, with two blanks behind it.
   pure function bar_of(share, room) result(text)

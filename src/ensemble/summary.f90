@@ -2,9 +2,10 @@
 module battery_summary
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type
+  use battery_table, only: gated, ungated
   use battery_tasks, only: task_count
   use battery_quantities, only: averaged_quantities, counted_quantities, place_of
-  use battery_results, only: results_type, average_of, task_complete
+  use battery_results, only: results_type, task_complete
   use battery_screen, only: duration_text, rate_text
   use battery_terminal, only: say
   use battery_command_line, only: ways_to_stop
@@ -45,7 +46,7 @@ contains
     if (task_count(plan) <= most_rows) then
       call say('     N    T       w         w''   replica       chi  +-error' &
         //'    current 1  +-error    current 2  +-error')
-      do point = 1, size(results%number)
+      do point = 1, size(results%point)
         do replica = 1, plan%replicas
           if (results%task_status(replica, point) == task_complete) call print_row(results, point, &
             replica)
@@ -72,13 +73,14 @@ contains
     real(dp), allocatable :: cpu_seconds(:, :)
     integer :: at(2)
 
-    cpu_seconds = average_of(results, 'cpu_seconds')
+    cpu_seconds = results%average(:, :, place_of('cpu_seconds', averaged_quantities()))
     at = maxloc(cpu_seconds, mask=results%task_status == task_complete)
     associate (r => at(1), p => at(2))
       call say('slowest task: '//duration_text(cpu_seconds(r, p)) &
-        //' of a processor, N = '//to_text(results%number(p))//', T = ' &
-        //to_text(results%threshold(p))//', w = '//to_text(results%channel1_width(p)) &
-        //', w'' = '//to_text(results%channel2_width(p))//', replica '//to_text(r))
+        //' of a processor, N = '//to_text(results%point(p)%number)//', T = ' &
+        //to_text(results%point(p)%threshold(1))//', w = ' &
+        //to_text(results%point(p)%channel(gated)%width)//', w'' = ' &
+        //to_text(results%point(p)%channel(ungated)%width)//', replica '//to_text(r))
     end associate
   end subroutine print_slowest
 
@@ -95,9 +97,9 @@ contains
       place = place_of(trim(shown(k)), averaged_quantities())
       pairs(:, k) = [results%average(r, p, place), results%error(r, p, place)]
     end do
-    write (row, '(i6, i5, 2a, i10, f10.5, f9.5, 4a)') results%number(p), &
-      results%threshold(p), column(results%channel1_width(p), 8, 4), &
-      column(results%channel2_width(p), 11, 6), r, pairs(:, 1), &
+    write (row, '(i6, i5, 2a, i10, f10.5, f9.5, 4a)') results%point(p)%number, &
+      results%point(p)%threshold(1), column(results%point(p)%channel(gated)%width, 8, 4), &
+      column(results%point(p)%channel(ungated)%width, 11, 6), r, pairs(:, 1), &
       (column(pairs(1, k), 13, 5), column(pairs(2, k), 9, 5), k=2, 3)
     call say(trim(row))
   end subroutine print_row

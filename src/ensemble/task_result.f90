@@ -9,6 +9,7 @@ module battery_task_result
   use battery_simulation, only: simulation_type
   use battery_record_file, only: record_type
   use battery_results, only: task_complete, task_failed, task_not_done
+  use battery_tasks, only: task_type
   implicit none (type, external)
   private
   public :: task_result_type, result_of, failed_result, to_record, from_record
@@ -23,6 +24,7 @@ module battery_task_result
     !> Why it failed.
     character(len=:), allocatable :: message
     type(measured_type) :: measured
+    !> Arrays are empty or not allocated where there is nothing; those read back are allocated.
     !> Series: N1, and flows as (4, entry).
     integer(int32), allocatable :: series_urn1_number(:)
     real(dp), allocatable :: series_flow(:)
@@ -36,14 +38,9 @@ module battery_task_result
 contains
 
   !> The result of a simulation that is done.
-  function result_of(task, kept, simulation, final_state, cpu_seconds) result(found)
-    !> Number of the task, and what it is known by.
-    integer, intent(in) :: task
-    !> `task_type%kept` of the task.
-    integer(int64), intent(in) :: kept
+  function result_of(task, simulation, cpu_seconds) result(found)
+    type(task_type), intent(in) :: task
     type(simulation_type), intent(in) :: simulation
-    !> Whether it is kept.
-    logical, intent(in) :: final_state
     !> Of a processor, spent on the task.
     real(dp), intent(in) :: cpu_seconds
     type(task_result_type) :: found
@@ -51,8 +48,8 @@ contains
     integer(int64) :: n
     integer :: k
 
-    found%task = task
-    found%kept = kept
+    found%task = task%task
+    found%kept = task%kept
     found%status = task_complete
     found%message = ''
     found%measured = new_measured()
@@ -66,7 +63,6 @@ contains
       found%series_urn1_number = int(observer%series_urn1_number(:observer%entries), int32)
       found%series_flow = reshape(real(observer%series_flow(:, :observer%entries), dp), &
         [4*observer%entries])
-      allocate (found%events(0), found%event_times(0))
       if (events%count > 0) then
         associate (event => events%event(:events%count))
           found%events = [event%kind, event%where, event%particle]
@@ -80,8 +76,7 @@ contains
     do k = 1, simulation%snapshots_taken
       found%snapshots(n*(k - 1) + 1:n*k) = flat(simulation%snapshot(k))
     end do
-    allocate (found%final_state(0))
-    if (final_state) then
+    if (task%final_state) then
       call simulation%engine%particles(1, simulation%engine%number, particles)
       found%final_state = flat(particles)
     end if
@@ -95,22 +90,17 @@ contains
   end function flat
 
   !> The result of a task that could not be done, with the reason.
-  function failed_result(task, kept, message) result(failed)
-    !> Number of the task, and what it is known by.
-    integer, intent(in) :: task
-    !> `task_type%kept` of the task.
-    integer(int64), intent(in) :: kept
+  function failed_result(task, message) result(failed)
+    type(task_type), intent(in) :: task
     !> The reason.
     character(len=*), intent(in) :: message
     type(task_result_type) :: failed
 
-    failed%task = task
-    failed%kept = kept
+    failed%task = task%task
+    failed%kept = task%kept
     failed%status = task_failed
     failed%message = message
     failed%measured = new_measured()
-    allocate (failed%series_urn1_number(0), failed%series_flow(0), failed%snapshots(0))
-    allocate (failed%final_state(0), failed%events(0), failed%event_times(0))
   end function failed_result
 
   !> A result as a record.
@@ -126,8 +116,7 @@ contains
     call pass_result(copy, stream)
     record%owner = found%kept
     record%tag = found%task
-    record%integers = stream%word(:stream%length)
-    allocate (record%reals(0), record%bytes(0))
+    record%word = stream%word(:stream%length)
   end function to_record
 
   !> The result that a record is. A good record may still be a plan or a state under another name,
@@ -140,7 +129,7 @@ contains
     logical, intent(out) :: is_one
     type(stream_type) :: stream
 
-    stream = stream_of(record%integers)
+    stream = stream_of(record%word)
     call pass_result(found, stream)
     is_one = .not. stream%failed()
     if (is_one) is_one = stream%at_end() .and. abs(record%tag) <= huge(found%task)
@@ -153,13 +142,10 @@ contains
   subroutine pass_result(found, stream)
     type(task_result_type), intent(inout) :: found
     type(stream_type), intent(inout) :: stream
-    integer(int32), allocatable :: letters(:)
     integer(int64) :: quantities
-    integer :: k
 
     call stream%pass('status', found%status)
-    if (.not. stream%reading) letters = [(iachar(found%message(k:k)), k=1, len(found%message))]
-    call stream%pass_list('message', letters)
+    call stream%pass_text('message', found%message)
     quantities = fingerprint_of_quantities()
     call stream%pass('quantities', quantities)
     if (stream%failed()) return
@@ -177,11 +163,6 @@ contains
     call stream%pass_list('final_state', found%final_state)
     call stream%pass_list('events', found%events)
     call stream%pass_list('event_times', found%event_times)
-    if (stream%failed() .or. .not. stream%reading) return
-    found%message = repeat(' ', size(letters))
-    do k = 1, size(letters)
-      found%message(k:k) = achar(letters(k))
-    end do
   end subroutine pass_result
 
 end module battery_task_result

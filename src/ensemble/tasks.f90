@@ -4,13 +4,27 @@
 !> number alone, so any rank can make it at any time, and no list of tasks is kept.
 module battery_tasks
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: table_type, arc_length, area_of_urn
+  use battery_engine, only: particles_type
+  use battery_error, only: error_type
   use battery_identity, only: kept_with
+  use battery_initial_state, only: random_particles
   use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
-  use battery_task, only: task_type
+  use battery_simulation, only: setup_type
+  use battery_table, only: table_type, arc_length, area_of_urn
   implicit none (type, external)
   private
-  public :: task_count, task_of, is_task_of, put_longest_first
+  public :: task_type, task_count, task_of, is_task_of, put_longest_first, place_particles
+
+  !> One task: a point of the scan, one of its replicas.
+  type :: task_type
+    !> Number of the task from 1; its point and replica.
+    integer :: task = 0, point = 0, replica = 0
+    type(setup_type) :: setup
+    integer :: number = 0, urn1_number = 0
+    !> Known by this is what is kept of the task: its result, and its state on the way.
+    integer(int64) :: kept = 0
+    logical :: final_state = .false.
+  end type task_type
 
 contains
 
@@ -125,5 +139,21 @@ contains
       i = i + 1
     end do
   end subroutine sort
+
+  !> Where the particles of a task start.
+  subroutine place_particles(task, start, particles, error)
+    type(task_type), intent(in) :: task
+    !> What the initial file says; no arrays: at random.
+    type(particles_type), intent(in) :: start
+    type(particles_type), intent(out) :: particles
+    type(error_type), allocatable, intent(out) :: error
+
+    if (allocated(start%x)) then
+      particles = start
+    else
+      call random_particles(task%setup%table, task%number, task%urn1_number, task%setup%seed, &
+        particles, error)
+    end if
+  end subroutine place_particles
 
 end module battery_tasks

@@ -1,33 +1,56 @@
 !> What each rank does in an ensemble: task after task, until none is left or all must stop.
 module battery_work
   use battery_kinds, only: dp, int64
-  use battery_clocks, only: wall_seconds, rest
-  use battery_communicator, only: communicator_type, board_type, take_task, add_to_board, &
-    read_board, tasks_finished, tasks_failed, stop_wanted
-  use battery_error, only: error_type, exit_failure
-  use battery_journal, only: journal_type, write_finished, settle_journal
+  use battery_background_sync, only: end_sync
+  use battery_clocks, only: wall_seconds, cpu_seconds, rest
+  use battery_communicator, only: board_type, take_task, add_to_board, read_board, help_board, &
+    help_interval, tasks_finished, tasks_failed, collisions_done, stop_wanted
+  use battery_engine, only: particles_type
+  use battery_error, only: error_type, exit_failure, exit_stopped_early
+  use battery_journal, only: journal_type, read_state, write_state, write_finished
   use battery_ownership, only: is_taken_over
   use battery_plan, only: plan_type
   use battery_process, only: leave
   use battery_results, only: task_failed
+  use battery_room, only: check_room, particle_bytes
   use battery_screen, only: screen_type, new_screen, show_ensemble, end_progress
   use battery_signals, only: stop_requested
-  use battery_task, only: watch_type, run_task, seconds_between_looks
-  use battery_task_result, only: task_result_type
-  use battery_tasks, only: task_count, task_of
+  use battery_simulation, only: simulation_type, begin_simulation, step, progress, verify
+  use battery_task_result, only: task_result_type, result_of, failed_result
+  use battery_tasks, only: task_type, task_count, task_of, place_particles
   use battery_terminal, only: complain
+  use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: work
+  public :: watch_type, work
+
+  !> What a running task looks at from time to time.
+  type :: watch_type
+    !> How often states are saved, and when next, in seconds of `wall_seconds`.
+    real(dp) :: checkpoint_interval = huge(1.0_dp)
+    real(dp) :: next_checkpoint = huge(1.0_dp)
+    real(dp) :: next_look = 0.0_dp
+    !> When rank 0 next lends the network a hand.
+    real(dp) :: next_help = 0.0_dp
+    !> Whether the run stops early.
+    logical :: stopping = .false.
+    !> Time spent in tasks.
+    real(dp) :: busy = 0.0_dp
+  end type watch_type
+
+  !> Windows between two looks at the clock, for as many particles or fewer.
+  integer, parameter :: windows_between_looks = 16, few_particles = 2000
+
+  !> Seconds between two looks at the board: this long, or so long that all ranks together look this
+  !> often a second, or that looking takes this share of the time, but no longer than this.
+  real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, look_share = 0.005_dp, &
+    longest_interval = 5.0_dp
 
 contains
 
   !> One rank's part: takes tasks from the board until none is left.
-  subroutine work(plan, communicator, finished_before, journal, board, watch, quiet, error)
+  subroutine work(plan, journal, board, watch, quiet, error)
     type(plan_type), intent(in) :: plan
-    type(communicator_type), intent(in) :: communicator
-    !> Tasks that earlier starts have finished.
-    integer, intent(in) :: finished_before
     type(journal_type), intent(inout) :: journal
     type(board_type), intent(in) :: board
     type(watch_type), intent(inout) :: watch
@@ -36,12 +59,10 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(task_result_type) :: found
     type(screen_type) :: screen
-    integer(int64) :: before
     integer :: task
     logical :: stopped
 
-    screen = new_screen(communicator%rank == 0 .and. .not. quiet, task_count(plan), &
-      finished_before, communicator%size)
+    screen = new_screen(board%communicator%rank == 0 .and. .not. quiet, task_count(plan))
     do
       if (must_stop()) exit
       call take_task(board, task)
@@ -51,10 +72,11 @@ contains
       if (stopped .or. allocated(error)) exit
       call write_finished(journal, found, error)
       if (allocated(error)) exit
-      if (found%status == task_failed) call add_to_board(board, tasks_failed, 1_int64, before)
-      call add_to_board(board, tasks_finished, 1_int64, before)
+      if (found%status == task_failed) call add_to_board(board, tasks_failed, 1_int64)
+      call add_to_board(board, tasks_finished, 1_int64)
     end do
-    if (.not. allocated(error)) call settle_journal(journal, error)
+    ! All results of this rank must be on the disk.
+    if (.not. allocated(error)) call end_sync(journal%sync, error)
     ! Its rank 0 may be dead: nobody can be told any more.
     if (allocated(error) .and. is_taken_over(journal%ownership)) then
       call complain(error%message)
@@ -62,7 +84,7 @@ contains
     end if
     ! The others must not wait for a rank that has failed.
     if (allocated(error)) then
-      call add_to_board(board, stop_wanted, 1_int64, before)
+      call add_to_board(board, stop_wanted, 1_int64)
     else
       call wait_for_others()
     end if
@@ -77,7 +99,7 @@ contains
       stopping = read_board(board, stop_wanted) > 0
       if (stopping) return
       stopping = stop_requested()
-      if (stopping) call add_to_board(board, stop_wanted, 1_int64, before)
+      if (stopping) call add_to_board(board, stop_wanted, 1_int64)
     end function must_stop
 
     !> A rank without a task still hears signals, and leaves the processor to those that have one.
@@ -91,12 +113,121 @@ contains
           if (must_stop()) exit
           if (read_board(board, tasks_finished) >= board%tasks) exit
           call show_ensemble(screen, board, 0.5_dp)
-          next_look = wall_seconds() + seconds_between_looks(board%ranks, nap)
+          next_look = wall_seconds() + max(nap, board%communicator%size/looks_a_second)
         end if
         call rest(nap)
       end do
     end subroutine wait_for_others
 
   end subroutine work
+
+  !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
+  !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's
+  !> troubles.
+  subroutine run_task(task, start, journal, board, watch, screen, found, stopped, error)
+    type(task_type), intent(in) :: task
+    !> What the initial file says; no arrays: there is none.
+    type(particles_type), intent(in) :: start
+    type(journal_type), intent(inout) :: journal
+    type(board_type), intent(in) :: board
+    type(watch_type), intent(inout) :: watch
+    type(screen_type), intent(inout) :: screen
+    !> Its result, unless stopped.
+    type(task_result_type), intent(out) :: found
+    logical, intent(out) :: stopped
+    type(error_type), allocatable, intent(out) :: error
+    type(simulation_type) :: simulation
+    type(error_type), allocatable :: trouble
+    real(dp) :: cpu_before, cpu_began, began, now
+    integer(int64) :: told
+
+    stopped = .false.
+    began = wall_seconds()
+    cpu_began = cpu_seconds()
+    call resume_or_begin(task, start, journal, simulation, cpu_before, trouble)
+    told = 0
+    if (.not. allocated(trouble)) told = simulation%observer%collisions
+    watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
+    do while (.not. allocated(trouble))
+      if (simulation%done) exit
+      call some_steps(simulation)
+      now = wall_seconds()
+      if (now >= watch%next_help) then
+        call help_board(board)
+        watch%next_help = now + help_interval
+      end if
+      if (now < watch%next_look .and. .not. stop_requested()) cycle
+      call look_around()
+      call show_ensemble(screen, board, real(progress(simulation), dp))
+      if (simulation%done) exit
+      stopped = watch%stopping
+      now = wall_seconds()
+      if (.not. stopped .and. now < watch%next_checkpoint) cycle
+      call write_state(journal, task, simulation, cpu_before + cpu_seconds() - cpu_began, error)
+      if (stopped .or. allocated(error)) exit
+      watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
+    end do
+    watch%busy = watch%busy + wall_seconds() - began
+    ! A task that was stopped before it had a state begins anew.
+    if (allocated(trouble)) stopped = trouble%code == exit_stopped_early
+    if (stopped .or. allocated(error)) return
+    if (.not. allocated(trouble)) call verify(simulation, trouble)
+    if (allocated(trouble)) then
+      found = failed_result(task, trouble%message)
+    else
+      call add_to_board(board, collisions_done, simulation%observer%collisions - told)
+      found = result_of(task, simulation, cpu_before + cpu_seconds() - cpu_began)
+    end if
+
+  contains
+
+    !> Tells the board what was done, and hears whether to stop.
+    subroutine look_around()
+      real(dp) :: now, after
+
+      now = wall_seconds()
+      call add_to_board(board, collisions_done, simulation%observer%collisions - told)
+      told = simulation%observer%collisions
+      if (stop_requested()) call add_to_board(board, stop_wanted, 1_int64)
+      watch%stopping = read_board(board, stop_wanted) > 0
+      after = wall_seconds()
+      watch%next_look = after + min(longest_interval, max((after - now)/look_share, &
+        look_interval, board%communicator%size/looks_a_second))
+    end subroutine look_around
+
+  end subroutine run_task
+
+  subroutine some_steps(simulation)
+    type(simulation_type), intent(inout) :: simulation
+    integer :: window
+
+    do window = 1, max(1, windows_between_looks*few_particles &
+      /max(few_particles, simulation%engine%number))
+      call step(simulation)
+      if (simulation%done .or. stop_requested()) exit
+    end do
+  end subroutine some_steps
+
+  !> From the saved state if there is one, else from the start.
+  subroutine resume_or_begin(task, start, journal, simulation, cpu_before, error)
+    type(task_type), intent(in) :: task
+    type(particles_type), intent(in) :: start
+    type(journal_type), intent(inout) :: journal
+    type(simulation_type), intent(out) :: simulation
+    real(dp), intent(out) :: cpu_before
+    type(error_type), allocatable, intent(out) :: error
+    type(particles_type) :: particles
+    logical :: resumed
+
+    cpu_before = 0.0_dp
+    call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
+      //' particles', error)
+    if (allocated(error)) return
+    call read_state(journal, task, simulation, cpu_before, resumed, error)
+    if (resumed .or. allocated(error)) return
+    call place_particles(task, start, particles, error)
+    if (allocated(error)) return
+    call begin_simulation(simulation, task%setup, particles, error)
+  end subroutine resume_or_begin
 
 end module battery_work

@@ -1,13 +1,14 @@
 !> Clocks, and waiting.
 module battery_clocks
   use, intrinsic :: iso_c_binding, only: c_int
-  use battery_c_shapes, only: number_of_number
+  use battery_c_shapes, only: number_of_number, number_of_text
   use battery_kinds, only: dp, int64
   implicit none (type, external)
   private
-  public :: wall_seconds, cpu_seconds, rest
+  public :: wall_seconds, cpu_seconds, utc_now, rest
 
   procedure(number_of_number), bind(c, name='usleep') :: c_usleep
+  procedure(number_of_text), bind(c, name='battery_utc') :: c_utc
 
 contains
 
@@ -24,6 +25,16 @@ contains
 
     call cpu_time(seconds)
   end function cpu_seconds
+
+  !> The time of day, UTC: 2026-01-31T23:59:59Z.
+  function utc_now() result(text)
+    character(len=20) :: text
+    character(len=len(text) + 1) :: ended
+    integer(c_int) :: length
+
+    length = c_utc(ended, len(ended, c_int))
+    text = ended(:length)
+  end function utc_now
 
   !> Leaves the processor to others for a while, up to a second; a signal may end it early.
   subroutine rest(seconds)

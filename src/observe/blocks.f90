@@ -6,6 +6,7 @@
 !> the process; where they are not, replicas tell.
 module battery_blocks
   use battery_kinds, only: wp
+  use battery_quantities, only: unknown_real
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -40,22 +41,20 @@ contains
     blocks%length = 2.0_wp*blocks%length
   end subroutine add_block
 
-  !> Standard error of the mean; `available` is false with fewer than two complete blocks.
-  pure subroutine standard_error(blocks, error, available)
+  !> Standard error of the mean, in the unit of the quantity; NaN with fewer than two complete
+  !> blocks.
+  pure function standard_error(blocks) result(error)
     type(blocks_type), intent(in) :: blocks
-    !> In the unit of the quantity; 0 if not available.
-    real(wp), intent(out) :: error
-    logical, intent(out) :: available
+    real(wp) :: error
     real(wp) :: mean
 
-    error = 0.0_wp
-    available = blocks%count >= 2
-    if (.not. available) return
+    error = real(unknown_real(), wp)
+    if (blocks%count < 2) return
     associate (average => blocks%average(:blocks%count))
       mean = sum(average)/real(blocks%count, wp)
       error = sqrt(sum((average - mean)**2)/(real(blocks%count, wp)*real(blocks%count - 1, wp)))
     end associate
-  end subroutine standard_error
+  end function standard_error
 
   !> Through a stream.
   pure subroutine pass_blocks(blocks, stream)

@@ -8,12 +8,12 @@ module battery_observer
   use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
   use battery_history, only: history_type, channel1_12, channel2_12
-  use battery_quantities, only: measured_type, set_average, set_count, unknown_real
+  use battery_quantities, only: measured_type, set_average, set_count, flow_names
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
   public :: observer_type, new_observer, observe, begin_measuring, end_series
-  public :: measure, measured_time
+  public :: measure
   public :: pass_observer
 
   !> What has been measured of a run so far.
@@ -204,48 +204,30 @@ contains
   pure subroutine measure(observer, measured)
     type(observer_type), intent(in) :: observer
     type(measured_type), intent(inout) :: measured
-    character(len=*), parameter :: flows(4) = ['flow1_12', 'flow1_21', 'flow2_12', 'flow2_21']
     real(wp) :: time
     integer :: k
 
     call set_count(measured, 'reversals', observer%reversals)
     call set_count(measured, 'bounce_backs', observer%bounce_backs)
-    time = measured_time(observer)
+    time = observer%time + observer%block_time
     if (.not. time > 0.0_wp) return
     associate (o => observer, number => real(observer%number, wp))
       do k = 1, 4
-        call set_average(measured, flows(k), real(real(o%crossings(k), wp)/time, dp))
+        call set_average(measured, flow_names(k), real(real(o%crossings(k), wp)/time, dp))
       end do
       call set_average(measured, 'current1', &
-        real(real(o%crossings(1) - o%crossings(2), wp)/time, dp), error_from(o%current1_blocks))
+        real(real(o%crossings(1) - o%crossings(2), wp)/time, dp), &
+        real(standard_error(o%current1_blocks), dp))
       call set_average(measured, 'current2', &
-        real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), error_from(o%current2_blocks))
+        real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), &
+        real(standard_error(o%current2_blocks), dp))
       if (.not. o%two_halves) return
       call set_average(measured, 'chi', real((o%spread + o%block_spread)/(time*number), dp), &
-        error_from(o%chi_blocks))
+        real(standard_error(o%chi_blocks), dp))
       if (o%collisions_seen > 0) call set_average(measured, 'chi_collision', &
         real(real(o%collision_spread_sum, wp)/(real(o%collisions_seen, wp)*number), dp))
     end associate
   end subroutine measure
-
-  !> Time since measuring began.
-  pure function measured_time(observer) result(time)
-    type(observer_type), intent(in) :: observer
-    real(wp) :: time
-
-    time = observer%time + observer%block_time
-  end function measured_time
-
-  !> Standard error from blocks; NaN where there are too few.
-  pure function error_from(blocks) result(error)
-    type(blocks_type), intent(in) :: blocks
-    real(dp) :: error
-    real(wp) :: found
-    logical :: known
-
-    call standard_error(blocks, found, known)
-    error = merge(real(found, dp), unknown_real(), known)
-  end function error_from
 
   !> All that is needed to go on observing to the same last bit, into a stream or out of it.
   pure subroutine pass_observer(observer, stream)

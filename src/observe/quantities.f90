@@ -11,7 +11,7 @@ module battery_quantities
   private
   public :: quantity_type, averaged_quantities, counted_quantities, place_of
   public :: measured_type, new_measured, set_average, set_count
-  public :: fingerprint_of_quantities, unknown_real, unknown_count
+  public :: fingerprint_of_quantities, flow_names, unknown_real, unknown_count
 
   !> Something that is measured.
   type :: quantity_type
@@ -25,6 +25,9 @@ module battery_quantities
     real(dp), allocatable :: average(:), error(:)
     integer(int64), allocatable :: counted(:)
   end type measured_type
+
+  !> Names of the flows, in the order of crossings (`battery_history`).
+  character(len=*), parameter :: flow_names(4) = ['flow1_12', 'flow1_21', 'flow2_12', 'flow2_21']
 
   !> Stands for a count that is not known.
   integer(int64), parameter :: unknown_count = -1
@@ -128,11 +131,7 @@ contains
     integer :: k
 
     fingerprint = fingerprint_start
-    list = averaged_quantities()
-    do k = 1, size(list)
-      call mix_word(fingerprint, fingerprint_of(list(k)%name))
-    end do
-    list = counted_quantities()
+    list = [averaged_quantities(), counted_quantities()]
     do k = 1, size(list)
       call mix_word(fingerprint, fingerprint_of(list(k)%name))
     end do

@@ -1,6 +1,6 @@
 !> Files of HDF5 and the paths in them, every status checked.
 !>
-!> The layer over HDF5 has four rooms: this one, attributes, datasets, dimension scales. A path is
+!> The layer over HDF5 has three rooms: this one, attributes, datasets. A path is
 !> absolute, the groups on its way are there already. An error names the file and the path.
 !>
 !> A new file is made in memory and written to the disk when it is closed: after a write that failed
@@ -9,13 +9,13 @@
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
   use hdf5, only: hid_t, size_t, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
-    h5fflush_f, h5fget_file_image_f, h5fis_hdf5_f, h5gcreate_f, h5pcreate_f, &
+    h5fflush_f, h5fget_file_image_f, h5gcreate_f, h5pcreate_f, &
     h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
     h5p_file_access_f
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: file_exists, is_readable, is_writable, create_new_file
+  use battery_files, only: is_writable, create_new_file
   use battery_paths, only: is_folder, folder_of
   use battery_seal, only: seal_length, seal_of
   use battery_text, only: to_text
@@ -40,17 +40,6 @@ module battery_hdf5_file
 
 contains
 
-  !> Starts HDF5 and switches off what it prints by itself.
-  subroutine start_hdf5(status)
-    integer, intent(out) :: status
-
-    status = 0
-    if (is_started) return
-    call h5open_f(status)
-    if (status == 0) call h5eset_auto_f(0, status)
-    is_started = status == 0
-  end subroutine start_hdf5
-
   !> Creates a file in memory; `close_file` writes it to the disk, over one of the same name.
   subroutine create_file(file, name, error)
     !> Open; to be closed with `close_file`.
@@ -73,7 +62,6 @@ contains
         name//': cannot be created: '//folder_of(name)//' may not be written to')
     end if
     if (allocated(error)) return
-    call start_hdf5(status)
     call new_access(access, status)
     if (status == 0) call h5pset_fapl_core_f(access, growth, .false., status)
     if (status == 0) call h5fcreate_f(name, h5f_acc_trunc_f, file%id, status, access_prp=access)
@@ -81,7 +69,7 @@ contains
     if (status /= 0) call fatal_error(error, name//': cannot be created in memory')
   end subroutine create_file
 
-  !> Opens a file for reading.
+  !> Opens a file for reading. What is no file, or may not be read, is told by its seal.
   subroutine open_file(file, name, error)
     !> Open; to be closed with `close_file`.
     type(hdf5_file_type), intent(out) :: file
@@ -89,38 +77,28 @@ contains
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
     integer(hid_t) :: access
-    logical :: is_hdf5
     integer :: status
 
     file%name = name
-    if (.not. file_exists(name)) then
-      call fatal_error(error, name//': there is no such file')
-    else if (is_folder(name)) then
-      call fatal_error(error, name//': is a folder, not a file')
-    else if (.not. is_readable(name)) then
-      call fatal_error(error, name//': may not be read')
-    end if
-    if (allocated(error)) return
-    call start_hdf5(status)
-    if (status == 0) call h5fis_hdf5_f(name, is_hdf5, status)
-    if (status /= 0) is_hdf5 = .false.
     call new_access(access, status)
     if (status == 0) call h5fopen_f(name, h5f_acc_rdonly_f, file%id, status, access_prp=access)
     call release(access, status)
-    if (status == 0) return
-    if (is_hdf5) then
-      call fatal_error(error, name//': cannot be opened: damaged, or being written')
-    else
-      call fatal_error(error, name//': is not an HDF5 file')
-    end if
+    if (status /= 0) call fatal_error(error, name//': cannot be opened as an HDF5 file')
   end subroutine open_file
 
-  !> How files are opened: closing one closes all that is open in it.
+  !> How files are opened: closing one closes all that is open in it. Starts HDF5 before, and
+  !> switches off what it prints by itself.
   subroutine new_access(access, status)
     integer(hid_t), intent(out) :: access
-    integer, intent(inout) :: status
+    integer, intent(out) :: status
 
     access = no_handle
+    status = 0
+    if (.not. is_started) then
+      call h5open_f(status)
+      if (status == 0) call h5eset_auto_f(0, status)
+      is_started = status == 0
+    end if
     if (status == 0) call h5pcreate_f(h5p_file_access_f, access, status)
     if (status == 0) call h5pset_fclose_degree_f(access, h5f_close_strong_f, status)
   end subroutine new_access
@@ -181,12 +159,10 @@ contains
     open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
       status='old', iostat=status, iomsg=reason)
     if (status == 0) then
+      reason = 'it cannot be closed'
       write (unit, iostat=status, iomsg=reason) image, seal
       close (unit, iostat=closed)
-      if (status == 0 .and. closed /= 0) then
-        status = closed
-        reason = 'it cannot be closed'
-      end if
+      if (status == 0) status = closed
     end if
     if (status == 0) then
       inquire (file=name, size=bytes)
@@ -198,16 +174,17 @@ contains
     if (status /= 0) call fatal_error(error, name//': cannot be written: '//trim(reason))
   end subroutine write_image
 
-  !> Makes a group.
+  !> Makes a group; does nothing after an error.
   subroutine make_group(file, path, error)
     !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
     !> From the root.
     character(len=*), intent(in) :: path
-    type(error_type), allocatable, intent(out) :: error
+    type(error_type), allocatable, intent(inout) :: error
     integer(hid_t) :: group
     integer :: status
 
+    if (allocated(error)) return
     group = no_handle
     call h5gcreate_f(file%id, path, group, status)
     call release(group, status)

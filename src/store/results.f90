@@ -3,11 +3,12 @@
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
   use battery_kinds, only: dp, int32, int64
-  use battery_quantities, only: averaged_quantities, counted_quantities, place_of, unknown_real, &
+  use battery_plan, only: point_type
+  use battery_quantities, only: averaged_quantities, counted_quantities, unknown_real, &
     unknown_count
   implicit none (type, external)
   private
-  public :: results_type, new_results, scatter_of, average_of
+  public :: results_type, new_results, scatter_of
   public :: task_complete, task_failed, task_not_done
 
   !> Values of `task_status`.
@@ -16,14 +17,9 @@ module battery_results
   !> Reals that are not known are NaN, integers -1. Lengths are in units of the namelist, times in
   !> lengths over the speed.
   type :: results_type
-    integer :: points = 0, replicas = 0
-    !> The points of the scan, (point): N, T of gate 1, particles in urn 1 at the start, lengths.
-    integer(int32), allocatable :: number(:), threshold(:), urn1_number(:)
-    real(dp), allocatable :: channel1_width(:), channel1_length(:), channel2_width(:), &
-      channel2_length(:)
-    !> Of both gates and of both urns, (gate or urn, point).
-    integer(int32), allocatable :: gate_threshold(:, :)
-    real(dp), allocatable :: urn_radius(:, :)
+    integer :: replicas = 0
+    !> The points of the scan.
+    type(point_type), allocatable :: point(:)
     integer(int64), allocatable :: seed(:, :)
     !> From here on (replica, point), and the place of the quantity in its list.
     real(dp), allocatable :: average(:, :, :), error(:, :, :)
@@ -36,14 +32,15 @@ module battery_results
     real(dp), allocatable :: series_time(:)
     integer(int32), allocatable :: series_urn1_number(:, :, :)
     real(dp), allocatable :: series_flow(:, :, :, :)
-    !> Snapshots, if asked for: times since the start; (particle, snapshot, replica, point).
+    !> Snapshots, if asked for: times since the start; positions and velocities as (particle,
+    !> snapshot, replica, point, which), which is x, y, ux, uy.
     real(dp), allocatable :: snapshot_time(:)
-    real(dp), allocatable, dimension(:, :, :, :) :: snapshot_x, snapshot_y, snapshot_ux, snapshot_uy
+    real(dp), allocatable :: snapshots(:, :, :, :, :)
     !> Event log of the only task, if asked for.
     real(dp), allocatable :: event_time(:)
     integer(int32), allocatable :: event_kind(:), event_where(:), event_particle(:)
-    !> Final state, if asked for: (particle, replica, point).
-    real(dp), allocatable, dimension(:, :, :) :: final_x, final_y, final_ux, final_uy
+    !> Final state, if asked for: as a single snapshot.
+    real(dp), allocatable :: final_state(:, :, :, :, :)
   end type results_type
 
 contains
@@ -57,30 +54,14 @@ contains
 
     averaged = size(averaged_quantities())
     counted = size(counted_quantities())
-    results%points = points
     results%replicas = replicas
-    allocate (results%number(points), results%threshold(points), results%urn1_number(points), &
-      source=int(unknown_count, int32))
-    allocate (results%gate_threshold(2, points), source=int(unknown_count, int32))
-    allocate (results%channel1_width(points), results%channel1_length(points), &
-      results%channel2_width(points), results%channel2_length(points), source=unknown_real())
-    allocate (results%urn_radius(2, points), source=unknown_real())
+    allocate (results%point(points))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)
     allocate (results%average(replicas, points, averaged), source=unknown_real())
     allocate (results%error(replicas, points, averaged), source=unknown_real())
     allocate (results%counted(replicas, points, counted), source=unknown_count)
   end subroutine new_results
-
-  !> The averages of one quantity, (replica, point).
-  pure function average_of(results, name) result(values)
-    type(results_type), intent(in) :: results
-    !> Name of the quantity.
-    character(len=*), intent(in) :: name
-    real(dp) :: values(results%replicas, results%points)
-
-    values = results%average(:, :, place_of(name, averaged_quantities()))
-  end function average_of
 
   !> Standard error of the mean of the replicas of each point, from their scatter over the complete
   !> tasks; NaN where fewer than two are complete.

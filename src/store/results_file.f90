@@ -4,33 +4,31 @@
 !> so that there is always either the old file or the new one. Not known are NaN and, where an
 !> attribute `_FillValue` says so, -1.
 module battery_results_file
-  use battery_kinds, only: dp, int32, int64
+  use battery_kinds, only: dp, int32
   use battery_error, only: error_type
   use battery_files, only: publish_file, remove_file
   use battery_hdf5_file, only: hdf5_file_type, create_file, close_file, make_group
-  use battery_hdf5_attributes, only: write_attribute
-  use battery_seal, only: check_seal
-  use battery_hdf5_datasets, only: write_dataset
-  use battery_hdf5_scales, only: make_scale, make_dimension, attach_scales
+  use battery_hdf5_attributes, only: write_attribute, write_text
+  use battery_hdf5_datasets, only: write_dataset, write_scale, write_dimension
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
-    unknown_count
+    flow_names, unknown_count
   use battery_results, only: results_type, scatter_of, task_complete, task_failed, task_not_done
   use battery_metadata, only: metadata_type, write_metadata
+  use battery_seal, only: check_seal
+  use battery_table, only: gated, ungated
   implicit none (type, external)
   private
   public :: write_results
-
-  !> Writes `values` as a dataset at the `path` of an open `file`, unless an error came before, with
-  !> the scales at the paths of `dimensions`, in Fortran order, and its `units` and `long_name`.
-  interface put
-    module procedure :: put_real64, put_int32, put_int64
-  end interface put
 
   !> Paths of the dimension scales, in Fortran order.
   character(len=*), parameter :: by_point(*) = ['/point']
   character(len=*), parameter :: by_gate(*) = [character(len=6) :: '/gate', '/point']
   character(len=*), parameter :: by_urn(*) = [character(len=6) :: '/urn', '/point']
   character(len=*), parameter :: by_task(*) = [character(len=8) :: '/replica', '/point']
+
+  !> What times and numbers of particles mean.
+  character(len=*), parameter :: since_start = 'time since the start'
+  character(len=*), parameter :: in_order = 'particle, from 1, in the order of the initial file'
 
 contains
 
@@ -51,9 +49,8 @@ contains
     call write_points(file, results, error)
     call write_measured(file, results, error)
     call write_series(file, results, error)
-    call write_snapshots(file, results, error)
+    call write_states(file, results, error)
     call write_events(file, results, error)
-    call write_final(file, results, error)
     call close_file(file, other)
     if (.not. allocated(error)) call move_alloc(other, error)
     if (.not. allocated(error)) call check_seal(temporary, error)
@@ -67,28 +64,31 @@ contains
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
 
-    call put_scale(file, '/point', 0, results%points, 'point of the scan, from 0', error)
-    call put_scale(file, '/replica', 0, results%replicas, 'replica of a point, from 0', error)
-    call put(file, '/number', results%number, by_point, '1', 'particles N', error)
-    call put(file, '/threshold', results%threshold, by_point, '1', &
-      'threshold T of gate 1: a gate reverses when more particles head for the other', error)
-    call put(file, '/urn1_number', results%urn1_number, by_point, '1', &
-      'particles in urn 1 at the start', error)
-    call put_scale(file, '/gate', 1, 2, 'gate, that of urn 1 and that of urn 2', error)
-    call put_scale(file, '/urn', 1, 2, 'urn', error)
-    call put(file, '/gate_threshold', results%gate_threshold, by_gate, '1', &
-      'threshold T of each gate', error)
-    call put(file, '/urn_radius', results%urn_radius, by_urn, 'length', 'radius r of each urn', &
-      error)
-    call put(file, '/channel1_width', results%channel1_width, by_point, 'length', &
-      'width w of channel 1', error)
-    call put(file, '/channel1_length', results%channel1_length, by_point, 'length', &
-      'length l of channel 1', error)
-    call put(file, '/channel2_width', results%channel2_width, by_point, 'length', &
-      'width w'' of channel 2', error)
-    call put(file, '/channel2_length', results%channel2_length, by_point, 'length', &
-      'length l'' of channel 2', error)
-    call put(file, '/seed', results%seed, by_task, '1', 'seed of the random start', error)
+    call write_count(file, '/point', 0, size(results%point), 'point of the scan, from 0', error)
+    call write_count(file, '/replica', 0, results%replicas, 'replica of a point, from 0', error)
+    call write_count(file, '/gate', 1, 2, 'gate, that of urn 1 and that of urn 2', error)
+    call write_count(file, '/urn', 1, 2, 'urn', error)
+    associate (p => results%point)
+      call write_dataset(file, '/number', p%number, '1', 'particles N', error, by_point)
+      call write_dataset(file, '/threshold', p%threshold(1), '1', &
+        'threshold T of gate 1: a gate reverses when more particles head for the other', error, &
+        by_point)
+      call write_dataset(file, '/urn1_number', p%urn1_number, '1', &
+        'particles in urn 1 at the start', error, by_point)
+      call write_dataset(file, '/gate_threshold', reshape([p%threshold(1), p%threshold(2)], &
+        [2, size(p)], order=[2, 1]), '1', 'threshold T of each gate', error, by_gate)
+      call write_dataset(file, '/urn_radius', reshape([p%urn_radius(1), p%urn_radius(2)], &
+        [2, size(p)], order=[2, 1]), 'length', 'radius r of each urn', error, by_urn)
+      call write_dataset(file, '/channel1_width', p%channel(gated)%width, 'length', &
+        'width w of channel 1', error, by_point)
+      call write_dataset(file, '/channel1_length', p%channel(gated)%length, 'length', &
+        'length l of channel 1', error, by_point)
+      call write_dataset(file, '/channel2_width', p%channel(ungated)%width, 'length', &
+        'width w'' of channel 2', error, by_point)
+      call write_dataset(file, '/channel2_length', p%channel(ungated)%length, 'length', &
+        'length l'' of channel 2', error, by_point)
+    end associate
+    call write_dataset(file, '/seed', results%seed, '1', 'seed of the random start', error, by_task)
   end subroutine write_points
 
   !> What was measured by every task, and how it scatters over the replicas of a point.
@@ -104,26 +104,25 @@ contains
     list = averaged_quantities()
     do q = 1, size(list)
       associate (path => '/'//list(q)%name, unit => list(q)%unit, meaning => list(q)%meaning)
-        call put(file, path, results%average(:, :, q), by_task, unit, meaning, error)
+        call write_dataset(file, path, results%average(:, :, q), unit, meaning, error, by_task)
         if (.not. list(q)%has_error) cycle
-        call put(file, path//'_error', results%error(:, :, q), by_task, unit, meaning//blocks, &
-          error)
-        call put(file, path//'_spread', scatter_of(results%average(:, :, q), &
-          results%task_status), by_point, unit, meaning//scatter, error)
+        call write_dataset(file, path//'_error', results%error(:, :, q), unit, meaning//blocks, &
+          error, by_task)
+        call write_dataset(file, path//'_spread', scatter_of(results%average(:, :, q), &
+          results%task_status), unit, meaning//scatter, error, by_point)
       end associate
     end do
     list = counted_quantities()
     do q = 1, size(list)
-      call put(file, '/'//list(q)%name, results%counted(:, :, q), by_task, list(q)%unit, &
-        list(q)%meaning, error)
-      if (.not. allocated(error)) call write_attribute(file, '/'//list(q)%name, '_FillValue', &
-        unknown_count, error)
+      call write_dataset(file, '/'//list(q)%name, results%counted(:, :, q), list(q)%unit, &
+        list(q)%meaning, error, by_task)
+      call write_attribute(file, '/'//list(q)%name, '_FillValue', unknown_count, error)
     end do
-    call put(file, '/task_status', results%task_status, by_task, '1', 'how the task ended', error)
-    if (.not. allocated(error)) call write_attribute(file, '/task_status', 'flag_values', &
-      [task_complete, task_failed, task_not_done], error)
-    if (.not. allocated(error)) call write_attribute(file, '/task_status', 'flag_meanings', &
-      'complete failed not_done', error)
+    call write_dataset(file, '/task_status', results%task_status, '1', 'how the task ended', &
+      error, by_task)
+    call write_attribute(file, '/task_status', 'flag_values', [task_complete, task_failed, &
+      task_not_done], error)
+    call write_text(file, '/task_status', 'flag_meanings', 'complete failed not_done', error)
   end subroutine write_measured
 
   !> The course of N1 and of the flows.
@@ -132,45 +131,56 @@ contains
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', by_task]
-    character(len=*), parameter :: names(4) = ['flow1_12', 'flow1_21', 'flow2_12', 'flow2_21']
     type(quantity_type), allocatable :: list(:)
     integer :: which
 
-    if (.not. allocated(results%series_time) .or. allocated(error)) return
+    if (.not. allocated(results%series_time)) return
     call make_group(file, '/series', error)
-    call put_time(file, '/series/time', results%series_time, error)
-    call put(file, '/series/urn1_number', results%series_urn1_number, by_time, '1', &
-      'particles at x < 0', error)
-    if (.not. allocated(error)) call write_attribute(file, '/series/urn1_number', '_FillValue', &
-      int(unknown_count, int32), error)
+    call write_scale(file, '/series/time', results%series_time, 'time', since_start, error)
+    call write_dataset(file, '/series/urn1_number', results%series_urn1_number, '1', &
+      'particles at x < 0', error, by_time)
+    call write_attribute(file, '/series/urn1_number', '_FillValue', int(unknown_count, int32), &
+      error)
     list = averaged_quantities()
     do which = 1, 4
-      associate (flow => list(place_of(names(which), list)))
-        call put(file, '/series/'//flow%name, results%series_flow(:, :, :, which), by_time, &
-          flow%unit, flow%meaning//', since the entry before', error)
+      associate (flow => list(place_of(flow_names(which), list)))
+        call write_dataset(file, '/series/'//flow%name, results%series_flow(:, :, :, which), &
+          flow%unit, flow%meaning//', since the entry before', error, by_time)
       end associate
     end do
   end subroutine write_series
 
-  !> Positions and velocities at chosen times.
-  subroutine write_snapshots(file, results, error)
+  !> Positions and velocities at chosen times, and at the end.
+  subroutine write_states(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: dimensions(*) = [character(len=19) :: '/snapshots/particle', &
-      '/snapshots/time', by_task]
+    character(len=*), parameter :: names(4) = [character(len=2) :: 'x', 'y', 'ux', 'uy']
+    character(len=*), parameter :: units(4) = [character(len=6) :: 'length', 'length', '1', '1']
+    character(len=*), parameter :: meanings(4) = [character(len=10) :: 'position x', &
+      'position y', 'velocity x', 'velocity y']
+    character(len=*), parameter :: by_particle(*) = [character(len=19) :: &
+      '/snapshots/particle', '/snapshots/time', by_task]
+    character(len=*), parameter :: by_last(*) = [character(len=15) :: '/final/particle', by_task]
+    integer :: which
 
-    if (.not. allocated(results%snapshot_time) .or. allocated(error)) return
-    call make_group(file, '/snapshots', error)
-    call put_time(file, '/snapshots/time', results%snapshot_time, error)
-    associate (r => results)
-      call put_particles(file, '/snapshots', size(r%snapshot_x, 1), error)
-      call put(file, '/snapshots/x', r%snapshot_x, dimensions, 'length', 'position x', error)
-      call put(file, '/snapshots/y', r%snapshot_y, dimensions, 'length', 'position y', error)
-      call put(file, '/snapshots/ux', r%snapshot_ux, dimensions, '1', 'velocity x', error)
-      call put(file, '/snapshots/uy', r%snapshot_uy, dimensions, '1', 'velocity y', error)
-    end associate
-  end subroutine write_snapshots
+    if (allocated(results%snapshots)) then
+      call make_group(file, '/snapshots', error)
+      call write_scale(file, '/snapshots/time', results%snapshot_time, 'time', since_start, error)
+      call write_count(file, '/snapshots/particle', 1, size(results%snapshots, 1), in_order, error)
+    end if
+    if (allocated(results%final_state)) then
+      call make_group(file, '/final', error)
+      call write_count(file, '/final/particle', 1, size(results%final_state, 1), in_order, error)
+    end if
+    do which = 1, 4
+      if (allocated(results%snapshots)) call write_dataset(file, &
+        '/snapshots/'//trim(names(which)), results%snapshots(:, :, :, :, which), &
+        trim(units(which)), meanings(which), error, by_particle)
+      if (allocated(results%final_state)) call write_dataset(file, '/final/'//trim(names(which)), &
+        results%final_state(:, 1, :, :, which), trim(units(which)), meanings(which), error, by_last)
+    end do
+  end subroutine write_states
 
   !> The event log.
   subroutine write_events(file, results, error)
@@ -179,115 +189,34 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: by_event(*) = ['/events/event']
 
-    if (.not. allocated(results%event_time) .or. allocated(error)) return
+    if (.not. allocated(results%event_time)) return
     call make_group(file, '/events', error)
-    if (.not. allocated(error)) call make_dimension(file, '/events/event', &
-      size(results%event_time), 'events in the order of time', error)
-    associate (r => results)
-      call put(file, '/events/time', r%event_time, by_event, 'time', 'time since the start', error)
-      call put(file, '/events/kind', r%event_kind, by_event, '1', 'what happens', error)
-      if (.not. allocated(error)) call write_attribute(file, '/events/kind', 'flag_values', &
-        [1_int32, 2_int32, 3_int32, 4_int32], error)
-      if (.not. allocated(error)) call write_attribute(file, '/events/kind', 'flag_meanings', &
-        'enters_gate gate_reverses crosses_channel_1 crosses_channel_2', error)
-      call put(file, '/events/where', r%event_where, by_event, '1', &
-        'gate (1 or 2), or direction of a crossing (12 or 21)', error)
-      call put(file, '/events/particle', r%event_particle, by_event, '1', &
-        'particle, from 1; where a gate reverses, how many turn back', error)
-    end associate
+    call write_dimension(file, '/events/event', size(results%event_time), &
+      'events in the order of time', error)
+    call write_dataset(file, '/events/time', results%event_time, 'time', since_start, error, &
+      by_event)
+    call write_dataset(file, '/events/kind', results%event_kind, '1', 'what happens', error, &
+      by_event)
+    call write_attribute(file, '/events/kind', 'flag_values', [1_int32, 2_int32, 3_int32, &
+      4_int32], error)
+    call write_text(file, '/events/kind', 'flag_meanings', &
+      'enters_gate gate_reverses crosses_channel_1 crosses_channel_2', error)
+    call write_dataset(file, '/events/where', results%event_where, '1', &
+      'gate (1 or 2), or direction of a crossing (12 or 21)', error, by_event)
+    call write_dataset(file, '/events/particle', results%event_particle, '1', &
+      'particle, from 1; where a gate reverses, how many turn back', error, by_event)
   end subroutine write_events
 
-  !> Positions and velocities at the end.
-  subroutine write_final(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(results_type), intent(in) :: results
-    type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: dimensions(*) = [character(len=15) :: '/final/particle', by_task]
-
-    if (.not. allocated(results%final_x) .or. allocated(error)) return
-    call make_group(file, '/final', error)
-    associate (r => results)
-      call put_particles(file, '/final', size(r%final_x, 1), error)
-      call put(file, '/final/x', r%final_x, dimensions, 'length', 'position x', error)
-      call put(file, '/final/y', r%final_y, dimensions, 'length', 'position y', error)
-      call put(file, '/final/ux', r%final_ux, dimensions, '1', 'velocity x', error)
-      call put(file, '/final/uy', r%final_uy, dimensions, '1', 'velocity y', error)
-    end associate
-  end subroutine write_final
-
-  subroutine put_real64(file, path, values, dimensions, units, long_name, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path, dimensions(:), units, long_name
-    real(dp), intent(in), contiguous, target :: values(..)
-    type(error_type), allocatable, intent(inout) :: error
-
-    if (allocated(error)) return
-    call write_dataset(file, path, values, units, long_name, error)
-    if (.not. allocated(error)) call attach_scales(file, path, dimensions, error)
-  end subroutine put_real64
-
-  subroutine put_int32(file, path, values, dimensions, units, long_name, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path, dimensions(:), units, long_name
-    integer(int32), intent(in), contiguous, target :: values(..)
-    type(error_type), allocatable, intent(inout) :: error
-
-    if (allocated(error)) return
-    call write_dataset(file, path, values, units, long_name, error)
-    if (.not. allocated(error)) call attach_scales(file, path, dimensions, error)
-  end subroutine put_int32
-
-  subroutine put_int64(file, path, values, dimensions, units, long_name, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path, dimensions(:), units, long_name
-    integer(int64), intent(in), contiguous, target :: values(..)
-    type(error_type), allocatable, intent(inout) :: error
-
-    if (allocated(error)) return
-    call write_dataset(file, path, values, units, long_name, error)
-    if (.not. allocated(error)) call attach_scales(file, path, dimensions, error)
-  end subroutine put_int64
-
   !> A dimension whose coordinates count up from `first`.
-  subroutine put_scale(file, path, first, length, long_name, error)
+  subroutine write_count(file, path, first, length, long_name, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
     integer, intent(in) :: first, length
     character(len=*), intent(in) :: long_name
     type(error_type), allocatable, intent(inout) :: error
-    integer(int32), allocatable :: coordinates(:)
     integer :: k
 
-    if (allocated(error)) return
-    allocate (coordinates(length))
-    do k = 1, length
-      coordinates(k) = first + k - 1
-    end do
-    call write_dataset(file, path, coordinates, '1', long_name, error)
-    if (.not. allocated(error)) call make_scale(file, path, error)
-  end subroutine put_scale
-
-  !> The dimension of particles of a group, from 1 as in the event log.
-  subroutine put_particles(file, group, number, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: group
-    integer, intent(in) :: number
-    type(error_type), allocatable, intent(inout) :: error
-
-    call put_scale(file, group//'/particle', 1, number, &
-      'particle, from 1, in the order of the initial file', error)
-  end subroutine put_particles
-
-  !> The dimension of time of a group.
-  subroutine put_time(file, path, times, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    real(dp), intent(in), contiguous :: times(:)
-    type(error_type), allocatable, intent(inout) :: error
-
-    if (allocated(error)) return
-    call write_dataset(file, path, times, 'time', 'time since the start', error)
-    if (.not. allocated(error)) call make_scale(file, path, error)
-  end subroutine put_time
+    call write_scale(file, path, int([(first + k, k=0, length - 1)], int32), '1', long_name, error)
+  end subroutine write_count
 
 end module battery_results_file

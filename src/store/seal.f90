@@ -99,7 +99,7 @@ contains
       call fatal_error(error, name//' is damaged: it cannot be read to its end', exit_failure)
     else if (seal == seal_text(content, digits)) then
       return
-    else if (has_line(seal)) then
+    else if (index(seal, first_line//new_line('a')) == 1 .or. index(seal, remark) > 0) then
       call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
     else if (index(first, mark) > 0 .or. verify(first, achar(0)) == 0) then
       call fatal_error(error, name//' is damaged, or of an earlier version: it has no digest at ' &
@@ -108,14 +108,6 @@ contains
       call fatal_error(error, name//' is not a results file of this program', exit_bad_input)
     end if
   end subroutine check_seal
-
-  !> Whether a seal, perhaps damaged, is one: its first line or its last is whole.
-  pure function has_line(seal) result(yes)
-    character(len=*), intent(in) :: seal
-    logical :: yes
-
-    yes = index(seal, first_line//new_line('a')) == 1 .or. index(seal, remark) > 0
-  end function has_line
 
   !> Reads what stands before the seal.
   subroutine read_content(unit, count, first, digits, status)

@@ -160,7 +160,7 @@ contains
     if (text /= '') return
     one = to_record(a)
     other = to_record(b)
-    text = of_words(one%integers, other%integers)
+    text = of_words(one%word, other%word)
   end function of_results
 
   !> Numbers with some number for those that are not known.

@@ -1,23 +1,23 @@
 !> What the tests read back from HDF5: the program itself reads no dataset.
 module hdf5_reading
-  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
-  use hdf5, only: hid_t, hsize_t, h5dopen_f, h5dread_f, h5dget_space_f, h5dget_type_f, &
-    h5dvlen_reclaim_f, h5lexists_f, h5sget_simple_extent_ndims_f, h5sget_simple_extent_dims_f, &
-    h5kind_to_type, h5p_default_f, h5_real_kind, h5_integer_kind
-  use battery_kinds, only: dp, int8, int32, int64
+  use, intrinsic :: iso_c_binding, only: c_ptr
+  use hdf5, only: hid_t, hsize_t, h5dopen_f, h5dread_f, h5dget_space_f, h5aopen_by_name_f, &
+    h5aread_f, h5aget_space_f, h5lexists_f, h5sget_simple_extent_ndims_f, &
+    h5sget_simple_extent_dims_f
+  use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
-  use battery_paths, only: text_at
   use battery_text, only: to_text
   use battery_hdf5_file, only: hdf5_file_type, release, check, no_handle
-  use battery_hdf5_attributes, only: is_text
+  use battery_hdf5_attributes, only: memory_type, memory_of, read_text
   implicit none (type, external)
   private
-  public :: read_dataset, read_shape, path_exists
+  public :: read_dataset, read_attribute, read_shape, path_exists
 
-  !> Reads the dataset at the `path` of an open `file`, of the same shape as `values`, or a text.
-  interface read_dataset
-    module procedure :: read_real64, read_int8, read_int32, read_int64, read_text
-  end interface read_dataset
+  !> Reads the attribute `name` of what stands at the `path`, `/` for the file, of an open `file`: a
+  !> single number, or a text.
+  interface read_attribute
+    module procedure :: read_real64, read_int32, read_text
+  end interface read_attribute
 
 contains
 
@@ -40,77 +40,77 @@ contains
     end do
   end function path_exists
 
-  subroutine read_real64(file, path, values, error)
+  subroutine read_real64(file, path, name, value, error)
     type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    real(dp), intent(inout), target, contiguous :: values(..)
+    character(len=*), intent(in) :: path, name
+    real(dp), intent(inout), target :: value
     type(error_type), allocatable, intent(out) :: error
 
-    call read_values(file, path, h5kind_to_type(dp, h5_real_kind), c_loc(values), &
-      shape(values, hsize_t), error)
+    call read_number(file, path, name, memory_of(value), error)
   end subroutine read_real64
 
-  subroutine read_int8(file, path, values, error)
+  subroutine read_int32(file, path, name, value, error)
     type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    integer(int8), intent(inout), target, contiguous :: values(..)
+    character(len=*), intent(in) :: path, name
+    integer(int32), intent(inout), target :: value
     type(error_type), allocatable, intent(out) :: error
 
-    call read_values(file, path, h5kind_to_type(int8, h5_integer_kind), c_loc(values), &
-      shape(values, hsize_t), error)
-  end subroutine read_int8
-
-  subroutine read_int32(file, path, values, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    integer(int32), intent(inout), target, contiguous :: values(..)
-    type(error_type), allocatable, intent(out) :: error
-
-    call read_values(file, path, h5kind_to_type(int32, h5_integer_kind), c_loc(values), &
-      shape(values, hsize_t), error)
+    call read_number(file, path, name, memory_of(value), error)
   end subroutine read_int32
 
-  subroutine read_int64(file, path, values, error)
+  subroutine read_number(file, path, name, memory, error)
     type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    integer(int64), intent(inout), target, contiguous :: values(..)
+    character(len=*), intent(in) :: path, name
+    type(memory_type), intent(in) :: memory
     type(error_type), allocatable, intent(out) :: error
+    integer(hid_t) :: attribute, space
+    integer :: dimensions, status
+    type(c_ptr) :: buffer
 
-    call read_values(file, path, h5kind_to_type(int64, h5_integer_kind), c_loc(values), &
-      shape(values, hsize_t), error)
-  end subroutine read_int64
+    attribute = no_handle
+    space = no_handle
+    buffer = memory%address
+    call h5aopen_by_name_f(file%id, path, name, attribute, status)
+    if (status == 0) call h5aget_space_f(attribute, space, status)
+    if (status == 0) call h5sget_simple_extent_ndims_f(space, dimensions, status)
+    if (status == 0) status = merge(-1, 0, dimensions > 0)
+    if (status == 0) call h5aread_f(attribute, memory%value_type, buffer, status)
+    call release(space, status)
+    call release(attribute, status)
+    call check(file, path, 'has no attribute '//name//' that is one number', status, error)
+  end subroutine read_number
 
-  !> A dataset of these extents, into the memory at `address`.
-  subroutine read_values(file, path, value_type, address, extents, error)
+  !> Reads the dataset at the `path` of an open `file`, of the same shape as `values`.
+  subroutine read_dataset(file, path, values, error)
+    !> Open.
     type(hdf5_file_type), intent(in) :: file
+    !> From the root.
     character(len=*), intent(in) :: path
-    integer(hid_t), intent(in) :: value_type
-    type(c_ptr), intent(in) :: address
-    integer(hsize_t), intent(in) :: extents(:)
+    type(*), intent(inout), target, contiguous :: values(..)
     type(error_type), allocatable, intent(out) :: error
+    type(memory_type) :: memory
     integer(hsize_t), allocatable :: found(:)
     integer(hid_t) :: dataset
     integer :: status
     logical :: same
-    type(c_ptr) :: buffer
 
     call read_shape(file, path, found, error)
     if (allocated(error)) return
-    same = size(found) == size(extents)
-    if (same) same = all(found == extents)
+    memory = memory_of(values)
+    same = size(found) == size(memory%extents)
+    if (same) same = all(found == memory%extents)
     if (.not. same) then
-      call check(file, path, 'has the extents '//shape_text(found)//', not '//shape_text(extents), &
-        1, error)
+      call check(file, path, 'has the extents '//shape_text(found)//', not ' &
+        //shape_text(memory%extents), 1, error)
       return
     end if
-    if (product(extents) == 0) return
+    if (product(found) == 0) return
     dataset = no_handle
-    buffer = address
     call h5dopen_f(file%id, path, dataset, status)
-    if (status == 0) call h5dread_f(dataset, value_type, buffer, status)
+    if (status == 0) call h5dread_f(dataset, memory%value_type, memory%address, status)
     call release(dataset, status)
     call check(file, path, 'cannot be read', status, error)
-  end subroutine read_values
+  end subroutine read_dataset
 
   !> Extents of a dataset, in Fortran order; none for a scalar.
   subroutine read_shape(file, path, extents, error)
@@ -140,39 +140,6 @@ contains
     call release(dataset, status)
     call check(file, path, 'cannot be read', status, error)
   end subroutine read_shape
-
-  subroutine read_text(file, path, values, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    character(len=:), allocatable, intent(out) :: values
-    type(error_type), allocatable, intent(out) :: error
-    type(c_ptr), target :: address
-    type(c_ptr) :: buffer
-    integer(hid_t) :: dataset, text_type, space
-    integer :: status, freed
-
-    dataset = no_handle
-    text_type = no_handle
-    space = no_handle
-    address = c_null_ptr
-    buffer = c_loc(address)
-    values = ''
-    call h5dopen_f(file%id, path, dataset, status)
-    if (status == 0) call h5dget_type_f(dataset, text_type, status)
-    if (status == 0) call h5dget_space_f(dataset, space, status)
-    if (status == 0) then
-      if (.not. is_text(text_type, space)) status = -1
-    end if
-    if (status == 0) call h5dread_f(dataset, text_type, buffer, status)
-    if (status == 0) then
-      values = text_at(address)
-      call h5dvlen_reclaim_f(text_type, space, h5p_default_f, buffer, freed)
-    end if
-    call release(space, status)
-    call release(text_type, status)
-    call release(dataset, status)
-    call check(file, path, 'cannot be read as a text', status, error)
-  end subroutine read_text
 
   !> Extents as a reader sees them: 3 x 4.
   pure function shape_text(extents) result(text)

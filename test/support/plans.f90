@@ -4,8 +4,7 @@ module plans
   use battery_error, only: error_type
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type
-  use battery_task, only: task_type
-  use battery_tasks, only: task_of
+  use battery_tasks, only: task_type, task_of
   implicit none (type, external)
   private
   public :: plan_of, task_from
