@@ -8,7 +8,7 @@
 !>     half2_number flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
 !>
 !> of a copy of the circuit, the last eight per unit time. Lengths and times are those of the
-!> namelist. Made for `postproc.theory.one_particle`. What is wrong with a line is told, and ends it.
+!> namelist. Made for `postproc.theory.one_particle`.
 program one_particle
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
   use battery_kinds, only: wp, int64
@@ -16,8 +16,8 @@ program one_particle
   use battery_table, only: table_type, new_table, shape_circuit
   use battery_engine, only: particles_type
   use battery_initial_state, only: random_particles
-  use battery_walkers, only: walkers_type, new_walkers, walk_until, entry_rate, crossing_rate, &
-    turned_rate, half2_mean
+  use battery_walkers, only: walkers_type, new_walkers, walk_until
+  use battery_tally, only: entry_rate, crossing_rate, turned_rate, half2_mean
   implicit none (type, external)
   integer :: number, threshold(2), copies, status
   real(wp) :: radius(2), width1, length1, width2, length2, share, transient, duration
@@ -30,8 +30,8 @@ program one_particle
       length2, share, copies, transient, duration, seed, well_mixed
     if (status /= 0) exit
     call live()
-    write (output_unit, '(9es24.16)') half2_mean(walkers), crossing_rate(walkers), &
-      entry_rate(walkers), turned_rate(walkers)
+    write (output_unit, '(9es24.16)') half2_mean(walkers%tally), crossing_rate(walkers%tally), &
+      entry_rate(walkers%tally), turned_rate(walkers%tally)
     flush (output_unit)
   end do
 

@@ -24,24 +24,22 @@ module battery_walkers
   use battery_chambers, only: urn_chamber_type, new_chamber
   use battery_visits, only: visits_type, reserve_visits, no_channel
   use battery_gate, only: gate_type, new_gate, enter, must_turn, cross_first, turned_back
-  use battery_random, only: random_type, new_random, draw_uniform
+  use battery_tally, only: tally_type, new_tally, add_entry, add_turned, add_crossing
+  use battery_draws, only: draws_type, new_draws, next
   implicit none (type, external)
   private
-  public :: walkers_type, new_walkers, walk_until, walkers_left, entry_rate, crossing_rate, &
-    turned_rate, half2_mean
+  public :: walkers_type, new_walkers, walk_until, walkers_left
 
-  !> Random numbers drawn at a time; walkers that enter gates in one window, at most about.
-  integer, parameter :: drawn_together = 4096, batch = 4096
+  !> Walkers that enter gates in one window, at most about.
+  integer, parameter :: batch = 4096
 
   !> Walkers, the copies of the gates, and what has been measured.
   type :: walkers_type
-    private
+    type(tally_type) :: tally
     type(table_type) :: table
     integer :: copies = 1
     logical :: well_mixed = .false.
     real(wp) :: now = 0.0_wp
-    !> Measured is after `from`, up to `to`.
-    real(wp) :: from = 0.0_wp, to = 0.0_wp
     !> Those of (copy, side).
     type(gate_type), allocatable :: gate(:, :)
     !> How each walker will enter its next gate, or entered the one that counts it: when (huge: it
@@ -55,13 +53,7 @@ module battery_walkers
     integer :: chambers = 1, under_way = 1
     !> Longest window; shortest and mean length of a visit where urns are well mixed.
     real(wp) :: window = 0.0_wp, shortest = 0.0_wp, mean(2) = 0.0_wp
-    type(random_type) :: random
-    real(wp) :: numbers(drawn_together) = 0.0_wp
-    integer :: used = drawn_together
-    !> Measured: entries and turned back by gate, crossings by (side they come from, channel), and
-    !> the integral of the number in half 2.
-    integer(int64) :: entries(2) = 0, turned(2) = 0, crossings(2, 2) = 0
-    real(wp) :: half2_sum = 0.0_wp
+    type(draws_type) :: draws
     !> Who enters in a window, by gate and then by time: whose place begins where.
     integer, allocatable :: who(:), first(:)
   end type walkers_type
@@ -77,7 +69,9 @@ contains
     integer, intent(in) :: threshold(2)
     !> How many copies of the circuit there are; each has its share of the particles.
     integer, intent(in) :: copies
+    !> N for each copy.
     type(particles_type), intent(in) :: particles
+    !> Of what is drawn by chance: any 64 bits.
     integer(int64), intent(in) :: seed
     !> Whether visits forget what they began with.
     logical, intent(in) :: well_mixed
@@ -89,8 +83,7 @@ contains
     walkers%table = table
     walkers%copies = copies
     walkers%well_mixed = well_mixed
-    walkers%from = from
-    walkers%to = to
+    walkers%tally = new_tally(from, to, copies, count(particles%x >= 0.0_wp))
     walkers%chambers = merge(1, 2, alike(table))
     walkers%shortest = shortest_excursion(table)
     allocate (walkers%gate(copies, 2))
@@ -102,7 +95,7 @@ contains
       end do
     end do
     walkers%window = min(walkers%shortest, real(batch, wp)*minval(walkers%mean)/real(number, wp))
-    walkers%random = new_random(seed)
+    walkers%draws = new_draws(seed)
     allocate (walkers%time(number), walkers%y(number), walkers%along(number), &
       walkers%across(number), walkers%through(number), source=0.0_wp)
     allocate (walkers%urn(number), walkers%who(number), source=0)
@@ -131,7 +124,6 @@ contains
         v%across(v%count) = particles%uy(i)
       end associate
     end do
-    walkers%half2_sum = (walkers%to - walkers%from)*real(count(particles%x >= 0.0_wp), wp)
     walkers%under_way = 1
     call finish(walkers)
     call fly(walkers)
@@ -140,6 +132,7 @@ contains
   !> Goes on until a time since the start.
   subroutine walk_until(walkers, time)
     type(walkers_type), intent(inout) :: walkers
+    !> Later than where they are, or nothing happens.
     real(wp), intent(in) :: time
     real(wp) :: ends
     integer :: side, copy, bucket
@@ -179,7 +172,7 @@ contains
     walkers%first = 0
     do k = 1, found
       bucket(k) = (walkers%urn(due(k)) - 1)*walkers%copies + 1
-      if (walkers%copies > 1) bucket(k) = bucket(k) + int(drawn(walkers)*walkers%copies)
+      if (walkers%copies > 1) bucket(k) = bucket(k) + int(next(walkers%draws)*walkers%copies)
       walkers%first(bucket(k) + 1) = walkers%first(bucket(k) + 1) + 1
     end do
     do k = 2, size(walkers%first)
@@ -211,7 +204,7 @@ contains
           call cross_middle(walkers, side, gate)
         end do
         call enter(gate, time + 0.5_wp*walkers%through(who(k)), who(k))
-        if (measured(walkers, time)) walkers%entries(side) = walkers%entries(side) + 1
+        call add_entry(walkers%tally, side, time)
         if (must_turn(gate)) call turn(walkers, side, gate, time)
       end do
       do while (gate%counted%next < ends)
@@ -244,8 +237,8 @@ contains
     integer :: i
 
     call cross_first(gate, i)
-    call record(walkers, side, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
-    call send(walkers, i, 3 - side, walkers%through(i))
+    call add_crossing(walkers%tally, side, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
+    call leave_gate(walkers, i, 3 - side, walkers%through(i))
   end subroutine cross_middle
 
   !> A gate turns all those counted back: each is as long on its way out as it was on its way in.
@@ -258,31 +251,39 @@ contains
 
     do k = 1, gate%counted%count
       associate (i => gate%counted%who(k))
-        call send(walkers, i, side, 2.0_wp*(time - walkers%time(i)))
+        call leave_gate(walkers, i, side, 2.0_wp*(time - walkers%time(i)))
       end associate
     end do
-    if (measured(walkers, time)) walkers%turned(side) = walkers%turned(side) + gate%counted%count
+    call add_turned(walkers%tally, side, time, gate%counted%count)
     call turned_back(gate)
   end subroutine turn
 
   !> Out of channel 1 into an urn, `passage` after it entered the channel.
-  pure subroutine send(walkers, i, urn, passage)
+  pure subroutine leave_gate(walkers, i, urn, passage)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: i, urn
     real(wp), intent(in) :: passage
 
-    associate (v => walkers%visits(min(urn, walkers%chambers), walkers%under_way))
-      v%count = v%count + 1
-      v%particle(v%count) = i
-      v%urn(v%count) = urn
-      v%channel(v%count) = gated
-      v%time(v%count) = walkers%time(i)
-      v%passage(v%count) = passage
-      v%y(v%count) = walkers%y(i)
-      v%along(v%count) = walkers%along(i)
-      v%across(v%count) = walkers%across(i)
-    end associate
+    call send(walkers%visits(min(urn, walkers%chambers), walkers%under_way), i, urn, gated, &
+      walkers%time(i), passage, walkers%y(i), walkers%along(i), walkers%across(i))
     walkers%time(i) = huge(1.0_wp)
+  end subroutine leave_gate
+
+  !> Adds to a batch one who entered a channel at `time`, so, and is in it for `passage`.
+  pure subroutine send(v, i, urn, channel, time, passage, y, along, across)
+    type(visits_type), intent(inout) :: v
+    integer, intent(in) :: i, urn, channel
+    real(wp), intent(in) :: time, passage, y, along, across
+
+    v%count = v%count + 1
+    v%particle(v%count) = i
+    v%urn(v%count) = urn
+    v%channel(v%count) = channel
+    v%time(v%count) = time
+    v%passage(v%count) = passage
+    v%y(v%count) = y
+    v%along(v%count) = along
+    v%across(v%count) = across
   end subroutine send
 
   !> All visits under way, and those that follow through channel 2, until everyone heads for a gate.
@@ -328,13 +329,13 @@ contains
 
     associate (width => walkers%table%channel%width, length => walkers%table%channel%length)
       do j = 1, v%count
-        channel = merge(gated, ungated, drawn(walkers)*sum(width) < width(gated))
+        channel = merge(gated, ungated, next(walkers%draws)*sum(width) < width(gated))
         v%channel(j) = channel
-        v%y(j) = (drawn(walkers) - 0.5_wp)*width(channel)
-        v%across(j) = 2.0_wp*drawn(walkers) - 1.0_wp
+        v%y(j) = (next(walkers%draws) - 0.5_wp)*width(channel)
+        v%across(j) = 2.0_wp*next(walkers%draws) - 1.0_wp
         v%along(j) = sqrt((1.0_wp - v%across(j))*(1.0_wp + v%across(j)))
         v%through(j) = length(channel)/v%along(j)
-        v%length(j) = walkers%shortest - log(drawn(walkers))*max(walkers%mean(v%urn(j)) &
+        v%length(j) = walkers%shortest - log(next(walkers%draws))*max(walkers%mean(v%urn(j)) &
           - walkers%shortest, 0.0_wp)
       end do
     end associate
@@ -362,18 +363,9 @@ contains
         walkers%through(i) = v%through(j)
         cycle
       end if
-      call record(walkers, urn, ungated, leaves + 0.5_wp*v%through(j))
-      associate (next => walkers%visits(min(3 - urn, walkers%chambers), 3 - walkers%under_way))
-        next%count = next%count + 1
-        next%particle(next%count) = i
-        next%urn(next%count) = 3 - urn
-        next%channel(next%count) = ungated
-        next%time(next%count) = leaves
-        next%passage(next%count) = v%through(j)
-        next%y(next%count) = v%y(j)
-        next%along(next%count) = v%along(j)
-        next%across(next%count) = v%across(j)
-      end associate
+      call add_crossing(walkers%tally, urn, ungated, leaves + 0.5_wp*v%through(j))
+      call send(walkers%visits(min(3 - urn, walkers%chambers), 3 - walkers%under_way), i, 3 - urn, &
+        ungated, leaves, v%through(j), v%y(j), v%along(j), v%across(j))
     end do
   end subroutine land
 
@@ -388,41 +380,6 @@ contains
     end do
   end subroutine reserve
 
-  !> A crossing of the line of a channel by one who comes from `side`, at a time that may lie ahead.
-  pure subroutine record(walkers, side, channel, time)
-    type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: side, channel
-    real(wp), intent(in) :: time
-    real(wp) :: rest
-
-    rest = walkers%to - min(max(time, walkers%from), walkers%to)
-    walkers%half2_sum = walkers%half2_sum + merge(rest, -rest, side == 1)
-    if (measured(walkers, time)) walkers%crossings(side, channel) = &
-      walkers%crossings(side, channel) + 1
-  end subroutine record
-
-  !> Whether what happens then is measured.
-  pure function measured(walkers, time)
-    type(walkers_type), intent(in) :: walkers
-    real(wp), intent(in) :: time
-    logical :: measured
-
-    measured = time > walkers%from .and. time <= walkers%to
-  end function measured
-
-  !> A random number in (0, 1).
-  function drawn(walkers) result(number)
-    type(walkers_type), intent(inout) :: walkers
-    real(wp) :: number
-
-    if (walkers%used == drawn_together) then
-      call draw_uniform(walkers%random, drawn_together, walkers%numbers)
-      walkers%used = 0
-    end if
-    walkers%used = walkers%used + 1
-    number = walkers%numbers(walkers%used)
-  end function drawn
-
   !> How many walkers are on their way to a gate or counted by one: all, but for those on orbits
   !> that never leave an urn.
   pure function walkers_left(walkers) result(left)
@@ -432,45 +389,5 @@ contains
     left = count(walkers%time >= walkers%now .and. walkers%time < huge(1.0_wp)) &
       + sum(walkers%gate%counted%count)
   end function walkers_left
-
-  !> Entries into the gate of each urn, per unit time and copy.
-  pure function entry_rate(walkers) result(rate)
-    type(walkers_type), intent(in) :: walkers
-    real(wp) :: rate(2)
-
-    rate = real(walkers%entries, wp)/measured_time(walkers)
-  end function entry_rate
-
-  !> Walkers that each gate turned back, per unit time and copy.
-  pure function turned_rate(walkers) result(rate)
-    type(walkers_type), intent(in) :: walkers
-    real(wp) :: rate(2)
-
-    rate = real(walkers%turned, wp)/measured_time(walkers)
-  end function turned_rate
-
-  !> Crossings by (side they come from, channel), per unit time and copy.
-  pure function crossing_rate(walkers) result(rate)
-    type(walkers_type), intent(in) :: walkers
-    real(wp) :: rate(2, 2)
-
-    rate = real(walkers%crossings, wp)/measured_time(walkers)
-  end function crossing_rate
-
-  !> Mean number in half 2 of a copy.
-  pure function half2_mean(walkers) result(number)
-    type(walkers_type), intent(in) :: walkers
-    real(wp) :: number
-
-    number = walkers%half2_sum/measured_time(walkers)
-  end function half2_mean
-
-  !> Time measured, times the copies.
-  pure function measured_time(walkers) result(time)
-    type(walkers_type), intent(in) :: walkers
-    real(wp) :: time
-
-    time = (walkers%to - walkers%from)*real(walkers%copies, wp)
-  end function measured_time
 
 end module battery_walkers
