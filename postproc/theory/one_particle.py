@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-MOST_VISITS = 3e7  # from one start, all batches together: about four seconds
+MOST_VISITS = 2e7  # from one start, all batches together: two to four seconds of a processor
 RELAXATIONS = 3.25  # directions are forgotten in 25 r^4/w^3
 SHORTEST = 500.0  # transient in mean free paths, 2r
 POOL = 4000  # walkers of a batch, at least

@@ -311,8 +311,11 @@ contains
     do chamber = 1, walkers%chambers
       associate (v => walkers%visits(chamber, walkers%under_way))
         if (v%count == 0) cycle
-        call walkers%chamber(chamber)%chamber%cross(v)
-        if (walkers%well_mixed) call forget(walkers, v)
+        if (walkers%well_mixed) then
+          call forget(walkers, v)
+        else
+          call walkers%chamber(chamber)%chamber%cross(v)
+        end if
         call land(walkers, v)
       end associate
     end do
@@ -320,8 +323,8 @@ contains
     walkers%under_way = 3 - walkers%under_way
   end subroutine finish
 
-  !> Ends of visits drawn anew from the measure of entries: the opening by its width, the height
-  !> even, the direction by the cosine law.
+  !> Ends of visits drawn from the measure of entries in place of their own: the opening by its
+  !> width, the height even, the direction by the cosine law.
   subroutine forget(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(inout) :: v
