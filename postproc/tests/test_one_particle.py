@@ -19,6 +19,7 @@ from postproc.theory.one_particle import (
     effort_for,
     homogeneous_kind,
     stationary_states,
+    transition_width,
     walk,
 )
 from postproc.theory.renewal import RENEWAL
@@ -138,6 +139,13 @@ def test_kinds_on_either_side_of_the_transitions() -> None:
         circuit = replace(PAPER, threshold=threshold)
         assert homogeneous_kind(circuit, short) == kind
         assert len(stationary_states(circuit, short)) == (kind == "unstable")
+
+
+def test_transition_lies_below_the_renewal_gates() -> None:
+    """Runs at T = 7 polarise at w' = 0.055 and do not at 0.066; the renewal gate says 0.084."""
+    short = Effort(copies=8, batches=3, transient=800.0, duration=400.0)
+    assert 0.055 < transition_width(PAPER, short) < 0.066
+    assert np.isnan(transition_width(replace(PAPER, threshold=40), short))
 
 
 def test_batches_are_drawn_by_their_seeds() -> None:

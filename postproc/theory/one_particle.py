@@ -11,11 +11,13 @@ independent batches of walkers.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.theory import circuit as circuits
 from postproc.theory.programs import answers
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import State, stable_state
@@ -34,6 +36,7 @@ POOL = 4000  # walkers of a batch, at least
 FEWEST_COPIES, MOST_COPIES = 4, 64
 EMPTIER = 0.05  # share of the emptier urn at a polarised start where no theory tells one
 BIAS = 0.02  # of the homogeneous start: what decays from there is stable
+RESOLUTION, STRIDE = 0.03, 1.25  # of a transition; relative steps until it lies between two
 APART = 4.0  # errors between states that are not the same
 
 
@@ -125,9 +128,29 @@ def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = 
 
 def homogeneous_kind(circuit: Circuit, effort: Effort | None = None) -> str:
     """Return whether equal urns that share equally are "stable" or "unstable"."""
-    walked = walk(circuit, 0.5 + BIAS, effort or effort_for(circuit))
-    spread = 2.0 * walked.half2_number.mean() / float(circuit.number) - 1.0
-    return "stable" if spread <= 2.0 * BIAS else "unstable"
+    walked = walk(circuit, 0.5 + BIAS, effort or _shorter(effort_for(circuit)))
+    spread = abs(2.0 * walked.half2_number / float(circuit.number) - 1.0)
+    return "stable" if np.median(spread) <= 2.0 * BIAS else "unstable"
+
+
+def transition_width(circuit: Circuit, effort: Effort | None = None) -> float:
+    """Return w' from which equal shares last at this N, T, w, to `RESOLUTION`; NaN: there is none.
+
+    It is looked for next to that of the renewal gate, by halves; `channel2_width` is not used.
+    """
+    width = circuits.transition_width(replace(circuit, gate=RENEWAL, occupation=True))
+    limit = 2.0 * float(circuit.urn_radius)
+    if not 0.0 < width < limit:
+        return math.nan
+    below, above = 0.0, limit
+    while above / max(below, 1e-6 * limit) > 1.0 + RESOLUTION:
+        if homogeneous_kind(replace(circuit, channel2_width=width), effort) == "stable":
+            above, width = width, math.sqrt(below * width) if below else width / STRIDE
+        else:
+            below, width = width, math.sqrt(width * above) if above < limit else width * STRIDE
+        if width >= limit:
+            return math.nan
+    return math.sqrt(below * above)
 
 
 def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[DrawnState]:
@@ -139,9 +162,9 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Dr
     given = effort or effort_for(circuit)
     number = float(circuit.number)
     if circuit.alike:
-        state = _state(walk(circuit, _polarised_share(circuit), given), number)
-        spread = 2.0 * state.urn2_number / number - 1.0
-        return [state] if spread > max(2.0 * BIAS, APART * state.mass_spread_error) else []
+        state = _state(_folded(walk(circuit, _polarised_share(circuit), given), number), number)
+        least = max(2.0 * BIAS, APART * state.mass_spread_error)
+        return [state] if state.mass_spread > least else []
     one, two = (float(side.urn_area) for side in circuit.sides)
     found: list[DrawnState] = []
     for share in (EMPTIER, two / (one + two), 1.0 - EMPTIER):
@@ -155,6 +178,21 @@ def _polarised_share(circuit: Circuit) -> float:
     """Return the share of urn 2 that is polarised, by the renewal gate if it knows such a state."""
     guess = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
     return guess.urn2_number / float(circuit.number) if guess else 1.0 - EMPTIER
+
+
+def _folded(walked: Walked, number: float) -> Walked:
+    """Return the mirror image of each batch of equal urns in which urn 1 was the fuller one."""
+    mirrored = walked.half2_number < 0.5 * number
+    pairs = (walked.flow1, walked.flow2, walked.entries, walked.turned)
+    return Walked(
+        np.where(mirrored, number - walked.half2_number, walked.half2_number),
+        *(np.where(mirrored[:, None], pair[:, ::-1], pair) for pair in pairs),
+    )
+
+
+def _shorter(effort: Effort) -> Effort:
+    """Return what is enough to tell whether a state lasts, not where it lies."""
+    return replace(effort, batches=4, duration=effort.transient / 3.0)
 
 
 def _state(walked: Walked, number: float) -> DrawnState:
