@@ -402,6 +402,7 @@ BY_POINT = [
 BY_TASK = [
     *("seed", "chi", "chi_error", "chi_collision"),
     *("current1", "current1_error", "current2", "current2_error"),
+    *("polarised_current", "polarised_current_error"),
     *("flow1_12", "flow1_21", "flow2_12", "flow2_21"),
     *("collisions", "bounce_backs", "time", "cpu_seconds", "task_status"),
 ]
@@ -545,6 +546,25 @@ def test_urn_shape(tmp_path: Path) -> None:
         assert root["current1"].item() > 0
         assert root["urn1_number"].item() == NUMBER
         assert not np.nan_to_num(root["current2"]).any()
+
+
+def test_summary_has_a_line_for_a_point_over_its_replicas(tmp_path: Path) -> None:
+    """Mean over replicas, and the error from their scatter: not for a single replica."""
+    scan = {"channel2_width": "0.2, 0.3", "replicas": "3"}
+    write(tmp_path, scan=scan, output={"file": "'out.h5'"})
+    lines = run("case.nml", folder=tmp_path).stdout.splitlines()
+    at = next(at for at, line in enumerate(lines) if "polarised" in line)
+    with xarray.open_dataset(tmp_path / "out.h5") as root:
+        for point, line in enumerate(lines[at + 1 : at + 3]):
+            part = root.isel(point=point)
+            for name, shown in (("chi", 5), ("polarised_current", 7)):
+                values = part[name].values
+                mean, error = (float(word) for word in line.split()[shown : shown + 2])
+                assert mean == pytest.approx(values.mean(), abs=1e-5)
+                assert error == pytest.approx(values.std(ddof=1) / np.sqrt(3), abs=1e-5)
+            assert line.split()[4] == "3"
+    write(tmp_path, output={"file": "'out.h5'"})
+    assert "polarised" not in run("--overwrite", "case.nml", folder=tmp_path).stdout
 
 
 def test_event_log(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,16 +12,14 @@ from numpy.polynomial import chebyshev
 from scipy import special
 
 from postproc.cli import InputError, existing_file
+from postproc.theory.programs import answers
 from postproc.theory.renewal import RenewalGate, coordinates, exponential_share, load_range
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
 
-PROGRAMS = Path(__file__).resolve().parents[2] / "build/bin"
 THRESHOLDS = (*range(2, 13), 14, 16, 18, 20, 22, 25, 30, 36, 45, 60, 80, 100)
 LOADS = 16  # a threshold
 FINE = (*range(2, 13), 60)  # thresholds at which cells of half the width are used as well
@@ -36,17 +33,6 @@ CHECKED = ((1, 1.0), (2, 2.0), (2, 5.0), (4, 3.0), (4, 12.0), (7, 5.0), (7, 12.0
 CHECKED += ((13, 17.0), (15, 12.0), (18, 12.0), (18, 20.0), (25, 24.0), (30, 40.0), (70, 75.0))
 
 
-def _answers(name: str, lines: Sequence[str]) -> Floats:
-    """Ask one of the programs of app/renewal; return the numbers of its answer, a row a line."""
-    text = "".join(f"{line}\n" for line in lines)
-    program = PROGRAMS / name
-    try:
-        done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    except OSError as problem:
-        raise InputError(f"{program}: {problem.strerror} (make build builds it)") from problem
-    return np.array([[float(word) for word in line.split()] for line in done.stdout.splitlines()])
-
-
 def solve(rows: Floats, processes: int = 1) -> Floats:
     """Return the shares for rows (threshold, load, order, cells) by `renewal_closure`."""
     lines = [
@@ -54,8 +40,8 @@ def solve(rows: Floats, processes: int = 1) -> Floats:
         for threshold, load, order, cells in rows.tolist()
     ]
     with ThreadPoolExecutor(processes) as pool:
-        answers = pool.map(lambda line: _answers("renewal_closure", [line]), lines)
-        return np.array([one[0, 2] for one in answers])
+        found = pool.map(lambda line: answers("renewal_closure", [line]), lines)
+        return np.array([one[0, 2] for one in found])
 
 
 def simulate(
@@ -68,7 +54,7 @@ def simulate(
 
         def run(piece: int) -> Floats:
             asked = [f"{x!r} {int(t)} {entries}" for t, x in points[piece::processes].tolist()]
-            return _answers("renewal_gate", [str(seed + piece), *asked])
+            return answers("renewal_gate", [str(seed + piece), *asked])
 
         for piece, found in zip(pieces, pool.map(run, pieces), strict=True):
             _, threshold, cycles, total, squares = found.T

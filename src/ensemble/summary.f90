@@ -5,7 +5,7 @@ module battery_summary
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_count
   use battery_quantities, only: averaged_quantities, counted_quantities, place_of
-  use battery_results, only: results_type, task_complete
+  use battery_results, only: results_type, scatter_of, task_complete
   use battery_screen, only: duration_text, rate_text
   use battery_terminal, only: say
   use battery_command_line, only: ways_to_stop
@@ -14,7 +14,7 @@ module battery_summary
   private
   public :: print_summary
 
-  !> With so few tasks each is shown.
+  !> With so few tasks each is shown; with so few points each with its replicas.
   integer, parameter :: most_rows = 12
 
 contains
@@ -53,6 +53,7 @@ contains
         end do
       end do
     end if
+    if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results)
     call say(to_text(done)//' of '//to_text(task_count(plan))//' tasks are complete')
     call say('ranks '//to_text(ranks)//', busy '//to_text(nint(100.0_dp*busy(1)))//' / ' &
       //to_text(nint(100.0_dp*busy(2)))//' / '//to_text(nint(100.0_dp*busy(3))) &
@@ -84,25 +85,68 @@ contains
     end associate
   end subroutine print_slowest
 
+  !> Each point of which two replicas or more are complete: averages over them, and the standard
+  !> errors from their scatter.
+  subroutine print_points(results)
+    type(results_type), intent(in) :: results
+    character(len=*), parameter :: shown(2) = [character(len=17) :: 'chi', 'polarised_current']
+    real(dp) :: values(results%replicas, results%points), pairs(2, 2, results%points)
+    integer :: complete(results%points), k, p
+
+    complete = count(results%task_status == task_complete, dim=1)
+    if (all(complete < 2)) return
+    do k = 1, 2
+      values = results%average(:, :, place_of(trim(shown(k)), averaged_quantities()))
+      pairs(1, k, :) = sum(values, dim=1, mask=results%task_status == task_complete) &
+        /max(complete, 1)
+      pairs(2, k, :) = scatter_of(values, results%task_status)
+    end do
+    call say('     N    T       w         w''  replicas       chi  +-error    polarised  +-error' &
+      //'    (errors over replicas)')
+    do p = 1, results%points
+      if (complete(p) > 1) call say(head(results, p, complete(p))//pairs_text(pairs(:, :, p)))
+    end do
+  end subroutine print_points
+
   !> One task: averages and their errors.
   subroutine print_row(results, p, r)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, r
     character(len=*), parameter :: shown(3) = [character(len=8) :: 'chi', 'current1', 'current2']
     real(dp) :: pairs(2, 3)
-    character(len=160) :: row
     integer :: k, place
 
     do k = 1, 3
       place = place_of(trim(shown(k)), averaged_quantities())
       pairs(:, k) = [results%average(r, p, place), results%error(r, p, place)]
     end do
-    write (row, '(i6, i5, 2a, i10, f10.5, f9.5, 4a)') results%point(p)%number, &
-      results%point(p)%threshold(1), column(results%point(p)%channel(gated)%width, 8, 4), &
-      column(results%point(p)%channel(ungated)%width, 11, 6), r, pairs(:, 1), &
-      (column(pairs(1, k), 13, 5), column(pairs(2, k), 9, 5), k=2, 3)
-    call say(trim(row))
+    call say(head(results, p, r)//pairs_text(pairs))
   end subroutine print_row
+
+  !> How the line of a point begins; `which` is the replica, or how many.
+  pure function head(results, p, which) result(text)
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: p, which
+    character(len=:), allocatable :: text
+    character(len=64) :: row
+
+    write (row, '(i6, i5, 2a, i10)') results%point(p)%number, results%point(p)%threshold(1), &
+      column(results%point(p)%channel(gated)%width, 8, 4), &
+      column(results%point(p)%channel(ungated)%width, 11, 6), which
+    text = trim(row)
+  end function head
+
+  !> chi, then currents, each with its error, as (value and error, quantity).
+  pure function pairs_text(pairs) result(text)
+    real(dp), intent(in) :: pairs(:, :)
+    character(len=:), allocatable :: text
+    character(len=160) :: row
+    integer :: k
+
+    write (row, '(f10.5, f9.5, 8a)') pairs(:, 1), (column(pairs(1, k), 13, 5), &
+      column(pairs(2, k), 9, 5), k=2, size(pairs, 2))
+    text = trim(row)
+  end function pairs_text
 
   !> A number in `width` places, `digits` of them after the point; with an exponent if it is too
   !> large for that, or so small that nothing of it would be seen.

@@ -4,6 +4,12 @@
 !> averages are exact integrals over the windows. Averages count from `begin_measuring` on, the
 !> series from the start.
 !> Source: mass spread eq. (mass), net current eq. (netJ), with its sign: (n12 - n21)/t.
+!>
+!> The polarised current counts each crossing from the fuller half to the emptier as 1, each the
+!> other way as -1, and 0 where N1 - N2 is 0 on average over before and after. So a crossing changes
+!> |N1 - N2| by -2 times what it counts, and over any time the crossings of both channels count
+!> (|N1 - N2| at its start less that at its end)/2: through channel 2 down the polarisation flows
+!> what flows up through channel 1, but for that.
 module battery_observer
   use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
@@ -23,18 +29,24 @@ module battery_observer
     integer :: urn1_number = 0
     !> False for the single urn: there is only one half, and a crossing moves nobody.
     logical :: two_halves = .true.
+    !> Whether there is a channel 2, and so a current through it.
+    logical :: circuit_closed = .true.
     !> Over all the run: gates reversed, particles turned back, collisions known.
     integer(int64) :: reversals = 0, bounce_backs = 0, collisions = 0
 
     logical :: measuring = .false.
-    !> Sums since measuring began, the block that is under way excluded for `time` and `spread`.
+    !> Sums since measuring began, the block that is under way excluded for `time`, `spread`
+    !> and `downward`.
     real(wp) :: time = 0.0_wp, spread = 0.0_wp
     integer(int64) :: crossings(4) = 0
+    !> Of channel 2, from the fuller half to the emptier less those back.
+    integer(int64) :: downward = 0
     integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
-    !> The block under way: what is left of it, its time, integral of |N1 - N2|, net crossings.
+    !> The block under way: what is left of it, its time, integral of |N1 - N2|, net crossings,
+    !> and those of channel 2 down the polarisation.
     real(wp) :: block_left = huge(1.0_wp), block_time = 0.0_wp, block_spread = 0.0_wp
-    integer(int64) :: block_net(2) = 0
-    type(blocks_type) :: chi_blocks, current1_blocks, current2_blocks
+    integer(int64) :: block_net(2) = 0, block_downward = 0
+    type(blocks_type) :: chi_blocks, current1_blocks, current2_blocks, polarised_blocks
 
     !> The series: interval (0: none), what is left of it, entries so far.
     real(wp) :: series_interval = 0.0_wp, series_left = huge(1.0_wp)
@@ -52,13 +64,15 @@ contains
   !> An observer of `number` particles, `urn1_number` of them in half 1; a series if
   !> `series_interval` > 0, whose first entry is the start. Blocks begin `unit` long (if
   !> absent, 1): a length of the table, so that one scaled by a power of two has the same blocks.
-  pure function new_observer(number, urn1_number, two_halves, series_interval, unit) &
-    result(observer)
+  pure function new_observer(number, urn1_number, two_halves, series_interval, unit, &
+    circuit_closed) result(observer)
     integer, intent(in) :: number, urn1_number
     !> Whether there are two urns, and so a difference between them.
     logical, intent(in) :: two_halves
     real(wp), intent(in) :: series_interval
     real(wp), intent(in), optional :: unit
+    !> Whether channel 2 is there (if absent, it is).
+    logical, intent(in), optional :: circuit_closed
     type(observer_type) :: observer
 
     observer%number = number
@@ -69,7 +83,9 @@ contains
       observer%chi_blocks%length = unit
       observer%current1_blocks%length = unit
       observer%current2_blocks%length = unit
+      observer%polarised_blocks%length = unit
     end if
+    if (present(circuit_closed)) observer%circuit_closed = circuit_closed
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
     if (series_interval > 0.0_wp) then
       observer%series_left = series_interval
@@ -100,7 +116,7 @@ contains
     type(observer_type), intent(inout) :: observer
     type(history_type), intent(in) :: history
     real(wp) :: last
-    integer :: k, crossing
+    integer :: k, crossing, way, down
 
     last = 0.0_wp
     do k = 1, history%crossings
@@ -108,15 +124,16 @@ contains
       last = history%crossing_time(k)
       crossing = history%crossing(k)
       observer%series_crossings(crossing) = observer%series_crossings(crossing) + 1
-      if (observer%two_halves) then
-        observer%urn1_number = observer%urn1_number &
-          + merge(-1, 1, crossing == channel1_12 .or. crossing == channel2_12)
-      end if
+      way = merge(1, -1, crossing == channel1_12 .or. crossing == channel2_12)
+      ! Of the sign of N1 - N2, the mean of before and after the crossing.
+      down = way*max(-1, min(1, 2*observer%urn1_number - observer%number - way))
+      if (observer%two_halves) observer%urn1_number = observer%urn1_number - way
       if (observer%measuring) then
         observer%crossings(crossing) = observer%crossings(crossing) + 1
         associate (net => observer%block_net(merge(1, 2, crossing < channel2_12)))
-          net = net + merge(1, -1, crossing == channel1_12 .or. crossing == channel2_12)
+          net = net + way
         end associate
+        if (crossing >= channel2_12) observer%block_downward = observer%block_downward + down
       end if
     end do
     call pass_time(observer, history%duration - last)
@@ -161,8 +178,12 @@ contains
       observer%block_spread/(observer%block_time*real(observer%number, wp)))
     call add_block(observer%current1_blocks, real(observer%block_net(1), wp)/observer%block_time)
     call add_block(observer%current2_blocks, real(observer%block_net(2), wp)/observer%block_time)
+    call add_block(observer%polarised_blocks, &
+      real(observer%block_downward, wp)/observer%block_time)
     observer%time = observer%time + observer%block_time
     observer%spread = observer%spread + observer%block_spread
+    observer%downward = observer%downward + observer%block_downward
+    observer%block_downward = 0
     observer%block_time = 0.0_wp
     observer%block_spread = 0.0_wp
     observer%block_net = 0
@@ -222,6 +243,8 @@ contains
         real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), &
         real(standard_error(o%current2_blocks), dp))
       if (.not. o%two_halves) return
+      if (o%circuit_closed) call set_average(measured, 'polarised_current', &
+        real(real(o%downward + o%block_downward, wp)/time, dp), error_from(o%polarised_blocks))
       call set_average(measured, 'chi', real((o%spread + o%block_spread)/(time*number), dp), &
         real(standard_error(o%chi_blocks), dp))
       if (o%collisions_seen > 0) call set_average(measured, 'chi_collision', &
@@ -238,6 +261,7 @@ contains
     call stream%pass('number', observer%number)
     call stream%pass('urn1_number', observer%urn1_number)
     call stream%pass('two_halves', observer%two_halves)
+    call stream%pass('circuit_closed', observer%circuit_closed)
     call stream%pass('reversals', observer%reversals)
     call stream%pass('bounce_backs', observer%bounce_backs)
     call stream%pass('collisions', observer%collisions)
@@ -245,15 +269,18 @@ contains
     call stream%pass('time', observer%time)
     call stream%pass('spread', observer%spread)
     call stream%pass('crossings', observer%crossings)
+    call stream%pass('downward', observer%downward)
     call stream%pass('collision_spread_sum', observer%collision_spread_sum)
     call stream%pass('collisions_seen', observer%collisions_seen)
     call stream%pass('block_left', observer%block_left)
     call stream%pass('block_time', observer%block_time)
     call stream%pass('block_spread', observer%block_spread)
     call stream%pass('block_net', observer%block_net)
+    call stream%pass('block_downward', observer%block_downward)
     call pass_blocks(observer%chi_blocks, stream)
     call pass_blocks(observer%current1_blocks, stream)
     call pass_blocks(observer%current2_blocks, stream)
+    call pass_blocks(observer%polarised_blocks, stream)
     call stream%pass('series_interval', observer%series_interval)
     call stream%pass('series_left', observer%series_left)
     call stream%pass('series_crossings', observer%series_crossings)

@@ -46,6 +46,8 @@ contains
       has_error=.true.), &
       quantity_type('current2', '1/time', 'net current of channel 2 from urn 1 to urn 2', &
       has_error=.true.), &
+      quantity_type('polarised_current', '1/time', &
+      'current of channel 2 from the fuller half to the emptier', has_error=.true.), &
       quantity_type('flow1_12', '1/time', &
       'crossings of the middle line of channel 1 from urn 1 to urn 2'), &
       quantity_type('flow1_21', '1/time', &

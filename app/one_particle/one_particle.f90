@@ -1,0 +1,55 @@
+!> Stationary states of one-particle theory, by walkers (`battery_walkers`). Reads lines
+!>
+!>     number threshold1 threshold2 urn_radius1 urn_radius2 channel1_width channel1_length
+!>     channel2_width channel2_length urn2_share copies transient duration seed well_mixed
+!>
+!> each one line; `urn2_share` of the walkers start in urn 2, `well_mixed` is T or F. Writes lines
+!>
+!>     half2_number flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
+!>
+!> of a copy of the circuit, the last eight per unit time. Lengths and times are those of the
+!> namelist. Made for `postproc.theory.one_particle`.
+program one_particle
+  use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
+  use battery_kinds, only: wp, int64
+  use battery_error, only: error_type
+  use battery_table, only: table_type, new_table, shape_circuit
+  use battery_engine, only: particles_type
+  use battery_initial_state, only: random_particles
+  use battery_walkers, only: walkers_type, new_walkers, walk_until
+  use battery_tally, only: entry_rate, crossing_rate, turned_rate, half2_mean
+  implicit none (type, external)
+  integer :: number, threshold(2), copies, status
+  real(wp) :: radius(2), width1, length1, width2, length2, share, transient, duration
+  integer(int64) :: seed
+  logical :: well_mixed
+  type(walkers_type) :: walkers
+
+  do
+    read (input_unit, *, iostat=status) number, threshold, radius, width1, length1, width2, &
+      length2, share, copies, transient, duration, seed, well_mixed
+    if (status /= 0) exit
+    call live()
+    write (output_unit, '(9es24.16)') half2_mean(walkers%tally), crossing_rate(walkers%tally), &
+      entry_rate(walkers%tally), turned_rate(walkers%tally)
+    flush (output_unit)
+  end do
+
+contains
+
+  !> One batch of walkers, from the start to the end.
+  subroutine live()
+    type(table_type) :: table
+    type(particles_type) :: particles
+    type(error_type), allocatable :: error
+
+    table = new_table(shape_circuit, radius, width1, length1, width2, length2)
+    call random_particles(table, number*copies, number*copies - nint(share*number*copies), seed, &
+      particles, error)
+    if (allocated(error)) error stop error%message
+    call new_walkers(walkers, table, threshold, copies, particles, seed, well_mixed, transient, &
+      transient + duration)
+    call walk_until(walkers, transient + duration)
+  end subroutine live
+
+end program one_particle

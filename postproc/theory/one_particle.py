@@ -1,0 +1,215 @@
+"""One-particle theory: one particle with exact visits between gates made of all the others.
+
+The program `one_particle` (src/walkers) lets walkers fly exact visits in several copies of the
+circuit; whoever enters a gate does so in a copy drawn by chance. So every gate is a renewal gate at
+the walkers' own rate, with their own stays, and no number comes from a run. What is left out: that
+particles which a gate turned back together meet again, and that numbers fluctuate, which matters
+next to a transition (chi too large by up to 0.02 at N = 1000). States are found by letting walkers
+go from several shares of the urns; unstable ones are not found. Errors are those of the mean of
+independent batches of walkers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc.theory import circuit as circuits
+from postproc.theory.programs import answers
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import State, stable_state
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
+
+    Floats = NDArray[np.float64]
+
+MOST_VISITS = 2e7  # from one start, all batches together: two to four seconds of a processor
+RELAXATIONS = 3.25  # directions are forgotten in 25 r^4/w^3
+SHORTEST = 500.0  # transient in mean free paths, 2r
+POOL = 4000  # walkers of a batch, at least
+FEWEST_COPIES, MOST_COPIES = 4, 64
+EMPTIER = 0.05  # share of the emptier urn at a polarised start where no theory tells one
+BIAS = 0.02  # of the homogeneous start: what decays from there is stable
+RESOLUTION, STRIDE = 0.03, 1.25  # of a transition; relative steps until it lies between two
+APART = 4.0  # errors between states that are not the same
+
+
+@dataclass(frozen=True)
+class DrawnState(State):
+    """A stationary state that walkers found, with the standard errors of the mean of batches."""
+
+    mass_spread_error: float
+    net_current_error: float
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many walkers go how long.
+
+    Attributes
+    ----------
+    copies : of the circuit, N walkers to each.
+    batches : independent of each other; errors come from their scatter.
+    transient, duration : time before anything counts, and time that counts.
+    seed : of the first batch; others have the numbers after it.
+    """
+
+    copies: int
+    batches: int
+    transient: float
+    duration: float
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Walked:
+    """What batches of walkers did; arrays of shape (batch,) or (batch, urn), of one circuit.
+
+    Attributes
+    ----------
+    half2_number : N2, time average.
+    flow1, flow2 : crossings of channels 1 and 2 from urn 1 to 2 and from 2 to 1, per unit time.
+    entries, turned : entries into the gate of each urn and turned back there, per unit time.
+    """
+
+    half2_number: Floats
+    flow1: Floats
+    flow2: Floats
+    entries: Floats
+    turned: Floats
+
+    @property
+    def net_current(self) -> Floats:
+        """Net current of channel 1 from urn 1 to urn 2, from what comes back through channel 2."""
+        return self.flow2[:, 1] - self.flow2[:, 0]
+
+
+def effort_for(circuit: Circuit) -> Effort:
+    """Return an effort of at most about `MOST_VISITS`: what is too much is taken off everything."""
+    radius = max(float(side.urn_radius) for side in circuit.sides)
+    width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
+    number = float(circuit.number)
+    copies = float(np.clip(np.ceil(POOL / number), 8, MOST_COPIES))
+    transient = max(RELAXATIONS * 25.0 * radius**4 / width1**3, 2.0 * SHORTEST * radius)
+    area = sum(float(side.urn_area) for side in circuit.sides)
+    per_time = number * copies * 8 * (width1 + width2) / (0.5 * np.pi * area)
+    excess = max(1.0, 3.0 * transient * per_time / MOST_VISITS)
+    fewer = min(excess, copies / FEWEST_COPIES)
+    longest = MOST_VISITS * fewer / per_time
+    transient = min(transient, 0.5 * longest)
+    return Effort(int(copies / fewer), 8, transient, min(2.0 * transient, longest - transient))
+
+
+def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = False) -> Walked:
+    """Let walkers go, `share2` of them from urn 2; `well_mixed` urns forget each visit's beginning.
+
+    Raises
+    ------
+    postproc.cli.InputError : the program is not there (make build builds it), or it fails.
+    """
+    one, two = circuit.sides
+    words = [int(circuit.number), int(one.threshold), int(two.threshold)]
+    words += [float(one.urn_radius), float(two.urn_radius)]
+    words += [float(circuit.channel1_width), float(circuit.channel1_length)]
+    words += [float(circuit.channel2_width), float(circuit.channel2_length)]
+    words += [share2, effort.copies, effort.transient, effort.duration]
+    line = " ".join(map(repr, words))
+    mixed = "T" if well_mixed else "F"
+    seeds = range(effort.seed, effort.seed + effort.batches)
+    found = answers("one_particle", [f"{line} {seed} {mixed}" for seed in seeds])
+    return Walked(found[:, 0], *(found[:, first : first + 2] for first in (1, 3, 5, 7)))
+
+
+def homogeneous_kind(circuit: Circuit, effort: Effort | None = None) -> str:
+    """Return whether equal urns that share equally are "stable" or "unstable"."""
+    walked = walk(circuit, 0.5 + BIAS, effort or _shorter(effort_for(circuit)))
+    spread = abs(2.0 * walked.half2_number / float(circuit.number) - 1.0)
+    return "stable" if np.median(spread) <= 2.0 * BIAS else "unstable"
+
+
+def transition_width(circuit: Circuit, effort: Effort | None = None) -> float:
+    """Return w' from which equal shares last at this N, T, w, to `RESOLUTION`; NaN: there is none.
+
+    It is looked for next to that of the renewal gate, by halves; `channel2_width` is not used.
+    """
+    width = circuits.transition_width(replace(circuit, gate=RENEWAL, occupation=True))
+    limit = 2.0 * float(circuit.urn_radius)
+    if not 0.0 < width < limit:
+        return math.nan
+    below, above = 0.0, limit
+    while above / max(below, 1e-6 * limit) > 1.0 + RESOLUTION:
+        if homogeneous_kind(replace(circuit, channel2_width=width), effort) == "stable":
+            above, width = width, math.sqrt(below * width) if below else width / STRIDE
+        else:
+            below, width = width, math.sqrt(width * above) if above < limit else width * STRIDE
+        if width >= limit:
+            return math.nan
+    return math.sqrt(below * above)
+
+
+def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[DrawnState]:
+    """Return the stable states that walkers reach, by increasing N2.
+
+    Of equal urns with equal gates that with N2 > N/2, if there is one: its mirror image is a state
+    too. Of others all that are reached from either urn and from equal shares of the area.
+    """
+    given = effort or effort_for(circuit)
+    number = float(circuit.number)
+    if circuit.alike:
+        state = _state(_folded(walk(circuit, _polarised_share(circuit), given), number), number)
+        least = max(2.0 * BIAS, APART * state.mass_spread_error)
+        return [state] if state.mass_spread > least else []
+    one, two = (float(side.urn_area) for side in circuit.sides)
+    found: list[DrawnState] = []
+    for share in (EMPTIER, two / (one + two), 1.0 - EMPTIER):
+        state = _state(walk(circuit, share, given), number)
+        if not any(_same(state, other, number) for other in found):
+            found.append(state)
+    return sorted(found, key=lambda state: state.urn2_number)
+
+
+def _polarised_share(circuit: Circuit) -> float:
+    """Return the share of urn 2 that is polarised, by the renewal gate if it knows such a state."""
+    guess = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
+    return guess.urn2_number / float(circuit.number) if guess else 1.0 - EMPTIER
+
+
+def _folded(walked: Walked, number: float) -> Walked:
+    """Return the mirror image of each batch of equal urns in which urn 1 was the fuller one."""
+    mirrored = walked.half2_number < 0.5 * number
+    pairs = (walked.flow1, walked.flow2, walked.entries, walked.turned)
+    return Walked(
+        np.where(mirrored, number - walked.half2_number, walked.half2_number),
+        *(np.where(mirrored[:, None], pair[:, ::-1], pair) for pair in pairs),
+    )
+
+
+def _shorter(effort: Effort) -> Effort:
+    """Return what is enough to tell whether a state lasts, not where it lies."""
+    return replace(effort, batches=4, duration=effort.transient / 3.0)
+
+
+def _state(walked: Walked, number: float) -> DrawnState:
+    second, current = walked.half2_number, walked.net_current
+    spread, batches = 2.0 * second / number - 1.0, np.sqrt(second.size)
+    return DrawnState(
+        float(second.mean()),
+        "stable",
+        float(abs(spread.mean())),
+        float(current.mean()),
+        float(spread.std(ddof=1) / batches),
+        float(current.std(ddof=1) / batches),
+    )
+
+
+def _same(one: DrawnState, other: DrawnState, number: float) -> bool:
+    """Whether two states are the same but for their errors."""
+    errors = np.hypot(one.mass_spread_error, other.mass_spread_error)
+    apart = 2.0 * abs(one.urn2_number - other.urn2_number) / number
+    return bool(apart <= max(2.0 * BIAS, APART * errors))

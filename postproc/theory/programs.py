@@ -1,0 +1,36 @@
+"""Programs that theories ask: lines of words in, lines of numbers out."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc.cli import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+FOLDER = Path(__file__).resolve().parents[2] / "build/bin"
+
+
+def answers(name: str, lines: Sequence[str]) -> NDArray[np.float64]:
+    """Ask a program; return the numbers of its answer, a row a line.
+
+    Raises
+    ------
+    InputError : the program is not there, or it fails.
+    """
+    text = "".join(f"{line}\n" for line in lines)
+    program = FOLDER / name
+    try:
+        done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    except OSError as problem:
+        raise InputError(f"{program}: {problem.strerror} (make build builds it)") from problem
+    except subprocess.CalledProcessError as problem:
+        raise InputError(f"{program}: {problem.stderr.strip() or problem}") from problem
+    return np.array([[float(word) for word in line.split()] for line in done.stdout.splitlines()])

@@ -1,0 +1,44 @@
+!> Random numbers one by one, drawn many at a time.
+module battery_draws
+  use battery_kinds, only: wp, int64
+  use battery_random, only: random_type, new_random, draw_uniform
+  implicit none (type, external)
+  private
+  public :: draws_type, new_draws, next
+
+  !> So many are drawn at a time.
+  integer, parameter :: drawn_together = 4096
+
+  !> A generator, and what is left of the numbers drawn last.
+  type :: draws_type
+    private
+    type(random_type) :: random
+    real(wp) :: number(drawn_together) = 0.0_wp
+    integer :: used = drawn_together
+  end type draws_type
+
+contains
+
+  !> The same seed gives the same numbers.
+  pure function new_draws(seed) result(draws)
+    !> Any 64 bits.
+    integer(int64), intent(in) :: seed
+    type(draws_type) :: draws
+
+    draws%random = new_random(seed)
+  end function new_draws
+
+  !> A number uniform in (0, 1).
+  function next(draws) result(number)
+    type(draws_type), intent(inout) :: draws
+    real(wp) :: number
+
+    if (draws%used == drawn_together) then
+      call draw_uniform(draws%random, drawn_together, draws%number)
+      draws%used = 0
+    end if
+    draws%used = draws%used + 1
+    number = draws%number(draws%used)
+  end function next
+
+end module battery_draws

@@ -1,0 +1,396 @@
+!> One particle between gates that are made of all the others: many walkers, each alone.
+!>
+!> Walkers fly exact visits. There are several `copies` of the circuit, with N walkers to each, and
+!> whoever enters a gate does so in a copy drawn by chance. So a walker meets a gate that knows
+!> nothing of its past: the stream of those who come to it is that of all copies thinned out,
+!> Poisson's in the limit of many, at the rate at which walkers come to gates, with the stays that
+!> are found there. That is the renewal gate, made self-consistent: rate, stays and the numbers in
+!> the urns are the walkers' own, and nobody is lost, since a walker is always somewhere. With a
+!> single copy nothing is drawn, and it is the circuit itself.
+!>
+!> Gates know their rule alone (`battery_gate`), visits the chambers. A window is as long as a
+!> particle needs at least from gate to gate: all who enter in it are known when it begins. Channel
+!> 2 has no gate, so who leaves through it goes on at once; crossings are written down with their
+!> times, which may lie ahead.
+!>
+!> With `well_mixed` a visit forgets what it began with: its end is drawn from the measure of
+!> entries, and its length, beyond the shortest way between gates, is exponential about the mean.
+module battery_walkers
+  use battery_kinds, only: wp, int64, pi
+  use battery_table, only: table_type, gated, ungated, side_at, x_direction, alike, mean_visit, &
+    shortest_excursion
+  use battery_engine, only: particles_type
+  use battery_chamber, only: leave_channels
+  use battery_chambers, only: urn_chamber_type, new_chamber
+  use battery_visits, only: visits_type, reserve_visits, no_channel
+  use battery_gate, only: gate_type, new_gate, enter, must_turn, cross_first, turned_back
+  use battery_tally, only: tally_type, new_tally, add_entry, add_turned, add_crossing
+  use battery_draws, only: draws_type, new_draws, next
+  implicit none (type, external)
+  private
+  public :: walkers_type, new_walkers, walk_until, walkers_left
+
+  !> Walkers that enter gates in one window, at most about.
+  integer, parameter :: batch = 4096
+
+  !> Walkers, the copies of the gates, and what has been measured.
+  type :: walkers_type
+    type(tally_type) :: tally
+    type(table_type) :: table
+    integer :: copies = 1
+    logical :: well_mixed = .false.
+    real(wp) :: now = 0.0_wp
+    !> Those of (copy, side).
+    type(gate_type), allocatable :: gate(:, :)
+    !> How each walker will enter its next gate, or entered the one that counts it: when (huge: it
+    !> never does), at which height, |u_x| and u_y, the time from end to end of the channel; and of
+    !> which urn the gate is.
+    real(wp), allocatable :: time(:), y(:), along(:), across(:), through(:)
+    integer, allocatable :: urn(:)
+    type(urn_chamber_type) :: chamber(2)
+    !> Visits by chamber (urns that are alike share one), those under way and those to follow.
+    type(visits_type) :: visits(2, 2)
+    integer :: chambers = 1, under_way = 1
+    !> Longest window; shortest and mean length of a visit where urns are well mixed.
+    real(wp) :: window = 0.0_wp, shortest = 0.0_wp, mean(2) = 0.0_wp
+    type(draws_type) :: draws
+    !> Who enters in a window, by gate and then by time: whose place begins where.
+    integer, allocatable :: who(:), first(:)
+  end type walkers_type
+
+contains
+
+  !> Walkers that start as `particles`, all in the urns.
+  subroutine new_walkers(walkers, table, threshold, copies, particles, seed, well_mixed, from, to)
+    type(walkers_type), intent(out) :: walkers
+    !> A circuit.
+    type(table_type), intent(in) :: table
+    !> Of the gates of urn 1 and 2.
+    integer, intent(in) :: threshold(2)
+    !> How many copies of the circuit there are; each has its share of the particles.
+    integer, intent(in) :: copies
+    !> N for each copy.
+    type(particles_type), intent(in) :: particles
+    !> Of what is drawn by chance: any 64 bits.
+    integer(int64), intent(in) :: seed
+    !> Whether visits forget what they began with.
+    logical, intent(in) :: well_mixed
+    !> What is measured happens after `from`, up to `to`: times since the start.
+    real(wp), intent(in) :: from, to
+    integer :: number, side, copy
+
+    number = size(particles%x)
+    walkers%table = table
+    walkers%copies = copies
+    walkers%well_mixed = well_mixed
+    walkers%tally = new_tally(from, to, copies, count(particles%x >= 0.0_wp))
+    walkers%chambers = merge(1, 2, alike(table))
+    walkers%shortest = shortest_excursion(table)
+    allocate (walkers%gate(copies, 2))
+    do side = 1, 2
+      call new_chamber(table, side, walkers%chamber(side))
+      walkers%mean(side) = mean_visit(table, side)
+      do copy = 1, copies
+        call new_gate(walkers%gate(copy, side), threshold(side))
+      end do
+    end do
+    walkers%window = min(walkers%shortest, real(batch, wp)*minval(walkers%mean)/real(number, wp))
+    walkers%draws = new_draws(seed)
+    allocate (walkers%time(number), walkers%y(number), walkers%along(number), &
+      walkers%across(number), walkers%through(number), source=0.0_wp)
+    allocate (walkers%urn(number), walkers%who(number), source=0)
+    allocate (walkers%first(2*copies + 1), source=0)
+    call start(walkers, particles)
+  end subroutine new_walkers
+
+  !> The first visits, from within the urns.
+  subroutine start(walkers, particles)
+    type(walkers_type), intent(inout) :: walkers
+    type(particles_type), intent(in) :: particles
+    integer :: i, side
+
+    call reserve(walkers, 1, size(particles%x))
+    do i = 1, size(particles%x)
+      side = side_at(walkers%table, particles%x(i))
+      associate (v => walkers%visits(min(side, walkers%chambers), 1))
+        v%count = v%count + 1
+        v%particle(v%count) = i
+        v%urn(v%count) = side
+        v%time(v%count) = 0.0_wp
+        v%hits(v%count) = 0.0_wp
+        v%x(v%count) = walkers%table%urn(side)%centre - abs(particles%x(i))
+        v%y(v%count) = particles%y(i)
+        v%along(v%count) = -x_direction(side)*particles%ux(i)
+        v%across(v%count) = particles%uy(i)
+      end associate
+    end do
+    walkers%under_way = 1
+    call finish(walkers)
+    call fly(walkers)
+  end subroutine start
+
+  !> Goes on until a time since the start.
+  subroutine walk_until(walkers, time)
+    type(walkers_type), intent(inout) :: walkers
+    !> Later than where they are, or nothing happens.
+    real(wp), intent(in) :: time
+    real(wp) :: ends
+    integer :: side, copy, bucket
+
+    do while (walkers%now < time)
+      ends = min(time, walkers%now + walkers%window)
+      call find_entrants(walkers, ends)
+      ! At most those who enter and those who are in the gates begin a visit.
+      call reserve(walkers, walkers%under_way, walkers%first(2*walkers%copies + 1) &
+        + sum(walkers%gate%counted%count))
+      do side = 1, 2
+        do copy = 1, walkers%copies
+          bucket = (side - 1)*walkers%copies + copy
+          call pass_gate(walkers, side, copy, walkers%who(walkers%first(bucket) &
+            + 1:walkers%first(bucket + 1)), ends)
+        end do
+      end do
+      walkers%now = ends
+      call fly(walkers)
+    end do
+  end subroutine walk_until
+
+  !> Those who enter a gate before `ends`, in the copies that chance gives them: the places of a
+  !> gate in `who` follow `first`.
+  subroutine find_entrants(walkers, ends)
+    type(walkers_type), intent(inout) :: walkers
+    real(wp), intent(in) :: ends
+    integer :: due(size(walkers%time)), bucket(size(walkers%time))
+    integer :: found, i, k
+
+    found = 0
+    do i = 1, size(walkers%time)
+      due(found + 1) = i
+      if (walkers%time(i) >= walkers%now .and. walkers%time(i) < ends) found = found + 1
+      if (found == size(due)) exit
+    end do
+    walkers%first = 0
+    do k = 1, found
+      bucket(k) = (walkers%urn(due(k)) - 1)*walkers%copies + 1
+      if (walkers%copies > 1) bucket(k) = bucket(k) + int(next(walkers%draws)*walkers%copies)
+      walkers%first(bucket(k) + 1) = walkers%first(bucket(k) + 1) + 1
+    end do
+    do k = 2, size(walkers%first)
+      walkers%first(k) = walkers%first(k) + walkers%first(k - 1)
+    end do
+    do k = found, 1, -1
+      walkers%who(walkers%first(bucket(k) + 1)) = due(k)
+      walkers%first(bucket(k) + 1) = walkers%first(bucket(k) + 1) - 1
+    end do
+    ! Each `first` has come down to where its bucket begins, one place late.
+    walkers%first(:size(walkers%first) - 1) = walkers%first(2:)
+    walkers%first(size(walkers%first)) = found
+  end subroutine find_entrants
+
+  !> One copy of a gate until `ends`: who enters, in the order of time, who crosses, who turns back.
+  subroutine pass_gate(walkers, side, copy, who, ends)
+    type(walkers_type), intent(inout) :: walkers
+    integer, intent(in) :: side, copy
+    integer, intent(inout) :: who(:)
+    real(wp), intent(in) :: ends
+    real(wp) :: time
+    integer :: k
+
+    call sort_by_time(who, walkers%time)
+    associate (gate => walkers%gate(copy, side))
+      do k = 1, size(who)
+        time = walkers%time(who(k))
+        do while (gate%counted%next <= time)
+          call cross_middle(walkers, side, gate)
+        end do
+        call enter(gate, time + 0.5_wp*walkers%through(who(k)), who(k))
+        call add_entry(walkers%tally, side, time)
+        if (must_turn(gate)) call turn(walkers, side, gate, time)
+      end do
+      do while (gate%counted%next < ends)
+        call cross_middle(walkers, side, gate)
+      end do
+    end associate
+  end subroutine pass_gate
+
+  !> Puts those who enter a gate into the order of time: few, so by insertion.
+  pure subroutine sort_by_time(who, time)
+    integer, intent(inout) :: who(:)
+    real(wp), intent(in) :: time(:)
+    integer :: k, at, one
+
+    do k = 2, size(who)
+      one = who(k)
+      do at = k - 1, 1, -1
+        if (time(who(at)) <= time(one)) exit
+        who(at + 1) = who(at)
+      end do
+      who(at + 1) = one
+    end do
+  end subroutine sort_by_time
+
+  !> The first of those counted goes on to the other urn.
+  subroutine cross_middle(walkers, side, gate)
+    type(walkers_type), intent(inout) :: walkers
+    integer, intent(in) :: side
+    type(gate_type), intent(inout) :: gate
+    integer :: i
+
+    call cross_first(gate, i)
+    call add_crossing(walkers%tally, side, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
+    call leave_gate(walkers, i, 3 - side, walkers%through(i))
+  end subroutine cross_middle
+
+  !> A gate turns all those counted back: each is as long on its way out as it was on its way in.
+  subroutine turn(walkers, side, gate, time)
+    type(walkers_type), intent(inout) :: walkers
+    integer, intent(in) :: side
+    type(gate_type), intent(inout) :: gate
+    real(wp), intent(in) :: time
+    integer :: k
+
+    do k = 1, gate%counted%count
+      associate (i => gate%counted%who(k))
+        call leave_gate(walkers, i, side, 2.0_wp*(time - walkers%time(i)))
+      end associate
+    end do
+    call add_turned(walkers%tally, side, time, gate%counted%count)
+    call turned_back(gate)
+  end subroutine turn
+
+  !> Out of channel 1 into an urn, `passage` after it entered the channel.
+  pure subroutine leave_gate(walkers, i, urn, passage)
+    type(walkers_type), intent(inout) :: walkers
+    integer, intent(in) :: i, urn
+    real(wp), intent(in) :: passage
+
+    call send(walkers%visits(min(urn, walkers%chambers), walkers%under_way), i, urn, gated, &
+      walkers%time(i), passage, walkers%y(i), walkers%along(i), walkers%across(i))
+    walkers%time(i) = huge(1.0_wp)
+  end subroutine leave_gate
+
+  !> Adds to a batch one who entered a channel at `time`, so, and is in it for `passage`.
+  pure subroutine send(v, i, urn, channel, time, passage, y, along, across)
+    type(visits_type), intent(inout) :: v
+    integer, intent(in) :: i, urn, channel
+    real(wp), intent(in) :: time, passage, y, along, across
+
+    v%count = v%count + 1
+    v%particle(v%count) = i
+    v%urn(v%count) = urn
+    v%channel(v%count) = channel
+    v%time(v%count) = time
+    v%passage(v%count) = passage
+    v%y(v%count) = y
+    v%along(v%count) = along
+    v%across(v%count) = across
+  end subroutine send
+
+  !> All visits under way, and those that follow through channel 2, until everyone heads for a gate.
+  subroutine fly(walkers)
+    type(walkers_type), intent(inout) :: walkers
+    integer :: chamber
+
+    do while (sum(walkers%visits(:, walkers%under_way)%count) > 0)
+      do chamber = 1, walkers%chambers
+        associate (v => walkers%visits(chamber, walkers%under_way))
+          if (v%count > 0) call leave_channels(walkers%chamber(chamber)%chamber, v)
+        end associate
+      end do
+      call finish(walkers)
+    end do
+  end subroutine fly
+
+  !> From where the visits under way begin in the urns to the next channel; those who leave through
+  !> channel 2 are under way then.
+  subroutine finish(walkers)
+    type(walkers_type), intent(inout) :: walkers
+    integer :: chamber
+
+    call reserve(walkers, 3 - walkers%under_way, sum(walkers%visits(:, walkers%under_way)%count))
+    do chamber = 1, walkers%chambers
+      associate (v => walkers%visits(chamber, walkers%under_way))
+        if (v%count == 0) cycle
+        if (walkers%well_mixed) then
+          call forget(walkers, v)
+        else
+          call walkers%chamber(chamber)%chamber%cross(v)
+        end if
+        call land(walkers, v)
+      end associate
+    end do
+    walkers%visits(:, walkers%under_way)%count = 0
+    walkers%under_way = 3 - walkers%under_way
+  end subroutine finish
+
+  !> Ends of visits drawn from the measure of entries in place of their own: the opening by its
+  !> width, the height even, the direction by the cosine law.
+  subroutine forget(walkers, v)
+    type(walkers_type), intent(inout) :: walkers
+    type(visits_type), intent(inout) :: v
+    integer :: j, channel
+
+    associate (width => walkers%table%channel%width, length => walkers%table%channel%length)
+      do j = 1, v%count
+        channel = merge(gated, ungated, next(walkers%draws)*sum(width) < width(gated))
+        v%channel(j) = channel
+        v%y(j) = (next(walkers%draws) - 0.5_wp)*width(channel)
+        v%across(j) = 2.0_wp*next(walkers%draws) - 1.0_wp
+        v%along(j) = sqrt((1.0_wp - v%across(j))*(1.0_wp + v%across(j)))
+        v%through(j) = length(channel)/v%along(j)
+        v%length(j) = walkers%shortest - log(next(walkers%draws))*max(walkers%mean(v%urn(j)) &
+          - walkers%shortest, 0.0_wp)
+      end do
+    end associate
+  end subroutine forget
+
+  !> Writes down how each of a batch enters its next gate, or sends it through channel 2.
+  subroutine land(walkers, v)
+    type(walkers_type), intent(inout) :: walkers
+    type(visits_type), intent(in) :: v
+    integer :: j, i, urn
+    real(wp) :: leaves
+
+    do j = 1, v%count
+      i = v%particle(j)
+      urn = v%urn(j)
+      leaves = v%time(j) + v%length(j)
+      walkers%time(i) = huge(1.0_wp)
+      if (v%channel(j) == no_channel) cycle
+      if (v%channel(j) == gated) then
+        walkers%time(i) = leaves
+        walkers%urn(i) = urn
+        walkers%y(i) = v%y(j)
+        walkers%along(i) = v%along(j)
+        walkers%across(i) = v%across(j)
+        walkers%through(i) = v%through(j)
+        cycle
+      end if
+      call add_crossing(walkers%tally, urn, ungated, leaves + 0.5_wp*v%through(j))
+      call send(walkers%visits(min(3 - urn, walkers%chambers), 3 - walkers%under_way), i, 3 - urn, &
+        ungated, leaves, v%through(j), v%y(j), v%along(j), v%across(j))
+    end do
+  end subroutine land
+
+  !> Room for so many visits in each chamber.
+  subroutine reserve(walkers, which, room)
+    type(walkers_type), intent(inout) :: walkers
+    integer, intent(in) :: which, room
+    integer :: chamber
+
+    do chamber = 1, walkers%chambers
+      call reserve_visits(walkers%visits(chamber, which), room)
+    end do
+  end subroutine reserve
+
+  !> How many walkers are on their way to a gate or counted by one: all, but for those on orbits
+  !> that never leave an urn.
+  pure function walkers_left(walkers) result(left)
+    type(walkers_type), intent(in) :: walkers
+    integer :: left
+
+    left = count(walkers%time >= walkers%now .and. walkers%time < huge(1.0_wp)) &
+      + sum(walkers%gate%counted%count)
+  end function walkers_left
+
+end module battery_walkers
