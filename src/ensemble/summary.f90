@@ -90,8 +90,8 @@ contains
   subroutine print_points(results)
     type(results_type), intent(in) :: results
     character(len=*), parameter :: shown(2) = [character(len=17) :: 'chi', 'polarised_current']
-    real(dp) :: values(results%replicas, results%points), pairs(2, 2, results%points)
-    integer :: complete(results%points), k, p
+    real(dp) :: values(results%replicas, size(results%point)), pairs(2, 2, size(results%point))
+    integer :: complete(size(results%point)), k, p
 
     complete = count(results%task_status == task_complete, dim=1)
     if (all(complete < 2)) return
@@ -103,7 +103,7 @@ contains
     end do
     call say('     N    T       w         w''  replicas       chi  +-error    polarised  +-error' &
       //'    (errors over replicas)')
-    do p = 1, results%points
+    do p = 1, size(results%point)
       if (complete(p) > 1) call say(head(results, p, complete(p))//pairs_text(pairs(:, :, p)))
     end do
   end subroutine print_points

@@ -244,7 +244,8 @@ contains
         real(standard_error(o%current2_blocks), dp))
       if (.not. o%two_halves) return
       if (o%circuit_closed) call set_average(measured, 'polarised_current', &
-        real(real(o%downward + o%block_downward, wp)/time, dp), error_from(o%polarised_blocks))
+        real(real(o%downward + o%block_downward, wp)/time, dp), &
+        real(standard_error(o%polarised_blocks), dp))
       call set_average(measured, 'chi', real((o%spread + o%block_spread)/(time*number), dp), &
         real(standard_error(o%chi_blocks), dp))
       if (o%collisions_seen > 0) call set_average(measured, 'chi_collision', &
