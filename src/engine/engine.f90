@@ -198,7 +198,7 @@ contains
     character(len=:), allocatable :: reason
 
     reason = ''
-    if (any(table%channel%width >= 2.0_wp*minval(table%urn%radius))) then
+    if (.not. all(table%urn%fits)) then
       reason = 'its openings must be narrower than either urn'
     else if (self%time_step < 0.0_wp) then
       reason = 'its time_step is below 0'

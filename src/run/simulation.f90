@@ -110,7 +110,7 @@ contains
     urn1_number = count(particles%x < 0.0_wp)
     simulation%observer = new_observer(size(particles%x), urn1_number, &
       setup%table%sides == 2, setup%series_interval, &
-      power_below(maxval(setup%table%urn%radius)))
+      power_below(maxval(setup%table%urn%reach)))
     call check_room(bytes_to_come(simulation, size(particles%x)), &
       'the engine of '//to_text(size(particles%x))//' particles and what is kept of them', error)
     if (allocated(error)) return
@@ -261,7 +261,7 @@ contains
     end if
     if (reached(simulation, simulation%setup%duration)) then
       call end_series(simulation%observer, &
-        min(rounding*max(maxval(simulation%setup%table%urn%radius), simulation%setup%duration), &
+        min(rounding*max(maxval(simulation%setup%table%urn%reach), simulation%setup%duration), &
         0.5_wp*simulation%setup%series_interval))
       simulation%collisions = simulation%engine%collisions()
       simulation%done = .true.

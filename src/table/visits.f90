@@ -1,7 +1,7 @@
 !> A batch of visits to the urns: structure of arrays, and room for them.
 module battery_visits
   use battery_kinds, only: wp, int64
-  use battery_table, only: gated
+  use battery_channel, only: gated, none => no_channel
   implicit none (type, external)
   private
   public :: visits_type, reserve_visits, part_visits, together, no_channel
@@ -10,7 +10,7 @@ module battery_visits
   integer, parameter :: together = 4
 
   !> In place of a channel: a particle that never leaves.
-  integer(int64), parameter :: no_channel = 0
+  integer(int64), parameter :: no_channel = none
 
   !> A batch of visits, one entry a particle; arrays have room for whole groups of `together`.
   type :: visits_type

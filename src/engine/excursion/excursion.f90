@@ -11,13 +11,12 @@
 module battery_excursion
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: gated, ungated, side_at, beyond, alike, x_direction, mean_visit, &
-    shortest_excursion
+  use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion
   use battery_flight, only: look_up, gather, land, locate, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
   use battery_chamber, only: leave_channels
-  use battery_chambers, only: urn_chamber_type, new_chamber
+  use battery_urn, only: cross
   use battery_visits, only: visits_type, reserve_visits, part_visits
   use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
   use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
@@ -43,12 +42,9 @@ module battery_excursion
     type(calendar_type) :: calendar
     !> Of the sorted events of the calendar: when an entrant would cross the middle.
     real(wp), allocatable :: middle(:)
-    !> The urn of each side, and the visits to it. Urns that are alike share the first batch.
-    type(urn_chamber_type) :: urn(2)
+    !> The visits to the urn of each side. Urns that are alike share the first batch.
     type(visits_type) :: visits(2)
     integer :: batches = 1
-    !> Where one is that has crossed a line from each side.
-    integer :: beyond(2) = 0
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
@@ -70,14 +66,9 @@ contains
   !> Sizes and lengths that follow from the table and the number of particles.
   subroutine prepare(self)
     class(excursion_type), intent(inout) :: self
-    integer :: side
 
-    do side = 1, 2
-      call new_chamber(self%table, side, self%urn(side))
-      self%beyond(side) = beyond(self%table, side)
-    end do
     self%batches = merge(1, 2, alike(self%table))
-    self%interval = 0.5_wp*(mean_visit(self%table, 1) + mean_visit(self%table, 2)) &
+    self%interval = 0.5_wp*(mean_visit(self%table%urn(1)) + mean_visit(self%table%urn(2))) &
       + 0.25_wp*pi*self%table%channel(gated)%length
     self%lookahead = shortest_excursion(self%table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
@@ -118,8 +109,7 @@ contains
             particles%uy(i), from_channels, self%flight(i), self%visits(b), self%known_hits)
         end do
         do b = 1, self%batches
-          if (from_channels) call leave_channels(self%urn(b)%chamber, &
-            self%visits(b))
+          if (from_channels) call leave_channels(self%table%urn(b), self%visits(b))
           call finish_visits(self, b)
         end do
       end do
@@ -156,7 +146,7 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      call self%urn(b)%chamber%cross(v)
+      call cross(self%table%urn(b), v)
       self%known_hits = self%known_hits + v%all_hits
       call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
         v%y, v%along, v%across, v%through)
@@ -190,7 +180,7 @@ contains
       associate (v => self%visits(b))
         call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
           v%y, v%along, v%across)
-        call leave_channels(self%urn(b)%chamber, v)
+        call leave_channels(self%table%urn(b), v)
         call finish_visits(self, b)
         call schedule_all(self%calendar, self%flight, v%count, v%particle, v%time)
       end associate
@@ -245,7 +235,7 @@ contains
         end if
       else
         call record_crossing(history, time - began, crossing_of(urn, ungated), i)
-        call send(self%visits(1), i, self%beyond(urn), ungated)
+        call send(self%visits(1), i, self%table%beyond(urn), ungated)
       end if
     end do
     done = at - 1
@@ -304,8 +294,8 @@ contains
     time = self%gate(urn)%counted%next
     call cross_first(self%gate(urn), i)
     call record_crossing(history, time - began, crossing_of(urn, gated), i)
-    if (self%beyond(urn) == urn) self%known_hits = self%known_hits + 1
-    call send(self%visits(1), i, self%beyond(urn), gated)
+    if (self%table%beyond(urn) == urn) self%known_hits = self%known_hits + 1
+    call send(self%visits(1), i, self%table%beyond(urn), gated)
   end subroutine cross_channel1
 
   !> Puts a particle into the batch: it goes straight to `urn` through `channel`.
@@ -327,21 +317,22 @@ contains
     class(excursion_type), intent(in) :: self
     integer, intent(in) :: first, last
     type(particles_type), intent(out) :: particles
-    integer :: i, k, side
+    integer :: i, k
     integer(int64) :: hits
     real(wp) :: position(2), velocity(2)
 
     call allocate_particles(particles, last - first + 1)
     do i = first, last
       k = i - first + 1
-      side = self%flight(i)%urn
-      call locate(self%urn(side)%chamber, self%flight(i), self%now, position, velocity, hits)
-      particles%x(k) = position(1)
-      particles%ux(k) = velocity(1)
-      if (self%flight(i)%heading /= parked_in_channel) then
-        particles%x(k) = -x_direction(side)*(position(1) - self%table%urn(side)%centre)
-        particles%ux(k) = -x_direction(side)*velocity(1)
-      end if
+      associate (urn => self%table%urn(self%flight(i)%urn))
+        call locate(urn, self%flight(i), self%now, position, velocity, hits)
+        particles%x(k) = position(1)
+        particles%ux(k) = velocity(1)
+        if (self%flight(i)%heading /= parked_in_channel) then
+          particles%x(k) = urn%way*(position(1) - urn%centre)
+          particles%ux(k) = urn%way*velocity(1)
+        end if
+      end associate
       particles%y(k) = position(2)
       particles%uy(k) = velocity(2)
     end do
@@ -357,7 +348,7 @@ contains
 
     total = self%known_hits
     do i = 1, self%number
-      call locate(self%urn(self%flight(i)%urn)%chamber, self%flight(i), self%now, position, &
+      call locate(self%table%urn(self%flight(i)%urn), self%flight(i), self%now, position, &
         velocity, hits)
       total = total + hits
     end do
