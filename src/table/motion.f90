@@ -28,8 +28,8 @@ module battery_motion
     real(wp) :: time = 0.0_wp
     !> Side and chamber (`in_urn` ...) it is in.
     integer(int8) :: side = 0_int8, chamber = 0_int8
-    !> What it meets next (`meets_wall` ...).
-    integer(wall_kind) :: next = meets_nothing
+    !> What it meets next; some wall, until that is known.
+    integer(wall_kind) :: next = meets_wall
   end type motion_type
 
 contains
