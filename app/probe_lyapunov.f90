@@ -8,12 +8,11 @@
 module battery_probe_lyapunov
   use battery_kinds, only: wp, dp, int64, pi
   use battery_text, only: to_text
-  use battery_table, only: table_type, in_urn
+  use battery_table, only: table_type
   use battery_random, only: hashed_uniform
-  use battery_motion, only: motion_type, fly, meets_wall, meets_gate, meets_return, meets_urn, &
-    meets_nothing
-  use battery_bounce, only: take_off, hit_urn, hit_channel, enter_channel, leave_channel, &
-    cross_line, put_down
+  use battery_motion, only: motion_type, fly, meets_channel_wall, meets_gate, meets_return, &
+    meets_urn, meets_nothing
+  use battery_bounce, only: take_off, hit_wall, enter_channel, leave_channel, cross_line, put_down
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_initial_state, only: read_particles
@@ -123,15 +122,14 @@ contains
 
     associate (urn => table%urn(flight%side))
       select case (flight%next)
-      case (meets_wall:)
-        if (flight%chamber == in_urn) then
+      case (meets_channel_wall:)
+        if (flight%next > meets_channel_wall) then
           call bounce_apart(tangent, abs((urn%centre + urn%way*flight%x)*urn%way*flight%ux &
             + flight%y*flight%uy))
-          call hit_urn(urn, flight, wait)
         else
           call bounce_apart(tangent)
-          call hit_channel(urn, flight, wait)
         end if
+        call hit_wall(urn, flight, wait)
       case (meets_gate, meets_return)
         call enter_channel(urn, flight, wait)
       case (meets_urn)

@@ -11,12 +11,11 @@ module battery_bounce
     side_at, chamber_at, x_direction
   use battery_channel, only: no_channel, facing
   use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_urn, meets_line, &
-    meets_wall
+    meets_channel_wall
   use battery_urn, only: aim, hit
   implicit none (type, external)
   private
-  public :: put_down, take_off, hit_urn, hit_channel, enter_channel, leave_channel, cross_line, &
-    turn_back
+  public :: put_down, take_off, hit_wall, enter_channel, leave_channel, cross_line, turn_back
   public :: heads_for_middle, time_to_middle, is_trapped
 
 contains
@@ -49,8 +48,8 @@ contains
     end associate
   end subroutine take_off
 
-  !> Reflection from the wall of an urn.
-  pure subroutine hit_urn(urn, motion, wait)
+  !> Reflection from a wall of an urn or of a channel.
+  pure subroutine hit_wall(urn, motion, wait)
     !> That of the side that the particle is on.
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
@@ -58,12 +57,18 @@ contains
     real(wp), intent(out) :: wait
     real(wp) :: x, ux
 
-    x = urn%centre + urn%way*motion%x
-    ux = urn%way*motion%ux
-    call hit(urn, x, motion%y, ux, motion%uy, motion%next, wait)
-    motion%x = urn%way*(x - urn%centre)
-    motion%ux = urn%way*ux
-  end subroutine hit_urn
+    if (motion%next == meets_channel_wall) then
+      motion%y = sign(half_width(urn, motion), motion%uy)
+      motion%uy = -motion%uy
+      call aim_in_channel(urn, motion, wait)
+    else
+      x = urn%centre + urn%way*motion%x
+      ux = urn%way*motion%ux
+      call hit(urn, x, motion%y, ux, motion%uy, motion%next, wait)
+      motion%x = urn%way*(x - urn%centre)
+      motion%ux = urn%way*ux
+    end if
+  end subroutine hit_wall
 
   !> What is met in a channel. A wall met at the same time as a chord is met first: the corner
   !> belongs to the channel.
@@ -94,22 +99,9 @@ contains
       /max(abs(motion%uy), slowest)
     if (to_wall <= wait) then
       wait = to_wall
-      motion%next = meets_wall
+      motion%next = meets_channel_wall
     end if
   end subroutine aim_in_channel
-
-  !> Reflection from the wall of a channel.
-  pure subroutine hit_channel(urn, motion, wait)
-    !> That of the side that the particle is on.
-    type(urn_type), intent(in) :: urn
-    type(motion_type), intent(inout) :: motion
-    !> Time until it meets what it meets next.
-    real(wp), intent(out) :: wait
-
-    motion%y = sign(half_width(urn, motion), motion%uy)
-    motion%uy = -motion%uy
-    call aim_in_channel(urn, motion, wait)
-  end subroutine hit_channel
 
   !> From an urn through a chord into a gate or into channel 2, whichever was met.
   pure subroutine enter_channel(urn, motion, wait)

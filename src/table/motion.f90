@@ -4,18 +4,19 @@ module battery_motion
   implicit none (type, external)
   private
   public :: motion_type, fly, slowest, outside, in_urn, in_gate, in_return
-  public :: wall_kind, meets_nothing, meets_gate, meets_return, meets_urn, meets_line, meets_wall
+  public :: wall_kind, meets_nothing, meets_gate, meets_return, meets_urn, meets_line, &
+    meets_channel_wall, meets_wall
 
   !> Chambers of a side; `outside` is none of them.
   integer, parameter :: outside = 0, in_urn = 1, in_gate = 2, in_return = 3
 
   !> What a particle meets next: nothing at all, the chord where channel 1 or channel 2 begins, the
-  !> chord where an urn begins, the line of its channel (the middle line or the periodic one); from
-  !> 1 on, a wall of its chamber, by the number that it has there.
+  !> chord where an urn begins, the line of its channel (the middle line or the periodic one), the
+  !> wall of its channel; from 1 on, a wall of its urn, by the number that it has there.
   integer, parameter :: wall_kind = int16
-  integer(wall_kind), parameter :: meets_nothing = 0_wall_kind, meets_gate = -1_wall_kind, &
-    meets_return = -2_wall_kind, meets_urn = -3_wall_kind, meets_line = -4_wall_kind, &
-    meets_wall = 1_wall_kind
+  integer(wall_kind), parameter :: meets_nothing = -5_wall_kind, meets_gate = -4_wall_kind, &
+    meets_return = -3_wall_kind, meets_urn = -2_wall_kind, meets_line = -1_wall_kind, &
+    meets_channel_wall = 0_wall_kind, meets_wall = 1_wall_kind
 
   !> A velocity across or along a channel below this is as good as none: a division by it is huge,
   !> but does not overflow.

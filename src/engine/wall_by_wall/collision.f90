@@ -6,9 +6,9 @@
 !> except a reversal, which brings all those counted in a gate to its time.
 module battery_collision
   use battery_kinds, only: wp, int64
-  use battery_table, only: table_type, in_urn
-  use battery_motion, only: motion_type, fly, meets_wall, meets_nothing
-  use battery_bounce, only: hit_urn, hit_channel, turn_back
+  use battery_table, only: table_type
+  use battery_motion, only: motion_type, fly, meets_channel_wall, meets_nothing
+  use battery_bounce, only: hit_wall, turn_back
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
     meet, end_instant, count_hits, longest_window
   use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, shift_times
@@ -120,13 +120,9 @@ contains
     do
       time = tournament%node(1)%time
       i = tournament%node(1)%particle
-      if (time >= ends .or. motion(i)%next < meets_wall .or. hits >= most_hits) exit
+      if (time >= ends .or. motion(i)%next < meets_channel_wall .or. hits >= most_hits) exit
       call fly(motion(i), time - motion(i)%time)
-      if (motion(i)%chamber == in_urn) then
-        call hit_urn(table%urn(motion(i)%side), motion(i), wait)
-      else
-        call hit_channel(table%urn(motion(i)%side), motion(i), wait)
-      end if
+      call hit_wall(table%urn(motion(i)%side), motion(i), wait)
       motion(i)%time = time
       call set_time(tournament, i, time + wait)
       hits = hits + 1

@@ -8,10 +8,10 @@
 module battery_wall_by_wall
   use battery_kinds, only: wp, int64
   use battery_table, only: gated, ungated, in_gate
-  use battery_motion, only: motion_type, in_urn, meets_gate, meets_return, meets_urn, meets_line, &
-    meets_wall
-  use battery_bounce, only: put_down, take_off, hit_urn, hit_channel, enter_channel, &
-    leave_channel, cross_line, turn_back, heads_for_middle, time_to_middle, is_trapped
+  use battery_motion, only: motion_type, meets_gate, meets_return, meets_urn, meets_line, &
+    meets_channel_wall
+  use battery_bounce, only: put_down, take_off, hit_wall, enter_channel, leave_channel, &
+    cross_line, turn_back, heads_for_middle, time_to_middle, is_trapped
   use battery_gate, only: hold, enter, undecided, decide, cross, turned_back
   use battery_engine, only: engine_type, particles_type, allocate_particles
   use battery_history, only: history_type, record_crossing, record_event, record_reversal, &
@@ -118,12 +118,8 @@ contains
 
     associate (urn => self%table%urn(motion%side))
       select case (motion%next)
-      case (meets_wall:)
-        if (motion%chamber == in_urn) then
-          call hit_urn(urn, motion, wait)
-        else
-          call hit_channel(urn, motion, wait)
-        end if
+      case (meets_channel_wall:)
+        call hit_wall(urn, motion, wait)
         call count_hits(self, history, 1_int64)
       case (meets_gate)
         call enter_channel(urn, motion, wait)
