@@ -3,6 +3,7 @@
 !> A new key is its line here and the line of the plan that uses it.
 module battery_keys
   use battery_kinds, only: wp, int64
+  use battery_engines, only: engine_choices
   use battery_key, only: key_type, find_key, whole_key, real_key, text_key, logical_key
   use battery_namelist_text, only: most_values
   implicit none (type, external)
@@ -76,7 +77,7 @@ contains
 
     keys = [ &
       key('run', 'engine', text_key, '''excursion''', 'how the particles are moved', &
-      choices='excursion collision synchronous timestep reservoir'), &
+      choices=engine_choices()), &
       key('run', 'collisions', whole_key, '100000000', 'wall collisions in all', &
       least=1.0_wp, greatest=long), &
       key('run', 'transient_collisions', whole_key, '', &

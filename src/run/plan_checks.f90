@@ -1,6 +1,9 @@
 !> How the parts of a plan fit together.
 submodule (battery_plan) battery_plan_checks
   use battery_text, only: to_text
+  use battery_error, only: error_type
+  use battery_engine, only: engine_type
+  use battery_engines, only: new_engine, has_step, refusal
   use battery_identity, only: twelve_digits
   use battery_bounds, only: bounds_type, radius_bounds, length_bounds, width_bounds, time_bounds, &
     clock_bounds, complaint, whole_of, can_count_hits
@@ -9,6 +12,8 @@ submodule (battery_plan) battery_plan_checks
 contains
 
   module procedure complete_plan
+    class(engine_type), allocatable :: engine
+    type(error_type), allocatable :: error
     integer :: at
 
     allocate (problems(0))
@@ -23,8 +28,11 @@ contains
     else
       plan%point_count = int(task_total(plan)/plan%replicas)
       call check_repeats(plan, problems)
+      call new_engine(plan%engine, engine, error)
+      if (allocated(engine)) engine%time_step = plan%time_step
       do at = 1, plan%point_count
         call check_point(plan, point_of(plan, at), problems)
+        if (size(problems) == 0) call check_engine(plan, engine, point_of(plan, at), problems)
         if (size(problems) > 0) exit
       end do
     end if
@@ -106,9 +114,9 @@ contains
         call add(problems, 'run', 'transient_collisions', to_text(plan%transient_collisions), &
         'below collisions, which is '//to_text(plan%collisions))
     end if
-    if (plan%engine == 'timestep' .and. .not. plan%time_step > 0.0_wp) &
+    if (has_step(plan%engine) .and. .not. plan%time_step > 0.0_wp) &
       call add(problems, 'run', 'time_step', 'is missing', &
-      'one number above 0, since the engine is ''timestep''')
+      'one number above 0, since the engine is '''//plan%engine//'''')
   end subroutine check_length
 
   pure subroutine check_output(plan, problems)
@@ -269,6 +277,18 @@ contains
       'fewer, or wider openings: such visits have more wall collisions than can be counted')
   end subroutine check_point
 
+  !> Whether the engine can simulate the table of a point.
+  subroutine check_engine(plan, engine, point, problems)
+    type(plan_type), intent(in) :: plan
+    class(engine_type), intent(in) :: engine
+    type(point_type), intent(in) :: point
+    type(problem_type), allocatable, intent(inout) :: problems(:)
+    character(len=:), allocatable :: reason, others
+
+    call refusal(engine, table_of(plan, point), reason, others)
+    if (reason /= '') call add(problems, 'run', 'engine', ''''//plan%engine//''' '//reason, others)
+  end subroutine check_engine
+
   !> The group in which a key has the value that counts.
   pure function group_of(plan, group, key) result(name)
     type(plan_type), intent(in) :: plan
@@ -327,7 +347,7 @@ contains
     type(point_type), intent(in) :: point
     type(problem_type), allocatable, intent(inout) :: problems(:)
     type(bounds_type) :: bounds
-    real(wp) :: radius, longest
+    real(wp) :: radius
     integer :: urns
 
     urns = merge(1, 2, plan%shape == 'urn')
@@ -337,15 +357,8 @@ contains
       problems)
     if (plan%series_interval > 0.0_wp) call check_range(plan, 'output', 'series_interval', &
       plan%series_interval, bounds, problems)
-    if (plan%time_step > 0.0_wp) then
-      call check_range(plan, 'run', 'time_step', plan%time_step, bounds, problems)
-      ! A step that cannot jump over a gate or out of an urn.
-      longest = min(radius, 0.5_wp*point%channel(gated)%length)
-      if (plan%shape /= 'urn') longest = min(longest, 0.5_wp*point%channel(ungated)%length)
-      if (plan%engine == 'timestep' .and. plan%time_step >= longest) &
-        call add(problems, 'run', 'time_step', to_text(plan%time_step), 'below ' &
-        //to_text(longest)//', the least of urn_radius and half of each channel''s length')
-    end if
+    if (plan%time_step > 0.0_wp) call check_range(plan, 'run', 'time_step', plan%time_step, &
+      bounds, problems)
     bounds = clock_bounds(radius)
     call check_range(plan, 'run', 'start_time', plan%start_time, bounds, problems)
     if (size(plan%snapshot_times) > 0) call check_range(plan, 'output', 'snapshot_times', &

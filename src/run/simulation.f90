@@ -13,7 +13,7 @@ module battery_simulation
   use battery_history, only: history_type
   use battery_observer, only: end_series, observer_type, new_observer, observe, &
     begin_measuring, pass_observer
-  use battery_engines, only: new_engine
+  use battery_engines, only: new_engine, refusal
   use battery_event_log, only: event_log_type, append_events, pass_events
   use battery_stream, only: stream_type
   use battery_room, only: check_room, enough_room, particle_bytes, bytes_an_entry, bytes_a_state, &
@@ -127,15 +127,15 @@ contains
     type(setup_type), intent(in) :: setup
     class(engine_type), allocatable, intent(out) :: engine
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: reason
+    character(len=:), allocatable :: reason, others
 
     call new_engine(setup%engine, engine, error)
     if (allocated(error)) return
     engine%time_step = setup%time_step
     engine%seed = setup%seed
-    reason = engine%supports(setup%table)
-    if (reason /= '') call fatal_error(error, 'the engine '''//setup%engine &
-      //''' cannot simulate this table: '//reason)
+    call refusal(engine, setup%table, reason, others)
+    if (reason /= '') call fatal_error(error, 'the engine '''//setup%engine//''' '//reason &
+      //'; allowed: '//others)
   end subroutine make_engine
 
   !> The snapshot at the start is what the engine is given, not what it makes of it.
