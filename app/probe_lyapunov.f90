@@ -10,9 +10,8 @@ module battery_probe_lyapunov
   use battery_text, only: to_text
   use battery_table, only: table_type
   use battery_random, only: hashed_uniform
-  use battery_motion, only: motion_type, fly, meets_channel_wall, meets_gate, meets_return, &
-    meets_urn, meets_nothing
-  use battery_bounce, only: take_off, hit_wall, enter_channel, leave_channel, cross_line, put_down
+  use battery_motion, only: motion_type, fly, meets_channel_wall, meets_nothing
+  use battery_bounce, only: take_off, hit_wall, pass_line, put_down
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_initial_state, only: read_particles
@@ -121,22 +120,17 @@ contains
     real(wp), intent(out) :: wait
 
     associate (urn => table%urn(flight%side))
-      select case (flight%next)
-      case (meets_channel_wall:)
-        if (flight%next > meets_channel_wall) then
+      if (flight%next < meets_channel_wall) then
+        call pass_line(table, flight, wait)
+      else
+        if (flight%next == meets_channel_wall) then
+          call bounce_apart(tangent)
+        else
           call bounce_apart(tangent, abs((urn%centre + urn%way*flight%x)*urn%way*flight%ux &
             + flight%y*flight%uy))
-        else
-          call bounce_apart(tangent)
         end if
         call hit_wall(urn, flight, wait)
-      case (meets_gate, meets_return)
-        call enter_channel(urn, flight, wait)
-      case (meets_urn)
-        call leave_channel(urn, flight, wait)
-      case default
-        call cross_line(table, flight, wait)
-      end select
+      end if
     end associate
   end subroutine pass
 

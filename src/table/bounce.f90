@@ -7,15 +7,15 @@
 !> is put exactly on what it meets.
 module battery_bounce
   use battery_kinds, only: wp, int8
-  use battery_table, only: table_type, urn_type, gated, ungated, in_urn, in_gate, in_return, &
-    side_at, chamber_at, x_direction
-  use battery_channel, only: no_channel, facing
-  use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_urn, meets_line, &
-    meets_channel_wall
+  use battery_table, only: table_type, urn_type, gated, ungated, no_channel, in_urn, in_gate, &
+    in_return, side_at, chamber_at, x_direction
+  use battery_channel, only: facing
+  use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
+    meets_urn, meets_line, meets_channel_wall
   use battery_urn, only: aim, hit
   implicit none (type, external)
   private
-  public :: put_down, take_off, hit_wall, enter_channel, leave_channel, cross_line, turn_back
+  public :: put_down, take_off, hit_wall, pass_line, turn_back
   public :: heads_for_middle, time_to_middle, is_trapped
 
 contains
@@ -103,54 +103,44 @@ contains
     end if
   end subroutine aim_in_channel
 
-  !> From an urn through a chord into a gate or into channel 2, whichever was met.
-  pure subroutine enter_channel(urn, motion, wait)
-    !> That of the side that the particle is on.
-    type(urn_type), intent(in) :: urn
-    type(motion_type), intent(inout) :: motion
-    !> Time until it meets what it meets next.
-    real(wp), intent(out) :: wait
-
-    motion%chamber = int(merge(in_gate, in_return, motion%next == meets_gate), int8)
-    motion%x = x_direction(motion%side)*urn%begins(channel_of(motion))
-    call keep_between_walls(urn, motion)
-    call aim_in_channel(urn, motion, wait)
-  end subroutine enter_channel
-
-  !> From a channel through a chord into an urn.
-  pure subroutine leave_channel(urn, motion, wait)
-    !> That of the side that the particle is on.
-    type(urn_type), intent(in) :: urn
-    type(motion_type), intent(inout) :: motion
-    !> Time until it meets what it meets next.
-    real(wp), intent(out) :: wait
-    integer :: from
-
-    from = channel_of(motion)
-    call keep_between_walls(urn, motion)
-    motion%x = x_direction(motion%side)*urn%begins(from)
-    motion%chamber = int(in_urn, int8)
-    call aim(urn, from, facing(from)*urn%chord(from), motion%y, urn%way*motion%ux, motion%uy, &
-      motion%next, wait)
-  end subroutine leave_channel
-
-  !> Over the line of a channel: the middle line, the periodic line, from one end of the table to
-  !> the other, or back from a line that is an end wall.
-  pure subroutine cross_line(table, motion, wait)
+  !> Through the chord of an opening, from an urn into a channel or back; over the line of a
+  !> channel, the middle line, or the periodic line from one end of the table to the other; or back
+  !> from a line that is an end wall.
+  pure subroutine pass_line(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
-    !> Time until it meets what it meets next.
+    !> Time until it meets what it meets next; huge if it meets nothing now.
     real(wp), intent(out) :: wait
-    integer :: to
+    integer :: side, channel
 
-    to = table%beyond(motion%side)
-    if (to == motion%side) motion%ux = -motion%ux
-    motion%side = int(to, int8)
-    motion%x = 0.0_wp
-    if (motion%chamber == in_return) motion%x = x_direction(to)*table%urn(to)%periodic_line
-    call keep_between_walls(table%urn(to), motion)
-    call aim_in_channel(table%urn(to), motion, wait)
-  end subroutine cross_line
+    side = motion%side
+    select case (motion%next)
+    case (meets_gate, meets_return)
+      motion%chamber = int(merge(in_gate, in_return, motion%next == meets_gate), int8)
+      motion%x = x_direction(side)*table%urn(side)%begins(channel_of(motion))
+    case (meets_urn)
+      channel = channel_of(motion)
+      call keep_between_walls(table%urn(side), motion)
+      motion%x = x_direction(side)*table%urn(side)%begins(channel)
+      motion%chamber = int(in_urn, int8)
+      associate (urn => table%urn(side))
+        call aim(urn, channel, facing(channel)*urn%chord(channel), motion%y, urn%way*motion%ux, &
+          motion%uy, motion%next, wait)
+      end associate
+      return
+    case (meets_line)
+      if (table%beyond(side) == side) motion%ux = -motion%ux
+      side = table%beyond(side)
+      motion%side = int(side, int8)
+      motion%x = 0.0_wp
+      if (motion%chamber == in_return) motion%x = x_direction(side)*table%urn(side)%periodic_line
+    case default
+      wait = huge(1.0_wp)
+      return
+    end select
+    call keep_between_walls(table%urn(side), motion)
+    call aim_in_channel(table%urn(side), motion, wait)
+  end subroutine pass_line
 
   !> A gate turns the particle back; it has been moved to where it is now.
   pure subroutine turn_back(urn, motion, wait)

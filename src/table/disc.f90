@@ -1,11 +1,11 @@
 !> The disc, less the segments that the chords of its openings cut off.
 !>
 !> **Whole visits**, many particles at once, each alone, from the way out of a channel to the way
-!> into the next. The centre is the origin of the frame. With the incidence of a particle, s = sin and c = cos of its angle to the normal,
-!> the points of impact are p_1 = u (c - i s), p_(n+1) = z p_n with z = (s - c)(s + c) + 2 i s c, as
-!> complex numbers of modulus 1 in units of the radius, and the velocity before the impact at p is
-!> (c + i s) p. The first point of impact within an opening ends the visit; the way back from there
-!> to the chord is one division.
+!> into the next. The centre is the origin of the frame. With the incidence of a particle, s = sin
+!> and c = cos of its angle to the normal, the points of impact are p_1 = u (c - i s), p_(n+1) =
+!> z p_n with z = (s - c)(s + c) + 2 i s c, as complex numbers of modulus 1 in units of the radius,
+!> and the velocity before the impact at p is (c + i s) p. The first point of impact within an
+!> opening ends the visit; the way back from there to the chord is one division.
 !>
 !> How visits are computed: `disc_visits.f90`.
 !>

@@ -76,9 +76,9 @@ contains
     real(wp), intent(in) :: channel2_width, channel2_length
     type(table_type) :: table
 
-    table = new_table_of_urns(shape, [urn_type(radius=urn_radius), &
-      urn_type(radius=urn_radius)], [channel_type(channel1_width, channel1_length), channel_type(channel2_width, &
-      channel2_length)])
+    table = new_table_of_urns(shape, [urn_type(radius=urn_radius), urn_type(radius=urn_radius)], &
+      [channel_type(channel1_width, channel1_length), &
+      channel_type(channel2_width, channel2_length)])
   end function new_table_of_discs
 
   !> A table from its parts; the caller has checked their lengths (openings fit, lengths positive).

@@ -22,7 +22,7 @@ module battery_excursion
   use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
     schedule, schedule_all, open_until, next_due, drop_done, turn_calendar
   use battery_memory, only: prefer_large_pages
-  use battery_engine, only: engine_type, particles_type, allocate_particles, turn_clock
+  use battery_engine, only: engine_type, particles_type, turn_clock
   use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry
   use battery_stream, only: stream_type
@@ -51,14 +51,7 @@ module battery_excursion
     !> histories have told of them.
     integer(int64) :: known_hits = 0, told_hits = 0
   contains
-    procedure :: prepare
-    procedure :: take_over
-    procedure :: live
-    procedure :: turn_page
-    procedure :: pass_own
-    procedure :: particles => all_particles
-    procedure :: collisions
-    procedure :: trapped
+    procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type excursion_type
 
 contains
@@ -312,31 +305,20 @@ contains
     visits%turned(count) = never
   end subroutine send
 
-  !> Where the particles `first` ... `last` are now, by going back in their flights.
-  subroutine all_particles(self, first, last, particles)
+  !> x, y, u_x, u_y of particle `i` now, by going back in its flight.
+  function state_of(self, i) result(state)
     class(excursion_type), intent(in) :: self
-    integer, intent(in) :: first, last
-    type(particles_type), intent(out) :: particles
-    integer :: i, k
+    integer, intent(in) :: i
+    real(wp) :: state(4)
     integer(int64) :: hits
-    real(wp) :: position(2), velocity(2)
 
-    call allocate_particles(particles, last - first + 1)
-    do i = first, last
-      k = i - first + 1
-      associate (urn => self%table%urn(self%flight(i)%urn))
-        call locate(urn, self%flight(i), self%now, position, velocity, hits)
-        particles%x(k) = position(1)
-        particles%ux(k) = velocity(1)
-        if (self%flight(i)%heading /= parked_in_channel) then
-          particles%x(k) = urn%way*(position(1) - urn%centre)
-          particles%ux(k) = urn%way*velocity(1)
-        end if
-      end associate
-      particles%y(k) = position(2)
-      particles%uy(k) = velocity(2)
-    end do
-  end subroutine all_particles
+    associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
+      call locate(urn, flight, self%now, state(:2), state(3:), hits)
+      if (flight%heading == parked_in_channel) return
+      state(1) = urn%way*(state(1) - urn%centre)
+      state(3) = urn%way*state(3)
+    end associate
+  end function state_of
 
   !> Wall hits from the start until now: those known, put right for where each is.
   function collisions(self) result(total)

@@ -72,24 +72,17 @@ module battery_reservoir
     !> How many move on, that is, are not parked.
     integer :: moving = 0
   contains
-    procedure :: prepare
-    procedure :: take_over
-    procedure :: live
-    procedure :: turn_page
-    procedure :: pass_own
-    procedure :: particles => all_particles
-    procedure :: collisions
-    procedure :: trapped
+    procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type reservoir_type
 
   ! What it tells of itself, and how its state is kept: `reservoir_state.f90`.
   interface
-    module subroutine all_particles(self, first, last, particles)
+    module function state_of(self, i) result(state)
       implicit none (type, external)
       class(reservoir_type), intent(in) :: self
-      integer, intent(in) :: first, last
-      type(particles_type), intent(out) :: particles
-    end subroutine all_particles
+      integer, intent(in) :: i
+      real(wp) :: state(4)
+    end function state_of
 
     module function collisions(self) result(total)
       implicit none (type, external)

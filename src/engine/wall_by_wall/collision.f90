@@ -37,14 +37,8 @@ module battery_collision
     !> Longest window.
     real(wp) :: window = 0.0_wp
   contains
-    procedure :: prepare
-    procedure :: live
-    procedure :: turn_page
-    procedure :: turn_particle
-    procedure :: pass_own
-    procedure :: motion_now
-    procedure :: write_down
-    procedure :: take_over
+    procedure :: prepare, take_over, live, turn_page, pass_own
+    procedure :: turn_particle, motion_now, write_down
   end type collision_type
 
 contains

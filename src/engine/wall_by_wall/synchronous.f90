@@ -55,12 +55,7 @@ module battery_synchronous
     !> Longest window.
     real(wp) :: window = 0.0_wp
   contains
-    procedure :: prepare
-    procedure :: live
-    procedure :: pass_own
-    procedure :: motion_now
-    procedure :: write_down
-    procedure :: take_over
+    procedure :: prepare, take_over, live, pass_own, motion_now, write_down
   end type synchronous_type
 
 contains

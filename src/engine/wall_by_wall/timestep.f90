@@ -3,9 +3,9 @@
 !> What one would write first, here to be measured against: it is wrong by one order of the step.
 !> After each step, for each particle that is not well inside its urn:
 !> - Beyond the wall of its urn it is put back by mirroring it in the wall, and its velocity is
-!>   reflected there; beyond a wall of its channel it is mirrored in that, as often as it takes. That
-!>   is a wall collision. The places and normals of these are wrong
-!>   by as much as the particle has gone too far.
+!>   reflected there; beyond a wall of its channel it is mirrored in that, as often as it takes.
+!>   That is a wall collision. The places and normals of these are wrong by as much as the particle
+!>   has gone too far.
 !> - Beyond the chord of an opening, between the channel's walls and on its way out, it has entered
 !>   the channel; short of the chord it has left it. Beyond the middle line or the periodic line it
 !>   has crossed that. Gates count at the end of the step: crossings first, then all entries, then
@@ -55,12 +55,7 @@ module battery_timestep
     !> Steps in a window.
     integer :: window = 1
   contains
-    procedure :: supports
-    procedure :: prepare
-    procedure :: live
-    procedure :: pass_own
-    procedure :: motion_now
-    procedure :: write_down
+    procedure :: supports, prepare, live, pass_own, motion_now, write_down
   end type timestep_type
 
 contains

@@ -8,12 +8,11 @@
 module battery_wall_by_wall
   use battery_kinds, only: wp, int64
   use battery_table, only: gated, ungated, in_gate
-  use battery_motion, only: motion_type, meets_gate, meets_return, meets_urn, meets_line, &
-    meets_channel_wall
-  use battery_bounce, only: put_down, take_off, hit_wall, enter_channel, leave_channel, &
-    cross_line, turn_back, heads_for_middle, time_to_middle, is_trapped
+  use battery_motion, only: motion_type, meets_gate, meets_line, meets_channel_wall
+  use battery_bounce, only: put_down, take_off, hit_wall, pass_line, turn_back, heads_for_middle, &
+    time_to_middle, is_trapped
   use battery_gate, only: hold, enter, undecided, decide, cross, turned_back
-  use battery_engine, only: engine_type, particles_type, allocate_particles
+  use battery_engine, only: engine_type, particles_type
   use battery_history, only: history_type, record_crossing, record_event, record_reversal, &
     order_events, crossing_of, event_entry
   use battery_stream, only: stream_type
@@ -30,9 +29,7 @@ module battery_wall_by_wall
     integer(int64) :: hits = 0
   contains
     procedure :: take_over => take_in
-    procedure :: particles => all_particles
-    procedure :: collisions
-    procedure :: trapped
+    procedure :: state_of, collisions, trapped
     !> Turns a particle of a gate back.
     procedure :: turn_particle
     !> Where a particle is now, and how it moves.
@@ -114,29 +111,19 @@ contains
     integer, intent(in) :: particle
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
-    integer :: side, chamber
+    integer :: side, chamber, met
 
-    associate (urn => self%table%urn(motion%side))
-      select case (motion%next)
-      case (meets_channel_wall:)
-        call hit_wall(urn, motion, wait)
-        call count_hits(self, history, 1_int64)
-      case (meets_gate)
-        call enter_channel(urn, motion, wait)
-        call enter_gate(self, history, since, particle, motion)
-      case (meets_return)
-        call enter_channel(urn, motion, wait)
-      case (meets_urn)
-        call leave_channel(urn, motion, wait)
-      case (meets_line)
-        side = motion%side
-        chamber = motion%chamber
-        call cross_line(self%table, motion, wait)
-        call cross_over(self, history, since, particle, side, chamber)
-      case default
-        wait = huge(1.0_wp)
-      end select
-    end associate
+    side = motion%side
+    chamber = motion%chamber
+    met = motion%next
+    if (met >= meets_channel_wall) then
+      call hit_wall(self%table%urn(side), motion, wait)
+      call count_hits(self, history, 1_int64)
+    else
+      call pass_line(self%table, motion, wait)
+      if (met == meets_gate) call enter_gate(self, history, since, particle, motion)
+      if (met == meets_line) call cross_over(self, history, since, particle, side, chamber)
+    end if
   end subroutine meet
 
   !> A particle has come into the gate of its side.
@@ -242,24 +229,16 @@ contains
     call self%write_down(i, motion, wait)
   end subroutine turn_particle
 
-  !> Where the particles `first` ... `last` are now, in the frame of the table.
-  subroutine all_particles(self, first, last, particles)
+  !> x, y, u_x, u_y of particle `i` now.
+  function state_of(self, i) result(state)
     class(wall_by_wall_type), intent(in) :: self
-    integer, intent(in) :: first, last
-    type(particles_type), intent(out) :: particles
+    integer, intent(in) :: i
+    real(wp) :: state(4)
     type(motion_type) :: motion
-    integer :: i, k
 
-    call allocate_particles(particles, last - first + 1)
-    do i = first, last
-      k = i - first + 1
-      motion = self%motion_now(i)
-      particles%x(k) = motion%x
-      particles%y(k) = motion%y
-      particles%ux(k) = motion%ux
-      particles%uy(k) = motion%uy
-    end do
-  end subroutine all_particles
+    motion = self%motion_now(i)
+    state = [motion%x, motion%y, motion%ux, motion%uy]
+  end function state_of
 
   !> Wall collisions since the start.
   function collisions(self) result(total)
