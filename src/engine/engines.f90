@@ -88,8 +88,8 @@ contains
     bytes = sum(engines%bytes, mask=engine_names == name)
   end function bytes_a_particle
 
-  !> Why an engine cannot simulate a table, as words for the user, and the engines that can. Empty:
-  !> it can.
+  !> Why an engine cannot simulate a table: `reason`, in words for the user, empty if it can; and
+  !> the engines that can: `others`.
   subroutine refusal(engine, table, reason, others)
     !> With its step.
     class(engine_type), intent(in) :: engine

@@ -122,6 +122,7 @@ contains
   !> in the urn all that time, and how many walls it hits in between.
   pure subroutine position_before(self, channel, y, along, across, before, position, velocity, &
     hits)
+    !> The disc.
     type(disc_type), intent(in) :: self
     !> The channel it leaves through, at the height y, with |u_x| and u_y.
     integer, intent(in) :: channel
@@ -160,6 +161,7 @@ contains
 
   !> For ever along a regular star; without length of its chords, along the wall.
   pure subroutine place_endless(self, elapsed, angle, cosine, sine, position, velocity, hits)
+    !> The disc.
     type(disc_type), intent(in) :: self
     !> Time since an impact, which lies at this angle (radians, from the x axis of the local frame);
     !> cosine and sine of the incidence.
@@ -187,14 +189,14 @@ contains
     hits = hits + 1
   end subroutine place_endless
 
-  !> What a particle meets first that is inside, or at an opening.
+  !> What a particle meets first that is inside, or at an opening, and after which time: `wait`.
   pure subroutine aim_in_disc(disc, from, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
     !> The channel on whose chord it is, or `no_channel`.
     integer, intent(in) :: from
     !> Lengths, and the velocity, in the frame of the disc.
     real(wp), intent(in) :: x, y, ux, uy
-    !> What it meets, and when.
+    !> What it meets.
     integer(wall_kind), intent(out) :: next
     real(wp), intent(out) :: wait
     real(wp) :: outward, root, room
@@ -215,15 +217,16 @@ contains
     call choose_opening(disc, x, ux, x + ux*wait, y + uy*wait, next, wait)
   end subroutine aim_in_disc
 
-  !> Reflection from the arc. From a point of the circle the flight to the next one lasts -2 q.u: no
-  !> root, nothing to cancel.
+  !> Reflection from the arc, and the time `wait` until it meets what is next; huge if that is
+  !> nothing. From a point of the circle the flight to the next one lasts -2 q.u: no root, nothing to
+  !> cancel.
   pure subroutine hit_disc(disc, shortest, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
     !> Shortest flight that a clock can tell from none.
     real(wp), intent(in) :: shortest
     !> Place and velocity in the frame of the disc.
     real(wp), intent(inout) :: x, y, ux, uy
-    !> What it meets next, and when; huge if that is nothing.
+    !> What it meets next.
     integer(wall_kind), intent(out) :: next
     real(wp), intent(out) :: wait
     real(wp) :: norm, outward, kick

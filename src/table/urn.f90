@@ -49,7 +49,7 @@ contains
     end select
   end subroutine give_form
 
-  !> Whether two urns are mirror images of each other.
+  !> Whether two urns, `one` and the `other`, are mirror images of each other.
   pure function same_form(one, other) result(same)
     type(urn_type), intent(in) :: one, other
     logical :: same
@@ -70,7 +70,8 @@ contains
     end select
   end function holds
 
-  !> A point of the table from two numbers uniform in [0, 1]; uniform in the urn where `inside`.
+  !> A point of the table from two numbers `across` and `up` uniform in [0, 1]; uniform in the urn
+  !> where `inside`.
   pure subroutine try_place(urn, across, up, x, y, inside)
     type(urn_type), intent(in) :: urn
     real(wp), intent(in) :: across, up
@@ -96,12 +97,13 @@ contains
     end select
   end subroutine cross
 
-  !> Where a particle is a length `before` ahead of leaving the urn, and how many walls it hits in
+  !> Where a particle is a length `before` ahead of leaving the urn, and how many walls it `hits` in
   !> between.
   pure subroutine place_before(urn, channel, y, along, across, before, position, velocity, hits)
     type(urn_type), intent(in) :: urn
-    !> The channel it leaves through, at the height y, with |u_x| and u_y.
+    !> The channel it leaves through.
     integer, intent(in) :: channel
+    !> Height, |u_x| and u_y there; a length.
     real(wp), intent(in) :: y, along, across, before
     !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
@@ -113,7 +115,7 @@ contains
     end select
   end subroutine place_before
 
-  !> Where a particle is that never leaves, and how many walls it has hit.
+  !> Where a particle is that never leaves, and how many wall `hits` it has had.
   pure subroutine place_for_ever(urn, elapsed, y, along, across, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     !> Time since what its visit ended with instead of a way out, and that (`visits_type`).
@@ -128,7 +130,7 @@ contains
     end select
   end subroutine place_for_ever
 
-  !> What a particle meets first that is inside, or at an opening, and after which time.
+  !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
   pure subroutine aim(urn, from, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
     !> The channel on whose chord it is, or `no_channel`.
@@ -144,7 +146,7 @@ contains
     end select
   end subroutine aim
 
-  !> Reflection from the wall `next`, and what is met after that, and after which time.
+  !> Reflection from the wall `next`; then what is met `next`, after the time `wait`.
   pure subroutine hit(urn, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
     !> Place and velocity in the frame of the urn.
@@ -158,7 +160,8 @@ contains
     end select
   end subroutine hit
 
-  !> Mirrors a particle in the wall that it is beyond, and reflects its velocity there.
+  !> Mirrors a particle in the wall that it is beyond, and reflects its velocity there, if it
+  !> `was_beyond` one.
   pure subroutine put_back(urn, x, y, ux, uy, was_beyond)
     type(urn_type), intent(in) :: urn
     !> Place and velocity in the frame of the urn.
