@@ -14,7 +14,7 @@ module battery_engine
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: engine_type, particles_type, allocate_particles, turn_clock
+  public :: engine_type, particles_type, allocate_particles, turn_clock, what_all_need
 
   !> Positions and velocities (speed 1) of all particles, in the order of the initial file.
   type :: particles_type
@@ -192,19 +192,24 @@ contains
     time = self%clock_start + (real(self%pages, wp)*self%page + self%now)
   end function clock
 
-  !> What every engine needs; one that needs more says so.
+  !> What keeps this engine from simulating a table; one that needs more says so.
   pure function supports(self, table) result(reason)
     class(engine_type), intent(in) :: self
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
 
-    reason = ''
-    if (.not. all(table%urn%fits)) then
-      reason = 'its openings must be narrower than either urn'
-    else if (self%time_step < 0.0_wp) then
-      reason = 'its time_step is below 0'
-    end if
+    reason = what_all_need(table)
+    if (self%time_step < 0.0_wp) reason = 'its time_step is below 0'
   end function supports
+
+  !> What every engine needs, in words for the user where a `table` has it not.
+  pure function what_all_need(table) result(reason)
+    type(table_type), intent(in) :: table
+    character(len=:), allocatable :: reason
+
+    reason = ''
+    if (.not. all(table%urn%fits)) reason = 'its openings must be narrower than either urn'
+  end function what_all_need
 
   !> All that is needed to go on to the same last bit, into a stream or out of it. What does not fit
   !> is told by the stream; the engine is of no use then.

@@ -16,7 +16,7 @@ module battery_table
   use battery_channel, only: channel_type, is_open, fold, gated, ungated, no_channel, facing
   use battery_chamber, only: mean_visit
   use battery_motion, only: outside, in_urn, in_gate, in_return
-  use battery_urn, only: urn_type, give_form, same_form, holds, try_place
+  use battery_urn, only: urn_type, give_form, alike, holds, try_place
   implicit none (type, external)
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
@@ -113,14 +113,6 @@ contains
       maxval(hypot(table%channel%length, table%channel%width), mask=is_open(table%channel))))
     table%urn%shortest = epsilon(1.0_wp)*table%page
   end function new_table_of_urns
-
-  !> Whether the two urns are mirror images of each other, so that one chamber serves both.
-  pure function alike(table)
-    type(table_type), intent(in) :: table
-    logical :: alike
-
-    alike = same_form(table%urn(1), table%urn(2))
-  end function alike
 
   !> Area |Q| of the whole table, open channels included.
   pure function area(table) result(total)

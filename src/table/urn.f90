@@ -13,7 +13,7 @@ module battery_urn
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: urn_type, shape_disc, give_form, same_form, holds, try_place, cross, place_before, &
+  public :: urn_type, shape_disc, give_form, alike, holds, try_place, cross, place_before, &
     place_for_ever, aim, hit, put_back
 
   !> The shapes.
@@ -49,13 +49,13 @@ contains
     end select
   end subroutine give_form
 
-  !> Whether two urns, `one` and the `other`, are mirror images of each other.
-  pure function same_form(one, other) result(same)
-    type(urn_type), intent(in) :: one, other
-    logical :: same
+  !> Whether two urns are mirror images of each other, so that one batch of visits serves both.
+  pure function alike(urn)
+    type(urn_type), intent(in) :: urn(2)
+    logical :: alike
 
-    same = one%shape == other%shape .and. .not. abs(one%radius - other%radius) > 0.0_wp
-  end function same_form
+    alike = urn(1)%shape == urn(2)%shape .and. .not. abs(urn(1)%radius - urn(2)%radius) > 0.0_wp
+  end function alike
 
   !> Whether a point between the chords is inside, or no farther than `tolerance` outside.
   elemental function holds(urn, x, y, tolerance) result(inside)

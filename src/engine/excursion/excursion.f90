@@ -60,7 +60,7 @@ contains
   subroutine prepare(self)
     class(excursion_type), intent(inout) :: self
 
-    self%batches = merge(1, 2, alike(self%table))
+    self%batches = merge(1, 2, alike(self%table%urn))
     self%interval = 0.5_wp*(mean_visit(self%table%urn(1)) + mean_visit(self%table%urn(2))) &
       + 0.25_wp*pi*self%table%channel(gated)%length
     self%lookahead = shortest_excursion(self%table)

@@ -115,7 +115,7 @@ contains
       stay(side) = mean_visit(self%table%urn(side))
     end do
     self%urn_rate = self%table%urn%perimeter/(pi*self%table%urn%area)
-    self%uneven = .not. alike(self%table)
+    self%uneven = .not. alike(self%table%urn)
     self%mean_stay = minval(stay)
     self%heeded = self%mean_stay/stay
     self%hit_rate = maxval(self%urn_rate)

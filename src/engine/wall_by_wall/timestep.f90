@@ -28,6 +28,7 @@ module battery_timestep
   use battery_urn, only: holds, put_back
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, pass_counts, end_instant, &
     count_hits, enter_gate, cross_over
+  use battery_engine, only: what_all_need
   use battery_history, only: history_type, reserve_history
   use battery_stream, only: stream_type
   implicit none (type, external)
@@ -50,8 +51,6 @@ module battery_timestep
     integer(int8), allocatable :: side(:), chamber(:)
     !> Who is not well inside an urn.
     logical, allocatable :: busy(:)
-    !> Whether both urns have the same size.
-    logical :: one_size = .true.
     !> Steps in a window.
     integer :: window = 1
   contains
@@ -67,9 +66,10 @@ contains
     character(len=:), allocatable :: reason
     real(wp) :: longest
 
+    reason = what_all_need(table)
+    if (reason /= '') return
     longest = min(minval(table%urn%clear), 0.5_wp*table%channel(gated)%length)
     if (table%sides == 2) longest = min(longest, 0.5_wp*table%channel(ungated)%length)
-    reason = ''
     if (.not. self%time_step > 0.0_wp .or. self%time_step >= longest) reason = &
       'its time_step must be above 0 and below '//to_text(longest) &
       //', the least of urn_radius and half of each channel''s length'
@@ -85,7 +85,6 @@ contains
     self%window = int(max(1.0_wp, min(window_moves/real(number, wp), &
       window_radii*maxval(self%table%urn%reach)/self%time_step)))
     self%slips = 0
-    self%one_size = alike(self%table)
     if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%side, self%chamber, &
       self%busy)
     allocate (self%x(number), self%y(number), self%ux(number), self%uy(number))
@@ -114,7 +113,7 @@ contains
       self%now = began + since
       call move_all(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
         self%chamber, self%busy)
-      if (.not. self%one_size) call look_again(self)
+      if (.not. alike(self%table%urn)) call look_again(self)
       call look_around(self, since, history)
     end do
     history%duration = since
