@@ -218,8 +218,8 @@ contains
   end subroutine aim_in_disc
 
   !> Reflection from the arc, and the time `wait` until it meets what is next; huge if that is
-  !> nothing. From a point of the circle the flight to the next one lasts -2 q.u: no root, nothing to
-  !> cancel.
+  !> nothing. From a point of the circle the flight to the next one lasts -2 q.u: no root, nothing
+  !> to cancel.
   pure subroutine hit_disc(disc, shortest, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
     !> Shortest flight that a clock can tell from none.
