@@ -72,8 +72,8 @@ contains
     if (table%sides == 2) longest = min(longest, 0.5_wp*table%channel(ungated)%length)
     if (.not. self%time_step > 0.0_wp .or. self%time_step >= longest) reason = &
       'its time_step must be above 0 and below '//to_text(longest) &
-      //', the least of half of each channel''s length and of the way from the middle of an urn to ' &
-      //'its walls'
+      //', the least of half of each channel''s length and of the way from the middle of an urn ' &
+      //'to its walls'
   end function supports
 
   !> Walls, the steps of a window, and room for the particles.
