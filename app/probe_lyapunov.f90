@@ -8,12 +8,10 @@
 module battery_probe_lyapunov
   use battery_kinds, only: wp, dp, int64, pi
   use battery_text, only: to_text
-  use battery_table, only: table_type, x_direction
+  use battery_table, only: table_type
   use battery_random, only: hashed_uniform
-  use battery_bounce, only: walls_type, motion_type, new_walls, take_off, fly, hit_arc, &
-    hit_channel, enter_channel, leave_channel, cross_line, put_down, &
-    meets_arc, meets_wall, meets_gate, meets_return, meets_urn, &
-    meets_nothing
+  use battery_motion, only: motion_type, fly, meets_channel_wall, meets_nothing
+  use battery_bounce, only: take_off, hit_wall, pass_line, put_down
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_initial_state, only: read_particles
@@ -92,12 +90,10 @@ contains
     real(wp), intent(in) :: duration
     real(wp), intent(out) :: rate
     real(wp), intent(inout) :: late
-    type(walls_type) :: walls
     type(tangent_type) :: tangent
     real(wp) :: wait, time, half, half_time
 
-    walls = new_walls(table)
-    call take_off(walls, flight, wait)
+    call take_off(table, flight, wait)
     time = 0.0_wp
     half = 0.0_wp
     half_time = 0.0_wp
@@ -106,7 +102,7 @@ contains
       call fly(flight, wait)
       call fly_apart(tangent, wait)
       time = time + wait
-      call pass(walls, flight, tangent, wait)
+      call pass(table, flight, tangent, wait)
       if (time < 0.5_wp*duration) then
         half = tangent%grown
         half_time = time
@@ -117,29 +113,25 @@ contains
   end subroutine follow
 
   !> What the particle meets, and what that does to its neighbour.
-  subroutine pass(walls, flight, tangent, wait)
-    type(walls_type), intent(in) :: walls
+  subroutine pass(table, flight, tangent, wait)
+    type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: flight
     type(tangent_type), intent(inout) :: tangent
     real(wp), intent(out) :: wait
-    real(wp) :: qx, side
 
-    select case (flight%next)
-    case (meets_arc)
-      side = x_direction(flight%side)
-      qx = side*flight%x - walls%side(flight%side)%centre
-      call bounce_apart(tangent, abs(qx*side*flight%ux + flight%y*flight%uy))
-      call hit_arc(walls%side(flight%side), flight, wait)
-    case (meets_wall)
-      call bounce_apart(tangent)
-      call hit_channel(walls, flight, wait)
-    case (meets_gate, meets_return)
-      call enter_channel(walls, flight, wait)
-    case (meets_urn)
-      call leave_channel(walls, flight, wait)
-    case default
-      call cross_line(walls, flight, wait)
-    end select
+    associate (urn => table%urn(flight%side))
+      if (flight%next < meets_channel_wall) then
+        call pass_line(table, flight, wait)
+      else
+        if (flight%next == meets_channel_wall) then
+          call bounce_apart(tangent)
+        else
+          call bounce_apart(tangent, abs((urn%centre + urn%way*flight%x)*urn%way*flight%ux &
+            + flight%y*flight%uy))
+        end if
+        call hit_wall(urn, flight, wait)
+      end if
+    end associate
   end subroutine pass
 
   !> Straight on for a while.

@@ -14,7 +14,7 @@ module battery_probe_visits
   use battery_text, only: to_text
   use battery_table, only: table_type, gated, ungated
   use battery_random, only: hashed_uniform
-  use battery_disc, only: disc_type, new_disc, cross_urns
+  use battery_urn, only: cross
   use battery_visits, only: visits_type, reserve_visits
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
     say, stop_at, now_seconds
@@ -97,12 +97,10 @@ contains
     integer(int64), intent(in) :: first
     integer, intent(in) :: n, bits
     real(dp), intent(out) :: found(numbers, n)
-    type(disc_type) :: disc
     type(visits_type) :: visits
     real(wp) :: place, sine, width1, width2
     integer :: j
 
-    disc = new_disc(table, 1)
     width1 = table%channel(1)%width
     width2 = table%channel(2)%width
     call reserve_visits(visits, n)
@@ -122,7 +120,7 @@ contains
         *(1.0_wp + sine))
       visits%across(j) = sine
     end do
-    call cross_urns(disc, visits)
+    call cross(table%urn(1), visits)
     do j = 1, n
       found(:, j) = real([merge(1.0_wp, -1.0_wp, visits%channel(j) == gated), visits%y(j), &
         visits%along(j), visits%across(j), visits%length(j), visits%hits(j)], dp)

@@ -110,7 +110,7 @@ BAD = {
     "no time step": ("&run\n engine = 'timestep'\n/\n", ["&run time_step is missing", "above 0"]),
     "time step too long": (
         "&run\n engine = 'timestep'\n time_step = 0.5\n/\n",
-        ["line", "&run time_step = 0.5", "below 0.5"],
+        ["line", "&run engine = 'timestep' cannot", "time_step", "below 0.5", "'collision'"],
     ),
     "transient too long": (
         "&run\n collisions = 10\n transient_collisions = 10\n/\n",

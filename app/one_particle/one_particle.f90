@@ -13,7 +13,7 @@ program one_particle
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type
-  use battery_table, only: table_type, new_table, shape_circuit
+  use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit
   use battery_engine, only: particles_type
   use battery_initial_state, only: random_particles
   use battery_walkers, only: walkers_type, new_walkers, walk_until
@@ -43,7 +43,8 @@ contains
     type(particles_type) :: particles
     type(error_type), allocatable :: error
 
-    table = new_table(shape_circuit, radius, width1, length1, width2, length2)
+    table = new_table(shape_circuit, [urn_type(radius=radius(1)), urn_type(radius=radius(2))], &
+      [channel_type(width1, length1), channel_type(width2, length2)])
     call random_particles(table, number*copies, number*copies - nint(share*number*copies), seed, &
       particles, error)
     if (allocated(error)) error stop error%message

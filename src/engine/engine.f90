@@ -14,7 +14,7 @@ module battery_engine
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: engine_type, particles_type, allocate_particles, turn_clock
+  public :: engine_type, particles_type, allocate_particles, turn_clock, what_all_need
 
   !> Positions and velocities (speed 1) of all particles, in the order of the initial file.
   type :: particles_type
@@ -57,8 +57,9 @@ module battery_engine
     procedure :: turn_page => turn_clock
     !> What the engine itself keeps, through a stream.
     procedure(pass_interface), deferred :: pass_own
-    !> Where the particles `first` ... `last` are now.
-    procedure(particles_interface), deferred :: particles
+    procedure, non_overridable :: particles
+    !> x, y, u_x, u_y of one particle now.
+    procedure(state_interface), deferred :: state_of
     !> Wall collisions from the start until now, exactly; may cost a pass over the particles, while
     !> the running sum of `history%collisions` may be ahead of it.
     procedure(count_interface), deferred :: collisions
@@ -95,13 +96,13 @@ module battery_engine
       type(stream_type), intent(inout) :: stream
     end subroutine pass_interface
 
-    subroutine particles_interface(self, first, last, particles)
-      import :: engine_type, particles_type
+    function state_interface(self, i) result(state)
+      import :: engine_type, wp
       implicit none (type, external)
       class(engine_type), intent(in) :: self
-      integer, intent(in) :: first, last
-      type(particles_type), intent(out) :: particles
-    end subroutine particles_interface
+      integer, intent(in) :: i
+      real(wp) :: state(4)
+    end function state_interface
 
     function count_interface(self) result(total)
       import :: engine_type, int64
@@ -191,19 +192,24 @@ contains
     time = self%clock_start + (real(self%pages, wp)*self%page + self%now)
   end function clock
 
-  !> What every engine needs; one that needs more says so.
+  !> What keeps this engine from simulating a table; one that needs more says so.
   pure function supports(self, table) result(reason)
     class(engine_type), intent(in) :: self
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
 
-    reason = ''
-    if (any(table%channel%width >= 2.0_wp*minval(table%urn%radius))) then
-      reason = 'its openings must be narrower than either urn'
-    else if (self%time_step < 0.0_wp) then
-      reason = 'its time_step is below 0'
-    end if
+    reason = what_all_need(table)
+    if (self%time_step < 0.0_wp) reason = 'its time_step is below 0'
   end function supports
+
+  !> What every engine needs, in words for the user where a `table` has it not.
+  pure function what_all_need(table) result(reason)
+    type(table_type), intent(in) :: table
+    character(len=:), allocatable :: reason
+
+    reason = ''
+    if (.not. all(table%urn%fits)) reason = 'its openings must be narrower than either urn'
+  end function what_all_need
 
   !> All that is needed to go on to the same last bit, into a stream or out of it. What does not fit
   !> is told by the stream; the engine is of no use then.
@@ -228,6 +234,26 @@ contains
     end do
     if (.not. stream%failed()) call self%pass_own(stream)
   end subroutine pass_state
+
+  !> Where the particles `first` ... `last` are now, in the frame of the table.
+  subroutine particles(self, first, last, found)
+    class(engine_type), intent(in) :: self
+    integer, intent(in) :: first, last
+    !> Those from `first` on.
+    type(particles_type), intent(out) :: found
+    real(wp) :: state(4)
+    integer :: i, k
+
+    call allocate_particles(found, last - first + 1)
+    do i = first, last
+      k = i - first + 1
+      state = self%state_of(i)
+      found%x(k) = state(1)
+      found%y(k) = state(2)
+      found%ux(k) = state(3)
+      found%uy(k) = state(4)
+    end do
+  end subroutine particles
 
   !> Room for so many particles.
   pure subroutine allocate_particles(particles, number)

@@ -1,7 +1,8 @@
-!> The engines by the names they have in the namelist.
+!> The engines by the names they have in the namelist: the only list of them.
 module battery_engines
-  use battery_kinds, only: dp
+  use battery_kinds, only: wp, dp
   use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_table, only: table_type
   use battery_engine, only: engine_type
   use battery_excursion, only: excursion_type
   use battery_collision, only: collision_type
@@ -10,7 +11,29 @@ module battery_engines
   use battery_reservoir, only: reservoir_type
   implicit none (type, external)
   private
-  public :: new_engine, bytes_a_particle
+  public :: engine_names, new_engine, engine_choices, has_step, bytes_a_particle, refusal
+
+  !> What is known of an engine that has not been made.
+  type :: entry_type
+    character(len=11) :: name
+    !> Bytes that it takes for each particle at most, with the positions and velocities that it
+    !> starts from, where memory is taken in powers of two, and with two copies of its state while
+    !> that is saved or read, as may happen at any time. Measured: 196, 177, 140, 109, 244; without
+    !> a state 93, 87, 93, 65, 89.
+    real(dp) :: bytes
+    !> Whether it takes `time_step`.
+    logical :: has_step
+  end type entry_type
+
+  !> All engines, in the order of the cases of `new_engine`.
+  type(entry_type), parameter :: engines(*) = [ &
+    entry_type('excursion', 208.0_dp, .false.), &
+    entry_type('collision', 192.0_dp, .false.), &
+    entry_type('synchronous', 152.0_dp, .false.), &
+    entry_type('timestep', 120.0_dp, .true.), &
+    entry_type('reservoir', 256.0_dp, .false.)]
+
+  character(len=11), parameter :: engine_names(size(engines)) = engines%name
 
 contains
 
@@ -20,43 +43,73 @@ contains
     class(engine_type), allocatable, intent(out) :: engine
     type(error_type), allocatable, intent(out) :: error
 
-    select case (name)
-    case ('excursion')
+    select case (findloc(engine_names, name, dim=1))
+    case (1)
       allocate (excursion_type :: engine)
-    case ('collision')
+    case (2)
       allocate (collision_type :: engine)
-    case ('synchronous')
+    case (3)
       allocate (synchronous_type :: engine)
-    case ('timestep')
+    case (4)
       allocate (timestep_type :: engine)
-    case ('reservoir')
+    case (5)
       allocate (reservoir_type :: engine)
     case default
       call fatal_error(error, 'engine '''//name//''' is not known', exit_bad_input)
     end select
   end subroutine new_engine
 
-  !> Bytes that an engine takes for each particle at most, with the positions and velocities that it
-  !> starts from, where memory is taken in powers of two, and with two copies of its state while
-  !> that is saved or read, as may happen at any time. Measured: 196, 177, 139, 109, 244;
-  !> without a state 93, 87, 92, 65, 89.
+  !> All names, set apart by blanks.
+  pure function engine_choices() result(names)
+    character(len=:), allocatable :: names
+    integer :: at
+
+    names = trim(engine_names(1))
+    do at = 2, size(engines)
+      names = names//' '//trim(engine_names(at))
+    end do
+  end function engine_choices
+
+  !> Whether an engine takes `time_step`.
+  pure function has_step(name)
+    !> As in the namelist.
+    character(len=*), intent(in) :: name
+    logical :: has_step
+
+    has_step = any(engines%has_step .and. engine_names == name)
+  end function has_step
+
+  !> Bytes that an engine takes for each particle at most.
   pure function bytes_a_particle(name) result(bytes)
-    !> That of the engine, as in the namelist.
+    !> As in the namelist.
     character(len=*), intent(in) :: name
     real(dp) :: bytes
 
-    select case (name)
-    case ('collision')
-      bytes = 192.0_dp
-    case ('timestep')
-      bytes = 120.0_dp
-    case ('reservoir')
-      bytes = 256.0_dp
-    case ('synchronous')
-      bytes = 152.0_dp
-    case default
-      bytes = 208.0_dp
-    end select
+    bytes = sum(engines%bytes, mask=engine_names == name)
   end function bytes_a_particle
+
+  !> Why an engine cannot simulate a table: `reason`, in words for the user, empty if it can; and
+  !> the engines that can: `others`.
+  subroutine refusal(engine, table, reason, others)
+    !> With its step.
+    class(engine_type), intent(in) :: engine
+    type(table_type), intent(in) :: table
+    character(len=:), allocatable, intent(out) :: reason, others
+    class(engine_type), allocatable :: other
+    type(error_type), allocatable :: error
+    integer :: at
+
+    others = ''
+    reason = engine%supports(table)
+    if (reason == '') return
+    reason = 'cannot simulate this table: '//reason
+    do at = 1, size(engines)
+      call new_engine(trim(engine_names(at)), other, error)
+      other%time_step = engine%time_step
+      if (other%supports(table) == '') others = others//', '''//trim(engine_names(at))//''''
+    end do
+    others = others(min(3, len(others) + 1):)
+    if (others == '') others = 'another table: no engine can'
+  end subroutine refusal
 
 end module battery_engines

@@ -6,7 +6,7 @@ module battery_needs
   use battery_plan, only: plan_type, point_type, point_of, table_of, is_scanned
   use battery_room, only: particle_bytes, bytes_an_entry, bytes_a_state, bytes_an_event, &
     bytes_a_task, merged_entry, merged_state, base_bytes, most_numbers, size_text
-  use battery_table, only: area_of_urn, gated, ungated
+  use battery_table, only: table_type, gated, ungated
   use battery_tasks, only: task_count
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
@@ -89,11 +89,13 @@ contains
     type(plan_type), intent(in) :: plan
     real(dp) :: events
     type(point_type) :: point
+    type(table_type) :: table
 
     point = point_of(plan, 1)
+    table = table_of(plan, point)
     events = real(point%number, dp)*real(length_of(plan, point%number) &
       *(2.0_wp*point%channel(gated)%width + point%channel(ungated)%width) &
-      /(pi*area_of_urn(table_of(plan, point), 1)), dp)
+      /(pi*table%urn(1)%area), dp)
   end function events_of
 
   !> An error that names the keys which ask for more than `left`: more for one task, more for rank 0

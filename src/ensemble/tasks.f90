@@ -10,7 +10,7 @@ module battery_tasks
   use battery_initial_state, only: random_particles
   use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
   use battery_simulation, only: setup_type
-  use battery_table, only: table_type, arc_length, area_of_urn
+  use battery_table, only: table_type
   implicit none (type, external)
   private
   public :: task_type, task_count, task_of, is_task_of, put_longest_first, place_particles
@@ -86,10 +86,10 @@ contains
     table = table_of(plan, point)
     openings = sum(table%channel%width)
     if (plan%duration > 0.0_wp) then
-      cost = plan%duration*point%number*(arc_length(table, 1) + visit_cost*openings) &
-        /(pi*area_of_urn(table, 1))
+      cost = plan%duration*point%number*(table%urn(1)%perimeter + visit_cost*openings) &
+        /(pi*table%urn(1)%area)
     else
-      cost = real(plan%collisions, wp)*(1.0_wp + visit_cost*openings/arc_length(table, 1))
+      cost = real(plan%collisions, wp)*(1.0_wp + visit_cost*openings/table%urn(1)%perimeter)
     end if
     cost = cost*(1.0_wp + 0.1_wp*log(real(point%number, wp)))
   end function cost_of

@@ -6,7 +6,7 @@
 !> ahead, and what waits from level to level is one comparison and a selection without a branch.
 !> Of events at one time the particle with the lowest number comes first, for any n.
 module battery_tournament
-  use battery_kinds, only: wp, int32
+  use battery_kinds, only: wp, int32, int64
   implicit none (type, external)
   private
   public :: tournament_type, new_tournament, set_time, time_of, shift_times
@@ -65,7 +65,8 @@ contains
     type(node_type) :: sibling
     real(wp) :: earliest
     integer(int32) :: winner
-    integer :: k
+    !> As long as an address, so that none has to be made longer.
+    integer(int64) :: k
     logical :: lost
 
     earliest = time
@@ -74,7 +75,7 @@ contains
     node(k)%time = earliest
     node(k)%particle = winner
     do while (k > 1)
-      sibling = node(ieor(k, 1))
+      sibling = node(ieor(k, 1_int64))
       lost = (sibling%time < earliest) &
         .or. (sibling%time <= earliest .and. sibling%particle < winner)
       earliest = merge(sibling%time, earliest, lost)

@@ -6,7 +6,7 @@
 module battery_bounds
   use battery_kinds, only: wp, int64, pi
   use battery_text, only: to_text
-  use battery_table, only: table_type, area, perimeter, arc_length, longest_run
+  use battery_table, only: table_type, area, perimeter, longest_run
   implicit none (type, external)
   private
   public :: bounds_type, bounds_text, can_count_hits, of_powers, of_lengths, of_widths, of_times, &
@@ -64,7 +64,7 @@ contains
     real(wp), intent(in) :: duration
     real(wp) :: visit
 
-    visit = max(arc_length(table, 1), arc_length(table, 2))/sum(table%channel%width)
+    visit = maxval(table%urn%perimeter)/sum(table%channel%width)
     can = real(number, wp)*(longest_visit*visit + duration*(perimeter(table)/(pi*area(table)))) &
       < real(huge(1_int64), wp)
   end function can_count_hits

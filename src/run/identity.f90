@@ -6,6 +6,7 @@
 !> does not change what happens, and is no part of it.
 module battery_identity
   use battery_kinds, only: wp, int64
+  use battery_engines, only: has_step
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
   use battery_random, only: mixed
   use battery_simulation, only: setup_type
@@ -44,7 +45,7 @@ contains
         if (table%channel(k)%width > 0.0_wp) call mix_real(identity, table%channel(k)%length)
       end do
     end associate
-    if (setup%engine == 'timestep') call mix_real(identity, setup%time_step)
+    if (has_step(setup%engine)) call mix_real(identity, setup%time_step)
     if (setup%duration > 0.0_wp) then
       call mix_real(identity, setup%duration)
       call mix_real(identity, setup%transient_duration)

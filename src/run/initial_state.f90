@@ -6,8 +6,7 @@ module battery_initial_state
   use battery_numbers, only: read_decimal
   use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, gated, ungated, chamber_at, outside, try_point, &
-    x_direction
+  use battery_table, only: table_type, chamber_at, outside, try_place
   use battery_engine, only: particles_type
   use battery_signals, only: stop_requested, stopped_before_start
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform
@@ -69,24 +68,21 @@ contains
     if (stop_requested()) call stopped_before_start(error)
   end subroutine random_particles
 
-  !> A point uniform in an urn: in the disc, on the inner side of both chords.
+  !> A point uniform in an urn.
   subroutine place_in_urn(generator, table, side, x, y)
     type(generator_type), intent(in) :: generator
     type(table_type), intent(in) :: table
     integer, intent(in) :: side
     real(wp), intent(out) :: x, y
-    !> Coordinates from the centre; `inward` goes to channel 1.
-    real(wp) :: inward, across, up
+    real(wp) :: across, up
     logical :: inside
 
     do
       across = real(uniform(generator), wp)
       up = real(uniform(generator), wp)
-      call try_point(table%urn(side)%radius, -table%urn(side)%chord(ungated), &
-        table%urn(side)%chord(gated), across, up, inward, y, inside)
+      call try_place(table%urn(side), across, up, x, y, inside)
       if (inside) exit
     end do
-    x = x_direction(side)*(table%urn(side)%centre - inward)
   end subroutine place_in_urn
 
   !> `number` particles from a file, as `parse_particles` reads its text.

@@ -3,6 +3,7 @@
 !> A new key is its line here and the line of the plan that uses it.
 module battery_keys
   use battery_kinds, only: wp, int64
+  use battery_engines, only: engine_choices
   use battery_key, only: key_type, find_key, whole_key, real_key, text_key, logical_key
   use battery_namelist_text, only: most_values
   implicit none (type, external)
@@ -73,7 +74,7 @@ contains
       key_type('gate', 'threshold_fraction', real_key, '', 'the same as a share of number', &
       least=0.0_wp, most_values=2, symbol='T/N'), &
       key_type('run', 'engine', text_key, '''excursion''', 'how the particles are moved', &
-      choices='excursion collision synchronous timestep reservoir'), &
+      choices=engine_choices()), &
       key_type('run', 'collisions', whole_key, '100000000', 'wall collisions in all', &
       least=1.0_wp, greatest=long), &
       key_type('run', 'transient_collisions', whole_key, '', &

@@ -9,8 +9,8 @@
 !> hold a list that grows with the scan.
 module battery_plan
   use battery_kinds, only: wp, int64
-  use battery_table, only: table_type, channel_type, new_table, shape_circuit, shape_urn, gated, &
-    ungated
+  use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
+    shape_urn, gated, ungated
   use battery_engine, only: particles_type
   use battery_simulation, only: run_type, setup_type
   use battery_identity, only: identity_of
@@ -189,9 +189,8 @@ contains
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
 
-    table = new_table(merge(shape_urn, shape_circuit, plan%shape == 'urn'), point%urn_radius, &
-      point%channel(gated)%width, point%channel(gated)%length, point%channel(ungated)%width, &
-      point%channel(ungated)%length)
+    table = new_table(merge(shape_urn, shape_circuit, plan%shape == 'urn'), &
+      [urn_type(radius=point%urn_radius(1)), urn_type(radius=point%urn_radius(2))], point%channel)
   end function table_of
 
   !> What the simulation of point number `point` and replica `replica`, from 1, is set up with. Its

@@ -3,6 +3,9 @@ submodule (battery_plan) battery_plan_checks
   use, intrinsic :: iso_c_binding, only: c_size_t
   use battery_kinds, only: dp
   use battery_text, only: to_text
+  use battery_error, only: error_type
+  use battery_engine, only: engine_type
+  use battery_engines, only: new_engine, has_step, refusal
   use battery_gsl, only: sort_order
   use battery_table, only: longest_run
   use battery_identity, only: twelve_digits
@@ -13,6 +16,8 @@ submodule (battery_plan) battery_plan_checks
 contains
 
   module procedure complete_plan
+    class(engine_type), allocatable :: engine
+    type(error_type), allocatable :: error
     integer :: at, before
 
     before = size(plan%problems)
@@ -27,8 +32,11 @@ contains
     else
       plan%point_count = int(task_total(plan)/plan%replicas)
       call check_repeats(plan)
+      call new_engine(plan%engine, engine, error)
+      if (allocated(engine)) engine%time_step = plan%time_step
       do at = 1, plan%point_count
         call check_point(plan, point_of(plan, at))
+        if (size(plan%problems) == before) call check_engine(plan, engine, point_of(plan, at))
         if (size(plan%problems) > before) exit
       end do
     end if
@@ -93,9 +101,9 @@ contains
         call refuse(plan, 'transient_collisions', to_text(plan%transient_collisions), &
         'below collisions, which is '//to_text(plan%collisions))
     end if
-    if (plan%engine == 'timestep' .and. .not. plan%time_step > 0.0_wp) &
+    if (has_step(plan%engine) .and. .not. plan%time_step > 0.0_wp) &
       call refuse(plan, 'time_step', 'is missing', &
-      'one number above 0, since the engine is ''timestep''')
+      'one number above 0, since the engine is '''//plan%engine//'''')
   end subroutine check_length
 
   pure subroutine check_output(plan)
@@ -205,6 +213,17 @@ contains
       'fewer, or wider openings: such visits have more wall collisions than can be counted')
   end subroutine check_point
 
+  !> Whether the engine can simulate the table of a point.
+  subroutine check_engine(plan, engine, point)
+    type(plan_type), intent(inout) :: plan
+    class(engine_type), intent(in) :: engine
+    type(point_type), intent(in) :: point
+    character(len=:), allocatable :: reason, others
+
+    call refusal(engine, table_of(plan, point), reason, others)
+    if (reason /= '') call refuse(plan, 'engine', ''''//plan%engine//''' '//reason, others)
+  end subroutine check_engine
+
   !> Openings must fit into the urns, and no length may be lost beside another.
   subroutine check_lengths(plan, point, radii, longest)
     type(plan_type), intent(inout) :: plan
@@ -260,17 +279,10 @@ contains
     !> The least radius, and the longest length of the table.
     real(wp), intent(in) :: radius, longest
     type(bounds_type) :: clock
-    real(wp) :: step
 
     call check_time('duration', plan%duration)
     call check_time('series_interval', plan%series_interval)
     call check_time('time_step', plan%time_step)
-    ! A step that cannot jump over a gate or out of an urn.
-    step = min(radius, 0.5_wp*point%channel(gated)%length)
-    if (plan%shape /= 'urn') step = min(step, 0.5_wp*point%channel(ungated)%length)
-    if (plan%engine == 'timestep' .and. plan%time_step >= step) &
-      call refuse(plan, 'time_step', to_text(plan%time_step), 'below ' &
-      //to_text(step)//', the least of urn_radius and half of each channel''s length')
     clock = bounds_type(0.0_wp, longest_run*radius, of_clocks)
     call check_range(plan, 'start_time', plan%start_time, clock)
     if (size(plan%snapshot_times) > 0) call check_range(plan, 'snapshot_times', &

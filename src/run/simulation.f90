@@ -13,7 +13,7 @@ module battery_simulation
   use battery_history, only: history_type
   use battery_observer, only: end_series, observer_type, new_observer, observe, &
     begin_measuring, pass_observer
-  use battery_engines, only: new_engine
+  use battery_engines, only: new_engine, refusal
   use battery_event_log, only: event_log_type, append_events, pass_events
   use battery_stream, only: stream_type
   use battery_room, only: check_room, enough_room, particle_bytes, bytes_an_entry, bytes_a_state, &
@@ -112,7 +112,7 @@ contains
     call prepare(simulation, setup, error)
     if (allocated(error)) return
     simulation%observer = new_observer(size(particles%x), count(particles%x < 0.0_wp), &
-      setup%table%sides == 2, setup%series_interval, power_below(maxval(setup%table%urn%radius)), &
+      setup%table%sides == 2, setup%series_interval, power_below(maxval(setup%table%urn%reach)), &
       circuit_closed=setup%table%channel(ungated)%width > 0.0_wp)
     call check_rest(simulation, error)
     if (allocated(error)) return
@@ -134,7 +134,7 @@ contains
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: reason
+    character(len=:), allocatable :: reason, others
 
     simulation%setup = setup
     simulation%history%logging = setup%event_log
@@ -143,9 +143,9 @@ contains
     if (allocated(error)) return
     simulation%engine%time_step = setup%time_step
     simulation%engine%seed = setup%seed
-    reason = simulation%engine%supports(setup%table)
-    if (reason /= '') call fatal_error(error, 'the engine '''//setup%engine &
-      //''' cannot simulate this table: '//reason)
+    call refusal(simulation%engine, setup%table, reason, others)
+    if (reason /= '') call fatal_error(error, 'the engine '''//setup%engine//''' '//reason &
+      //'; allowed: '//others)
   end subroutine prepare
 
   !> An error if there is no memory for what comes to the particles that are there already: their
@@ -257,7 +257,7 @@ contains
     end if
     if (reached(simulation, simulation%setup%duration)) then
       call end_series(simulation%observer, &
-        min(rounding*max(maxval(simulation%setup%table%urn%radius), simulation%setup%duration), &
+        min(rounding*max(maxval(simulation%setup%table%urn%reach), simulation%setup%duration), &
         0.5_wp*simulation%setup%series_interval))
       simulation%collisions = simulation%engine%collisions()
       simulation%done = .true.

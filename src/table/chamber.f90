@@ -2,82 +2,57 @@
 !>
 !> An urn of any shape, with the straight half channels before its openings. A visit is a pure
 !> function: in at an opening, at a place, in a direction; out at an opening, at a place, in a
-!> direction, after a time and a number of wall hits. How a kind of chamber finds it is its own: the
-!> disc by rotation and by search, others from wall to wall. Visits are computed in batches, and the
-!> kind is asked once a batch, never once a particle.
+!> direction, after a time and a number of wall hits. How a shape finds it is its own: the disc by
+!> rotation and by search, others from wall to wall. Here is what all shapes tell of themselves, in
+!> numbers; what they do is asked through `battery_urn`.
 !>
-!> Local frame of an urn on either side: the centre is the origin, channel 1 lies at +x, channel 2
-!> at -x (urn 2 is mirrored).
+!> Frame of an urn on either side: the origin lies between the openings, channel 1 at +x, channel 2
+!> at -x (urn 2 is mirrored). Where a channel begins, a chord stands upright across the axis.
 module battery_chamber
-  use battery_kinds, only: wp, int64
-  use battery_table, only: table_type, gated, ungated
+  use battery_kinds, only: wp, int64, pi
+  use battery_channel, only: channel_type, gated, ungated, fold
   use battery_visits, only: visits_type, together
-  use battery_channel, only: fold
   implicit none (type, external)
   private
-  public :: chamber_type, prepare_openings, leave_channels
+  public :: chamber_type, set_openings, mean_visit, leave_channels
 
-  !> What every kind of chamber has and does; lengths in the unit of the table.
-  type, abstract :: chamber_type
-    !> Of each channel: the distance of its chord from the centre, its width and its length.
-    real(wp) :: chord(2) = 0.0_wp, width(2) = 0.0_wp, length(2) = 0.0_wp
-  contains
-    !> Whole visits of a batch: from the chord where the urn begins to that where it ends.
-    procedure(cross_interface), deferred :: cross
-    !> Where within a visit a particle is.
-    procedure(before_interface), deferred :: place_before
-    !> Where a particle is that never leaves.
-    procedure(endless_interface), deferred :: place_endless
+  !> What every shape tells of itself; lengths in the unit of the table.
+  type :: chamber_type
+    !> Of each channel: the distance of its chord from the origin, its width, half of that, and its
+    !> length.
+    real(wp), dimension(2) :: chord = 0.0_wp, width = 0.0_wp, half_width = 0.0_wp, length = 0.0_wp
+    !> Whether there is room for the openings.
+    logical :: fits = .false.
+    !> Area, and length of the walls that the openings leave.
+    real(wp) :: area = 0.0_wp, perimeter = 0.0_wp
+    !> Nothing of it is farther from the origin than `reach`. What lies between the chords and no
+    !> farther from the origin than `clear` is inside.
+    real(wp) :: reach = 0.0_wp, clear = 0.0_wp
+    !> No way through the urn is shorter than the depths of its two openings together, which may be
+    !> one and the same.
+    real(wp) :: depth(2) = 0.0_wp
   end type chamber_type
-
-  abstract interface
-    !> From the point (x, y) with velocity (along, across) in the local frame through the urn.
-    !> `hits` grows by the wall hits; `all_hits` is their sum.
-    subroutine cross_interface(self, visits)
-      import :: chamber_type, visits_type
-      implicit none (type, external)
-      class(chamber_type), intent(in) :: self
-      type(visits_type), intent(inout) :: visits
-    end subroutine cross_interface
-
-    !> A length `before` ahead of leaving the urn through `channel`, at the height y with |u_x| =
-    !> along and u_y = across; how many walls it hits in between.
-    pure subroutine before_interface(self, channel, y, along, across, before, position, velocity, &
-        hits)
-      import :: chamber_type, wp, int64
-      implicit none (type, external)
-      class(chamber_type), intent(in) :: self
-      integer, intent(in) :: channel
-      real(wp), intent(in) :: y, along, across, before
-      real(wp), intent(out) :: position(2), velocity(2)
-      integer(int64), intent(out) :: hits
-    end subroutine before_interface
-
-    !> `elapsed` after an impact at `angle` with this cosine and sine of the incidence; how many
-    !> walls it has hit since, the first included.
-    pure subroutine endless_interface(self, elapsed, angle, cosine, sine, position, velocity, hits)
-      import :: chamber_type, wp, int64
-      implicit none (type, external)
-      class(chamber_type), intent(in) :: self
-      real(wp), intent(in) :: elapsed, angle, cosine, sine
-      real(wp), intent(out) :: position(2), velocity(2)
-      integer(int64), intent(out) :: hits
-    end subroutine endless_interface
-  end interface
 
 contains
 
-  !> The openings of the urn of a side of the table.
-  pure subroutine prepare_openings(chamber, table, side)
+  !> The channels at the openings.
+  pure subroutine set_openings(chamber, channel)
     class(chamber_type), intent(inout) :: chamber
-    type(table_type), intent(in) :: table
-    !> 1 or 2.
-    integer, intent(in) :: side
+    !> By `gated` and `ungated`.
+    type(channel_type), intent(in) :: channel(2)
 
-    chamber%chord = table%urn(side)%chord
-    chamber%width = table%channel%width
-    chamber%length = table%channel%length
-  end subroutine prepare_openings
+    chamber%width = channel%width
+    chamber%half_width = 0.5_wp*channel%width
+    chamber%length = channel%length
+  end subroutine set_openings
+
+  !> Mean length of a visit to an urn that is entered evenly through its openings.
+  pure function mean_visit(chamber) result(time)
+    class(chamber_type), intent(in) :: chamber
+    real(wp) :: time
+
+    time = pi*chamber%area/(chamber%width(gated) + chamber%width(ungated))
+  end function mean_visit
 
   !> From the entrance of a channel to its exit into the urn: unfolded, a straight channel is one
   !> fold.

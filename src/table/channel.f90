@@ -1,4 +1,4 @@
-!> Passages through a channel: unfolded, a particle in a strip flies straight.
+!> The channels, and passages through them: unfolded, a particle in a strip flies straight.
 !>
 !> With the strip reflected over and over, the height after a time t is y + u_y t; the number of
 !> strips passed is the number of wall hits, and each reflection turns y and u_y over.
@@ -6,9 +6,29 @@ module battery_channel
   use battery_kinds, only: wp
   implicit none (type, external)
   private
-  public :: fold
+  public :: channel_type, is_open, fold, gated, ungated, no_channel, facing
+
+  !> The channels: that with the gates, that which closes the circuit, and none of them.
+  integer, parameter :: gated = 1, ungated = 2, no_channel = 0
+
+  !> The way along x from the middle of an urn to each channel, in the frame of the urn.
+  real(wp), parameter :: facing(2) = [1.0_wp, -1.0_wp]
+
+  !> A channel of the table: lengths.
+  type :: channel_type
+    !> From wall to wall (0: closed), and from urn to urn, both halves together.
+    real(wp) :: width = 0.0_wp, length = 1.0_wp
+  end type channel_type
 
 contains
+
+  !> Whether a channel lets anybody through.
+  elemental function is_open(channel)
+    type(channel_type), intent(in) :: channel
+    logical :: is_open
+
+    is_open = channel%width > 0.0_wp
+  end function is_open
 
   !> Height, sign of the velocity across and wall hits of a particle whose unfolded height is
   !> `unfolded`, in a channel of width `width` about y = 0.

@@ -1,71 +1,129 @@
-!> Visits to an urn: many particles at once, each alone, from the way out of a channel to the way
-!> into the next.
+!> The disc, less the segments that the chords of its openings cut off.
 !>
-!> Local frame of either urn: the centre is the origin, channel 1 lies at +x, channel 2 at -x (urn 2
-!> is mirrored). With the incidence of a particle, s = sin and c = cos of its angle to the normal,
-!> the points of impact are p_1 = u (c - i s), p_(n+1) = z p_n with z = (s - c)(s + c) + 2 i s c, as
-!> complex numbers of modulus 1 in units of the radius, and the velocity before the impact at p is
-!> (c + i s) p. The first point of impact within an opening ends the visit; the way back from there
-!> to the chord is one division.
+!> **Whole visits**, many particles at once, each alone, from the way out of a channel to the way
+!> into the next. The centre is the origin of the frame. With the incidence of a particle, s = sin
+!> and c = cos of its angle to the normal, the points of impact are p_1 = u (c - i s), p_(n+1) =
+!> z p_n with z = (s - c)(s + c) + 2 i s c, as complex numbers of modulus 1 in units of the radius,
+!> and the velocity before the impact at p is (c + i s) p. The first point of impact within an
+!> opening ends the visit; the way back from there to the chord is one division.
 !>
 !> How visits are computed: `disc_visits.f90`.
+!>
+!> **From wall to wall**: a line and a circle. A particle is put exactly on what it meets; its speed
+!> is set back to 1 by a Newton step at each hit.
 module battery_disc
   use battery_kinds, only: wp, int64, angle_kind, pi
-  use battery_table, only: table_type, gated, ungated
+  use battery_channel, only: channel_type, gated, ungated, no_opening => no_channel
+  use battery_chamber, only: chamber_type, set_openings
+  use battery_motion, only: meets_wall, meets_gate, meets_return, meets_nothing, slowest, wall_kind
   use battery_rotation, only: to_turn
-  use battery_chamber, only: chamber_type, prepare_openings
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: disc_type, new_disc, cross_urns, position_before
+  public :: disc_type, new_disc, is_in_disc, try_point, cross_urns, position_before, place_endless
+  public :: aim_in_disc, hit_disc, put_back_in_disc
 
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
   real(wp), parameter :: march_worthwhile = 0.01_wp
 
   !> What a visit to a disc needs to know.
   type, extends(chamber_type) :: disc_type
-    real(wp) :: radius = 1.0_wp
+    !> Radius, and 1 over its square.
+    real(wp) :: radius = 1.0_wp, curvature2 = 1.0_wp
     !> Half widths of the openings in units of the radius, and half their angles.
     real(wp) :: half(2) = 0.0_wp
     integer(angle_kind) :: angle(2) = 0
     !> Whether stepping from impact to impact pays.
     logical :: step_first = .true.
-  contains
-    procedure :: cross => cross_urns
-    procedure :: place_before => position_before
-    procedure :: place_endless
   end type disc_type
 
   interface
     !> Whole visits of a batch: what they need and what they yield is told at `visits_type`.
     module subroutine cross_urns(self, visits)
       implicit none (type, external)
-      class(disc_type), intent(in) :: self
+      type(disc_type), intent(in) :: self
       type(visits_type), intent(inout) :: visits
     end subroutine cross_urns
   end interface
 
 contains
 
-  !> The urn of a side of the table.
-  pure function new_disc(table, side) result(disc)
-    type(table_type), intent(in) :: table
-    !> 1 or 2.
-    integer, intent(in) :: side
+  !> A disc with openings. The way back to an opening: its points of impact go round the circle in
+  !> one sense, by at most half a turn each, so one of them lies in the far half of the disc; there
+  !> and back is at least twice the distance of the chord.
+  pure function new_disc(radius, channel) result(disc)
+    !> A length.
+    real(wp), intent(in) :: radius
+    !> The channels at its openings.
+    type(channel_type), intent(in) :: channel(2)
     type(disc_type) :: disc
+    real(wp) :: angle(2)
 
-    call prepare_openings(disc, table, side)
-    disc%radius = table%urn(side)%radius
-    disc%half = 0.5_wp*disc%width/disc%radius
-    disc%angle = to_turn(asin(disc%half))
+    call set_openings(disc, channel)
+    disc%radius = radius
+    disc%curvature2 = 1.0_wp/radius**2
+    disc%half = disc%half_width/radius
+    disc%fits = all(disc%width < 2.0_wp*radius)
+    ! Factored, so that it stays exact as the width goes to the diameter.
+    disc%chord = sqrt((radius - disc%half_width)*(radius + disc%half_width))
+    angle = asin(disc%half)
+    disc%angle = to_turn(angle)
     disc%step_first = sum(disc%half) > march_worthwhile*pi
+    disc%area = pi*radius**2 - segment(gated) - segment(ungated)
+    disc%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(gated) - 2.0_wp*angle(ungated))
+    disc%reach = radius
+    disc%clear = radius
+    disc%depth = disc%chord
+
+  contains
+
+    !> What the chord of a channel cuts off.
+    pure function segment(of) result(area)
+      integer, intent(in) :: of
+      real(wp) :: area
+
+      area = radius**2*angle(of) - disc%half_width(of)*disc%chord(of)
+    end function segment
+
   end function new_disc
+
+  !> Whether a point is inside, or no farther than `tolerance` outside.
+  elemental function is_in_disc(disc, x, y, tolerance) result(inside)
+    type(disc_type), intent(in) :: disc
+    !> In the frame of the disc, lengths.
+    real(wp), intent(in) :: x, y, tolerance
+    logical :: inside
+
+    inside = hypot(x, y) <= disc%radius + tolerance
+  end function is_in_disc
+
+  !> A point from two numbers `across` and `up` uniform in [0, 1]: uniform in the disc, between the
+  !> chords, where it is `inside`, which is so more than two times in five. Between near chords it
+  !> is looked for there alone.
+  pure subroutine try_point(disc, across, up, x, y, inside)
+    type(disc_type), intent(in) :: disc
+    real(wp), intent(in) :: across, up
+    !> In the frame of the disc, lengths.
+    real(wp), intent(out) :: x, y
+    logical, intent(out) :: inside
+
+    associate (radius => disc%radius, lower => -disc%chord(ungated), upper => disc%chord(gated))
+      if (upper - lower < radius) then
+        x = lower + (upper - lower)*across
+      else
+        x = radius*(2.0_wp*across - 1.0_wp)
+      end if
+      y = radius*(2.0_wp*up - 1.0_wp)
+      inside = x**2 + y**2 < radius**2 .and. lower < x .and. x < upper
+    end associate
+  end subroutine try_point
 
   !> Where a particle is, in the local frame, a length `before` ahead of leaving an urn, if it was
   !> in the urn all that time, and how many walls it hits in between.
   pure subroutine position_before(self, channel, y, along, across, before, position, velocity, &
     hits)
-    class(disc_type), intent(in) :: self
+    !> The disc.
+    type(disc_type), intent(in) :: self
     !> The channel it leaves through, at the height y, with |u_x| and u_y.
     integer, intent(in) :: channel
     !> Height and `before` are lengths; the velocity, of length 1, is that at the chord.
@@ -103,7 +161,8 @@ contains
 
   !> For ever along a regular star; without length of its chords, along the wall.
   pure subroutine place_endless(self, elapsed, angle, cosine, sine, position, velocity, hits)
-    class(disc_type), intent(in) :: self
+    !> The disc.
+    type(disc_type), intent(in) :: self
     !> Time since an impact, which lies at this angle (radians, from the x axis of the local frame);
     !> cosine and sine of the incidence.
     real(wp), intent(in) :: elapsed, angle, cosine, sine
@@ -129,5 +188,113 @@ contains
     position = self%radius*[real(impact, wp), aimag(impact)] + rest*velocity
     hits = hits + 1
   end subroutine place_endless
+
+  !> What a particle meets first that is inside, or at an opening, and after which time: `wait`.
+  pure subroutine aim_in_disc(disc, from, x, y, ux, uy, next, wait)
+    type(disc_type), intent(in) :: disc
+    !> The channel on whose chord it is, or `no_channel`.
+    integer, intent(in) :: from
+    !> Lengths, and the velocity, in the frame of the disc.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> What it meets.
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+    real(wp) :: outward, root, room
+
+    if (from == no_opening) then
+      room = max(disc%radius**2 - (x**2 + y**2), 0.0_wp)
+    else
+      ! On a chord, r**2 - q**2 is a product that stays exact however narrow the channel is.
+      room = (disc%half_width(from) - abs(y))*(disc%half_width(from) + abs(y))
+    end if
+    outward = x*ux + y*uy
+    root = sqrt(outward**2 + room)
+    if (outward > 0.0_wp) then
+      wait = room/(root + outward)
+    else
+      wait = root - outward
+    end if
+    call choose_opening(disc, x, ux, x + ux*wait, y + uy*wait, next, wait)
+  end subroutine aim_in_disc
+
+  !> Reflection from the arc, and the time `wait` until it meets what is next; huge if that is
+  !> nothing. From a point of the circle the flight to the next one lasts -2 q.u: no root, nothing
+  !> to cancel.
+  pure subroutine hit_disc(disc, shortest, x, y, ux, uy, next, wait)
+    type(disc_type), intent(in) :: disc
+    !> Shortest flight that a clock can tell from none.
+    real(wp), intent(in) :: shortest
+    !> Place and velocity in the frame of the disc.
+    real(wp), intent(inout) :: x, y, ux, uy
+    !> What it meets next.
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+    real(wp) :: norm, outward, kick
+
+    norm = 1.5_wp - 0.5_wp*disc%curvature2*(x**2 + y**2)
+    x = norm*x
+    y = norm*y
+    outward = x*ux + y*uy
+    ! A grazing particle may move inwards already, by rounding; then the hit leaves it alone.
+    kick = 2.0_wp*disc%curvature2*max(outward, 0.0_wp)
+    ux = ux - kick*x
+    uy = uy - kick*y
+    norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
+    ux = norm*ux
+    uy = norm*uy
+    wait = 2.0_wp*abs(outward)
+    if (wait < shortest) then
+      ! Along the wall: chords too short for any clock. It would hit for ever at one instant.
+      next = meets_nothing
+      wait = huge(1.0_wp)
+    else
+      call choose_opening(disc, x, ux, x + ux*wait, y + uy*wait, next, wait)
+    end if
+  end subroutine hit_disc
+
+  !> What is met by a particle that would be on the circle at (px, py) after `wait`. Only a point
+  !> within an opening, its ends excluded, lets it out: a corner belongs to the urn.
+  pure subroutine choose_opening(disc, x, ux, px, py, next, wait)
+    type(disc_type), intent(in) :: disc
+    real(wp), intent(in) :: x, ux, px, py
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(inout) :: wait
+
+    next = meets_wall
+    if (abs(py) >= merge(disc%half_width(gated), disc%half_width(ungated), px > 0.0_wp)) return
+    ! By rounding the point may seem to lie just inside of a corner though the way leads inwards.
+    if (px > 0.0_wp .and. ux > 0.0_wp) then
+      next = meets_gate
+      wait = min(max(disc%chord(gated) - x, 0.0_wp)/max(ux, slowest), wait)
+    else if (px <= 0.0_wp .and. ux < 0.0_wp) then
+      next = meets_return
+      wait = min(max(x + disc%chord(ungated), 0.0_wp)/max(-ux, slowest), wait)
+    end if
+  end subroutine choose_opening
+
+  !> A particle that a step has taken beyond the arc is mirrored in the circle, along the ray from
+  !> the centre, and its velocity is reflected there.
+  pure subroutine put_back_in_disc(disc, x, y, ux, uy, hit)
+    type(disc_type), intent(in) :: disc
+    !> Place and velocity in the frame of the disc.
+    real(wp), intent(inout) :: x, y, ux, uy
+    !> Whether it was beyond.
+    logical, intent(out) :: hit
+    real(wp) :: distance, outward, factor
+
+    hit = x**2 + y**2 > disc%radius**2
+    if (.not. hit) return
+    distance = hypot(x, y)
+    ! In a segment beyond a chord it may have come out of the channel into the wall.
+    outward = max((x*ux + y*uy)/distance, 0.0_wp)
+    ux = ux - 2.0_wp*outward*x/distance
+    uy = uy - 2.0_wp*outward*y/distance
+    factor = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
+    ux = factor*ux
+    uy = factor*uy
+    factor = 2.0_wp*disc%radius/distance - 1.0_wp
+    x = factor*x
+    y = factor*y
+  end subroutine put_back_in_disc
 
 end module battery_disc

@@ -1,4 +1,4 @@
-!> The billiard table: two circular urns, a gated channel and a channel that closes the circuit.
+!> The billiard table: two urns, a gated channel and a channel that closes the circuit.
 !>
 !> Coordinates: the origin is the middle of channel 1, x runs along it, urn 1 lies at x < 0. A
 !> channel is attached to an urn at the chord as long as the channel is wide. Lengths are free; the
@@ -8,200 +8,129 @@
 !> Everything is known by its index: the urns and sides 1 and 2, the channels 1 (gated) and 2, and
 !> on each side three chambers: the urn, the gate (half of channel 1) and the half of channel 2.
 !> The halves of a channel meet at its line: the middle line, and the periodic line. The single urn
-!> of Fig. app1 is a table of one side: its middle line is a wall that leads back to it.
+!> of Fig. app1 is a table of one side: its middle line is a wall that leads back to it. What shape
+!> an urn has, only `battery_urn` asks.
 module battery_table
-  use battery_kinds, only: wp, pi
+  use battery_kinds, only: wp
+  use battery_powers, only: power_above
+  use battery_channel, only: channel_type, is_open, fold, gated, ungated, no_channel, facing
+  use battery_chamber, only: mean_visit
+  use battery_motion, only: outside, in_urn, in_gate, in_return
+  use battery_urn, only: urn_type, give_form, alike, holds, try_place
   implicit none (type, external)
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
-  public :: gated, ungated, outside, in_urn, in_gate, in_return
-  public :: side_at, chamber_at, beyond, x_direction, is_open, alike
-  public :: area_of_urn, area, perimeter, arc_length, half_length, mean_visit, shortest_excursion
-  public :: try_point, longest_run
+  public :: gated, ungated, no_channel, outside, in_urn, in_gate, in_return
+  public :: side_at, chamber_at, x_direction, is_open, alike, passage_type, passage_at
+  public :: area, perimeter, half_length, mean_visit, shortest_excursion, try_place, longest_run
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
 
-  !> No run is longer, in radii of an urn: beyond, the clock would not resolve an urn.
+  !> No run is longer, in the reach of an urn: beyond, the clock would not resolve an urn.
   real(wp), parameter :: longest_run = 1.0e15_wp
-
-  !> The channels: that with the gates, and that which closes the circuit.
-  integer, parameter :: gated = 1, ungated = 2
-
-  !> Chambers of a side; `outside` is none of them.
-  integer, parameter :: outside = 0, in_urn = 1, in_gate = 2, in_return = 3
 
   !> The way along x from the origin to each side.
   real(wp), parameter :: x_direction(2) = [-1.0_wp, 1.0_wp]
-
-  !> An urn of the table: lengths.
-  type :: urn_type
-    real(wp) :: radius = 1.0_wp
-    !> Distance of the chord of each channel from the centre.
-    real(wp) :: chord(2) = 0.0_wp
-    !> |x| of the centre, and of the periodic line at the end of this side's half of channel 2.
-    real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp
-  end type urn_type
-
-  !> A channel of the table: lengths.
-  type :: channel_type
-    !> From wall to wall (0: closed), and from urn to urn, both halves together.
-    real(wp) :: width = 0.0_wp, length = 1.0_wp
-  end type channel_type
 
   !> The whole table: urns by side, channels by `gated` and `ungated`.
   type :: table_type
     !> How many sides there are: 2, or 1 for the single urn.
     integer :: sides = 2
+    !> The side on which a particle goes on that crosses the line of a channel from each side; the
+    !> end wall of the single urn leads back.
+    integer :: beyond(2) = [2, 1]
     type(urn_type) :: urn(2)
     type(channel_type) :: channel(2)
+    !> A power of two, at least four times the longest flight from wall to wall.
+    real(wp) :: page = 0.0_wp
   end type table_type
 
-  !> A table from its lengths; the radius is one for both urns, or one for each.
+  !> Where a particle stands on its way through a channel.
+  type :: passage_type
+    !> Side and chamber that it is in; the channel, or `no_channel`: then nothing else is known.
+    integer :: side = 0, chamber = outside, channel = no_channel
+    !> Whether it is too slow to get anywhere, and if not, whether it goes to the line of the
+    !> channel or to its urn.
+    logical :: endless = .false., inward = .false.
+    !> How long from now until it reaches its urn, or, below 0, since it came from there.
+    real(wp) :: time = 0.0_wp
+    !> Of one that goes inward: at which height it came from its urn, 1 or -1 as u_y has turned over
+    !> since, and the wall hits since.
+    real(wp) :: height = 0.0_wp, turned = 1.0_wp, hits = 0.0_wp
+  end type passage_type
+
+  !> A table from its urns and channels, or from its lengths.
   interface new_table
-    procedure new_table_equal, new_table_unequal
+    procedure new_table_of_urns, new_table_of_discs
   end interface new_table
 
 contains
 
-  !> Both urns have the same radius.
-  pure function new_table_equal(shape, urn_radius, channel1_width, channel1_length, &
+  !> Both urns are discs of the same radius.
+  pure function new_table_of_discs(shape, urn_radius, channel1_width, channel1_length, &
       channel2_width, channel2_length) result(table)
+    !> `shape_circuit` or `shape_urn`.
     integer, intent(in) :: shape
     real(wp), intent(in) :: urn_radius, channel1_width, channel1_length
     real(wp), intent(in) :: channel2_width, channel2_length
     type(table_type) :: table
 
-    table = new_table_unequal(shape, [urn_radius, urn_radius], channel1_width, channel1_length, &
-      channel2_width, channel2_length)
-  end function new_table_equal
+    table = new_table_of_urns(shape, [urn_type(radius=urn_radius), urn_type(radius=urn_radius)], &
+      [channel_type(channel1_width, channel1_length), &
+      channel_type(channel2_width, channel2_length)])
+  end function new_table_of_discs
 
-  !> A table from its lengths; the caller has checked them (0 < w < 2r, 0 <= w' < 2r for both radii,
-  !> lengths positive). Shape `shape_urn` has no channel 2 and no urn 2, whatever is asked for.
-  pure function new_table_unequal(shape, urn_radius, channel1_width, channel1_length, &
-      channel2_width, channel2_length) result(table)
+  !> A table from its parts; the caller has checked their lengths (openings fit, lengths positive).
+  !> Shape `shape_urn` has no channel 2 and no urn 2, whatever is asked for.
+  pure function new_table_of_urns(shape, urn, channel) result(table)
     !> `shape_circuit` or `shape_urn`.
     integer, intent(in) :: shape
-    !> Radii of urn 1 and 2, a length.
-    real(wp), intent(in) :: urn_radius(2)
-    !> Widths and lengths of the channels; width 0 closes channel 2.
-    real(wp), intent(in) :: channel1_width, channel1_length
-    real(wp), intent(in) :: channel2_width, channel2_length
+    !> What the urns 1 and 2 are to be.
+    type(urn_type), intent(in) :: urn(2)
+    !> Width 0 closes channel 2.
+    type(channel_type), intent(in) :: channel(2)
     type(table_type) :: table
     integer :: side
 
-    table%sides = merge(2, 1, shape == shape_circuit)
-    table%channel(gated) = channel_type(channel1_width, channel1_length)
-    table%channel(ungated) = channel_type(merge(channel2_width, 0.0_wp, shape == shape_circuit), &
-      channel2_length)
+    table%channel = channel
+    if (shape == shape_urn) then
+      table%sides = 1
+      table%beyond = [1, 2]
+      table%channel(ungated)%width = 0.0_wp
+    end if
     do side = 1, 2
-      associate (urn => table%urn(side))
-        urn%radius = urn_radius(min(side, table%sides))
-        urn%chord = chord_distance(urn%radius, table%channel%width)
-        urn%centre = 0.5_wp*channel1_length + urn%chord(gated)
-        urn%periodic_line = urn%centre + urn%chord(ungated) + 0.5_wp*channel2_length
+      table%urn(side) = urn(min(side, table%sides))
+      call give_form(table%urn(side), table%channel)
+      associate (here => table%urn(side))
+        here%way = -x_direction(side)
+        here%centre = 0.5_wp*channel(gated)%length + here%chord(gated)
+        here%begins = [0.5_wp*channel(gated)%length, here%centre + here%chord(ungated)]
+        here%periodic_line = here%begins(ungated) + 0.5_wp*channel(ungated)%length
       end associate
     end do
-  end function new_table_unequal
-
-  !> Distance of a chord of length `width` from the centre; factored, so that it stays exact as the
-  !> width goes to the diameter.
-  elemental function chord_distance(radius, width) result(distance)
-    real(wp), intent(in) :: radius, width
-    real(wp) :: distance
-
-    distance = sqrt((radius - 0.5_wp*width)*(radius + 0.5_wp*width))
-  end function chord_distance
-
-  !> The side on which a particle goes on that crosses the line of a channel from `side`; the end
-  !> wall of the single urn leads back.
-  pure function beyond(table, side)
-    type(table_type), intent(in) :: table
-    integer, intent(in) :: side
-    integer :: beyond
-
-    beyond = merge(3 - side, side, table%sides == 2)
-  end function beyond
-
-  !> Whether a channel lets anybody through.
-  elemental function is_open(channel)
-    type(channel_type), intent(in) :: channel
-    logical :: is_open
-
-    is_open = channel%width > 0.0_wp
-  end function is_open
-
-  !> Whether the two urns are mirror images of each other, so that one chamber serves both.
-  pure function alike(table)
-    type(table_type), intent(in) :: table
-    logical :: alike
-
-    alike = .not. abs(table%urn(1)%radius - table%urn(2)%radius) > 0.0_wp
-  end function alike
-
-  !> A of eq. (eq000): the disc less the segments cut off by the chords.
-  pure function area_of_urn(table, side) result(urn_area)
-    type(table_type), intent(in) :: table
-    !> 1 or 2.
-    integer, intent(in) :: side
-    real(wp) :: urn_area
-
-    associate (radius => table%urn(side)%radius)
-      urn_area = pi*radius**2 - segment_area(radius, table%channel(gated)%width) &
-        - segment_area(radius, table%channel(ungated)%width)
-    end associate
-  end function area_of_urn
-
-  !> What a chord of length `width` cuts off a disc.
-  elemental function segment_area(radius, width) result(segment)
-    real(wp), intent(in) :: radius, width
-    real(wp) :: segment
-
-    segment = radius**2*asin(0.5_wp*width/radius) - 0.5_wp*width*chord_distance(radius, width)
-  end function segment_area
+    table%page = power_above(4.0_wp*max(2.0_wp*maxval(table%urn%reach), &
+      maxval(hypot(table%channel%length, table%channel%width), mask=is_open(table%channel))))
+    table%urn%shortest = epsilon(1.0_wp)*table%page
+  end function new_table_of_urns
 
   !> Area |Q| of the whole table, open channels included.
   pure function area(table) result(total)
     type(table_type), intent(in) :: table
     real(wp) :: total
 
-    associate (channel => table%channel)
-      if (table%sides == 1) then
-        total = area_of_urn(table, 1) + 0.5_wp*channel(gated)%length*channel(gated)%width
-      else
-        total = (area_of_urn(table, 1) + area_of_urn(table, 2)) &
-          + channel(gated)%length*channel(gated)%width &
-          + channel(ungated)%length*channel(ungated)%width
-      end if
-    end associate
+    total = sum(table%urn(:table%sides)%area) + sum(0.5_wp*real(table%sides, wp) &
+      *table%channel%length*table%channel%width)
   end function area
-
-  !> Length of the arc of an urn that is left between the openings.
-  pure function arc_length(table, side) result(length)
-    type(table_type), intent(in) :: table
-    !> 1 or 2.
-    integer, intent(in) :: side
-    real(wp) :: length
-
-    associate (radius => table%urn(side)%radius)
-      length = radius*(2.0_wp*pi - 2.0_wp*asin(0.5_wp*table%channel(gated)%width/radius) &
-        - 2.0_wp*asin(0.5_wp*table%channel(ungated)%width/radius))
-    end associate
-  end function arc_length
 
   !> Length |dQ| of all walls, the end wall of the single urn included.
   pure function perimeter(table) result(length)
     type(table_type), intent(in) :: table
     real(wp) :: length
 
-    associate (channel => table%channel)
-      if (table%sides == 1) then
-        length = arc_length(table, 1) + channel(gated)%length + channel(gated)%width
-      else
-        length = (arc_length(table, 1) + arc_length(table, 2)) + 2.0_wp*channel(gated)%length
-        if (is_open(channel(ungated))) length = length + 2.0_wp*channel(ungated)%length
-      end if
-    end associate
+    length = sum(table%urn(:table%sides)%perimeter) + real(table%sides, wp) &
+      *sum(table%channel%length, mask=is_open(table%channel))
+    if (table%beyond(1) == 1) length = length + table%channel(gated)%width
   end function perimeter
 
   !> |x| at the far end of the table, on the side that is longer.
@@ -209,61 +138,23 @@ contains
     type(table_type), intent(in) :: table
     real(wp) :: length
 
-    length = maxval(table%urn%centre + table%urn%radius)
+    length = maxval(table%urn%centre + table%urn%reach)
     if (is_open(table%channel(ungated))) length = maxval(table%urn%periodic_line)
   end function half_length
 
-  !> Mean length of a visit to an urn that is entered evenly through its openings.
-  pure function mean_visit(table, side) result(time)
-    type(table_type), intent(in) :: table
-    !> 1 or 2.
-    integer, intent(in) :: side
-    real(wp) :: time
-
-    time = pi*area_of_urn(table, side)/(table%channel(gated)%width + table%channel(ungated)%width)
-  end function mean_visit
-
   !> Shortest time from any event of a particle (it enters a gate, crosses the middle of channel 1,
   !> is turned back, or crosses the periodic line) to its next entry of a gate or crossing of the
-  !> periodic line: a lower bound, from the straight way between the chords with half of channel 2,
-  !> and from the way back to the same chord, of either urn.
-  !> The points of impact of a way back go round the circle in one sense, by at most half a turn
-  !> each, so one of them lies in the far half of the urn: there and back is at least twice the
-  !> chord's distance.
+  !> periodic line: a lower bound, from the depths of the openings of either urn, and half of
+  !> channel 2.
   pure function shortest_excursion(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time
-    integer :: side
 
-    time = huge(1.0_wp)
-    do side = 1, table%sides
-      associate (chord => table%urn(side)%chord, channel => table%channel(ungated))
-        time = min(time, 2.0_wp*chord(gated))
-        if (is_open(channel)) time = min(time, &
-          chord(gated) + chord(ungated) + 0.5_wp*channel%length, &
-          2.0_wp*chord(ungated) + channel%length)
-      end associate
-    end do
+    associate (urn => table%urn(:table%sides), channel => table%channel(ungated))
+      time = 2.0_wp*minval(urn%depth(gated))
+      if (is_open(channel)) time = min(time, 2.0_wp*minval(urn%depth(ungated)) + channel%length)
+    end associate
   end function shortest_excursion
-
-  !> A point about the centre of an urn whose chords lie at x = `lower` < 0 and `upper` > 0, from
-  !> two numbers `across` and `up` uniform in [0, 1]: uniform in the urn where it is `inside`, which
-  !> is so more than two times in five. Between near chords it is looked for there alone.
-  pure subroutine try_point(radius, lower, upper, across, up, x, y, inside)
-    !> `radius`, `lower` and `upper` are lengths.
-    real(wp), intent(in) :: radius, lower, upper, across, up
-    !> The point, from the centre: lengths.
-    real(wp), intent(out) :: x, y
-    logical, intent(out) :: inside
-
-    if (upper - lower < radius) then
-      x = lower + (upper - lower)*across
-    else
-      x = radius*(2.0_wp*across - 1.0_wp)
-    end if
-    y = radius*(2.0_wp*up - 1.0_wp)
-    inside = x**2 + y**2 < radius**2 .and. lower < x .and. x < upper
-  end subroutine try_point
 
   !> The side of a point; the middle line belongs to side 2, if there is one.
   elemental function side_at(table, x) result(side)
@@ -282,21 +173,49 @@ contains
     !> In the frame of the table, lengths.
     real(wp), intent(in) :: x, y, tolerance
     integer :: chamber
-    real(wp) :: from_centre
 
     chamber = outside
-    associate (urn => table%urn(side_at(table, x)), channel => table%channel)
-      from_centre = abs(x) - urn%centre
-      if (abs(x) <= 0.5_wp*channel(gated)%length) then
-        if (abs(y) <= 0.5_wp*channel(gated)%width + tolerance) chamber = in_gate
-      else if (is_open(channel(ungated)) .and. from_centre >= urn%chord(ungated)) then
-        if (abs(y) <= 0.5_wp*channel(ungated)%width + tolerance .and. &
+    associate (urn => table%urn(side_at(table, x)))
+      if (abs(x) <= urn%begins(gated)) then
+        if (abs(y) <= urn%half_width(gated) + tolerance) chamber = in_gate
+      else if (is_open(table%channel(ungated)) .and. abs(x) - urn%centre >= urn%chord(ungated)) then
+        if (abs(y) <= urn%half_width(ungated) + tolerance .and. &
           abs(x) <= urn%periodic_line + tolerance) chamber = in_return
-      else
-        if (hypot(from_centre, y) <= urn%radius + tolerance) chamber = in_urn
+      else if (holds(urn, urn%centre - abs(x), y, tolerance)) then
+        chamber = in_urn
       end if
     end associate
     if (table%sides == 1 .and. x > tolerance) chamber = outside
   end function chamber_at
+
+  !> Where a particle of a channel came from its urn, or when it gets there. Passages that are
+  !> slower than any run is long, and those with more wall hits than an integer can count, are taken
+  !> for endless.
+  pure function passage_at(table, x, y, ux, uy) result(passage)
+    type(table_type), intent(in) :: table
+    !> Place in the frame of the table, lengths; velocity, of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    type(passage_type) :: passage
+    real(wp), parameter :: most_hits = 4.0e18_wp
+    real(wp) :: depth, outward
+
+    passage%side = side_at(table, x)
+    passage%chamber = chamber_at(table, x, y, huge(1.0_wp))
+    if (passage%chamber == in_urn) return
+    passage%channel = merge(ungated, gated, passage%chamber == in_return)
+    associate (urn => table%urn(passage%side), channel => table%channel(passage%channel))
+      passage%endless = .not. abs(ux)*min(longest_run*urn%reach, most_hits*channel%width) &
+        > channel%length
+      if (passage%endless) return
+      ! How far it is beyond the chord, and how fast it goes on from there.
+      depth = urn%begins(gated) - abs(x)
+      if (passage%channel == ungated) depth = abs(x) - urn%centre - urn%chord(ungated)
+      outward = facing(passage%channel)*urn%way*ux
+      passage%time = -depth/outward
+      passage%inward = outward > 0.0_wp
+      if (passage%inward) call fold(y - uy*depth/outward, channel%width, passage%height, &
+        passage%turned, passage%hits)
+    end associate
+  end function passage_at
 
 end module battery_table

@@ -1,7 +1,7 @@
 !> A batch of visits to the urns: structure of arrays, and room for them.
 module battery_visits
   use battery_kinds, only: wp, int64
-  use battery_table, only: gated
+  use battery_channel, only: gated, none => no_channel
   implicit none (type, external)
   private
   public :: visits_type, reserve_visits, part_visits, together, no_channel
@@ -10,7 +10,7 @@ module battery_visits
   integer, parameter :: together = 4
 
   !> In place of a channel: a particle that never leaves.
-  integer(int64), parameter :: no_channel = 0
+  integer(int64), parameter :: no_channel = none
 
   !> A batch of visits, one entry a particle; arrays have room for whole groups of `together`.
   type :: visits_type
@@ -63,42 +63,15 @@ contains
       if (size(visits%particle) >= room) return
     end if
     n = together*((max(room, 64) + max(room, 64)/2)/together + 1)
-    call renew(visits%time)
-    call renew(visits%passage)
-    call renew(visits%turned)
-    call renew(visits%through)
-    call renew(visits%x)
-    call renew(visits%y)
-    call renew(visits%along)
-    call renew(visits%across)
-    call renew(visits%length)
-    call renew(visits%px)
-    call renew(visits%py)
-    call renew(visits%zx)
-    call renew(visits%zy)
-    call renew(visits%steps)
-    call renew(visits%c)
-    call renew(visits%s)
-    call renew(visits%hit_x)
-    call renew(visits%hit_y)
-    call renew(visits%impacts)
-    call renew(visits%first)
-    call renew(visits%hits)
-    if (allocated(visits%particle)) deallocate (visits%particle, visits%urn, visits%slot, &
-      visits%channel)
+    visits = visits_type()
+    allocate (visits%time(n), visits%passage(n), visits%turned(n), visits%through(n), visits%x(n), &
+      visits%y(n), visits%along(n), visits%across(n), visits%length(n), visits%hits(n), &
+      visits%px(n), visits%py(n), visits%zx(n), visits%zy(n), visits%steps(n), visits%c(n), &
+      visits%s(n), visits%hit_x(n), visits%hit_y(n), visits%impacts(n), visits%first(n), &
+      source=0.5_wp)
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), source=0)
     ! Who fills up the last group comes from a channel that is always open.
     allocate (visits%channel(n), source=int(gated, int64))
-
-  contains
-
-    subroutine renew(array)
-      real(wp), allocatable, intent(inout) :: array(:)
-
-      if (allocated(array)) deallocate (array)
-      allocate (array(n), source=0.5_wp)
-    end subroutine renew
-
   end subroutine reserve_visits
 
   !> Those in urn 2 become a batch of their own: who, through which channel, and when turned back.

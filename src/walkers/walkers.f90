@@ -21,7 +21,7 @@ module battery_walkers
     shortest_excursion
   use battery_engine, only: particles_type
   use battery_chamber, only: leave_channels
-  use battery_chambers, only: urn_chamber_type, new_chamber
+  use battery_urn, only: cross
   use battery_visits, only: visits_type, reserve_visits, no_channel
   use battery_gate, only: gate_type, new_gate, enter, must_turn, cross_first, turned_back
   use battery_tally, only: tally_type, new_tally, add_entry, add_turned, add_crossing
@@ -47,7 +47,6 @@ module battery_walkers
     !> which urn the gate is.
     real(wp), allocatable :: time(:), y(:), along(:), across(:), through(:)
     integer, allocatable :: urn(:)
-    type(urn_chamber_type) :: chamber(2)
     !> Visits by chamber (urns that are alike share one), those under way and those to follow.
     type(visits_type) :: visits(2, 2)
     integer :: chambers = 1, under_way = 1
@@ -84,12 +83,11 @@ contains
     walkers%copies = copies
     walkers%well_mixed = well_mixed
     walkers%tally = new_tally(from, to, copies, count(particles%x >= 0.0_wp))
-    walkers%chambers = merge(1, 2, alike(table))
+    walkers%chambers = merge(1, 2, alike(table%urn))
     walkers%shortest = shortest_excursion(table)
     allocate (walkers%gate(copies, 2))
     do side = 1, 2
-      call new_chamber(table, side, walkers%chamber(side))
-      walkers%mean(side) = mean_visit(table, side)
+      walkers%mean(side) = mean_visit(table%urn(side))
       do copy = 1, copies
         call new_gate(walkers%gate(copy, side), threshold(side))
       end do
@@ -294,7 +292,7 @@ contains
     do while (sum(walkers%visits(:, walkers%under_way)%count) > 0)
       do chamber = 1, walkers%chambers
         associate (v => walkers%visits(chamber, walkers%under_way))
-          if (v%count > 0) call leave_channels(walkers%chamber(chamber)%chamber, v)
+          if (v%count > 0) call leave_channels(walkers%table%urn(chamber), v)
         end associate
       end do
       call finish(walkers)
@@ -314,7 +312,7 @@ contains
         if (walkers%well_mixed) then
           call forget(walkers, v)
         else
-          call walkers%chamber(chamber)%chamber%cross(v)
+          call cross(walkers%table%urn(chamber), v)
         end if
         call land(walkers, v)
       end associate

@@ -3,7 +3,7 @@
 module scenes
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type, new_table, shape_circuit, chamber_at, side_at, outside, &
-    in_urn, in_gate, beyond, x_direction
+    in_urn, in_gate, x_direction
   use battery_engine, only: engine_type, particles_type
   use battery_history, only: history_type, event_entry, event_reversal, event_crossing1, &
     event_crossing2
@@ -502,7 +502,7 @@ contains
         plain%counted(i) = 0
         plain%x(i) = 0.0_qp
         call note(log, plain%now, event_crossing1, gate, i)
-        if (beyond(plain%table, 1) == 1) then
+        if (plain%table%sides == 1) then
           plain%ux(i) = -plain%ux(i)
           plain%hits = plain%hits + 1
         end if

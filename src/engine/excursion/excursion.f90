@@ -11,19 +11,18 @@
 module battery_excursion
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: gated, ungated, side_at, beyond, alike, x_direction, mean_visit, &
-    shortest_excursion
+  use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion
   use battery_flight, only: look_up, gather, land, locate, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
   use battery_chamber, only: leave_channels
-  use battery_chambers, only: urn_chamber_type, new_chamber
+  use battery_urn, only: cross
   use battery_visits, only: visits_type, reserve_visits, part_visits
   use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
   use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
     schedule, schedule_all, open_until, next_due, drop_done, turn_calendar
   use battery_memory, only: prefer_large_pages
-  use battery_engine, only: engine_type, particles_type, allocate_particles, turn_clock
+  use battery_engine, only: engine_type, particles_type, turn_clock
   use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry
   use battery_stream, only: stream_type
@@ -43,26 +42,16 @@ module battery_excursion
     type(calendar_type) :: calendar
     !> Of the sorted events of the calendar: when an entrant would cross the middle.
     real(wp), allocatable :: middle(:)
-    !> The urn of each side, and the visits to it. Urns that are alike share the first batch.
-    type(urn_chamber_type) :: urn(2)
+    !> The visits to the urn of each side. Urns that are alike share the first batch.
     type(visits_type) :: visits(2)
     integer :: batches = 1
-    !> Where one is that has crossed a line from each side.
-    integer :: beyond(2) = 0
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
     !> histories have told of them.
     integer(int64) :: known_hits = 0, told_hits = 0
   contains
-    procedure :: prepare
-    procedure :: take_over
-    procedure :: live
-    procedure :: turn_page
-    procedure :: pass_own
-    procedure :: particles => all_particles
-    procedure :: collisions
-    procedure :: trapped
+    procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type excursion_type
 
 contains
@@ -70,14 +59,9 @@ contains
   !> Sizes and lengths that follow from the table and the number of particles.
   subroutine prepare(self)
     class(excursion_type), intent(inout) :: self
-    integer :: side
 
-    do side = 1, 2
-      call new_chamber(self%table, side, self%urn(side))
-      self%beyond(side) = beyond(self%table, side)
-    end do
-    self%batches = merge(1, 2, alike(self%table))
-    self%interval = 0.5_wp*(mean_visit(self%table, 1) + mean_visit(self%table, 2)) &
+    self%batches = merge(1, 2, alike(self%table%urn))
+    self%interval = 0.5_wp*(mean_visit(self%table%urn(1)) + mean_visit(self%table%urn(2))) &
       + 0.25_wp*pi*self%table%channel(gated)%length
     self%lookahead = shortest_excursion(self%table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
@@ -118,8 +102,7 @@ contains
             particles%uy(i), from_channels, self%flight(i), self%visits(b), self%known_hits)
         end do
         do b = 1, self%batches
-          if (from_channels) call leave_channels(self%urn(b)%chamber, &
-            self%visits(b))
+          if (from_channels) call leave_channels(self%table%urn(b), self%visits(b))
           call finish_visits(self, b)
         end do
       end do
@@ -156,7 +139,7 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      call self%urn(b)%chamber%cross(v)
+      call cross(self%table%urn(b), v)
       self%known_hits = self%known_hits + v%all_hits
       call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
         v%y, v%along, v%across, v%through)
@@ -190,7 +173,7 @@ contains
       associate (v => self%visits(b))
         call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
           v%y, v%along, v%across)
-        call leave_channels(self%urn(b)%chamber, v)
+        call leave_channels(self%table%urn(b), v)
         call finish_visits(self, b)
         call schedule_all(self%calendar, self%flight, v%count, v%particle, v%time)
       end associate
@@ -245,7 +228,7 @@ contains
         end if
       else
         call record_crossing(history, time - began, crossing_of(urn, ungated), i)
-        call send(self%visits(1), i, self%beyond(urn), ungated)
+        call send(self%visits(1), i, self%table%beyond(urn), ungated)
       end if
     end do
     done = at - 1
@@ -304,8 +287,8 @@ contains
     time = self%gate(urn)%counted%next
     call cross_first(self%gate(urn), i)
     call record_crossing(history, time - began, crossing_of(urn, gated), i)
-    if (self%beyond(urn) == urn) self%known_hits = self%known_hits + 1
-    call send(self%visits(1), i, self%beyond(urn), gated)
+    if (self%table%beyond(urn) == urn) self%known_hits = self%known_hits + 1
+    call send(self%visits(1), i, self%table%beyond(urn), gated)
   end subroutine cross_channel1
 
   !> Puts a particle into the batch: it goes straight to `urn` through `channel`.
@@ -322,30 +305,20 @@ contains
     visits%turned(count) = never
   end subroutine send
 
-  !> Where the particles `first` ... `last` are now, by going back in their flights.
-  subroutine all_particles(self, first, last, particles)
+  !> x, y, u_x, u_y of particle `i` now, by going back in its flight.
+  function state_of(self, i) result(state)
     class(excursion_type), intent(in) :: self
-    integer, intent(in) :: first, last
-    type(particles_type), intent(out) :: particles
-    integer :: i, k, side
+    integer, intent(in) :: i
+    real(wp) :: state(4)
     integer(int64) :: hits
-    real(wp) :: position(2), velocity(2)
 
-    call allocate_particles(particles, last - first + 1)
-    do i = first, last
-      k = i - first + 1
-      side = self%flight(i)%urn
-      call locate(self%urn(side)%chamber, self%flight(i), self%now, position, velocity, hits)
-      particles%x(k) = position(1)
-      particles%ux(k) = velocity(1)
-      if (self%flight(i)%heading /= parked_in_channel) then
-        particles%x(k) = -x_direction(side)*(position(1) - self%table%urn(side)%centre)
-        particles%ux(k) = -x_direction(side)*velocity(1)
-      end if
-      particles%y(k) = position(2)
-      particles%uy(k) = velocity(2)
-    end do
-  end subroutine all_particles
+    associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
+      call locate(urn, flight, self%now, state(:2), state(3:), hits)
+      if (flight%heading == parked_in_channel) return
+      state(1) = urn%way*(state(1) - urn%centre)
+      state(3) = urn%way*state(3)
+    end associate
+  end function state_of
 
   !> Wall hits from the start until now: those known, put right for where each is.
   function collisions(self) result(total)
@@ -357,7 +330,7 @@ contains
 
     total = self%known_hits
     do i = 1, self%number
-      call locate(self%urn(self%flight(i)%urn)%chamber, self%flight(i), self%now, position, &
+      call locate(self%table%urn(self%flight(i)%urn), self%flight(i), self%now, position, &
         velocity, hits)
       total = total + hits
     end do

@@ -5,9 +5,8 @@
 module battery_flight
   use battery_kinds, only: wp, int16, int64
   use battery_calendar, only: flight_type
-  use battery_chamber, only: chamber_type
-  use battery_table, only: gated, ungated
-  use battery_channel, only: fold
+  use battery_channel, only: fold, gated, ungated, facing
+  use battery_urn, only: urn_type, place_before, place_for_ever
   implicit none (type, external)
   private
   public :: look_up, gather, land, locate, never
@@ -18,9 +17,6 @@ module battery_flight
   !> `parked_in_channel`: time, y, x, u_y.
   integer(int16), parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
     parked_in_channel = 5
-
-  !> The way along x from the centre of an urn to each of its channels, in the local frame.
-  real(wp), parameter :: facing(2) = [1.0_wp, -1.0_wp]
 
   !> When a particle is turned back that nothing turns back.
   real(wp), parameter :: never = 0.25_wp*huge(1.0_wp)
@@ -109,8 +105,8 @@ contains
 
   !> Where a particle is now, in the local frame of its urn (`parked_in_channel`: of the table), and
   !> by how many wall hits `known_hits` is short for it (negative: so many are still to come).
-  pure subroutine locate(chamber, flight, now, position, velocity, hits)
-    class(chamber_type), intent(in) :: chamber
+  pure subroutine locate(urn, flight, now, position, velocity, hits)
+    type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
     !> The time, on the clock of the flight.
     real(wp), intent(in) :: now
@@ -124,32 +120,32 @@ contains
     elapsed = now - flight%time
     select case (flight%heading)
     case (parked_in_channel)
-      channel = merge(gated, ungated, abs(flight%along) <= 0.5_wp*chamber%length(gated))
-      call fold(flight%y + flight%across*elapsed, chamber%width(channel), position(2), turned, &
+      channel = merge(gated, ungated, abs(flight%along) <= 0.5_wp*urn%length(gated))
+      call fold(flight%y + flight%across*elapsed, urn%width(channel), position(2), turned, &
         passed)
       position(1) = flight%along
       velocity = [0.0_wp, turned*flight%across]
       hits = int(passed, int64)
     case (parked_in_urn)
-      call chamber%place_endless(elapsed, flight%y, flight%along, flight%across, position, &
+      call place_for_ever(urn, elapsed, flight%y, flight%along, flight%across, position, &
         velocity, hits)
     case default
       channel = merge(ungated, gated, flight%heading == to_return)
       if (elapsed >= 0.0_wp) then
-        call fold(flight%y + flight%across*elapsed, chamber%width(channel), position(2), turned, &
+        call fold(flight%y + flight%across*elapsed, urn%width(channel), position(2), turned, &
           passed)
-        position(1) = facing(channel)*(chamber%chord(channel) + flight%along*elapsed)
+        position(1) = facing(channel)*(urn%chord(channel) + flight%along*elapsed)
         velocity = [facing(channel)*flight%along, turned*flight%across]
         hits = int(passed, int64)
       else
-        call locate_before(chamber, flight, now, channel, position, velocity, hits)
+        call locate_before(urn, flight, now, channel, position, velocity, hits)
       end if
     end select
   end subroutine locate
 
   !> The same for a particle that has not yet left its urn, or is still in the channel before it.
-  pure subroutine locate_before(chamber, flight, now, channel, position, velocity, hits)
-    class(chamber_type), intent(in) :: chamber
+  pure subroutine locate_before(urn, flight, now, channel, position, velocity, hits)
+    type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
     real(wp), intent(in) :: now
     !> That which it goes to.
@@ -159,16 +155,16 @@ contains
     real(wp) :: before, turned, passed, height
     integer :: from
 
-    call chamber%place_before(channel, flight%y, flight%along, flight%across, &
+    call place_before(urn, channel, flight%y, flight%along, flight%across, &
       min(flight%time - now, flight%length), position, velocity, hits)
     hits = -hits
     before = flight%time - now - flight%length
     if (before <= 0.0_wp) return
     from = merge(gated, ungated, position(1) > 0.0_wp)
-    call fold(position(2) - velocity(2)*before, chamber%width(from), height, turned, passed)
+    call fold(position(2) - velocity(2)*before, urn%width(from), height, turned, passed)
     ! It is in this urn's half of the channel, even if it is so slow that rounding moves it far.
-    position(1) = facing(from)*(chamber%chord(from) + min(abs(velocity(1))*before, &
-      0.5_wp*chamber%length(from)))
+    position(1) = facing(from)*(urn%chord(from) + min(abs(velocity(1))*before, &
+      0.5_wp*urn%length(from)))
     position(2) = height
     velocity(2) = turned*velocity(2)
     hits = hits - int(passed, int64)

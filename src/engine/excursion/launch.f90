@@ -2,12 +2,10 @@
 !> to a visit that will be one.
 module battery_launch
   use battery_kinds, only: wp, int16, int64
-  use battery_table, only: table_type, gated, ungated, in_urn, in_return, side_at, chamber_at, &
-    x_direction, longest_run
+  use battery_table, only: table_type, passage_type, passage_at, gated, no_channel
   use battery_calendar, only: flight_type
   use battery_flight, only: to_return, in_gate, parked_in_channel
   use battery_visits, only: visits_type
-  use battery_channel, only: fold
   implicit none (type, external)
   private
   public :: launch
@@ -29,67 +27,40 @@ contains
     !> Visits to the urn of its side.
     type(visits_type), intent(inout) :: visits
     integer(int64), intent(inout) :: hits
-    integer :: side, chamber, channel, count
-    real(wp) :: outward, depth, width, length, turned, passed, height
-    !> Slower passages, longer than any run, and those with more wall hits than an integer can
-    !> count, are taken for endless.
-    real(wp), parameter :: most_hits = 4.0e18_wp
+    type(passage_type) :: passage
 
-    side = side_at(table, x)
-    chamber = chamber_at(table, x, y, huge(1.0_wp))
-    if (from_channels .eqv. chamber == in_urn) return
-    if (.not. from_channels) then
-      call reserve_place()
-      visits%hits(count) = 0.0_wp
-      visits%x(count) = table%urn(side)%centre - abs(x)
-      visits%along(count) = -x_direction(side)*ux
-      return
-    end if
-    channel = merge(ungated, gated, chamber == in_return)
-    width = table%channel(channel)%width
-    length = table%channel(channel)%length
-    ! How far it is beyond the chord, and how fast it goes on from there.
-    depth = 0.5_wp*length - abs(x)
-    outward = -x_direction(side)*ux
-    if (channel == ungated) then
-      depth = abs(x) - table%urn(side)%centre - table%urn(side)%chord(ungated)
-      outward = x_direction(side)*ux
-    end if
-    flight%urn = int(side, int16)
-    if (.not. abs(ux)*min(longest_run*table%urn(side)%radius, most_hits*width) > length) then
+    passage = passage_at(table, x, y, ux, uy)
+    if (from_channels .eqv. passage%channel == no_channel) return
+    if (from_channels) flight%urn = int(passage%side, int16)
+    if (passage%endless) then
       flight%heading = parked_in_channel
       flight%y = y
       flight%along = x
       flight%across = uy
-    else if (outward > 0.0_wp) then
-      call fold(y - uy*depth/outward, width, height, turned, passed)
-      flight%time = -depth/outward
-      flight%y = height
-      flight%along = outward
-      flight%through = length/outward
-      flight%across = turned*uy
-      hits = hits - int(passed, int64)
-      flight%heading = merge(to_return, in_gate, channel == ungated)
+    else if (passage%inward) then
+      flight%heading = merge(in_gate, to_return, passage%channel == gated)
+      flight%time = passage%time
+      flight%y = passage%height
+      flight%along = abs(ux)
+      flight%through = table%channel(passage%channel)%length/abs(ux)
+      flight%across = passage%turned*uy
+      hits = hits - int(passage%hits, int64)
     else
-      call reserve_place()
-      visits%channel(count) = channel
-      visits%passage(count) = -depth/outward
-      visits%along(count) = abs(ux)
+      associate (urn => table%urn(passage%side), at => visits%count + 1)
+        visits%particle(at) = i
+        visits%urn(at) = passage%side
+        visits%time(at) = 0.0_wp
+        visits%y(at) = y
+        visits%across(at) = uy
+        ! In an urn in the frame of that, in a channel as `leave_channels` wants it.
+        visits%hits(at) = 0.0_wp
+        visits%x(at) = urn%centre - abs(x)
+        visits%passage(at) = passage%time
+        visits%along(at) = merge(abs(ux), urn%way*ux, from_channels)
+        if (from_channels) visits%channel(at) = passage%channel
+        visits%count = at
+      end associate
     end if
-
-  contains
-
-    subroutine reserve_place()
-      count = visits%count + 1
-      visits%count = count
-      visits%particle(count) = i
-      visits%urn(count) = side
-      visits%time(count) = 0.0_wp
-      visits%passage(count) = 0.0_wp
-      visits%y(count) = y
-      visits%across(count) = uy
-    end subroutine reserve_place
-
   end subroutine launch
 
 end module battery_launch

@@ -15,14 +15,14 @@
 !> Ticks belong to the order of events and to the seed alone, not to the windows.
 !>
 !> **What is not there.** There are no walls in an urn. `collisions` takes the mean for them,
-!> (arc left)/(pi A) hits per time spent in an urn, and the true hits in the channels: so a
+!> (walls)/(pi A) hits per time spent in an urn, and the true hits in the channels: so a
 !> run of so many collisions is about as long as that of another engine. Nobody has a place in an
 !> urn: `particles` draws one, uniform in the urn, from the seed, the time and the particle's
 !> number; it is another one at each time.
 module battery_reservoir
   use battery_kinds, only: wp, int32, int64, pi
   use battery_powers, only: power_above
-  use battery_table, only: gated, ungated, beyond, alike, area_of_urn, arc_length, mean_visit
+  use battery_table, only: gated, ungated, alike, mean_visit
   use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, &
     passed_walls, from_gate, from_return, in_gate, to_return, parked
   use battery_random, only: new_random
@@ -60,8 +60,6 @@ module battery_reservoir
     !> Longest window, mean time between ticks of a member, half lengths of the channels, and a time
     !> that any clock within a page can tell from none.
     real(wp) :: window = 0.0_wp, mean_stay = 0.0_wp, half(2) = 0.0_wp, shortest = 0.0_wp
-    !> Where one is that has crossed a line from each side.
-    integer :: beyond(2) = 0
     !> Whether the urns differ; the share of its ticks that one in each urn heeds; hits per time in
     !> each urn, and the greater of the two rates.
     logical :: uneven = .false.
@@ -74,24 +72,17 @@ module battery_reservoir
     !> How many move on, that is, are not parked.
     integer :: moving = 0
   contains
-    procedure :: prepare
-    procedure :: take_over
-    procedure :: live
-    procedure :: turn_page
-    procedure :: pass_own
-    procedure :: particles => all_particles
-    procedure :: collisions
-    procedure :: trapped
+    procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type reservoir_type
 
   ! What it tells of itself, and how its state is kept: `reservoir_state.f90`.
   interface
-    module subroutine all_particles(self, first, last, particles)
+    module function state_of(self, i) result(state)
       implicit none (type, external)
       class(reservoir_type), intent(in) :: self
-      integer, intent(in) :: first, last
-      type(particles_type), intent(out) :: particles
-    end subroutine all_particles
+      integer, intent(in) :: i
+      real(wp) :: state(4)
+    end function state_of
 
     module function collisions(self) result(total)
       implicit none (type, external)
@@ -121,11 +112,10 @@ contains
     integer :: side
 
     do side = 1, 2
-      self%beyond(side) = beyond(self%table, side)
-      stay(side) = mean_visit(self%table, side)
-      self%urn_rate(side) = arc_length(self%table, side)/(pi*area_of_urn(self%table, side))
+      stay(side) = mean_visit(self%table%urn(side))
     end do
-    self%uneven = .not. alike(self%table)
+    self%urn_rate = self%table%urn%perimeter/(pi*self%table%urn%area)
+    self%uneven = .not. alike(self%table%urn)
     self%mean_stay = minval(stay)
     self%heeded = self%mean_stay/stay
     self%hit_rate = maxval(self%urn_rate)
@@ -366,9 +356,9 @@ contains
       urn = self%stay(i)%urn
     end if
     call record_crossing(history, time - began, crossing_of(urn, channel), i)
-    if (self%beyond(urn) == urn) self%known_hits = self%known_hits + 1
+    if (self%table%beyond(urn) == urn) self%known_hits = self%known_hits + 1
     associate (stay => self%stay(i))
-      stay%urn = int(self%beyond(urn), int32)
+      stay%urn = int(self%table%beyond(urn), int32)
       stay%heading = int(merge(from_gate, from_return, channel == gated), int32)
       self%entered(i) = stay%time + 2.0_wp*self%half(channel)/stay%along
     end associate

@@ -1,29 +1,18 @@
 !> What the engine `reservoir` tells of itself, and how its state is kept.
 submodule (battery_reservoir) battery_reservoir_state
-  use battery_engine, only: allocate_particles
   use battery_queue, only: pass_queue
   use battery_stay, only: whereabouts, pass_draws
   implicit none (type, external)
 
 contains
 
-  !> Where the particles `first` ... `last` are now; in an urn a place is drawn.
-  module procedure all_particles
-    real(wp) :: place(4)
+  !> Where a particle is now; in an urn a place is drawn.
+  module procedure state_of
     integer(int64) :: key
-    integer :: i, k
 
     key = self%seed + ishft(self%pages, 20) + int(self%now/self%page*2.0_wp**61, int64)
-    call allocate_particles(particles, last - first + 1)
-    do i = first, last
-      k = i - first + 1
-      place = whereabouts(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
-      particles%x(k) = place(1)
-      particles%y(k) = place(2)
-      particles%ux(k) = place(3)
-      particles%uy(k) = place(4)
-    end do
-  end procedure all_particles
+    state = whereabouts(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
+  end procedure state_of
 
   !> Wall hits from the start until now: those known, put right for where each particle is.
   module procedure collisions

@@ -1,8 +1,8 @@
 !> What the engine `reservoir` knows of a particle, and the random numbers that it lives by.
 module battery_stay
   use battery_kinds, only: wp, int32, int64, pi
-  use battery_table, only: table_type, gated, ungated, in_urn, in_return, side_at, chamber_at, &
-    x_direction, longest_run, try_point
+  use battery_table, only: table_type, passage_type, passage_at, gated, ungated, no_channel, &
+    x_direction, try_place
   use battery_channel, only: fold
   use battery_stream, only: stream_type
   use battery_random, only: random_type, draw_uniform, hashed_uniform
@@ -95,39 +95,23 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     type(stay_type), intent(out) :: stay
     real(wp), intent(out) :: entered
-    integer :: side, chamber, channel
-    real(wp) :: outward, depth, width, length, turned, hits
-    !> Slower passages, longer than any run, and those with more wall hits than an integer can
-    !> count, are taken for endless.
-    real(wp), parameter :: most_hits = 4.0e18_wp
+    type(passage_type) :: passage
 
-    side = side_at(table, x)
-    chamber = chamber_at(table, x, y, huge(1.0_wp))
+    passage = passage_at(table, x, y, ux, uy)
     entered = 0.0_wp
-    stay = stay_type(y=y, along=abs(ux), across=uy, urn=int(side, int32))
-    if (chamber == in_urn) return
-    channel = merge(ungated, gated, chamber == in_return)
-    width = table%channel(channel)%width
-    length = table%channel(channel)%length
-    ! How far it is beyond the chord, and how fast it goes on from there.
-    depth = 0.5_wp*length - abs(x)
-    outward = -x_direction(side)*ux
-    if (channel == ungated) then
-      depth = abs(x) - table%urn(side)%centre - table%urn(side)%chord(ungated)
-      outward = x_direction(side)*ux
-    end if
-    if (.not. abs(ux)*min(longest_run*table%urn(side)%radius, most_hits*width) > length) then
+    stay = stay_type(y=y, along=abs(ux), across=uy, urn=int(passage%side, int32))
+    if (passage%endless) then
       stay%heading = int(parked, int32)
       stay%along = x
-    else if (outward > 0.0_wp) then
-      call fold(y - uy*depth/outward, width, stay%y, turned, hits)
-      stay%time = -depth/outward
-      stay%across = turned*uy
-      stay%heading = int(merge(to_return, in_gate, channel == ungated), int32)
-      stay%hits = real(passed_walls(table, stay, length/outward), wp)
-    else
-      stay%heading = int(merge(from_return, from_gate, channel == ungated), int32)
-      entered = -depth/outward
+    else if (passage%inward) then
+      stay%time = passage%time
+      stay%y = passage%height
+      stay%across = passage%turned*uy
+      stay%heading = int(merge(in_gate, to_return, passage%channel == gated), int32)
+      stay%hits = real(passed_walls(table, stay, table%channel(passage%channel)%length/abs(ux)), wp)
+    else if (passage%channel /= no_channel) then
+      stay%heading = int(merge(from_gate, from_return, passage%channel == gated), int32)
+      entered = passage%time
       stay%hits = real(passed_walls(table, stay, entered), wp)
     end if
   end subroutine take_in
@@ -167,7 +151,7 @@ contains
     real(wp) :: place(4)
     real(wp) :: gone, left, begins
 
-    begins = table%urn(stay%urn)%centre + table%urn(stay%urn)%chord(ungated)
+    begins = table%urn(stay%urn)%begins(ungated)
     gone = stay%along*(now - stay%time)
     left = stay%along*(entered - now)
     select case (stay%heading)
@@ -207,27 +191,26 @@ contains
 
   end function whereabouts
 
-  !> Uniform in the urn of a side, as if that lay at x > 0, with a direction.
+  !> Uniform in an urn, as if that lay at x > 0, with a direction.
   pure function drawn_in_urn(table, side, key, count) result(place)
     type(table_type), intent(in) :: table
     integer(int32), intent(in) :: side
     integer(int64), intent(in) :: key, count
     real(wp) :: place(4)
     integer(int64) :: turn
-    real(wp) :: x, y, angle
+    real(wp) :: angle
     logical :: inside
 
     turn = ishft(count, 20)
-    associate (urn => table%urn(side))
-      do
-        call try_point(urn%radius, -urn%chord(gated), urn%chord(ungated), &
-          hashed_uniform(key, turn), hashed_uniform(key, turn + 1), x, y, inside)
-        turn = turn + 2
-        if (inside) exit
-      end do
-      angle = 2.0_wp*pi*hashed_uniform(key, turn)
-      place = [urn%centre + x, y, cos(angle), sin(angle)]
-    end associate
+    do
+      call try_place(table%urn(side), 1.0_wp - hashed_uniform(key, turn), hashed_uniform(key, &
+        turn + 1), place(1), place(2), inside)
+      turn = turn + 2
+      if (inside) exit
+    end do
+    place(1) = x_direction(side)*place(1)
+    angle = 2.0_wp*pi*hashed_uniform(key, turn)
+    place(3:) = [cos(angle), sin(angle)]
   end function drawn_in_urn
 
   !> The numbers drawn ahead, and the generator, through a stream.

@@ -6,8 +6,9 @@
 !> except a reversal, which brings all those counted in a gate to its time.
 module battery_collision
   use battery_kinds, only: wp, int64
-  use battery_bounce, only: walls_type, motion_type, fly, hit_arc, hit_channel, turn_back, &
-    meets_arc, meets_wall, meets_nothing
+  use battery_table, only: table_type
+  use battery_motion, only: motion_type, fly, meets_channel_wall, meets_nothing
+  use battery_bounce, only: hit_wall, turn_back
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
     meet, end_instant, count_hits, longest_window
   use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, shift_times
@@ -36,14 +37,8 @@ module battery_collision
     !> Longest window.
     real(wp) :: window = 0.0_wp
   contains
-    procedure :: prepare
-    procedure :: live
-    procedure :: turn_page
-    procedure :: turn_particle
-    procedure :: pass_own
-    procedure :: motion_now
-    procedure :: write_down
-    procedure :: take_over
+    procedure :: prepare, take_over, live, turn_page, pass_own
+    procedure :: turn_particle, motion_now, write_down
   end type collision_type
 
 contains
@@ -88,7 +83,7 @@ contains
     ends = min(began + min(duration, self%window), self%page)
     call reserve_history(history, 64, 64)
     do
-      call bounce_until(self%walls, self%number, self%motion, self%tournament, ends, hits)
+      call bounce_until(self%table, self%number, self%motion, self%tournament, ends, hits)
       call count_hits(self, history, hits)
       if (self%tournament%node(1)%time >= ends) exit
       if (history%collisions_seen >= most_hits) then
@@ -105,8 +100,8 @@ contains
 
   !> The hot loop: wall collisions, until something else is due or the window ends. They touch only
   !> the particle that has one.
-  pure subroutine bounce_until(walls, number, motion, tournament, ends, hits)
-    type(walls_type), intent(in) :: walls
+  pure subroutine bounce_until(table, number, motion, tournament, ends, hits)
+    type(table_type), intent(in) :: table
     integer, intent(in) :: number
     type(motion_type), intent(inout) :: motion(number)
     type(tournament_type), intent(inout) :: tournament
@@ -119,13 +114,9 @@ contains
     do
       time = tournament%node(1)%time
       i = tournament%node(1)%particle
-      if (time >= ends .or. motion(i)%next > meets_wall .or. hits >= most_hits) exit
+      if (time >= ends .or. motion(i)%next < meets_channel_wall .or. hits >= most_hits) exit
       call fly(motion(i), time - motion(i)%time)
-      if (motion(i)%next == meets_arc) then
-        call hit_arc(walls%side(motion(i)%side), motion(i), wait)
-      else
-        call hit_channel(walls, motion(i), wait)
-      end if
+      call hit_wall(table%urn(motion(i)%side), motion(i), wait)
       motion(i)%time = time
       call set_time(tournament, i, time + wait)
       hits = hits + 1
@@ -160,7 +151,7 @@ contains
 
     call fly(self%motion(i), self%now - self%motion(i)%time)
     self%motion(i)%time = self%now
-    call turn_back(self%walls, self%motion(i), wait)
+    call turn_back(self%table%urn(self%motion(i)%side), self%motion(i), wait)
     call set_time(self%tournament, i, self%now + wait)
   end subroutine turn_particle
 

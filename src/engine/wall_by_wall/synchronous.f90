@@ -12,7 +12,7 @@
 !>   particles are a little more than the first level holds. That takes another third off.
 module battery_synchronous
   use battery_kinds, only: wp, int8, int64
-  use battery_bounce, only: motion_type, meets_nothing
+  use battery_motion, only: motion_type, meets_nothing, wall_kind
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
     meet, end_instant, longest_window
   use battery_engine, only: particles_type
@@ -44,7 +44,8 @@ module battery_synchronous
     !> All of them now: lane, which number (`in_x` ...), row. Who is not there or meets nothing
     !> stands still and has a huge time left.
     real(wp), allocatable :: field(:, :, :)
-    integer(int8), allocatable :: side(:), chamber(:), next(:)
+    integer(int8), allocatable :: side(:), chamber(:)
+    integer(wall_kind), allocatable :: next(:)
     !> Whether the next pass goes backwards.
     logical :: backwards = .false.
     !> Velocities of those that meet nothing.
@@ -54,12 +55,7 @@ module battery_synchronous
     !> Longest window.
     real(wp) :: window = 0.0_wp
   contains
-    procedure :: prepare
-    procedure :: live
-    procedure :: pass_own
-    procedure :: motion_now
-    procedure :: write_down
-    procedure :: take_over
+    procedure :: prepare, take_over, live, pass_own, motion_now, write_down
   end type synchronous_type
 
 contains

@@ -2,10 +2,10 @@
 !>
 !> What one would write first, here to be measured against: it is wrong by one order of the step.
 !> After each step, for each particle that is not well inside its urn:
-!> - Beyond the arc of its urn it is put back by mirroring it in the circle, along the ray from the
-!>   centre, and its velocity is reflected there; beyond a wall of its channel it is mirrored in the
-!>   wall, as often as it takes. That is a wall collision. The places and normals of these are wrong
-!>   by as much as the particle has gone too far.
+!> - Beyond the wall of its urn it is put back by mirroring it in the wall, and its velocity is
+!>   reflected there; beyond a wall of its channel it is mirrored in that, as often as it takes.
+!>   That is a wall collision. The places and normals of these are wrong by as much as the particle
+!>   has gone too far.
 !> - Beyond the chord of an opening, between the channel's walls and on its way out, it has entered
 !>   the channel; short of the chord it has left it. Beyond the middle line or the periodic line it
 !>   has crossed that. Gates count at the end of the step: crossings first, then all entries, then
@@ -21,12 +21,14 @@
 module battery_timestep
   use battery_kinds, only: wp, int8, int64
   use battery_text, only: to_text
-  use battery_table, only: table_type, gated, ungated, in_urn, in_gate, in_return, x_direction, &
-    alike
-  use battery_bounce, only: motion_type, side_type
-  use battery_channel, only: fold
+  use battery_table, only: table_type, urn_type, gated, ungated, in_urn, in_gate, in_return, &
+    x_direction, alike
+  use battery_channel, only: fold, facing
+  use battery_motion, only: motion_type
+  use battery_urn, only: holds, put_back
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, pass_counts, end_instant, &
     count_hits, enter_gate, cross_over
+  use battery_engine, only: what_all_need
   use battery_history, only: history_type, reserve_history
   use battery_stream, only: stream_type
   implicit none (type, external)
@@ -49,17 +51,10 @@ module battery_timestep
     integer(int8), allocatable :: side(:), chamber(:)
     !> Who is not well inside an urn.
     logical, allocatable :: busy(:)
-    !> Whether both urns have the same size.
-    logical :: one_size = .true.
     !> Steps in a window.
     integer :: window = 1
   contains
-    procedure :: supports
-    procedure :: prepare
-    procedure :: live
-    procedure :: pass_own
-    procedure :: motion_now
-    procedure :: write_down
+    procedure :: supports, prepare, live, pass_own, motion_now, write_down
   end type timestep_type
 
 contains
@@ -71,12 +66,14 @@ contains
     character(len=:), allocatable :: reason
     real(wp) :: longest
 
-    longest = min(minval(table%urn%radius), 0.5_wp*table%channel(gated)%length)
+    reason = what_all_need(table)
+    if (reason /= '') return
+    longest = min(minval(table%urn%clear), 0.5_wp*table%channel(gated)%length)
     if (table%sides == 2) longest = min(longest, 0.5_wp*table%channel(ungated)%length)
-    reason = ''
     if (.not. self%time_step > 0.0_wp .or. self%time_step >= longest) reason = &
       'its time_step must be above 0 and below '//to_text(longest) &
-      //', the least of urn_radius and half of each channel''s length'
+      //', the least of half of each channel''s length and of the way from the middle of an urn ' &
+      //'to its walls'
   end function supports
 
   !> Walls, the steps of a window, and room for the particles.
@@ -87,9 +84,8 @@ contains
     call prepare_walls(self)
     number = self%number
     self%window = int(max(1.0_wp, min(window_moves/real(number, wp), &
-      window_radii*maxval(self%table%urn%radius)/self%time_step)))
+      window_radii*maxval(self%table%urn%reach)/self%time_step)))
     self%slips = 0
-    self%one_size = alike(self%table)
     if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%side, self%chamber, &
       self%busy)
     allocate (self%x(number), self%y(number), self%ux(number), self%uy(number))
@@ -116,9 +112,9 @@ contains
       if (turn > 1 .and. .not. step > 0.0_wp) exit
       since = since + step
       self%now = began + since
-      call move_all(self%walls%side(1), self%walls%radius2(1), self%number, step, self%x, self%y, &
-        self%ux, self%uy, self%chamber, self%busy)
-      if (.not. self%one_size) call look_again(self)
+      call move_all(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
+        self%chamber, self%busy)
+      if (.not. alike(self%table%urn)) call look_again(self)
       call look_around(self, since, history)
     end do
     history%duration = since
@@ -126,55 +122,52 @@ contains
   end subroutine live
 
   !> Straight on by `step`; who may have met something is busy.
-  pure subroutine move_all(w, radius2, number, step, x, y, ux, uy, chamber, busy)
+  pure subroutine move_all(urn, number, step, x, y, ux, uy, chamber, busy)
     !> Of side 1; what is busy on the other side is right if the urns are alike.
-    type(side_type), intent(in) :: w
-    real(wp), intent(in) :: radius2
+    type(urn_type), intent(in) :: urn
     integer, intent(in) :: number
     real(wp), intent(in) :: step, ux(number), uy(number)
     real(wp), intent(inout) :: x(number), y(number)
     integer(int8), intent(in) :: chamber(number)
     logical, intent(out) :: busy(number)
-    real(wp) :: qx, chord1, chord2, centre
+    real(wp) :: clear2, chord1, chord2, centre
     integer :: i
 
     ! Copies that the compiler may keep in registers.
-    chord1 = w%chord(gated)
-    chord2 = w%chord(ungated)
-    centre = w%centre
+    clear2 = urn%clear**2
+    chord1 = urn%chord(gated)
+    chord2 = urn%chord(ungated)
+    centre = urn%centre
     do i = 1, number
       x(i) = x(i) + ux(i)*step
       y(i) = y(i) + uy(i)*step
-      qx = abs(x(i)) - centre
-      busy(i) = qx**2 + y(i)**2 > radius2 .or. qx <= -chord1 .or. qx >= chord2
+      busy(i) = is_near(centre - abs(x(i)), y(i), clear2, chord1, chord2)
     end do
     do i = 1, number
       busy(i) = busy(i) .or. chamber(i) /= in_urn
     end do
   end subroutine move_all
 
-  !> Urns of unequal size: who is busy in urn 2.
+  !> Whether one at (x, y) in the frame of its urn may have met a wall or a chord of that.
+  elemental function is_near(x, y, clear2, chord1, chord2) result(near)
+    real(wp), intent(in) :: x, y, clear2, chord1, chord2
+    logical :: near
+
+    near = x**2 + y**2 > clear2 .or. x >= chord1 .or. x <= -chord2
+  end function is_near
+
+  !> Urns that differ: who is busy in urn 2.
   pure subroutine look_again(self)
     type(timestep_type), intent(inout) :: self
     integer :: i
 
-    do i = 1, self%number
-      if (self%side(i) == 2 .and. self%chamber(i) == in_urn) &
-        call find_busy(self%walls%side(2), self%walls%radius2(2), self%x(i), self%y(i), &
-        self%busy(i))
-    end do
+    associate (urn => self%table%urn(2))
+      do i = 1, self%number
+        if (self%side(i) == 2 .and. self%chamber(i) == in_urn) self%busy(i) = is_near(urn%centre &
+          - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), urn%chord(ungated))
+      end do
+    end associate
   end subroutine look_again
-
-  !> Whether one of an urn may have met something.
-  pure subroutine find_busy(w, radius2, x, y, busy)
-    type(side_type), intent(in) :: w
-    real(wp), intent(in) :: radius2, x, y
-    logical, intent(out) :: busy
-    real(wp) :: qx
-
-    qx = abs(x) - w%centre
-    busy = qx**2 + y**2 > radius2 .or. qx <= -w%chord(gated) .or. qx >= w%chord(ungated)
-  end subroutine find_busy
 
   !> Puts the particles right at the end of a step, and lets the gates decide.
   subroutine look_around(self, since, history)
@@ -195,51 +188,43 @@ contains
     call end_instant(self, since, first, history)
   end subroutine look_around
 
-  !> A particle of an urn that is beyond the arc or beyond a chord.
+  !> A particle of an urn that may be beyond a wall or beyond a chord.
   subroutine live_in_urn(self, i, since, history)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
     real(wp), intent(in) :: since
     type(history_type), intent(inout) :: history
-    real(wp) :: out, qx, vx, distance, outward, factor
+    real(wp) :: x, ux
+    logical :: was_beyond
 
-    out = x_direction(self%side(i))
-    associate (w => self%walls%side(self%side(i)), radius2 => self%walls%radius2(self%side(i)), &
-      half => self%walls%half, x => self%x(i), y => self%y(i), ux => self%ux(i), uy => self%uy(i))
-      qx = out*x - w%centre
-      vx = out*ux
-      if (qx <= -w%chord(gated) .and. vx < 0.0_wp .and. abs(y) < half(gated)) then
-        call go_in(self, i, in_gate, half(gated), (qx + w%chord(gated))/vx)
+    associate (urn => self%table%urn(self%side(i)), y => self%y(i))
+      x = urn%centre + urn%way*self%x(i)
+      ux = urn%way*self%ux(i)
+      if (x >= urn%chord(gated) .and. ux > 0.0_wp .and. abs(y) < urn%half_width(gated)) then
+        call go_through(self, i, in_gate, urn%half_width(gated), (x - urn%chord(gated))/ux)
         call enter_gate(self, history, since, i, self%motion_now(i))
-      else if (qx >= w%chord(ungated) .and. vx > 0.0_wp .and. abs(y) < half(ungated)) then
-        call go_in(self, i, in_return, half(ungated), (qx - w%chord(ungated))/vx)
-      else if (qx**2 + y**2 > radius2) then
-        distance = hypot(qx, y)
-        outward = (qx*vx + y*uy)/distance
-        ! In a segment beyond a chord it may have come out of the channel into the wall.
-        outward = max(outward, 0.0_wp)
-        vx = vx - 2.0_wp*outward*qx/distance
-        uy = uy - 2.0_wp*outward*y/distance
-        factor = 1.5_wp - 0.5_wp*(vx**2 + uy**2)
-        ux = out*factor*vx
-        uy = factor*uy
-        factor = 2.0_wp*sqrt(radius2)/distance - 1.0_wp
-        x = out*(w%centre + factor*qx)
-        y = factor*y
+      else if (x <= -urn%chord(ungated) .and. ux < 0.0_wp .and. abs(y) &
+        < urn%half_width(ungated)) then
+        call go_through(self, i, in_return, urn%half_width(ungated), (x + urn%chord(ungated))/ux)
+      else
+        call put_back(urn, x, y, ux, self%uy(i), was_beyond)
+        if (.not. was_beyond) return
+        self%x(i) = urn%way*(x - urn%centre)
+        self%ux(i) = urn%way*ux
         call count_hits(self, history, 1_int64)
       end if
     end associate
   end subroutine live_in_urn
 
-  !> From an urn into a channel whose half width is `half`; it crossed the chord `ago`.
-  subroutine go_in(self, i, chamber, half, ago)
+  !> Through a chord into another chamber, `ago`; there the channel's half width is `half`.
+  subroutine go_through(self, i, chamber, half, ago)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i, chamber
     real(wp), intent(in) :: half, ago
 
     if (abs(self%y(i) - self%uy(i)*ago) > half) self%slips = self%slips + 1
     self%chamber(i) = int(chamber, int8)
-  end subroutine go_in
+  end subroutine go_through
 
   !> A particle of a channel: walls, lines, and the way out.
   subroutine live_in_channel(self, i, since, history)
@@ -247,28 +232,30 @@ contains
     integer, intent(in) :: i
     real(wp), intent(in) :: since
     type(history_type), intent(inout) :: history
-    real(wp) :: out, depth, ahead, half, qx
-    logical :: inside_gate, inward
+    real(wp) :: out, depth, ahead, half, ago
+    integer :: channel
+    logical :: inward
 
     out = x_direction(self%side(i))
-    inside_gate = self%chamber(i) == in_gate
+    channel = merge(gated, ungated, self%chamber(i) == in_gate)
     ! On its way to the far end: such a particle cannot leave.
-    inward = merge(out, -out, inside_gate)*self%ux(i) < 0.0_wp
-    associate (walls => self%walls, w => self%walls%side(self%side(i)), x => self%x(i))
-      half = merge(walls%half(gated), walls%half(ungated), inside_gate)
+    inward = facing(channel)*out*self%ux(i) < 0.0_wp
+    associate (urn => self%table%urn(self%side(i)), x => self%x(i))
+      half = urn%half_width(channel)
       ! How far it is beyond the chord, and short of the line.
-      depth = merge(walls%gate_end - out*x, out*x - walls%return_begin(self%side(i)), &
-        inside_gate)
-      ahead = merge(out*x, walls%return_end(self%side(i)) - out*x, inside_gate)
-      qx = out*x - w%centre
-      if (.not. inward .and. depth < 0.0_wp .and. &
-        qx**2 + self%y(i)**2 <= walls%radius2(self%side(i))) then
-        call go_out(self, i, half, depth)
+      depth = facing(channel)*(urn%begins(channel) - out*x)
+      ahead = merge(out*x, urn%periodic_line - out*x, channel == gated)
+      if (.not. inward .and. depth < 0.0_wp .and. holds(urn, urn%centre - out*x, self%y(i), &
+        0.0_wp)) then
+        ago = 0.0_wp
+        if (abs(self%ux(i)) > 0.0_wp) ago = -depth/abs(self%ux(i))
+        call go_through(self, i, in_urn, half, ago)
         return
       end if
       if (abs(self%y(i)) > half) call mirror(self, i, half, history)
       if (.not. inward) then
-        if (depth < 0.0_wp) call go_out(self, i, half, 0.0_wp)
+        ! In the wall beside the channel.
+        if (depth < 0.0_wp) call go_through(self, i, in_urn, half, 0.0_wp)
       else if (ahead < 0.0_wp) then
         call go_over(self, i, since, history)
       end if
@@ -289,20 +276,6 @@ contains
     call count_hits(self, history, int(hits, int64))
   end subroutine mirror
 
-  !> From a channel into its urn; `depth` is how far it is beyond the chord, or 0 if it was in the
-  !> wall beside the channel.
-  subroutine go_out(self, i, half, depth)
-    type(timestep_type), intent(inout) :: self
-    integer, intent(in) :: i
-    real(wp), intent(in) :: half, depth
-    real(wp) :: ago
-
-    ago = 0.0_wp
-    if (abs(self%ux(i)) > 0.0_wp) ago = -depth/abs(self%ux(i))
-    if (abs(self%y(i) - self%uy(i)*ago) > half) self%slips = self%slips + 1
-    self%chamber(i) = int(in_urn, int8)
-  end subroutine go_out
-
   !> Over the line of its channel, or back from the end wall.
   subroutine go_over(self, i, since, history)
     type(timestep_type), intent(inout) :: self
@@ -312,13 +285,13 @@ contains
     integer :: from
 
     from = self%side(i)
-    self%side(i) = self%walls%beyond(from)
+    self%side(i) = int(self%table%beyond(from), int8)
     if (self%side(i) == from) then
       self%x(i) = -self%x(i)
       self%ux(i) = -self%ux(i)
     else if (self%chamber(i) == in_return) then
       ! From one end of the table to the other.
-      self%x(i) = self%x(i) - x_direction(from)*sum(self%walls%return_end)
+      self%x(i) = self%x(i) - x_direction(from)*sum(self%table%urn%periodic_line)
     end if
     call cross_over(self, history, since, i, from, int(self%chamber(i)))
   end subroutine go_over

@@ -8,12 +8,11 @@
 module battery_wall_by_wall
   use battery_kinds, only: wp, int64
   use battery_table, only: gated, ungated, in_gate
-  use battery_bounce, only: walls_type, motion_type, new_walls, put_down, take_off, hit_arc, &
-    hit_channel, enter_channel, leave_channel, cross_line, turn_back, heads_for_middle, &
-    time_to_middle, is_trapped, meets_arc, meets_wall, meets_gate, meets_return, meets_urn, &
-    meets_line
+  use battery_motion, only: motion_type, meets_gate, meets_line, meets_channel_wall
+  use battery_bounce, only: put_down, take_off, hit_wall, pass_line, turn_back, heads_for_middle, &
+    time_to_middle, is_trapped
   use battery_gate, only: hold, enter, undecided, decide, cross, turned_back
-  use battery_engine, only: engine_type, particles_type, allocate_particles
+  use battery_engine, only: engine_type, particles_type
   use battery_history, only: history_type, record_crossing, record_event, record_reversal, &
     order_events, crossing_of, event_entry
   use battery_stream, only: stream_type
@@ -24,16 +23,13 @@ module battery_wall_by_wall
 
   !> What these engines have; a kind of them adds when events happen.
   type, abstract, extends(engine_type) :: wall_by_wall_type
-    type(walls_type) :: walls
     !> N1 - N2.
     integer :: difference = 0
     !> Wall collisions since the start.
     integer(int64) :: hits = 0
   contains
     procedure :: take_over => take_in
-    procedure :: particles => all_particles
-    procedure :: collisions
-    procedure :: trapped
+    procedure :: state_of, collisions, trapped
     !> Turns a particle of a gate back.
     procedure :: turn_particle
     !> Where a particle is now, and how it moves.
@@ -67,22 +63,21 @@ contains
   subroutine prepare_walls(self)
     class(wall_by_wall_type), intent(inout) :: self
 
-    self%walls = new_walls(self%table)
-    self%page = self%walls%page
+    self%page = self%table%page
     self%difference = 0
     self%hits = 0
   end subroutine prepare_walls
 
-  !> At most so many radii of the larger urn, and about as many events.
+  !> At most so many times the reach of the larger urn, and about as many events.
   pure function longest_window(self, radii, events) result(window)
     class(wall_by_wall_type), intent(in) :: self
-    !> A number of radii.
+    !> How many times.
     real(wp), intent(in) :: radii
     !> Events in all.
     real(wp), intent(in) :: events
     real(wp) :: window
 
-    window = maxval(self%table%urn%radius)*min(radii, events/real(self%number, wp))
+    window = maxval(self%table%urn%reach)*min(radii, events/real(self%number, wp))
   end function longest_window
 
   !> Takes in the particles. In a gate and on its way to the other one a particle is counted from
@@ -97,7 +92,7 @@ contains
     do i = 1, self%number
       motion = put_down(self%table, particles%x(i), particles%y(i), particles%ux(i), &
         particles%uy(i))
-      call take_off(self%walls, motion, wait)
+      call take_off(self%table, motion, wait)
       self%difference = self%difference + merge(1, -1, motion%side == 1)
       if (heads_for_middle(motion)) call hold(self%gate(motion%side), self%now &
         + time_to_middle(motion), i)
@@ -116,30 +111,19 @@ contains
     integer, intent(in) :: particle
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
-    integer :: side, chamber
+    integer :: side, chamber, met
 
-    select case (motion%next)
-    case (meets_arc)
-      call hit_arc(self%walls%side(motion%side), motion, wait)
+    side = motion%side
+    chamber = motion%chamber
+    met = motion%next
+    if (met >= meets_channel_wall) then
+      call hit_wall(self%table%urn(side), motion, wait)
       call count_hits(self, history, 1_int64)
-    case (meets_wall)
-      call hit_channel(self%walls, motion, wait)
-      call count_hits(self, history, 1_int64)
-    case (meets_gate)
-      call enter_channel(self%walls, motion, wait)
-      call enter_gate(self, history, since, particle, motion)
-    case (meets_return)
-      call enter_channel(self%walls, motion, wait)
-    case (meets_urn)
-      call leave_channel(self%walls, motion, wait)
-    case (meets_line)
-      side = motion%side
-      chamber = motion%chamber
-      call cross_line(self%walls, motion, wait)
-      call cross_over(self, history, since, particle, side, chamber)
-    case default
-      wait = huge(1.0_wp)
-    end select
+    else
+      call pass_line(self%table, motion, wait)
+      if (met == meets_gate) call enter_gate(self, history, since, particle, motion)
+      if (met == meets_line) call cross_over(self, history, since, particle, side, chamber)
+    end if
   end subroutine meet
 
   !> A particle has come into the gate of its side.
@@ -172,7 +156,7 @@ contains
     else
       call record_crossing(history, since, crossing_of(side, ungated), particle)
     end if
-    if (self%walls%beyond(side) == side) then
+    if (self%table%beyond(side) == side) then
       call count_hits(self, history, 1_int64)
     else
       self%difference = self%difference + merge(-2, 2, side == 1)
@@ -241,28 +225,20 @@ contains
     real(wp) :: wait
 
     motion = self%motion_now(i)
-    call turn_back(self%walls, motion, wait)
+    call turn_back(self%table%urn(motion%side), motion, wait)
     call self%write_down(i, motion, wait)
   end subroutine turn_particle
 
-  !> Where the particles `first` ... `last` are now, in the frame of the table.
-  subroutine all_particles(self, first, last, particles)
+  !> x, y, u_x, u_y of particle `i` now.
+  function state_of(self, i) result(state)
     class(wall_by_wall_type), intent(in) :: self
-    integer, intent(in) :: first, last
-    type(particles_type), intent(out) :: particles
+    integer, intent(in) :: i
+    real(wp) :: state(4)
     type(motion_type) :: motion
-    integer :: i, k
 
-    call allocate_particles(particles, last - first + 1)
-    do i = first, last
-      k = i - first + 1
-      motion = self%motion_now(i)
-      particles%x(k) = motion%x
-      particles%y(k) = motion%y
-      particles%ux(k) = motion%ux
-      particles%uy(k) = motion%uy
-    end do
-  end subroutine all_particles
+    motion = self%motion_now(i)
+    state = [motion%x, motion%y, motion%ux, motion%uy]
+  end function state_of
 
   !> Wall collisions since the start.
   function collisions(self) result(total)

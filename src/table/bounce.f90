@@ -1,0 +1,209 @@
+!> One particle from event to event: what it meets next and when, and what that does to it.
+!>
+!> Direct geometry in the coordinates of the table: a line and two straight walls in a channel; in
+!> an urn, what its shape says. Chords, the middle line and the periodic line are met like walls,
+!> but do not reflect. What a particle can meet follows from the chamber it is in and from the
+!> direction in which it moves, never from its distance to a wall: so nothing has to be nudged. It
+!> is put exactly on what it meets.
+module battery_bounce
+  use battery_kinds, only: wp, int8
+  use battery_table, only: table_type, urn_type, gated, ungated, no_channel, in_urn, in_gate, &
+    in_return, side_at, chamber_at, x_direction
+  use battery_channel, only: facing
+  use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
+    meets_urn, meets_line, meets_channel_wall
+  use battery_urn, only: aim, hit
+  implicit none (type, external)
+  private
+  public :: put_down, take_off, hit_wall, pass_line, turn_back
+  public :: heads_for_middle, time_to_middle, is_trapped
+
+contains
+
+  !> A particle at a place, with a velocity of length 1.
+  pure function put_down(table, x, y, ux, uy) result(motion)
+    type(table_type), intent(in) :: table
+    !> In the frame of the table; lengths, and components of the velocity.
+    real(wp), intent(in) :: x, y, ux, uy
+    type(motion_type) :: motion
+
+    motion = motion_type(x=x, y=y, ux=ux, uy=uy, side=int(side_at(table, x), int8), &
+      chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
+  end function put_down
+
+  !> The first flight of a particle that was put down; `wait` is the time until it meets what it
+  !> meets first.
+  pure subroutine take_off(table, motion, wait)
+    type(table_type), intent(in) :: table
+    type(motion_type), intent(inout) :: motion
+    real(wp), intent(out) :: wait
+
+    associate (urn => table%urn(motion%side))
+      if (motion%chamber /= in_urn) then
+        call aim_in_channel(urn, motion, wait)
+      else
+        call aim(urn, no_channel, urn%centre + urn%way*motion%x, motion%y, urn%way*motion%ux, &
+          motion%uy, motion%next, wait)
+      end if
+    end associate
+  end subroutine take_off
+
+  !> Reflection from a wall of an urn or of a channel.
+  pure subroutine hit_wall(urn, motion, wait)
+    !> That of the side that the particle is on.
+    type(urn_type), intent(in) :: urn
+    type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next; huge if that is nothing.
+    real(wp), intent(out) :: wait
+    real(wp) :: x, ux
+
+    if (motion%next == meets_channel_wall) then
+      motion%y = sign(half_width(urn, motion), motion%uy)
+      motion%uy = -motion%uy
+      call aim_in_channel(urn, motion, wait)
+    else
+      x = urn%centre + urn%way*motion%x
+      ux = urn%way*motion%ux
+      call hit(urn, x, motion%y, ux, motion%uy, motion%next, wait)
+      motion%x = urn%way*(x - urn%centre)
+      motion%ux = urn%way*ux
+    end if
+  end subroutine hit_wall
+
+  !> What is met in a channel. A wall met at the same time as a chord is met first: the corner
+  !> belongs to the channel.
+  pure subroutine aim_in_channel(urn, motion, wait)
+    type(urn_type), intent(in) :: urn
+    type(motion_type), intent(inout) :: motion
+    real(wp), intent(out) :: wait
+    real(wp) :: out, depth, distance, to_wall
+
+    out = x_direction(motion%side)
+    depth = out*motion%x
+    motion%next = meets_line
+    if (motion%chamber == in_gate) then
+      distance = depth
+      if (out*motion%ux >= 0.0_wp) then
+        distance = urn%begins(gated) - depth
+        motion%next = meets_urn
+      end if
+    else
+      distance = urn%periodic_line - depth
+      if (out*motion%ux <= 0.0_wp) then
+        distance = depth - urn%begins(ungated)
+        motion%next = meets_urn
+      end if
+    end if
+    wait = max(distance, 0.0_wp)/max(abs(motion%ux), slowest)
+    to_wall = max(half_width(urn, motion) - sign(1.0_wp, motion%uy)*motion%y, 0.0_wp) &
+      /max(abs(motion%uy), slowest)
+    if (to_wall <= wait) then
+      wait = to_wall
+      motion%next = meets_channel_wall
+    end if
+  end subroutine aim_in_channel
+
+  !> Through the chord of an opening, from an urn into a channel or back; over the line of a
+  !> channel, the middle line, or the periodic line from one end of the table to the other; or back
+  !> from a line that is an end wall.
+  pure subroutine pass_line(table, motion, wait)
+    type(table_type), intent(in) :: table
+    type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next; huge if it meets nothing now.
+    real(wp), intent(out) :: wait
+    integer :: side, channel
+
+    side = motion%side
+    select case (motion%next)
+    case (meets_gate, meets_return)
+      motion%chamber = int(merge(in_gate, in_return, motion%next == meets_gate), int8)
+      motion%x = x_direction(side)*table%urn(side)%begins(channel_of(motion))
+    case (meets_urn)
+      channel = channel_of(motion)
+      call keep_between_walls(table%urn(side), motion)
+      motion%x = x_direction(side)*table%urn(side)%begins(channel)
+      motion%chamber = int(in_urn, int8)
+      associate (urn => table%urn(side))
+        call aim(urn, channel, facing(channel)*urn%chord(channel), motion%y, urn%way*motion%ux, &
+          motion%uy, motion%next, wait)
+      end associate
+      return
+    case (meets_line)
+      if (table%beyond(side) == side) motion%ux = -motion%ux
+      side = table%beyond(side)
+      motion%side = int(side, int8)
+      motion%x = 0.0_wp
+      if (motion%chamber == in_return) motion%x = x_direction(side)*table%urn(side)%periodic_line
+    case default
+      wait = huge(1.0_wp)
+      return
+    end select
+    call keep_between_walls(table%urn(side), motion)
+    call aim_in_channel(table%urn(side), motion, wait)
+  end subroutine pass_line
+
+  !> A gate turns the particle back; it has been moved to where it is now.
+  pure subroutine turn_back(urn, motion, wait)
+    !> That of the side that the particle is on.
+    type(urn_type), intent(in) :: urn
+    type(motion_type), intent(inout) :: motion
+    !> Time until it meets what it meets next.
+    real(wp), intent(out) :: wait
+
+    motion%ux = -motion%ux
+    call keep_between_walls(urn, motion)
+    call aim_in_channel(urn, motion, wait)
+  end subroutine turn_back
+
+  !> Whether a particle in channel 1 is on its way to the other gate. Whoever is came from the urn
+  !> and was not turned back.
+  elemental function heads_for_middle(motion) result(heads)
+    type(motion_type), intent(in) :: motion
+    logical :: heads
+
+    heads = motion%chamber == in_gate .and. x_direction(motion%side)*motion%ux < 0.0_wp
+  end function heads_for_middle
+
+  !> How long a particle of channel 1 that heads for the middle line takes to it.
+  elemental function time_to_middle(motion) result(time)
+    type(motion_type), intent(in) :: motion
+    real(wp) :: time
+
+    time = abs(motion%x)/max(abs(motion%ux), slowest)
+  end function time_to_middle
+
+  !> Whether a particle can never leave where it is: across a channel, or along a wall.
+  elemental function is_trapped(motion) result(trapped)
+    type(motion_type), intent(in) :: motion
+    logical :: trapped
+
+    trapped = motion%next == meets_nothing &
+      .or. (motion%chamber /= in_urn .and. .not. abs(motion%ux) > 0.0_wp)
+  end function is_trapped
+
+  !> The channel that a particle is in.
+  elemental function channel_of(motion) result(channel)
+    type(motion_type), intent(in) :: motion
+    integer :: channel
+
+    channel = merge(gated, ungated, motion%chamber == in_gate)
+  end function channel_of
+
+  !> Half its width.
+  elemental function half_width(urn, motion) result(half)
+    type(urn_type), intent(in) :: urn
+    type(motion_type), intent(in) :: motion
+    real(wp) :: half
+
+    half = urn%half_width(channel_of(motion))
+  end function half_width
+
+  !> Lest rounding takes a particle of a channel beyond a wall.
+  pure subroutine keep_between_walls(urn, motion)
+    type(urn_type), intent(in) :: urn
+    type(motion_type), intent(inout) :: motion
+
+    motion%y = sign(min(abs(motion%y), half_width(urn, motion)), motion%y)
+  end subroutine keep_between_walls
+
+end module battery_bounce

@@ -1,0 +1,177 @@
+!> The urns, of any shape: the list of shapes, and what each of them is asked for.
+!>
+!> A shape is a type that extends `chamber_type`, and these procedures in the frame of the urn; a
+!> new one is a file, a component of `urn_type`, and a `case` in each procedure here. The shape is
+!> asked for where the work is done, by a number, so that nothing is called through a pointer.
+module battery_urn
+  use battery_kinds, only: wp, int64
+  use battery_channel, only: channel_type
+  use battery_chamber, only: chamber_type
+  use battery_disc, only: disc_type, new_disc, is_in_disc, try_point, cross_urns, position_before, &
+    place_endless, aim_in_disc, hit_disc, put_back_in_disc
+  use battery_motion, only: wall_kind
+  use battery_visits, only: visits_type
+  implicit none (type, external)
+  private
+  public :: urn_type, shape_disc, give_form, alike, holds, try_place, cross, place_before, &
+    place_for_ever, aim, hit, put_back
+
+  !> The shapes.
+  integer, parameter :: shape_disc = 1
+
+  !> An urn of the table: lengths.
+  type, extends(chamber_type) :: urn_type
+    !> What it is to be: its shape, and the radius of a disc.
+    integer :: shape = shape_disc
+    real(wp) :: radius = 1.0_wp
+    !> What follows from that, for its shape.
+    type(disc_type) :: disc
+    !> Where it is: |x| of its origin, and of the periodic line at the end of this side's half of
+    !> channel 2; |x| where each channel begins; the way along x that its own x axis points.
+    real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, begins(2) = 0.0_wp, way = 1.0_wp
+    !> Shortest flight that a clock can tell from none.
+    real(wp) :: shortest = 0.0_wp
+  end type urn_type
+
+contains
+
+  !> Finds out all that follows from shape and channels.
+  pure subroutine give_form(urn, channel)
+    !> Its shape is known.
+    type(urn_type), intent(inout) :: urn
+    !> By `gated` and `ungated`.
+    type(channel_type), intent(in) :: channel(2)
+
+    select case (urn%shape)
+    case default
+      urn%disc = new_disc(urn%radius, channel)
+      urn%chamber_type = urn%disc%chamber_type
+    end select
+  end subroutine give_form
+
+  !> Whether two urns are mirror images of each other, so that one batch of visits serves both.
+  pure function alike(urn)
+    type(urn_type), intent(in) :: urn(2)
+    logical :: alike
+
+    alike = urn(1)%shape == urn(2)%shape .and. .not. abs(urn(1)%radius - urn(2)%radius) > 0.0_wp
+  end function alike
+
+  !> Whether a point between the chords is inside, or no farther than `tolerance` outside.
+  elemental function holds(urn, x, y, tolerance) result(inside)
+    type(urn_type), intent(in) :: urn
+    !> In the frame of the urn, lengths.
+    real(wp), intent(in) :: x, y, tolerance
+    logical :: inside
+
+    select case (urn%shape)
+    case default
+      inside = is_in_disc(urn%disc, x, y, tolerance)
+    end select
+  end function holds
+
+  !> A point of the table from two numbers `across` and `up` uniform in [0, 1]; uniform in the urn
+  !> where `inside`.
+  pure subroutine try_place(urn, across, up, x, y, inside)
+    type(urn_type), intent(in) :: urn
+    real(wp), intent(in) :: across, up
+    !> In the frame of the table, lengths.
+    real(wp), intent(out) :: x, y
+    logical, intent(out) :: inside
+
+    select case (urn%shape)
+    case default
+      call try_point(urn%disc, across, up, x, y, inside)
+    end select
+    x = urn%way*(x - urn%centre)
+  end subroutine try_place
+
+  !> Whole visits of a batch: what they need and what they yield is told at `visits_type`.
+  subroutine cross(urn, visits)
+    type(urn_type), intent(in) :: urn
+    type(visits_type), intent(inout) :: visits
+
+    select case (urn%shape)
+    case default
+      call cross_urns(urn%disc, visits)
+    end select
+  end subroutine cross
+
+  !> Where a particle is a length `before` ahead of leaving the urn, and how many walls it `hits` in
+  !> between.
+  pure subroutine place_before(urn, channel, y, along, across, before, position, velocity, hits)
+    type(urn_type), intent(in) :: urn
+    !> The channel it leaves through.
+    integer, intent(in) :: channel
+    !> Height, |u_x| and u_y there; a length.
+    real(wp), intent(in) :: y, along, across, before
+    !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
+    real(wp), intent(out) :: position(2), velocity(2)
+    integer(int64), intent(out) :: hits
+
+    select case (urn%shape)
+    case default
+      call position_before(urn%disc, channel, y, along, across, before, position, velocity, hits)
+    end select
+  end subroutine place_before
+
+  !> Where a particle is that never leaves, and how many wall `hits` it has had.
+  pure subroutine place_for_ever(urn, elapsed, y, along, across, position, velocity, hits)
+    type(urn_type), intent(in) :: urn
+    !> Time since what its visit ended with instead of a way out, and that (`visits_type`).
+    real(wp), intent(in) :: elapsed, y, along, across
+    !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
+    real(wp), intent(out) :: position(2), velocity(2)
+    integer(int64), intent(out) :: hits
+
+    select case (urn%shape)
+    case default
+      call place_endless(urn%disc, elapsed, y, along, across, position, velocity, hits)
+    end select
+  end subroutine place_for_ever
+
+  !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
+  pure subroutine aim(urn, from, x, y, ux, uy, next, wait)
+    type(urn_type), intent(in) :: urn
+    !> The channel on whose chord it is, or `no_channel`.
+    integer, intent(in) :: from
+    !> Place and velocity in the frame of the urn.
+    real(wp), intent(in) :: x, y, ux, uy
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+
+    select case (urn%shape)
+    case default
+      call aim_in_disc(urn%disc, from, x, y, ux, uy, next, wait)
+    end select
+  end subroutine aim
+
+  !> Reflection from the wall `next`; then what is met `next`, after the time `wait`.
+  pure subroutine hit(urn, x, y, ux, uy, next, wait)
+    type(urn_type), intent(in) :: urn
+    !> Place and velocity in the frame of the urn.
+    real(wp), intent(inout) :: x, y, ux, uy
+    integer(wall_kind), intent(inout) :: next
+    real(wp), intent(out) :: wait
+
+    select case (urn%shape)
+    case default
+      call hit_disc(urn%disc, urn%shortest, x, y, ux, uy, next, wait)
+    end select
+  end subroutine hit
+
+  !> Mirrors a particle in the wall that it is beyond, and reflects its velocity there, if it
+  !> `was_beyond` one.
+  pure subroutine put_back(urn, x, y, ux, uy, was_beyond)
+    type(urn_type), intent(in) :: urn
+    !> Place and velocity in the frame of the urn.
+    real(wp), intent(inout) :: x, y, ux, uy
+    logical, intent(out) :: was_beyond
+
+    select case (urn%shape)
+    case default
+      call put_back_in_disc(urn%disc, x, y, ux, uy, was_beyond)
+    end select
+  end subroutine put_back
+
+end module battery_urn
