@@ -39,6 +39,7 @@ TRANSIENT = 1000.0  # time that is left out at the start of every run
 WINDOW = 500.0  # shortest window, length/v
 GOAL = 0.01  # relative accuracy that is asked for
 PAPER_RUN = 1e8  # collisions of a run of the paper
+REDRAWN = 400  # sets of runs that errors of a scatter are taken from
 ROUNDS = 2 ** np.arange(14)  # rounds at which circulations are counted
 FIT = (2, 128)  # rounds between which the law of circulations is fitted
 
@@ -172,6 +173,22 @@ def scatter(values: Floats) -> dict[str, float]:
     }  # fmt: skip
 
 
+def scatter_with_error(runs: Floats) -> dict[str, float]:
+    """Return `scatter` of windows of several runs, shape (run, window), with its errors.
+
+    Windows of one run are not independent, since circulations outlast them: the errors are those of
+    whole runs drawn again and again.
+    """
+    random = np.random.default_rng(5)
+    drawn = [runs[random.integers(0, len(runs), len(runs))] for _ in range(REDRAWN)]
+    found = [scatter(one.ravel()) for one in drawn]
+    errors = {
+        f"{name}_error": float(np.std([one[name] for one in found], ddof=1))
+        for name in ("half_width", "deviation")
+    }
+    return {**scatter(runs.ravel()), **errors}
+
+
 def length_for_goal(times: Floats, widths: Floats, mean: float) -> float:
     """Return the time from which on the widths stay below the goal.
 
@@ -221,9 +238,10 @@ def _ensemble(job: Job) -> dict[str, object]:
     while size <= net.shape[1]:
         count = net.shape[1] // size
         means = net[:, : count * size].reshape(net.shape[0], count, size).mean(axis=2)
-        rows.append({"time": size * interval, **scatter(means.ravel())})
+        rows.append({"time": size * interval, **scatter_with_error(means)})
         size *= 2
-    rows.append({"time": net.shape[1] * interval, **scatter(net.mean(axis=1))})
+    whole_runs = net.mean(axis=1, keepdims=True)
+    rows.append({"time": net.shape[1] * interval, **scatter_with_error(whole_runs)})
     mean, error = net.mean(), net.mean(axis=1).std(ddof=1) / math.sqrt(net.shape[0])
     lengths = np.array([row["time"] for row in rows])
     widths = {name: np.array([row[name] for row in rows]) for name in ("half_width", "deviation")}
@@ -276,10 +294,8 @@ def _split(job: Job) -> dict[str, object]:
                 in_windows(one.time, one.sign * ((one.rounds > 0) == choose), length, end)
                 for one in found
             ]
-            columns.append(np.concatenate(values))
-        windows.append(
-            {"time": length, "straight": scatter(columns[0]), "rest": scatter(columns[1])}
-        )
+            columns.append(scatter_with_error(np.array(values)))
+        windows.append({"time": length, "straight": columns[0], "rest": columns[1]})
     lengths = np.array([row["time"] for row in windows])
     rest_widths = np.array([row["rest"]["half_width"] for row in windows])
     total = float((straight + rest).mean())
@@ -362,7 +378,7 @@ def _draw_spread(axes: Axes, ensemble: dict) -> None:
         alpha=0.25, lw=0.0, label=f"$\\pm {100 * GOAL:g}$ %",
     )  # fmt: skip
     axes.set_ylim(0.0, 1.0)
-    axes.set_xlabel("net current of a run")
+    axes.set_xlabel("net current of a run\n(per unit time)")
     axes.set_ylabel("share of runs below")
     axes.set_title(f"(a)  {values.size} runs")
     axes.legend()
@@ -376,14 +392,18 @@ def _draw_widths(axes: Axes, ensemble: dict, split: dict) -> None:
         ("deviation", "s", style.BLUE, "standard deviation"),
         ("half_width", "o", style.VERMILION, "half of 68 %"),
     ):
-        axes.plot(
-            time, [100.0 * row[name] / mean for row in rows], f"{mark}-", color=colour, label=label
+        values, errors = (
+            [100.0 * row[key] / mean for row in rows] for key in (name, f"{name}_error")
         )
+        axes.errorbar(time, values, errors, fmt=f"{mark}-", color=colour, label=label)
     rest = [row for row in split["windows"] if row["rest"]["runs"] >= 8]
-    axes.plot(
-        [row["time"] for row in rest],
-        [100.0 * row["rest"]["half_width"] / mean for row in rest],
-        "^-", color=style.GREEN, label="half of 68 %,\nwithout circulation",
+    values, errors = (
+        [100.0 * row["rest"][key] / mean for row in rest]
+        for key in ("half_width", "half_width_error")
+    )
+    axes.errorbar(
+        [row["time"] for row in rest], values, errors,
+        fmt="^-", color=style.GREEN, label="half of 68 %,\nwithout circulation",
     )  # fmt: skip
     axes.axhline(100.0 * GOAL, color=style.GREY, lw=0.9)
     axes.set_xscale("log")
