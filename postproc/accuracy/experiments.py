@@ -262,7 +262,15 @@ def circulation(job: Job) -> tuple[list[Row], list[dict]]:
         laws.append({"width": width, "length": length, "rounds": tail.ROUNDS, "reached": reached,
                      "time": logs * time,
                      "predicted": predictions.circulation_rate(circuit, held, 1.0)})  # fmt: skip
-    return rows, laws
+    return [*rows, ratio_of(rows[1], rows[0])], laws
+
+
+def ratio_of(wide: Row, narrow: Row) -> Row:
+    """Return the line of the ratio of two rates, that of the wider channel 2 over the other."""
+    value = wide.measured / narrow.measured
+    error = value * math.hypot(wide.error / wide.measured, narrow.error / narrow.measured)
+    what = "ratio of these rates, w' = 0.02 over w' = 0.01, l' = 1"
+    return Row(4, what, math.nan, wide.predicted / narrow.predicted, value, error)
 
 
 def transition_after(job: Job, transient: float, measured: float, replicas: int) -> ladder.Answer:

@@ -311,7 +311,7 @@ def figure_reversal(scan: Sequence[dict], turned: Sequence[dict]) -> Figure:
             back[known], share[known], error[known], fmt=f"{mark}-", color=colour, label=label
         )
     right.set_xscale("log")
-    right.set_title("(b)  turned later, errors from whole runs")
+    right.set_title("(b)  turned later")
     right.set_xlabel("time from reversal to turning  (length / $v$)")
     right.set_ylim(-0.03, 1.03)
     made.legend(loc="outside right upper")
