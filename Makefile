@@ -50,10 +50,10 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 
-.PHONY: help demo test build bench probes accuracy figures lint clean install information
+.PHONY: help demo test build bench probes accuracy experiments figures lint clean install information
 
 help: ## lists the targets
-	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 16
+	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 18
 
 demo: build ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
 	@mkdir -p build/demo
@@ -124,6 +124,9 @@ $(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: install informat
 accuracy: build probes ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@$(PYTHON) -m postproc.accuracy --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 
+experiments: build ## five experiments that decide whether urns remember; FULL=1: long runs
+	@$(PYTHON) -m postproc.experiments --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
+
 figures: build ## every figure of the paper, quick; FULL=1: at the paper's own length
 	@mkdir -p $(FIGURES)
 	cd $(FIGURES)
@@ -134,6 +137,7 @@ figures: build ## every figure of the paper, quick; FULL=1: at the paper's own l
 	cd $(CURDIR)
 	figure() { $(PYTHON) -m postproc.figures "$$1" "$${@:2}" --output $(FIGURES); }
 	figure model
+	figure app1
 	figure numris $(FIGURES)/phase_diagram.h5 $(FIGURES)/phase_diagram_polarised.h5
 	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
 	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done

@@ -1,4 +1,4 @@
-"""Draws flows and net currents against time, with the theory's values and an inset of eta.
+"""Draws flows and net currents against time, with what theories say of them, and eta.
 
 The picture of Fig. comp05 of PRE 103, 032119 (2021), for one task of a run that kept a series.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.currents import figure_currents
+from postproc.figures.models import PAIR, add_models, named
 from postproc.reading.results import Results
 
 
@@ -15,10 +16,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Write currents.png and currents.pdf."""
     options = cli.parser("currents", __doc__)
     cli.add_task(options)
+    add_models(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
     with Results(given.file) as results:
-        made = figure_currents(results, *results.task(given.point, given.replica))
+        models = named(given.model) if given.model else PAIR
+        made = figure_currents(results, *results.task(given.point, given.replica), models)
         results.say_if_partial()
     style.save(made, given.output, "currents")
     return 0

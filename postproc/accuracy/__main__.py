@@ -16,7 +16,8 @@ from postproc.figures import style
 
 # each a module of this package with run(job); the page comes last, from what the others kept
 PARTS = (
-    "trajectories", "stability", "reversal", "gated_reversal", "tail", "observables", "page",
+    "trajectories", "stability", "reversal", "gated_reversal", "pasts", "tail", "observables",
+    "page",
 )  # fmt: skip
 
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from postproc.accuracy.job import Changes, Job
 
@@ -49,19 +49,12 @@ SCAN = ((2, 1), (10, 1), (100, 1), (1000, 1), (1000, 2), (1000, 4), (1000, 7), (
 # N, T, for how long runs backwards are followed
 TURNED = ((100, 1, 12.0), (1000, 2, 12.0), (1000, 7, 12.0), (1000, 18, 12.0))
 BINS = np.array([0.0, 0.03, 0.08, 0.17, 0.33, 0.5, 0.75, 1.0])  # of the time back, as a share
+BLOCKS = 20  # of time, from which the errors of the scan are taken
 APART = 60.0  # time between two turnings
 
 # x y ux uy; all fly along the channel, so that every event can be worked out in the head
 FROM_URN2 = ((0.7, 0.05, -1.0, 0.0), (0.8, -0.05, -1.0, 0.0))
 PASSER = (-0.1, 0.0, 1.0, 0.0)
-# one present: either 3 comes through and 1, 2 are turned back, or 1 comes through and 2, 3 are
-PASTS = (
-    ((1.6, 0.05, -1.0, 0.0), (1.8, -0.05, -1.0, 0.0), (-0.6, 0.0, 1.0, 0.0)),
-    ((-1.0, 0.05, 1.0, 0.0), (1.4, -0.05, -1.0, 0.0), (1.6, 0.0, -1.0, 0.0)),
-)
-PAST_TIME = 1.6
-GATE_CHORD = 0.5  # x of the chord of gate 2
-NEARBY = 0.01  # how far starts nearby are, in every coordinate
 EXAMPLE_TIME = 0.8
 
 
@@ -164,7 +157,7 @@ def _changes(number: int, threshold: int, duration: float, seed: int = 1) -> Cha
     }  # fmt: skip
 
 
-def _example(
+def example(
     job: Job, name: str, states: Sequence[Sequence[float]], turn: float = EXAMPLE_TIME
 ) -> dict[str, object]:
     """Run a few particles forth and back; return the events of both as rows, and the end."""
@@ -192,31 +185,6 @@ def _example(
     return told
 
 
-def other_past(end: Floats) -> Floats:
-    """Return the start of the other past of an end of the first of `PASTS`, or of one near it.
-
-    1 has flown straight all the time; 2 and 3 were turned when 3 was at the chord of gate 2.
-    """
-    x, y, ux, uy = end.T
-    turned = PAST_TIME - (x[2] - GATE_CHORD) / ux[2]
-    start = np.column_stack([x - PAST_TIME * ux, y - PAST_TIME * uy, ux, uy])
-    at_turn = x[1:] - (PAST_TIME - turned) * ux[1:]
-    start[1:, 0] = at_turn + turned * ux[1:]
-    start[1:, 2] = -ux[1:]
-    return start
-
-
-def _pasts_nearby(job: Job, tries: int) -> dict[str, object]:
-    """Return how closely starts near the one past and their other pasts meet."""
-    random, worst = np.random.default_rng(6), 0.0
-    for at in range(tries):
-        start = np.array(PASTS[0]) + random.uniform(-NEARBY, NEARBY, (3, 4))
-        one = np.array(_example(job, f"nearby_{at}_one", start, PAST_TIME)["forth_end"])
-        other = _example(job, f"nearby_{at}_other", other_past(one), PAST_TIME)
-        worst = max(worst, float(np.abs(one - np.array(other["forth_end"])).max()))
-    return {"tries": tries, "within": NEARBY, "differ_by": worst}
-
-
 def words(kind: int, where: int, particle: int) -> str:
     """Return an event in words."""
     urns = "from urn 1 to urn 2" if where == 12 else "from urn 2 to urn 1"
@@ -226,6 +194,24 @@ def words(kind: int, where: int, particle: int) -> str:
         CROSSING1: f"particle {particle} crosses the middle line {urns}",
         CROSSING2: f"particle {particle} crosses the periodic line {urns}",
     }[int(kind)]
+
+
+def share_of(hits: ArrayLike, counts: ArrayLike) -> tuple[float, float]:
+    """Return a share and its error from groups: hits of counts in each, shape (group,).
+
+    Those of one group depend on each other (a wrong firing spoils the next ones), so the groups'
+    scatter is the error, not that of single ones.
+    """
+    hit, count = np.asarray(hits, float), np.asarray(counts, float)
+    total = count.sum()
+    if total == 0.0:
+        return math.nan, math.nan
+    share = hit.sum() / total
+    filled = int(np.count_nonzero(count))
+    if filled < 2:
+        return float(share), math.nan
+    apart = np.sum((hit - share * count) ** 2) * filled / (filled - 1.0)
+    return float(share), math.sqrt(apart) / float(total)
 
 
 def _scan(job: Job) -> list[dict[str, object]]:
@@ -238,12 +224,14 @@ def _scan(job: Job) -> list[dict[str, object]]:
         with Results(job.battery("reversal", name, changes, alone=True)) as results:
             found = reversals_of(read_log(results), threshold)
         later = found.time > 0.1 * duration
-        count, alone = int(later.sum()), int((later & found.alone).sum())
-        share = alone / count if count else math.nan
+        block = np.minimum(found.time[later] / duration * BLOCKS, BLOCKS - 1).astype(int)
+        counts = np.bincount(block, minlength=BLOCKS)
+        share, error = share_of(np.bincount(block, found.alone[later], BLOCKS), counts)
+        count = int(counts.sum())
         rows.append(
             {
                 "number": number, "threshold": threshold, "reversals": count, "share": share,
-                "error": math.sqrt(max(share * (1.0 - share), 0.0) / count) if count else math.nan,
+                "error": error,
                 "per_time": count / (0.9 * duration),
             }
         )  # fmt: skip
@@ -278,19 +266,23 @@ def _backwards(job: Job, number: int, threshold: int, back: float, turns: int) -
         forward = reversals_of(log, threshold, turn)
         recent = forward.time > turn - back + CLOSE
         ages.append(turn - forward.time[recent])
-        done.append(mirrored(forward, backward, turn)[recent])
+        done.append(mirrored(forward, backward, turn)[recent].astype(float))
         strange = ~mirrored(backward, forward, turn)
         seen = float(backward.time[strange].min(initial=math.inf))
         told = turn - forward.parting
         agreed += abs(seen - told) < CLOSE if told < back else seen >= back
         partings.append(told)
-    age, share = np.concatenate(ages), np.concatenate(done).astype(float)
-    counts, hits = (np.histogram(age / back, BINS, weights=one)[0] for one in (None, share))
+    counts, hits = (
+        np.array([np.histogram(age / back, BINS, weights=one)[0] for age, one in pairs])
+        for pairs in ([(age, None) for age in ages], list(zip(ages, done, strict=True)))
+    )
+    shares = [share_of(*one) for one in zip(hits.T, counts.T, strict=True)]
+    undone, undone_error = share_of(hits.sum(axis=1), counts.sum(axis=1))
     return {
         "number": number, "threshold": threshold, "turns": turns, "back": back,
-        "reversals": share.size, "undone": share.mean() if share.size else math.nan,
-        "time_back": 0.5 * (BINS[1:] + BINS[:-1]) * back,
-        "share": hits / np.where(counts > 0, counts, math.nan), "counts": counts,
+        "reversals": int(counts.sum()), "undone": undone, "undone_error": undone_error,
+        "time_back": 0.5 * (BINS[1:] + BINS[:-1]) * back, "counts": counts.sum(axis=0),
+        "share": [one for one, _ in shares], "share_error": [error for _, error in shares],
         "parting_as_told": agreed, "parting_median": float(np.median(partings)),
     }  # fmt: skip
 
@@ -311,8 +303,7 @@ def figure_reversal(scan: Sequence[dict], turned: Sequence[dict]) -> Figure:
     left.set_ylabel("share of reversals undone")
     left.set_ylim(-0.03, 1.03)
     for row, colour, mark in zip(turned, style.CYCLE, "osD^v", strict=False):
-        share, count = np.array(row["share"], float), np.array(row["counts"], float)
-        error = np.sqrt(np.clip(share * (1.0 - share), 0.0, None) / np.maximum(count, 1))
+        share, error = np.array(row["share"], float), np.array(row["share_error"], float)
         back = np.array(row["time_back"])
         label = f"$N = {row['number']}$, $T = {row['threshold']}$"
         known = np.isfinite(share)
@@ -331,20 +322,10 @@ def run(job: Job) -> None:
     """Run forth and back, count, draw `reversal_gated`, keep the numbers."""
     job.folder.mkdir(parents=True, exist_ok=True)
     scan = _scan(job)
-    turned = [_backwards(job, *one, int(job.pick(10, 100))) for one in TURNED]
+    turned = [_backwards(job, *one, int(job.pick(20, 100))) for one in TURNED]
     examples = {
-        "undone": _example(job, "example_undone", FROM_URN2),
-        "not_undone": _example(job, "example_not_undone", (*FROM_URN2, PASSER)),
+        "undone": example(job, "example_undone", FROM_URN2),
+        "not_undone": example(job, "example_not_undone", (*FROM_URN2, PASSER)),
     }
-    for at, past in enumerate(PASTS, 1):
-        examples[f"past{at}"] = _example(job, f"example_past{at}", past, PAST_TIME)
-    one, other = (np.array(examples[name]["forth_end"]) for name in ("past1", "past2"))
-    job.keep(
-        "gated_reversal",
-        {
-            "scan": scan, "turned": turned, "examples": examples,
-            "two_pasts_differ_by": float(np.abs(one - other).max()),
-            "nearby": _pasts_nearby(job, int(job.pick(5, 50))),
-        },
-    )  # fmt: skip
+    job.keep("gated_reversal", {"scan": scan, "turned": turned, "examples": examples})
     style.save(figure_reversal(scan, turned), job.folder, "reversal_gated")

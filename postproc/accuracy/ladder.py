@@ -152,7 +152,7 @@ def battery_answers(path: Path) -> dict[str, Answer]:
             # signed: the run begins with urn 2 full, whose battery drives 1 -> 2 in channel 1
             "current": results.value("current1")[0][done],
         }
-    return {name: Answer(*_mean(value), seconds) for name, value in values.items()}
+    return {name: Answer(*mean_of(value), seconds) for name, value in values.items()}
 
 
 def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
@@ -174,7 +174,8 @@ def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
     return Answer(value, error, seconds), {name: list(one) for name, one in shown.items()}
 
 
-def _mean(values: Floats) -> tuple[float, float]:
+def mean_of(values: Floats) -> tuple[float, float]:
+    """Return mean and standard error of independent values."""
     return float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from postproc.accuracy import ladder, tail
 from postproc.accuracy.ladder import QUANTITIES, Answer
 from postproc.figures import style
+from postproc.reading.results import Results
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,6 +37,8 @@ STEP_LABELS = {
     "timestep 0.01": (-1, "right", "top"), "timestep 0.003": (0, "left", "bottom"),
     "timestep 0.001": (0, "left", "bottom"),
 }  # fmt: skip
+WIDE = {"collision": 8.0, "synchronous": 4.0}  # marks that fall together, one inside the other
+AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is held against that over time
 TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # relative
 
 
@@ -47,6 +50,34 @@ def reference(job: Job) -> dict[str, Answer]:
     path = job.battery("transition", "transition_reference", changes)
     found["transition"], _ = ladder.transition_answer(path)
     return found
+
+
+def averages(job: Job) -> list[dict[str, float]]:
+    """Return chi averaged over time and, as the paper does, over wall collisions, for several T.
+
+    Both of the same runs of `collision`, so that their difference has a small error of its own.
+    """
+    changes = {
+        "run": {"engine": "collision", "duration": job.pick(4.0e3, 4.0e4)},
+        "scan": {"threshold": list(AVERAGED)},
+        "gate": {"threshold": None},
+        "particles": {"urn1_number": 500},
+    }
+    rows = []
+    with Results(job.battery("battery", "averages", changes)) as results:
+        for point, threshold in enumerate(AVERAGED):
+            time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
+            (chi, error), (less, its) = ladder.mean_of(time), ladder.mean_of(hits - time)
+            rows.append(
+                {
+                    "threshold": threshold,
+                    "chi": chi,
+                    "error": error,
+                    "less": less,
+                    "less_error": its,
+                }
+            )
+    return rows
 
 
 def row(name: str, kind: str, answers: dict[str, Answer], truth: dict[str, Answer]) -> dict:
@@ -150,7 +181,7 @@ def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
         axes.errorbar([at], [size], [error], fmt=mark, color=colour, ms=5)
     else:
         top = size + error
-        axes.plot([at], [top], mark, color=colour, mfc="w", ms=5)
+        axes.plot([at], [top], mark, color=colour, mfc="none", ms=WIDE.get(line["name"], 5.0))
         axes.annotate(
             "", (at, top / 2.2), (at, top), arrowprops={"arrowstyle": "->", "color": colour}
         )
@@ -196,7 +227,7 @@ def run(job: Job) -> None:
     numbers = {
         "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,
         "reference_time": tail.total_time(job), "choice": choice,
-        "spreads": spreads, "eta_seconds": ladder.eta_seconds(),
+        "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(job),
     }  # fmt: skip
     job.keep("observables", numbers)
     style.save(figure_observables(rows), job.folder, "observables")

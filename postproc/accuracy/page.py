@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 TEMPLATE = Path(__file__).with_name("page.md")
 NOT_RUN = "_This part has not been run._"
-OWN = ("observables", "gated_reversal", "tail")
+OWN = ("observables", "gated_reversal", "pasts", "tail")
 HEADS = {"chi": "chi, T = 7", "current": "net current, T = 7", "transition": "transition T"}
 
 
@@ -37,6 +37,10 @@ def _with_bias(one: dict) -> str:
         off = measured(100.0 * one["bias"], 100.0 * one["bias_error"])
         return f"{measured(one['value'], one['error'])} ({off} %)"
     return f"{number(one['value'], 4)} ({number(100.0 * one['bias'], 2)} %)"
+
+
+def _shares(share: float, error: float | None) -> str:
+    return f"{measured(100.0 * share, 100.0 * error)} %" if error else percent(share)
 
 
 def fields_of_observables(numbers: dict) -> dict[str, str]:
@@ -68,7 +72,18 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
     def price(line: dict) -> float:
         return line["per_time"] / excursion["per_time"]
 
+    averages = [
+        [
+            str(one["threshold"]), measured(one["chi"], one["error"]),
+            measured(one["less"], one["less_error"]),
+        ]
+        for one in numbers["averages"]
+    ]  # fmt: skip
+    farthest = max(numbers["averages"], key=lambda one: abs(one["less"]))
     return {
+        "averages": table(["T", "chi, average over time", "by collisions less that"], averages),
+        "farthest": measured(farthest["less"], farthest["less_error"]),
+        "farthest_at": str(farthest["threshold"]),
         "eta_current_bias": percent(abs(eta["current"]["bias"])),
         "eta_transition_bias": percent(abs(eta["transition"]["bias"])),
         "reference_chi": measured(truth["chi"]["value"], truth["chi"]["error"]),
@@ -134,12 +149,11 @@ def fields_of_gated_reversal(numbers: dict) -> dict[str, str]:
     turned = [
         [
             str(one["number"]), str(one["threshold"]), str(one["reversals"]),
-            percent(one["undone"]), number(one["parting_median"], 2),
+            _shares(one["undone"], one["undone_error"]), number(one["parting_median"], 2),
         ]
         for one in numbers["turned"]
     ]  # fmt: skip
     examples = numbers["examples"]
-    ends = [row[0] for row in examples["past1"]["forth_end"]]
     head = ["N", "T", "reversals in the last 12", "undone", "histories part after (median)"]
     return {
         "turns": str(sum(one["turns"] for one in numbers["turned"])),
@@ -150,13 +164,23 @@ def fields_of_gated_reversal(numbers: dict) -> dict[str, str]:
         "example_undone": _events(examples["undone"]),
         "example_not_undone": _events(examples["not_undone"]),
         "example_return": number(examples["undone"]["returns_within"], 1),
-        "tries": str(numbers["nearby"]["tries"]),
-        "within": number(numbers["nearby"]["within"], 1),
-        "nearby": number(numbers["nearby"]["differ_by"], 1),
-        "pasts": _pasts(examples["past1"], examples["past2"]),
-        "past_turn": number(examples["past1"]["turn"], 2),
-        "present": ", ".join(number(x, 2) for x in ends),
-        "two_pasts": number(numbers["two_pasts_differ_by"], 1),
+    }
+
+
+def fields_of_pasts(numbers: dict) -> dict[str, str]:
+    """Return the template's fields that the two pasts give."""
+    one, other, near = numbers["past1"], numbers["past2"], numbers["nearby"]
+    return {
+        "tries": str(near["tries"]),
+        "within": number(near["within"], 1),
+        "nearby": number(near["differ_by"], 1),
+        "by_hand": number(near["by_hand_differ_by"], 1),
+        "pasts": _pasts(one, other),
+        "past_turn": number(one["turn"], 2),
+        "present": ", ".join(number(row[0], 2) for row in one["forth_end"]),
+        "two_pasts": number(numbers["differ_by"], 1),
+        "volume1": f"{numbers['volume_ratios'][0]:.6f}",
+        "volume2": f"{numbers['volume_ratios'][1]:.6f}",
     }
 
 
@@ -216,6 +240,7 @@ def fields_of_tail(numbers: dict) -> dict[str, str]:
 FIELDS: dict[str, Callable[[dict], dict[str, str]]] = {
     "observables": fields_of_observables,
     "gated_reversal": fields_of_gated_reversal,
+    "pasts": fields_of_pasts,
     "tail": fields_of_tail,
 }
 

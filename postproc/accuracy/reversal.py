@@ -7,7 +7,6 @@ the way back, so in a precision eps all is forgotten after ln(1/eps)/lambda: 36.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,7 +34,6 @@ ENGINES = ("collision", "excursion")
 TIMES = (1, 2, 5, 10, 20, 40, 60, 80, 100, 125, 150, 175, 200, 225, 250, 275, 300, 350, 400, 450,
          500, 550, 600, 650)  # fmt: skip
 STEP, STEP_TIMES = 1e-3, (1, 2, 5, 10, 20, 30, 40, 50, 60)
-TEMPLATE = Path(__file__).with_name("reversal.md")
 
 
 def questions() -> list[Question]:
@@ -81,23 +79,6 @@ def figure_return(rows: Sequence[dict[str, Any]], rate: float) -> Figure:
     axes.set_ylim(1e-36, 1e2)
     axes.legend(fontsize=7, loc="lower right")
     return made
-
-
-def section(found: dict[str, Any]) -> str:
-    """Return the page's text about the reversal of the free circuit."""
-    lines = ["| precision | predicted, ln(1/eps)/lambda | `collision` | `excursion` |",
-             "| --- | --- | --- | --- |"]  # fmt: skip
-    for precision in PRECISIONS:
-        seen = [found["horizon"][f"{engine} {precision}"] for engine in ENGINES]
-        cells = ["-" if one is None else f"{one:.0f}" for one in seen]
-        lines.append(f"| {precision} | {found['predicted_horizon'][precision]:.0f} | "
-                     f"{' | '.join(cells)} |")  # fmt: skip
-    return TEMPLATE.read_text(encoding="utf-8").format(
-        number=found["number"],
-        rate=found["lyapunov"],
-        astray=ASTRAY,
-        horizons="\n".join(lines),
-    )
 
 
 def run(job: Job) -> None:

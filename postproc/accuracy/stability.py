@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from decimal import Decimal
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +33,6 @@ FULL = 100
 VISITS = ((0.3, 0.01), (1e-6, 1e-6))  # w, w'
 BITS = {"real32": 23, "real64": 52}  # of the ways in
 REQUIRED = 1e-12  # what a visit in real64 must reach, over its own condition number
-TEMPLATE = Path(__file__).with_name("stability.md")
 
 
 def pick(answer: Answer, case: str) -> list[Row]:
@@ -229,34 +227,13 @@ def figure_visits(rows: Sequence[Row]) -> Figure:
         use = (counts > 0) & (edge > 1e-22)
         axes.loglog(edge[use], counts[use] / counts.sum(), ".-", color=colour,
                     label=f"{row['input']}, w = {row['channel1_width']:.2g}")  # fmt: skip
-    axes.axvline(REQUIRED, color=style.GREY, ls="--", lw=0.8)
+    axes.axvline(
+        REQUIRED, color=style.GREY, ls="--", lw=0.8, label=f"allowed in real64: {REQUIRED:g}"
+    )
     axes.set_xlabel("error of a visit over its condition number")
     axes.set_ylabel("share of visits")
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="upper left")
     return made
-
-
-def section(found: dict[str, Any]) -> str:
-    """Return the page's text: visits, and the table."""
-    lines = ["| visits, input | w = w' or w, 0.01 | same hits as real128 | at a corner | wrong | "
-             "greatest error over condition | in units of the precision |",
-             "| --- | --- | --- | --- | --- | --- | --- |"]  # fmt: skip
-    for row in found["visits"]:
-        lines.append(
-            f"| {row['visits']:.0e}, {row['input']} | {row['channel1_width']:.2g} | "
-            f"{row['same']} | {row['corner']} | {row['wrong']} | {row['worst']:.1e} | "
-            f"{row['worst'] / row['unit']:.1f} |"
-        )
-    lost = sum(one["lost"] + one["not_a_number"] for name, one in found["summary"].items()
-               if "real32" not in name)  # fmt: skip
-    hits = sum(one["hits"] for one in found["summary"].values())
-    return TEMPLATE.read_text(encoding="utf-8").format(
-        visits="\n".join(lines),
-        roundings=8,
-        hits=hits,
-        lost=lost,
-        table=found["markdown"],
-    )
 
 
 def run(job: Job) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from postproc.accuracy.events import CROSSING1, CROSSING2, ENTRY, outward_stays, read_log, stories
+from postproc.accuracy.scatter import GOAL, length_for_goal, scatter_with_error
 from postproc.figures import style
 from postproc.reading.results import Results
 from postproc.theory.circuit import Circuit, flow2
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
 
 TRANSIENT = 1000.0  # time that is left out at the start of every run
 WINDOW = 500.0  # shortest window, length/v
-GOAL = 0.01  # relative accuracy that is asked for
 PAPER_RUN = 1e8  # collisions of a run of the paper
 ROUNDS = 2 ** np.arange(14)  # rounds at which circulations are counted
 FIT = (2, 128)  # rounds between which the law of circulations is fitted
@@ -161,34 +161,6 @@ def in_windows(time: Floats, weight: Floats, length: float, end: float) -> Float
     return np.histogram(time, edges, weights=np.asarray(weight, float))[0] / length
 
 
-def scatter(values: Floats) -> dict[str, float]:
-    """Return how the currents of runs of one length scatter."""
-    low, middle, high = np.quantile(values, [0.16, 0.5, 0.84])
-    mean = values.mean()
-    return {
-        "runs": values.size, "mean": mean, "median": middle, "half_width": 0.5 * (high - low),
-        "deviation": values.std(ddof=1) if values.size > 1 else math.nan,
-        "off_by_goal": float(np.mean(np.abs(values - mean) > GOAL * mean)),
-    }  # fmt: skip
-
-
-def length_for_goal(times: Floats, widths: Floats, mean: float) -> float:
-    """Return the time from which on the widths stay below the goal.
-
-    Between two lengths on a log-log line; beyond the longest as the square root of time, which
-    holds once even the longest circulations are over.
-    """
-    excess = np.log(np.array(widths) / (GOAL * mean))
-    late = np.flatnonzero(excess >= 0.0)
-    if late.size == 0:
-        return float(times[0])
-    at = int(late[-1])
-    if at == excess.size - 1:
-        return float(times[-1] * math.exp(2.0 * excess[-1]))
-    share = excess[at] / (excess[at] - excess[at + 1])
-    return float(times[at] * (times[at + 1] / times[at]) ** share)
-
-
 def long_runs(job: Job) -> Path:
     """Make the long runs at T = 7, the reference of chart two as well; return their file."""
     changes = {
@@ -221,9 +193,10 @@ def _ensemble(job: Job) -> dict[str, object]:
     while size <= net.shape[1]:
         count = net.shape[1] // size
         means = net[:, : count * size].reshape(net.shape[0], count, size).mean(axis=2)
-        rows.append({"time": size * interval, **scatter(means.ravel())})
+        rows.append({"time": size * interval, **scatter_with_error(means)})
         size *= 2
-    rows.append({"time": net.shape[1] * interval, **scatter(net.mean(axis=1))})
+    whole_runs = net.mean(axis=1, keepdims=True)
+    rows.append({"time": net.shape[1] * interval, **scatter_with_error(whole_runs)})
     mean, error = net.mean(), net.mean(axis=1).std(ddof=1) / math.sqrt(net.shape[0])
     lengths = np.array([row["time"] for row in rows])
     widths = {name: np.array([row[name] for row in rows]) for name in ("half_width", "deviation")}
@@ -276,10 +249,8 @@ def _split(job: Job) -> dict[str, object]:
                 in_windows(one.time, one.sign * ((one.rounds > 0) == choose), length, end)
                 for one in found
             ]
-            columns.append(np.concatenate(values))
-        windows.append(
-            {"time": length, "straight": scatter(columns[0]), "rest": scatter(columns[1])}
-        )
+            columns.append(scatter_with_error(np.array(values)))
+        windows.append({"time": length, "straight": columns[0], "rest": columns[1]})
     lengths = np.array([row["time"] for row in windows])
     rest_widths = np.array([row["rest"]["half_width"] for row in windows])
     total = float((straight + rest).mean())
@@ -362,7 +333,7 @@ def _draw_spread(axes: Axes, ensemble: dict) -> None:
         alpha=0.25, lw=0.0, label=f"$\\pm {100 * GOAL:g}$ %",
     )  # fmt: skip
     axes.set_ylim(0.0, 1.0)
-    axes.set_xlabel("net current of a run")
+    axes.set_xlabel("net current of a run\n(per unit time)")
     axes.set_ylabel("share of runs below")
     axes.set_title(f"(a)  {values.size} runs")
     axes.legend()
@@ -376,22 +347,26 @@ def _draw_widths(axes: Axes, ensemble: dict, split: dict) -> None:
         ("deviation", "s", style.BLUE, "standard deviation"),
         ("half_width", "o", style.VERMILION, "half of 68 %"),
     ):
-        axes.plot(
-            time, [100.0 * row[name] / mean for row in rows], f"{mark}-", color=colour, label=label
+        values, errors = (
+            [100.0 * row[key] / mean for row in rows] for key in (name, f"{name}_error")
         )
+        axes.errorbar(time, values, errors, fmt=f"{mark}-", color=colour, label=label)
     rest = [row for row in split["windows"] if row["rest"]["runs"] >= 8]
-    axes.plot(
-        [row["time"] for row in rest],
-        [100.0 * row["rest"]["half_width"] / mean for row in rest],
-        "^-", color=style.GREEN, label="half of 68 %,\nwithout circulation",
+    values, errors = (
+        [100.0 * row["rest"][key] / mean for row in rest]
+        for key in ("half_width", "half_width_error")
+    )
+    axes.errorbar(
+        [row["time"] for row in rest], values, errors,
+        fmt="^-", color=style.GREEN, label="half of 68 %,\nwithout circulation",
     )  # fmt: skip
     axes.axhline(100.0 * GOAL, color=style.GREY, lw=0.9)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("run  (length / $v$)")
     axes.set_ylabel("scatter of the net current (%)")
-    axes.set_ylim(bottom=0.15)
-    axes.yaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10]))
+    axes.set_ylim(bottom=0.06)
+    axes.yaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1, 2, 5, 10]))
     axes.yaxis.set_major_formatter(ScalarFormatter())
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_title("(c)")

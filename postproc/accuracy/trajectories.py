@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from decimal import Decimal
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,7 +48,6 @@ AROUND = 2.0 * (1.0 + math.sqrt(1.0 - WIDTH1**2 / 4) + math.sqrt(1.0 - WIDTH2**2
 
 COLOUR = {"real32": style.VERMILION, "real64": style.BLUE, "real128": style.GREEN}
 MARKER = {"excursion": "s", "collision": "o", "synchronous": "^", "timestep": "."}
-TEMPLATE = Path(__file__).with_name("trajectories.md")
 
 
 @dataclass(frozen=True)
@@ -276,60 +274,6 @@ def figure_growth(rows: Sequence[dict[str, Any]], rate: float, found: dict[str, 
     right.set_ylabel(f"error of places at t = {COMPARED:g}")
     right.legend(fontsize=7)
     return made
-
-
-def section(found: dict[str, Any]) -> str:
-    """Return the page's text about trajectories."""
-    order, fitted, horizons = found["order"]["free"], found["fitted"], found["horizon"]
-    exact = find(found["rows"], gate="free", engine="excursion", precision="real64")[0]
-    steps = find(found["rows"], gate="free", engine="timestep", precision="real64")
-    cheap = min(steps, key=lambda row: row["seconds_per_particle_time"])
-    fine = min(steps, key=at_compared)
-    single = min(find(found["rows"], gate="free", engine="timestep", precision="real32"),
-                 key=at_compared)  # fmt: skip
-    head = "| precision | predicted | `collision` | `excursion` | gated, `excursion` |"
-    lines = [head, "| --- | --- | --- | --- | --- |"]
-    for precision in PRECISIONS:
-        cells = [
-            _whole(found["predicted_horizon"][precision]),
-            _whole(horizons.get(f"collision {precision}")),
-            _whole(horizons.get(f"excursion {precision}")),
-            _whole(found["horizon_gated"].get(f"excursion {precision}")),
-        ]
-        lines.append(f"| {precision} | {' | '.join(cells)} |")
-    return TEMPLATE.read_text(encoding="utf-8").format(
-        number=found["number"],
-        compared=COMPARED,
-        coarse=cheap["step"],
-        coarse_ratio=cheap["seconds_per_particle_time"] / exact["seconds_per_particle_time"],
-        coarse_error=at_compared(cheap),
-        finest=fine["step"],
-        fine_ratio=fine["seconds_per_particle_time"] / exact["seconds_per_particle_time"],
-        fine_error=at_compared(fine),
-        exact_error=at_compared(exact),
-        order=order["place"],
-        event_order=order["event_time"],
-        single=single["step"],
-        astray=ASTRAY,
-        coarse_astray=at_compared(cheap, "astray"),
-        astray_order=order["worst"],
-        rate=found["lyapunov"],
-        rate_error=found["lyapunov_error"],
-        same_start=found["lyapunov_same_start"],
-        collision_rate=_rate(fitted, "collision real64"),
-        synchronous_rate=_rate(fitted, "synchronous real64"),
-        quadruple_rate=_rate(fitted, "excursion real128"),
-        horizons="\n".join(lines),
-    )
-
-
-def _whole(value: float | None) -> str:
-    return "-" if value is None or math.isnan(value) else f"{value:.0f}"
-
-
-def _rate(fitted: dict[str, float | None], name: str) -> str:
-    value = fitted.get(name)
-    return "none" if value is None or math.isnan(value) else f"{value:.3f}"
 
 
 def run(job: Job) -> None:

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.figures import style
+from postproc.figures.models import ALL
 from postproc.reading.points import gather
-from postproc.theory.circuit import single_urn_current
-from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,28 +18,28 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from postproc.figures.models import Model
     from postproc.reading.points import Points
     from postproc.reading.results import Results
-    from postproc.theory.gates import Gate
 
     Floats = NDArray[np.float64]
 
+TWO = ALL[:2]
 LEAST = 1e-3  # currents of theory below this (per unit time) are left out of relative differences
-PAPER, COUNTED = "paper", "channel counted"
-VARIANTS = (  # look, name, (gate, occupation)
-    ({"fillstyle": "full"}, PAPER, (WINDOW, False)),
-    ({"fillstyle": "none"}, "renewal gate", (RENEWAL, False)),
-    ({"fillstyle": "left", "markerfacecoloralt": "white", "ls": ":"}, COUNTED, (RENEWAL, True)),
+LOWEST = -1.5  # relative differences that app3 draws in their place
+FILLS = (  # looks of app3's marks, a theory each
+    {"fillstyle": "full"},
+    {"fillstyle": "none"},
+    {"fillstyle": "left", "markerfacecoloralt": "white"},
+    {"fillstyle": "top", "markerfacecoloralt": "white"},
 )
 MARKS = {0: ("s", style.BLUE), 1: ("o", style.VERMILION), 2: ("^", style.GREEN)}
 
 
-def _theory(
-    results: Results, group: Points, thresholds: Floats, gate: Gate, occupation: bool = False
-) -> Floats:
-    """Return the theory's current at other thresholds of a group of one N and w."""
-    urn = replace(results.circuit(int(group.point[0]), gate), occupation=occupation)
-    return single_urn_current(replace(urn, threshold=thresholds))
+def _theory(results: Results, group: Points, thresholds: Floats, model: Model) -> Floats:
+    """Return a theory's current at other thresholds of a group of one N and w."""
+    urn = results.circuit(int(group.point[0]))
+    return model.urn_current(replace(urn, threshold=thresholds))
 
 
 def _groups(points: Points) -> list[tuple[int, int, Points]]:
@@ -75,7 +73,7 @@ def _explain(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
         axes.plot([], [], color=style.GREY, ls=dashes, lw=1.0, label=label)
 
 
-def figure_app2(files: Sequence[Results]) -> Figure:
+def figure_app2(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figure:
     """Return the stationary current of the single urn against T/N, a panel for each N."""
     points = gather(files)
     made, panels = _panels(points)
@@ -93,10 +91,11 @@ def figure_app2(files: Sequence[Results]) -> Figure:
             label=label,
         )
         thresholds = np.arange(0.0, group.threshold.max() + 1.0)
-        for gate, dashes in ((WINDOW, "--"), (RENEWAL, "-")):
-            current = _theory(files[group.file[0]], group, thresholds, gate)
-            panels[row].plot(thresholds / group.number[0], current, color=colour, ls=dashes, lw=0.9)
-    _explain(panels[0], (("--", "theory, paper"), ("-", "theory, renewal gate")))
+        for model in models:
+            current = _theory(files[group.file[0]], group, thresholds, model)
+            look = {"color": colour, "ls": model.dashes, "lw": 0.9}
+            panels[row].plot(thresholds / group.number[0], current, **look)
+    _explain(panels[0], [(model.dashes, f"theory, {model.label}") for model in models])
     panels[0].set_ylabel("current (per unit time)")
     panels[0].set_ylim(bottom=0.0)
     made.legend(loc="outside upper center", ncols=5)
@@ -109,42 +108,70 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
     return (known - current) / known, error / np.abs(known)
 
 
-def figure_app3(files: Sequence[Results]) -> Figure:
+def figure_app3(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
     """Return the relative difference of theory and measured current.
 
-    Above, of the paper's theory, as in the paper, and of the renewal gate; below, on a scale of its
-    own, of the renewal gate without and with those in the channel counted.
+    Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all
+    but the first. What lies below the upper panel is marked at its edge with the value.
     """
     points = gather(files)
     count = np.unique(points.number).size
-    made = style.figure(style.PAGE if count > 1 else 4.4, 5.2)
+    made = style.figure(style.PAGE if count > 1 else 4.4, 5.6)
     panels = made.subplots(2, count, squeeze=False, sharex=True, sharey="row")
+    beyond, unknown = [], 0
     for row, column, group in _groups(points):
         mark, colour = _look(column)
         results, fraction = files[group.file[0]], group.threshold / group.number
-        for look, name, theory_of in VARIANTS:
-            expected = _theory(results, group, group.threshold, *theory_of)
+        for at, (model, fill) in enumerate(zip(models, FILLS, strict=False)):
+            expected = _theory(results, group, group.threshold, model)
             difference, error = relative_difference(group.current, group.current_error, expected)
-            lines = {"color": colour, "lw": 0.7, "ms": 4.4, "marker": mark, **look}
-            label = f"$w = {group.channel1_width[0]:g}$, {name}" if row == 0 else None
-            if name != COUNTED:
-                panels[0, row].errorbar(fraction, difference, error, **lines)
-            if name != PAPER:
-                panels[1, row].errorbar(fraction, difference, error, **lines)
-            panels[0, row].plot([], [], label=label, **lines)
+            lines = {"color": colour, "lw": 0.7, "ms": 4.4, "marker": mark, "ls": model.dashes}
+            chosen = [axes for axes, kept in zip(panels[:, row], (at < 2, at > 0), strict=True)
+                      if kept]  # fmt: skip
+            for axes in chosen:
+                axes.errorbar(fraction, difference, error, **lines, **fill)
+            unknown += int(np.isnan(difference).sum())
+            if at == 0:
+                low = difference < LOWEST
+                beyond += [(panels[0, row], x, y, colour) for x, y
+                           in zip(fraction[low], difference[low], strict=True)]  # fmt: skip
+        if row == 0:
+            label = f"$w = {group.channel1_width[0]:g}$"
+            panels[0, 0].plot([], [], mark, color=colour, ms=4.4, label=label)
+    for model, fill in zip(models, FILLS, strict=False):
+        look = {"color": style.GREY, "lw": 0.7, "ms": 4.4, "marker": "s", "ls": model.dashes}
+        panels[0, 0].plot([], [], label=f"theory, {model.label}", **look, **fill)
     for number, column in zip(np.unique(points.number), panels.T, strict=True):
         column[0].set_title(f"$N = {number:.0f}$")
         style.label_fraction(column[1])
     for axes in panels.flat:
         axes.axhline(0.0, color=style.BLACK, lw=0.6)
     low, high = panels[0, 0].get_ylim()
-    panels[0, 0].set_ylim(max(low, -1.5), min(high, 1.06))
+    panels[0, 0].set_ylim(max(low, LOWEST), min(high, 1.06))
+    _mark_beyond(beyond)
     made.supylabel("(theory $-$ measured) / theory", fontsize=9)
-    made.legend(loc="outside upper center", ncols=3, fontsize=7.5)
+    notes = ["▼ below the panel, at the value beside it"] if beyond else []
+    if unknown:
+        notes.append(f"{unknown} differences left out, where theory is below {LEAST:g}")
+    style.note(panels[0, 0], "; ".join(notes))
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=7.5)
     return made
 
 
-def figure_app4(files: Sequence[Results]) -> Figure:
+def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
+    """Mark what lies below the panel at its edge, with its value, one above the other."""
+    for place, (axes, x, y, colour) in enumerate(beyond):
+        level = LOWEST + 0.06
+        axes.plot([x], [level], "v", color=colour, ms=4, clip_on=False, zorder=4)
+        taken = sum(one[0] is axes and abs(one[1] - x) < 1e-9 for one in beyond[:place])
+        axes.annotate(
+            f"{y:.2g}" if y > -100.0 else f"$-10^{{{np.log10(-y):.0f}}}$", (x, level),
+            (0, 4 + 7 * taken), textcoords="offset points", fontsize=5.5, color=colour, ha="center",
+        )  # fmt: skip
+
+
+def figure_app4(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figure:
     """Return currents and theory divided by N, against T/N, all N in one panel."""
     points = gather(files)
     made = style.figure(5.0, 3.7)
@@ -166,15 +193,16 @@ def figure_app4(files: Sequence[Results]) -> Figure:
             label=f"$w = {group.channel1_width[0]:g}$, $N = {number:.0f}$",
         )
         thresholds = np.arange(0.0, group.threshold.max() + 1.0)
-        for gate, dashes in ((WINDOW, lines[row % 3]), (RENEWAL, "-")):
-            current = _theory(files[group.file[0]], group, thresholds, gate)
-            width = 0.9 if gate is WINDOW else 0.5
-            axes.plot(thresholds / number, current / number, color=colour, ls=dashes, lw=width)
+        for at, model in enumerate(models):
+            current = _theory(files[group.file[0]], group, thresholds, model)
+            look = {"ls": lines[row % 3], "lw": 0.9} if at == 0 else {"ls": "-", "lw": 0.5}
+            axes.plot(thresholds / number, current / number, color=colour, **look)
     numbers = np.unique(points.number)
     explained = [
-        (lines[at % 3], f"theory, paper, $N = {one:.0f}$") for at, one in enumerate(numbers)
+        (lines[at % 3], f"theory, {models[0].label}, $N = {one:.0f}$")
+        for at, one in enumerate(numbers)
     ]
-    _explain(axes, [*explained, ("-", "theory, renewal gate")])
+    _explain(axes, [*explained, *(("-", f"theory, {one.label}") for one in models[1:])])
     style.label_fraction(axes)
     axes.set_ylabel("current / $N$ (per unit time)")
     axes.set_ylim(bottom=0.0)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from postproc.figures import style
-from postproc.figures.currents import binned, draw_currents
+from postproc.figures.currents import (
+    binned,
+    draw_currents,
+    draw_eta,
+    explain_eta,
+    settled_number2,
+)
+from postproc.figures.models import ALL, PAIR, spread_and_current
 from postproc.reading.points import gather
 from postproc.reading.results import Results
-from postproc.theory.renewal import THEORIES
-from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,7 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from postproc.figures.models import Model
     from postproc.reading.points import Points
+    from postproc.theory.circuit import Circuit
 
     Drawing = Callable[[Sequence[Results]], Figure]
 
@@ -28,6 +35,7 @@ MARKS = ("o", "s", "^", "D", "v", "P")
 TIME_COLOURS = (style.BLUE, style.VERMILION, style.BLACK, style.GREEN, style.PURPLE, style.ORANGE)
 MOST = 6  # points in a figure against time
 STEPS = 400  # places along the time axis of comp06
+EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 
 def _with_tasks(files: Sequence[Results]) -> Points:
@@ -40,72 +48,97 @@ def _with_tasks(files: Sequence[Results]) -> Points:
     return points.where(np.arange(points.number.size) < MOST)
 
 
-def figure_comp05(files: Sequence[Results]) -> Figure:
-    """Return flows and net currents against time, one panel a point, by increasing T."""
+def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
+    """Return flows and net currents against time, a panel a point by increasing T, eta below."""
     points = _with_tasks(files)
     count = points.number.size
-    made = style.figure(max(3.1 * count, 4.6), 3.6)
-    panels = made.subplots(1, count, squeeze=False)[0]
-    for at, axes in enumerate(panels):
+    made = style.figure(max(3.1 * count, 4.6), 5.4)
+    cells = made.add_gridspec(2, count, height_ratios=(2.0, 1.0))
+    for at in range(count):
         results, point = files[points.file[at]], int(points.point[at])
-        replica = int(np.flatnonzero(results.done[point])[0])
-        draw_currents(axes, results.circuit(point), results.series(point, replica), legend=False)
-        axes.set_title(f"({chr(97 + at)})  $T = {points.threshold[at]:.0f}$")
-    for axes in panels[1:]:
-        axes.set_ylabel("")
-    handles, labels = panels[0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=7, columnspacing=1.0, fontsize=7)
+        circuit = results.circuit(point)
+        series = results.series(point, int(np.flatnonzero(results.done[point])[0]))
+        panels = draw_currents(made, cells[0, at], circuit, series, models)
+        balance = made.add_subplot(cells[1, at])
+        draw_eta(balance, circuit, models, settled_number2(circuit, series))
+        panels[0].set_title(f"({chr(97 + at)})  $T = {points.threshold[at]:.0f}$")
+        if at > 0:
+            for axes in panels:
+                axes.set_ylabel("")
+        else:
+            balance.set_ylabel(r"$\eta$, what urn 2 gains")
+    explain_eta(made.axes[0])
+    handles, labels = made.axes[0].get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside upper center", ncols=6, columnspacing=1.0, fontsize=7)
     return made
 
 
-def figure_comp06(files: Sequence[Results]) -> Figure:
-    """Return chi, and below it the net current through channel 2, against time, a colour a T."""
+def figure_comp06(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
+    """Return chi, and below it the net current through channel 2, against time, a colour a T.
+
+    The current counts from the urn that was full at the start to the other. On the left the start,
+    if the run is much longer.
+    """
     points = _with_tasks(files)
-    made = style.figure(4.6, 4.8)
-    spread, current = made.subplots(2, 1, sharex=True)
-    last = 0.0
-    for at, colour in zip(range(points.number.size), TIME_COLOURS, strict=False):
-        results, point = files[points.file[at]], int(points.point[at])
-        last = max(last, _draw_histories(spread, current, results, point, colour))
-        state = stable_state(results.circuit(point))
-        if state is not None:
-            dashes = ":" if at == 0 else "--"
-            spread.axhline(state.mass_spread, color=colour, ls=dashes, lw=0.9)
-            current.axhline(state.net_current, color=colour, ls=dashes, lw=0.9)
-    spread.plot([], [], color=style.GREY, ls="--", lw=0.9, label="theory, stable $\\chi > 0$")
-    spread.set_ylabel(r"mass spread $\chi$")
-    spread.set_ylim(0.0, 1.02)
-    current.set_ylabel("net current, channel 2\n(per unit time)")
-    current.axhline(0.0, color=style.GREY, lw=0.5)
-    current.set_xlabel("time $t$  (length / $v$)")
-    current.set_xlim(0.0, last)
-    made.legend(loc="outside upper center", ncols=4, fontsize=7.5)
+    last = max(float(files[file].value("series/time").max()) for file in np.unique(points.file))
+    ends = [last] if last < 3.0 * EARLY else [EARLY, last]
+    made = style.figure(style.PAGE if len(ends) > 1 else 4.6, 4.8)
+    panels = made.subplots(2, len(ends), squeeze=False, sharex="col", sharey="row")
+    for column, end in zip(panels.T, ends, strict=True):
+        for at, colour in zip(range(points.number.size), TIME_COLOURS, strict=False):
+            results, point = files[points.file[at]], int(points.point[at])
+            _draw_histories(column, results, point, colour, end)
+            _draw_states(column, models, results.circuit(point), colour)
+        column[1].axhline(0.0, color=style.GREY, lw=0.5)
+        column[1].set_xlabel("time $t$  (length / $v$)")
+        column[1].set_xlim(0.0, end)
+        column[1].xaxis.set_major_locator(MaxNLocator(5))
+    for model in models:
+        label = f"stable $\\chi > 0$, theory, {model.label}"
+        panels[0, 0].plot([], [], color=style.GREY, ls=model.dashes, lw=0.9, label=label)
+    panels[0, 0].set_ylabel(r"mass spread $\chi$")
+    panels[0, 0].set_ylim(0.0, 1.02)
+    panels[1, 0].set_ylabel("net current, channel 2\n(per unit time)")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=7.5)
     return made
+
+
+def _draw_states(
+    panels: Sequence[Axes], models: Sequence[Model], circuit: Circuit, colour: str
+) -> None:
+    """Draw chi and net current of the stable polarised state of each theory that has one."""
+    for model in models:
+        state = model.stable_state(circuit)
+        if state is not None:
+            for axes, level in zip(panels, (state.mass_spread, state.net_current), strict=True):
+                axes.axhline(level, color=colour, ls=model.dashes, lw=0.9)
 
 
 def _draw_histories(
-    spread: Axes, current: Axes, results: Results, point: int, colour: str
-) -> float:
-    """Draw one point, its first replica in full and the others faintly; return the last time."""
-    circuit, last = results.circuit(point), 0.0
+    panels: Sequence[Axes], results: Results, point: int, colour: str, end: float
+) -> None:
+    """Draw one point up to a time, its first replica in full and the others faintly."""
+    circuit = results.circuit(point)
     number = float(circuit.number)
-    for replica in np.flatnonzero(results.done[point]):
+    done = np.flatnonzero(results.done[point])
+    for replica in done[::-1]:
         series = results.series(point, int(replica))
-        chi = np.abs(number - 2.0 * series.urn1_number) / number
-        net = series.flows["flow2_12"] - series.flows["flow2_21"]
-        first = replica == np.flatnonzero(results.done[point])[0]
-        look = {"color": colour, "lw": 1.1 if first else 0.5, "alpha": 1.0 if first else 0.35}
-        label = f"$T = {circuit.threshold}$" if first else None
-        middle, mean, _ = binned(series.time, chi, STEPS)
-        spread.plot(middle, mean, label=label, **look)
-        middle, mean, _ = binned(series.time, np.abs(net), STEPS)
-        signed = binned(series.time, net, STEPS // 4)
-        current.plot(signed[0], np.abs(signed[1]), **look)
-        last = max(last, float(series.time[-1]))
-    return last
+        early = series.time <= end
+        time, first = series.time[early], series.urn1_number[early]
+        net = (series.flows["flow2_12"] - series.flows["flow2_21"])[early]
+        if 2.0 * first[0] < number:
+            net = -net
+        shown = replica == done[0]
+        look = {"color": colour, "lw": 1.1 if shown else 0.5, "alpha": 1.0 if shown else 0.35}
+        label = f"$T = {circuit.threshold}$" if shown else None
+        middle, mean, _ = binned(time, np.abs(number - 2.0 * first) / number, STEPS)
+        panels[0].plot(middle, mean, label=label, **look)
+        middle, mean, _ = binned(time, net, STEPS // 8)
+        panels[1].plot(middle, mean, **look)
 
 
-def figure_comp01(files: Sequence[Results]) -> Figure:
+def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
     """Return net currents against T/N and against chi, one mark for each w'."""
     points = gather(files)
     made = style.figure(style.PAGE, 3.4)
@@ -118,10 +151,11 @@ def figure_comp01(files: Sequence[Results]) -> Figure:
         label = f"$w' = {width:.4g}$"
         left.errorbar(fraction, group.current, group.current_error, label=label, **look)
         right.errorbar(group.chi, group.current, group.current_error, group.chi_error, **look)
-        for dashes, changes in zip(style.DASHES, THEORIES.values(), strict=True):
-            _draw_branch(left, right, files, group, changes, {"color": colour, "ls": dashes})
-    for dashes, name in zip(style.DASHES, THEORIES, strict=True):
-        left.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=f"theory, {name}")
+        for model in models:
+            _draw_branch((left, right), files, group, model, colour)
+    for model in models:
+        look = {"color": style.GREY, "ls": model.dashes, "lw": 0.9}
+        left.plot([], [], label=f"theory, {model.label}", **look)
     style.label_fraction(left)
     left.set_ylabel("net current (per unit time)")
     right.set_xlabel(r"mass spread $\chi$")
@@ -129,25 +163,22 @@ def figure_comp01(files: Sequence[Results]) -> Figure:
     left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
     handles, labels = left.get_legend_handles_labels()  # lines come first
     entries = list(zip(handles, labels, strict=True))
-    handles, labels = zip(*entries[len(THEORIES) :], *entries[: len(THEORIES)], strict=True)
+    handles, labels = zip(*entries[len(models) :], *entries[: len(models)], strict=True)
     made.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=7.5)
     return made
 
 
 def _draw_branch(
-    left: Axes,
-    right: Axes,
+    panels: tuple[Axes, Axes],
     files: Sequence[Results],
     group: Points,
-    changes: dict[str, object],
-    look: dict[str, str],
+    model: Model,
+    colour: str,
 ) -> None:
-    """Draw the theory's stable polarised state through the thresholds of a group."""
-    base = replace(files[group.file[0]].circuit(int(group.point[0])), **changes)
-    lowest, highest = int(group.threshold.min()), int(group.threshold.max())
-    thresholds = np.arange(max(lowest, 1), highest + 1)
-    states = [stable_state(replace(base, threshold=int(one))) for one in thresholds]
-    spread = np.array([np.nan if state is None else state.mass_spread for state in states])
-    current = np.array([np.nan if state is None else state.net_current for state in states])
-    left.plot(thresholds / float(base.number), current, lw=0.9, **look)
-    right.plot(spread, current, lw=0.9, **look)
+    """Draw a theory's stable polarised state through the thresholds of a group."""
+    circuit = files[group.file[0]].circuit(int(group.point[0]))
+    thresholds = np.arange(max(int(group.threshold.min()), 1), int(group.threshold.max()) + 1)
+    spread, current = spread_and_current(model, circuit, thresholds)
+    look = {"color": colour, "ls": model.dashes, "lw": 0.9}
+    panels[0].plot(thresholds / float(circuit.number), current, **look)
+    panels[1].plot(spread, current, **look)

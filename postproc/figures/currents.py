@@ -1,4 +1,4 @@
-"""Flows and net currents against time, with the theory's values and an inset of eta."""
+"""Flows and net currents against time with what theories say of them, and eta beside them."""
 
 from __future__ import annotations
 
@@ -9,20 +9,27 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from postproc.figures import style
+from postproc.figures.models import PAIR
 from postproc.reading.results import Results
-from postproc.theory.circuit import eta, flow1, flow2, homogeneous_kind, net_current2
-from postproc.theory.states import stationary_states
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
     from numpy.typing import NDArray
 
+    from postproc.figures.models import Model
     from postproc.reading.results import Series
     from postproc.theory.circuit import Circuit
 
+    Floats = NDArray[np.float64]
+
 MARKS = 32  # points of a flow along the axis
 BINS = 80  # steps of the lines of the net currents
+START = 0.05  # share of the time at whose peaks the axis does not look
+GAP = 0.4  # share of the axis without anything from which on it is left out
 FLOW_LOOK = {
     "flow1_12": ("o", style.BLUE, "channel 1, urn 1 → 2"),
     "flow1_21": ("s", style.ORANGE, "channel 1, urn 2 → 1"),
@@ -31,9 +38,7 @@ FLOW_LOOK = {
 }
 
 
-def binned(
-    time: NDArray[np.float64], values: NDArray[np.float64], bins: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def binned(time: Floats, values: Floats, bins: int) -> tuple[Floats, Floats, Floats]:
     """Return middle, mean and standard error of at most `bins` runs of equally many entries."""
     pieces = min(bins, time.size)
     starts = np.linspace(0, time.size, pieces + 1).astype(int)
@@ -53,98 +58,142 @@ def settled_number2(circuit: Circuit, series: Series) -> float:
     return float(circuit.number) - float(late.mean())
 
 
-def nearest_stable(circuit: Circuit, number2: float) -> float:
-    """Return N2 of the theory's stable state (either sign of N2 - N1) nearest to `number2`."""
-    total = float(circuit.number)
-    found = [s.urn2_number for s in stationary_states(circuit) if s.kind == "stable"]
-    found += [total - other for other in found]
-    if homogeneous_kind(circuit) != "unstable":
-        found.append(0.5 * total)
-    return min(found, key=lambda other: abs(other - number2))
-
-
-def draw_eta(axes: Axes, circuit: Circuit, number2: float | None = None) -> None:
-    """Draw eta of eq. (eq007) against N2/N, its zeros, and a disk at the state that was reached."""
+def draw_eta(
+    axes: Axes, circuit: Circuit, models: Sequence[Model], number2: float | None = None
+) -> None:
+    """Draw eta of eq. (eq007) against N2/N, its zeros, and a disc at the state that was reached."""
     total = float(circuit.number)
     second = np.linspace(0.0, total, 801)
     axes.axhline(0.0, color=style.GREY, linewidth=0.6)
-    axes.plot(second / total, eta(circuit, second), color=style.BLACK, linewidth=1.0)
-    zeros = [(s.urn2_number, s.kind) for s in stationary_states(circuit)]
-    zeros += [(total - zero, kind) for zero, kind in zeros]
-    zeros.append((0.5 * total, homogeneous_kind(circuit)))
-    for zero, kind in zeros:
-        face = "white" if kind == "unstable" else style.GREY
-        axes.plot(zero / total, 0.0, "o", ms=3.2, mfc=face, mec=style.BLACK, mew=0.6)
+    for model in models:
+        values = model.eta(circuit, second)
+        axes.plot(second / total, values, color=style.BLACK, ls=model.dashes, lw=1.0)
+        for zero, kind in model.zeros(circuit):
+            face = "white" if kind == "unstable" else style.GREY
+            axes.plot(zero / total, 0.0, "o", ms=3.2, mfc=face, mec=style.BLACK, mew=0.6, zorder=4)
     if number2 is not None:
-        axes.plot(number2 / total, 0.0, "o", ms=5, color=style.VERMILION, zorder=5)
-    axes.set_xlabel("$N_2/N$", fontsize=7, labelpad=1)
-    axes.set_ylabel(r"$\eta$", fontsize=8, labelpad=0)
-    axes.tick_params(labelsize=6.5, pad=2)
+        axes.plot(number2 / total, 0.0, "o", ms=5.5, mfc="none", mec=style.VERMILION, zorder=5)
+    axes.set_xlabel("$N_2/N$")
     axes.set_xlim(0.0, 1.0)
-
-
-def draw_currents(axes: Axes, circuit: Circuit, series: Series, legend: bool = True) -> None:
-    """Draw one panel: flows (marks), net currents (lines), theory (dashed), inset of eta."""
-    for name, (mark, colour, label) in FLOW_LOOK.items():
-        middle, mean, error = binned(series.time, series.flows[name], MARKS)
-        axes.errorbar(
-            middle,
-            mean,
-            error,
-            fmt=mark,
-            color=colour,
-            mfc="none",
-            ms=3.5,
-            elinewidth=0.6,
-            label=label,
-        )
-    for number, colour in ((1, style.VERMILION), (2, style.SKY)):
-        net = series.flows[f"flow{number}_12"] - series.flows[f"flow{number}_21"]
-        middle, mean, _ = binned(series.time, net, BINS)
-        sign = np.sign(net[net.size // 2 :].mean()) or 1.0
-        axes.plot(middle, sign * mean, color=colour, lw=1.3, label=f"net current, channel {number}")
-    reached = settled_number2(circuit, series)
-    second = nearest_stable(circuit, reached)
-    first = float(circuit.number) - second
-    lines = [flow(circuit, n) for flow in (flow1, flow2) for n in (first, second)]
-    lines.append(np.abs(net_current2(circuit, second)))
-    for at, level in enumerate(lines):
-        label = "theory" if at == 0 else None
-        axes.axhline(float(level), color=style.BLACK, ls="--", lw=0.8, zorder=0.5, label=label)
-    _frame(axes, series)
-    inset = axes.inset_axes((0.62, 0.63, 0.36, 0.32))
-    draw_eta(inset, circuit, reached)
-    if legend:
-        axes.figure.legend(loc="outside upper center", ncols=4, handlelength=1.6, fontsize=7)
-
-
-def _frame(axes: Axes, series: Series) -> None:
-    """Leave the right upper part of the panel free for the inset."""
-    marks = [binned(series.time, flow, MARKS) for flow in series.flows.values()]
-    lines = [
-        binned(series.time, np.abs(series.flows[f"{one}_12"] - series.flows[f"{one}_21"]), BINS)
-        for one in ("flow1", "flow2")
-    ]
-    below = series.time[-1] * 0.5  # where the inset begins
-    highest = max(mean.max() for _, mean, _ in marks + lines)
-    late = max(mean[middle > below].max(initial=0.0) for middle, mean, _ in marks + lines)
-    lowest = min(axes.get_ylim()[0], 0.0)
-    axes.set_ylim(lowest, max(1.08 * highest, 2.6 * late, 1e-12))
-    axes.set_xlim(0.0, series.time[-1])
     axes.xaxis.set_major_locator(MaxNLocator(4))
-    axes.set_xlabel("time $t$  (length / $v$)")
-    axes.set_ylabel("particles per unit time")
+    axes.yaxis.set_major_locator(MaxNLocator(5))
 
 
-def figure_currents(results: Results, point: int = 0, replica: int = 0) -> Figure:
+def explain_eta(axes: Axes) -> None:
+    """Add to a legend what the discs on eta are."""
+    look = {"ls": "none", "marker": "o", "mec": style.BLACK, "mew": 0.6, "ms": 3.2}
+    axes.plot([], [], mfc=style.GREY, label="stable", **look)
+    axes.plot([], [], mfc="white", label="unstable", **look)
+    look.update(mec=style.VERMILION, ms=5.5, mew=1.0)
+    axes.plot([], [], mfc="none", label="reached", **look)
+
+
+def draw_currents(
+    made: Figure, cell: SubplotSpec, circuit: Circuit, series: Series, models: Sequence[Model]
+) -> list[Axes]:
+    """Draw flows (marks), net currents (lines), and what theories say of both; return the panels.
+
+    Net currents are counted along the polarity that the run ends with, both with the same sign. A
+    theory's flow has the colour of the marks that it is meant for, its net current is black. Where
+    there is nothing over much of the axis it is broken, so there are one or two panels, the upper
+    one first.
+    """
+    reached = settled_number2(circuit, series)
+    levels = [model.levels(circuit, reached) for model in models]
+    nets = _net_currents(series, 1.0 if reached > 0.5 * float(circuit.number) else -1.0)
+    flows = [binned(series.time, series.flows[name], MARKS) for name in FLOW_LOOK]
+    settled = [mean[middle > START * series.time[-1]] for middle, mean, _ in [*flows, *nets]]
+    ranges = _ranges(np.concatenate([*settled, *(list(one.values()) for one in levels)]))
+    parts = cell.subgridspec(len(ranges), 1, hspace=0.0)
+    panels = [made.add_subplot(part) for part in parts]
+    for axes, limits in zip(panels, ranges[::-1], strict=True):
+        _draw(axes, flows, nets)
+        for model, one in zip(models, levels, strict=True):
+            _draw_levels(axes, model, one)
+        axes.set_ylim(*limits)
+        axes.set_xlim(0.0, series.time[-1])
+        axes.set_ylabel("flow (per unit time)")
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.yaxis.set_major_locator(MaxNLocator(5))
+    panels[-1].set_xlabel("time $t$  (length / $v$)")
+    if len(panels) > 1:
+        _break(*panels)
+    return panels
+
+
+def _net_currents(series: Series, sign: float) -> list[tuple[Floats, Floats, Floats]]:
+    """Return the net currents of channel 1 from urn 1 to urn 2 and of channel 2 back, `binned`."""
+    ways = (("flow1_12", "flow1_21"), ("flow2_21", "flow2_12"))
+    nets = [sign * (series.flows[ahead] - series.flows[back]) for ahead, back in ways]
+    return [binned(series.time, net, BINS) for net in nets]
+
+
+def _ranges(values: Floats) -> list[tuple[float, float]]:
+    """Return the parts of the axis to draw, the lower first: two if there is a wide gap."""
+    ordered = np.unique(values)
+    low, high = float(ordered[0]), float(ordered[-1])
+    gaps = np.diff(ordered)
+    if gaps.size == 0 or gaps.max() < GAP * (high - low):
+        parts = [(low, high)]
+    else:
+        at = int(gaps.argmax())
+        parts = [(low, float(ordered[at])), (float(ordered[at + 1]), high)]
+    widest = max(*(end - begin for begin, end in parts), 0.02 * abs(high), 1e-12)
+    room = [max(0.15 * (end - begin), 0.05 * widest) for begin, end in parts]
+    return [(begin - more, end + more) for (begin, end), more in zip(parts, room, strict=True)]
+
+
+def _draw(
+    axes: Axes,
+    flows: Sequence[tuple[Floats, Floats, Floats]],
+    nets: Sequence[tuple[Floats, Floats, Floats]],
+) -> None:
+    for (mark, colour, label), (middle, mean, error) in zip(FLOW_LOOK.values(), flows, strict=True):
+        look = {"fmt": mark, "color": colour, "mfc": "none", "ms": 3.5, "elinewidth": 0.6}
+        axes.errorbar(middle, mean, error, label=label, **look)
+    for number, (middle, mean, _) in enumerate(nets, 1):
+        colour = (style.VERMILION, style.SKY)[number - 1]
+        axes.plot(middle, mean, color=colour, lw=1.1, label=f"net current, channel {number}")
+
+
+def _draw_levels(axes: Axes, model: Model, levels: dict[str, float]) -> None:
+    for name, level in levels.items():
+        colour = FLOW_LOOK[name][1] if name in FLOW_LOOK else style.BLACK
+        axes.axhline(level, color=colour, ls=model.dashes, lw=1.0, zorder=0.5)
+    axes.plot([], [], color=style.GREY, ls=model.dashes, lw=1.0, label=f"theory, {model.label}")
+
+
+def _break(upper: Axes, lower: Axes) -> None:
+    """Show that the axis goes on from one panel to the other without what lies between."""
+    upper.tick_params(labelbottom=False, bottom=False)
+    lower.tick_params(top=False)
+    upper.spines["bottom"].set_visible(False)
+    lower.spines["top"].set_visible(False)
+    look = {"marker": [(-1.0, -0.5), (1.0, 0.5)], "ms": 8, "ls": "none", "color": style.BLACK}
+    for axes, height in ((upper, 0.0), (lower, 1.0)):
+        axes.plot([0, 1], [height] * 2, transform=axes.transAxes, clip_on=False, mew=0.8, **look)
+
+
+def figure_currents(
+    results: Results, point: int = 0, replica: int = 0, models: Sequence[Model] = PAIR
+) -> Figure:
     """Return the picture of one task of `results`."""
     circuit, series = results.circuit(point), results.series(point, replica)
-    made = style.figure(5.8, 4.2)
-    axes = made.add_subplot()
-    draw_currents(axes, circuit, series)
+    made = style.figure(style.PAGE, 3.7)
+    left, right = made.add_gridspec(1, 2, width_ratios=(2.2, 1.0))
+    axes = draw_currents(made, left, circuit, series, models)[0]
+    balance = made.add_subplot(right)
+    draw_eta(balance, circuit, models, settled_number2(circuit, series))
+    balance.set_title(r"$\eta$, what urn 2 gains")
+    explain_eta(balance)
+    balance.legend(fontsize=6.5, loc="best", handletextpad=0.2)
     axes.set_title(
         f"$N = {circuit.number}$, $T = {circuit.threshold}$, "
         f"$w = {circuit.channel1_width:g}$, $w' = {circuit.channel2_width:g}$"
     )
+    made.legend(
+        *axes.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=7,
+        handlelength=1.8,
+    )  # fmt: skip
     style.note(axes, results.remark)
     return made

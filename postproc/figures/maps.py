@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from postproc import cli
 from postproc.figures import style
+from postproc.figures.models import ALL
 from postproc.reading.points import gather
-from postproc.theory.circuit import transition_width
-from postproc.theory.renewal import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from postproc.figures.models import Model
     from postproc.reading.points import Points
     from postproc.reading.results import Results
     from postproc.theory.circuit import Circuit
@@ -48,11 +47,6 @@ def edges(centres: Floats) -> Floats:
     return np.concatenate([[first], middle, [last]])
 
 
-def transition_line(circuit: Circuit, thresholds: Floats) -> Floats:
-    """Return w' of the transition line, eq. (transition), for each T; NaN where there is none."""
-    return np.array([transition_width(replace(circuit, threshold=int(one))) for one in thresholds])
-
-
 def by_start(points: Points) -> list[tuple[str, Points]]:
     """Return the points that began homogeneous and those that began polarised, if any."""
     polarised = points.start > POLARISED
@@ -71,14 +65,13 @@ def _draw(axes: Axes, points: Points, values: Floats, look: dict[str, object]) -
     return mesh
 
 
-def transition_lines(points: Points, circuit: Circuit) -> list[Line]:
-    """Return (T/N, w', dashes, label) of the transition lines of all theories."""
-    thresholds = np.arange(1.0, points.threshold.max() + 1.0)
-    fraction = thresholds / float(circuit.number)
-    return [
-        (fraction, transition_line(replace(circuit, **changes), thresholds), dashes, name)
-        for dashes, (name, changes) in zip(style.DASHES, THEORIES.items(), strict=True)
-    ]
+def transition_lines(points: Points, circuit: Circuit, models: Sequence[Model]) -> list[Line]:
+    """Return (T/N, w', dashes, label) of the transition lines of theories."""
+    last, lines = int(points.threshold.max()) + 1, []
+    for model in models:
+        thresholds, widths = model.transition_line(circuit, 1, last)
+        lines.append((thresholds / float(circuit.number), widths, model.dashes, model.label))
+    return lines
 
 
 def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], colour: str) -> None:
@@ -90,12 +83,12 @@ def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], colour: str) 
     axes.set_xlim(borders[0], borders[-1])
 
 
-def figure_numris(files: Sequence[Results]) -> Figure:
+def figure_numris(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
     """Return maps of chi and net current, a row a start, and where two starts end differently."""
     points = gather(files)
     if np.unique(points.number).size > 1 or np.unique(points.channel1_width).size > 1:
         raise cli.InputError("figure numris needs runs of one N and one w")
-    lines = transition_lines(points, files[0].circuit(0))
+    lines = transition_lines(points, files[0].circuit(0), models)
     starts = by_start(points)
     rows = len(starts) + (len(starts) > 1)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)

@@ -1,4 +1,4 @@
-"""The table with its lengths named, Fig. model of the paper."""
+"""The table with its lengths named: Fig. model of the paper, and Fig. app1, the single urn."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 SHOWN = 40  # particles of a run that are drawn
 # wider than the paper's runs, so that all can be seen
 EXAMPLE = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.2)
+URN = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.0, shape="urn")
 
 
 def example_snapshot(circuit: Circuit, count: int = SHOWN, seed: int = 4) -> Snapshot:
@@ -33,7 +34,8 @@ def example_snapshot(circuit: Circuit, count: int = SHOWN, seed: int = 4) -> Sna
     urn &= from_centre > -circuit.chords[0]
     gate = (np.abs(x) < 0.5 * circuit.channel1_length) & (np.abs(y) < 0.45 * circuit.channel1_width)
     back = (from_centre > circuit.chords[1]) & (np.abs(y) < 0.4 * circuit.channel2_width)
-    inside = np.flatnonzero(urn | gate | back)[:count]
+    there = x < 0.0 if circuit.shape == "urn" else True
+    inside = np.flatnonzero((urn | gate | back) & there)[:count]
     angle = random.uniform(0.0, 2.0 * np.pi, inside.size)
     return Snapshot(0.0, x[inside], y[inside], np.cos(angle), np.sin(angle))
 
@@ -54,16 +56,25 @@ def _measure(
 
 def figure_model(files: Sequence[Results]) -> Figure:
     """Return the table, with some particles of the first snapshot if there is a file."""
-    circuit, snapshot = EXAMPLE, None
+    return _figure(files, EXAMPLE)
+
+
+def figure_app1(files: Sequence[Results]) -> Figure:
+    """Return the single urn of the appendix, with its gate and its end wall."""
+    return _figure(files, URN)
+
+
+def _figure(files: Sequence[Results], circuit: Circuit) -> Figure:
+    snapshot = None
     if files:
         circuit, full = files[0].circuit(0), files[0].snapshot(0, 0, 0)
         step = max(full.x.size // SHOWN, 1)
         parts = (part[::step] for part in (full.x, full.y, full.ux, full.uy))
         snapshot = Snapshot(full.time, *parts)
     snapshot = snapshot or example_snapshot(circuit)
-    made = style.figure(style.PAGE, 2.9)
+    made = style.figure(style.PAGE if circuit.shape == "circuit" else style.COLUMN * 1.2, 2.9)
     made.set_layout_engine("none")  # the labels beside the table leave it no room
-    axes = made.subplots()
+    axes = made.add_axes((0.03, 0.02, 0.94, 0.94))
     draw_table(axes, circuit)
     counted = counted_by(circuit, snapshot) > 0
     colour = np.where(counted, style.VERMILION, style.BLUE)
@@ -74,7 +85,7 @@ def figure_model(files: Sequence[Results]) -> Figure:
         angles="xy",
         scale_units="xy",
         scale=6.0 / circuit.urn_radius,
-        width=0.002,
+        width=0.002 if circuit.shape == "circuit" else 0.0035,
         zorder=3,
         clip_on=False,
     )
@@ -86,18 +97,24 @@ def _name_lengths(axes: Axes, circuit: Circuit) -> None:
     radius, half1 = circuit.urn_radius, 0.5 * circuit.channel1_width
     below = -half1 - 0.1 * radius
     reach = 0.5 * circuit.channel1_length
-    _measure(axes, (-reach, 0.0), below, r"$\ell/2$")
-    _measure(axes, (0.0, reach), below, r"$\ell/2$")
-    _measure(axes, (-half1, half1), 0.6 * reach, "$w$", vertical=True)
-    axes.text(-0.5 * reach, half1 + 0.06 * radius, "gate 1", ha="center")
-    axes.text(0.5 * reach, half1 + 0.06 * radius, "gate 2", ha="center")
-    for side, name in ((-1.0, "urn 1"), (1.0, "urn 2")):
-        axes.text(side * circuit.urn_centre, radius * 1.06, name, ha="center")
+    sides = ((-1.0, 1), (1.0, 2)) if circuit.shape == "circuit" else ((-1.0, 1),)
+    for side, number in sides:
+        _measure(axes, (min(side * reach, 0.0), max(side * reach, 0.0)), below, r"$\ell/2$")
+        axes.text(side * 0.5 * reach, half1 + 0.06 * radius, f"gate {number}", ha="center")
+        axes.text(side * circuit.urn_centre, radius * 1.06, f"urn {number}", ha="center")
+    if circuit.shape == "circuit":
+        _measure(axes, (-half1, half1), 0.6 * reach, "$w$", vertical=True)
+    else:
+        _measure(axes, (-half1, half1), 0.1 * radius, "$w$", vertical=True)
+        look = {"ha": "center", "va": "center", "rotation": 90}
+        axes.text(0.34 * radius, 0.0, "end wall", **look)
+        axes.set_xlim(right=0.45 * radius)
+    last = sides[-1][0] * float(circuit.urn_centre)
     angle = np.radians(130.0)
-    tip = (circuit.urn_centre - radius * np.cos(angle), radius * np.sin(angle))
+    tip = (last - radius * np.cos(angle), radius * np.sin(angle))
     arrow = {"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tip, (circuit.urn_centre, 0.0), arrowprops=arrow)
-    axes.text(circuit.urn_centre + 0.42 * radius, 0.36 * radius, "$r$", ha="left")
+    axes.annotate("", tip, (last, 0.0), arrowprops=arrow)
+    axes.text(last + 0.42 * radius, 0.36 * radius, "$r$", ha="left")
     if circuit.channel2_width > 0.0:
         start = circuit.urn_centre + circuit.chords[1]
         under = -0.5 * circuit.channel2_width - 0.1 * radius

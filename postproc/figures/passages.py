@@ -9,7 +9,7 @@ defined even where a theory has no such state, only a place where the drift is s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,9 +18,8 @@ from scipy import stats
 
 from postproc.cli import InputError
 from postproc.figures import style
+from postproc.figures.models import ALL
 from postproc.reading.points import gather
-from postproc.theory.chain import passage_times
-from postproc.theory.renewal import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from postproc.figures.models import Model
     from postproc.reading.results import Results, Series
     from postproc.theory.circuit import Circuit
 
@@ -36,7 +36,6 @@ MIDDLE = 0.5  # starts with chi above this are polarised
 BOUND = 3.0  # the lifetime exceeds a third of the time in which nothing passed, at 95 %
 CONFIDENCE = 0.6827  # of the intervals drawn
 DRAWN = (3e2, 1e10)  # lifetimes that are drawn, length/v
-DASHES = (":", "--", "-")  # of the chains of `THEORIES`
 
 
 @dataclass(frozen=True)
@@ -67,10 +66,9 @@ class Lifetime:
         """N."""
         return float(self.circuit.number)
 
-    def of_chain(self, changes: dict[str, object]) -> float:
+    def of_chain(self, model: Model) -> float:
         """Return the time of the same passage by the chain of a theory."""
-        times = passage_times(replace(self.circuit, **changes), LOW, HIGH)
-        return times[int(self.polarised)]
+        return model.passage_times(self.circuit, LOW, HIGH)[int(self.polarised)]
 
 
 def estimate(times: Sequence[float], passed: Sequence[bool]) -> tuple[float, float, float]:
@@ -122,29 +120,29 @@ def measured(files: Sequence[Results]) -> list[Lifetime]:
     return found
 
 
-def table(found: Sequence[Lifetime]) -> str:
+def table(found: Sequence[Lifetime], models: Sequence[Model] = ALL) -> str:
     """Return the lifetimes and those of the chains as text, a line a point."""
     head = f"{'T':>2s} {'l':>4s} {'N':>5s} {'from':>11s} {'left':>7s} {'lifetime':>9s} "
-    lines = [head + f"{'(68 %)':>20s} {'paper':>9s} {'renewal':>9s} {'+channels':>9s}"]
+    lines = [head + f"{'(68 %)':>20s}" + "".join(f"  {model.label}" for model in models)]
     for one in found:
         circuit = one.circuit
         left = f"{one.passages}/{one.replicas}"
         error = f"{one.low:9.3g} -{one.high:9.3g}" if one.passages else "(at least)"
-        chains = " ".join(f"{one.of_chain(changes):9.3g}" for changes in THEORIES.values())
+        chains = "".join(f"  {one.of_chain(model):{len(model.label)}.3g}" for model in models)
         lines.append(
             f"{circuit.threshold:2d} {circuit.channel1_length:4g} {circuit.number:5d} "
             f"{'polarised' if one.polarised else 'homogeneous':>11s} {left:>7s} "
-            f"{one.time:9.3g} {error:>20s} {chains}"
+            f"{one.time:9.3g} {error:>20s}{chains}"
         )
     return "\n".join(lines)
 
 
-def figure_lifetimes(files: Sequence[Results]) -> Figure:
+def figure_lifetimes(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
     """Return lifetimes against N, a panel for each T and l: marks measured, lines the chains."""
     found = measured(files)
     if not found:
         raise InputError("figure lifetimes: no run is complete")
-    print(table(found))
+    print(table(found, models))
     panels: dict[tuple[int, float], list[Lifetime]] = {}
     for one in found:
         key = (int(one.circuit.threshold), float(one.circuit.channel1_length))
@@ -152,19 +150,19 @@ def figure_lifetimes(files: Sequence[Results]) -> Figure:
     made = style.figure(max(2.6 * len(panels), 4.6), 3.7)
     axes = made.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     for one, (key, group) in zip(axes, sorted(panels.items()), strict=True):
-        _draw_panel(one, group)
+        _draw_panel(one, group, models)
         one.set_title(f"$T = {key[0]}$, $l = {key[1]:g}$")
         one.set_xlabel("$N$")
         one.xaxis.set_major_locator(MaxNLocator(4, steps=(1, 2, 5, 10)))
     axes[0].set_yscale("log")
     axes[0].set_ylim(*DRAWN)
     axes[0].set_ylabel("lifetime  (length / $v$)")
-    _explain(axes[0])
+    _explain(axes[0], models)
     made.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return made
 
 
-def _draw_panel(axes: Axes, group: Sequence[Lifetime]) -> None:
+def _draw_panel(axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]) -> None:
     for polarised, mark, colour in ((False, "s", style.BLUE), (True, "o", style.VERMILION)):
         part = sorted((one for one in group if one.polarised == polarised), key=_by_number)
         if not part:
@@ -183,17 +181,17 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime]) -> None:
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
         numbers = np.unique([one.number for one in part])
-        for dashes, changes in zip(DASHES, THEORIES.values(), strict=True):
-            times = [one.of_chain(changes) for one in part]
-            axes.plot(numbers, times, color=colour, ls=dashes, lw=0.9)
+        for model in models:
+            times = [one.of_chain(model) for one in part]
+            axes.plot(numbers, times, color=colour, ls=model.dashes, lw=0.9)
 
 
-def _explain(axes: Axes) -> None:
+def _explain(axes: Axes, models: Sequence[Model]) -> None:
     axes.plot([], [], "s", color=style.BLUE, label="homogeneous, measured")
     axes.plot([], [], "o", color=style.VERMILION, label="polarised, measured")
     axes.plot([], [], "^", color=style.GREY, mfc="w", label="lower bound (95 %)")
-    for dashes, name in zip(DASHES, THEORIES, strict=True):
-        axes.plot([], [], color=style.GREY, ls=dashes, lw=0.9, label=f"chain, {name}")
+    for one in models:
+        axes.plot([], [], color=style.GREY, ls=one.dashes, lw=0.9, label=f"chain, {one.label}")
 
 
 def _by_number(one: Lifetime) -> float:

@@ -27,7 +27,6 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#8C8C8C"
-DASHES = ("--", "-", ":")  # of the lines of `theory.renewal.THEORIES`
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
 COLUMN = 3.4  # width of one column of the journal, inches

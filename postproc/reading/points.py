@@ -26,7 +26,8 @@ class Points:
     number, threshold, channel1_width, channel2_width : N, T, w, w'.
     start : chi at the beginning, |N1 - N2|/N.
     chi, chi_error : mean over the replicas and its standard error; NaN where no task is done.
-    current, current_error : net current of channel 1 by its size, per unit time; likewise.
+    current, current_error : net current, per unit time, along the polarity of a polarised state,
+        from urn 1 to urn 2 of a homogeneous one (`Results.net_current`); likewise.
     file, point : where the point comes from: which of the files, and which point there, from 0.
     """
 
@@ -58,7 +59,7 @@ def gather(files: Sequence[Results]) -> Points:
     for index, results in enumerate(files):
         results.need_tasks()
         number, first = results.value("number"), results.value("urn1_number")
-        chi, current = results.replica_mean("chi"), results.replica_mean("current1")
+        chi, current = results.replica_mean("chi"), results.net_current()
         columns.append(
             [
                 number,

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 COMPLETE = 0  # value of `task_status`
+POLARISED = 0.15  # chi from which on a state is taken to be polarised
 LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 
@@ -191,13 +192,30 @@ class Results:
 
         The error is the larger of what the spread of the replicas says and what the blocks within
         them say (`NAME_error`): few replicas may agree by chance. One replica: its block error.
-        Currents enter by their size, since the polarised state has either sign.
         """
         values = np.where(self.done, self.value(name), math.nan)
-        if name.startswith("current"):
-            values = np.abs(values)
         blocks = self.value(f"{name}_error") if self.has(f"{name}_error") else 0.0 * values
         return mean_and_error(values, blocks)
+
+    def net_current(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return net current and its standard error over the replicas of each point.
+
+        It has a sign, so that homogeneous states scatter about 0. A polarised state has either
+        polarity: its current is counted along it, `polarised_current` where the file has that,
+        else that of channel 1 by its size.
+        """
+        current, error = self.replica_mean("current1")
+        if self.shape != "circuit":
+            return current, error
+        polarised = self.replica_mean("chi")[0] > POLARISED
+        if self.has("polarised_current"):
+            along, along_error = self.replica_mean("polarised_current")
+        else:
+            sizes = np.abs(np.where(self.done, self.value("current1"), math.nan))
+            blocks = self.value("current1_error") if self.has("current1_error") else 0.0 * sizes
+            along, along_error = mean_and_error(sizes, blocks)
+        polarised &= np.isfinite(along)
+        return np.where(polarised, along, current), np.where(polarised, along_error, error)
 
     def series(self, point: int, replica: int) -> Series:
         """Return the series of a task, from the first interval on.

@@ -18,7 +18,7 @@ from postproc.figures.currents import figure_currents
 from postproc.figures.scene import figure_scene
 from postproc.reading.points import gather
 from postproc.reading.results import Results
-from postproc.report.warn import warnings
+from postproc.report.warn import explanations, warnings
 from postproc.theory.circuit import homogeneous_kind, single_urn_current
 from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
@@ -78,7 +78,7 @@ def _run_section(results: Results) -> str:
     )
 
 
-def _warning_section(found: Sequence[str]) -> str:
+def _listed(found: Sequence[str]) -> str:
     if not found:
         return '<p class="good">None.</p>'
     items = [f"<li>{html.escape(text)}</li>" for text in found]
@@ -236,10 +236,11 @@ def page(results: Results) -> str:
     """Return the whole page."""
     results.need_tasks()
     points = gather([results])
-    found = warnings(results)
+    found, explained = warnings(results), explanations(results)
     sections = {
         "What was run": _run_section(results),
-        f"Warnings ({len(found)})": _warning_section(found),
+        f"Warnings ({len(found)})": _listed(found),
+        **({"What looks strange, and is not": _listed(explained)} if explained else {}),
         "Map": '<p id="reading">Put the mouse on a cell of a map.</p>' + _map_section(points),
         "Pictures": _pictures(results),
         "Averages": _table_section(results, points),

@@ -55,8 +55,11 @@ def leave_out(path: Path, *tasks: tuple[int, int]) -> Path:
     """Make tasks (point, replica), from 0, such as an interrupted run leaves them."""
     with edited(path) as file:
         replica = file["replica"]
-        columns = [one for one in file.values() if getattr(one, "ndim", 0) == 2
-                   and replica in one.dims[1].values()]
+        columns = [
+            one
+            for one in file.values()
+            if getattr(one, "ndim", 0) == 2 and replica in one.dims[1].values()
+        ]
         for group in ("series", "snapshots"):
             columns += [one for one in file.get(group, {}).values() if one.ndim > 2]
         for column in columns:

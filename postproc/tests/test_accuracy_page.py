@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from postproc import cli
-from postproc.accuracy import page
+from postproc.accuracy import page, sections
 from postproc.accuracy.job import ROOT, Job
 
 KEPT = Path(__file__).with_name("accuracy_numbers.json")  # of a quick run, long lists left out
@@ -90,3 +90,22 @@ def test_measurements_in_words() -> None:
     assert [page.seconds(value) for value in (2.34, 0.0049, 8.4e-5, None)] == [
         "2.3 s", "4.9 ms", "84 us", "-",
     ]  # fmt: skip
+
+
+def test_stability_table_begins_with_its_verdict(job: Job) -> None:
+    numbers = job.kept("stability")
+    text = sections.stability(numbers)
+    told = text[text.index("**Verdict**") : text.index("| case |")]
+    assert re.findall(r"^(\d)\. ", told, re.MULTILINE) == ["1", "2", "3", "4", "5"]
+    table = (ROOT / "docs/accuracy.md").read_text()
+    cell = sections._cell(table[table.index("| case |") :], "whispering", "collision", "real64")
+    assert cell.startswith("3.1e-12 down to")
+    assert sections._cell(table[table.index("| case |") :], "long run", "none", "real64") == "-"
+
+
+def test_papers_average_stands_beside_that_over_time(job: Job) -> None:
+    averages = job.kept("observables")["averages"]
+    text = page.page(job)
+    assert "**The paper's average.**" in text
+    for one in averages:
+        assert page.measured(one["less"], one["less_error"]) in text

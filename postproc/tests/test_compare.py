@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from postproc.figures import passages
+from postproc.figures.models import MODELS
 from postproc.reading.results import Results
 from postproc.report import compare
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, FORGETFUL, results_of
-from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -116,5 +116,5 @@ def test_measured_passages_of_free_particles_are_those_of_the_chain(tmp_path: Pa
         found = passages.measured([results])
     for one in found:
         error = 0.5 * (one.high - one.low)
-        expected = one.of_chain({"gate": RENEWAL, "occupation": True})
+        expected = one.of_chain(MODELS["renewal_occupation"])
         assert one.time == pytest.approx(expected, abs=4.0 * error + 1.0)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from postproc.figures import appendix, circuits, currents, maps, model
+from postproc.figures import appendix, circuits, currents, maps, model, models, style
 from postproc.reading import points
 from postproc.reading.results import Results, opened
 from postproc.tests.commands import call
-from postproc.tests.runs import BARE, leave_out, results_of
-from postproc.theory.circuit import Circuit, homogeneous_kind, single_urn_current
-from postproc.theory.renewal import THEORIES
-from postproc.theory.states import stable_state
+from postproc.tests.runs import BARE, edited, leave_out, results_of
+from postproc.theory.circuit import (
+    Circuit,
+    homogeneous_kind,
+    single_urn_current,
+    transition_width,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -87,34 +91,88 @@ def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> N
 def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:
     with opened([folder / "time.h5"]) as files:
         made = circuits.figure_comp05(files)
-        middles = [files[0].series(at, 0).flows["flow1_12"].mean() for at in range(3)]
-    assert [axes.get_title("left") for axes in made.axes] == [
-        f"({letter})  $T = {threshold}$" for letter, threshold in (("a", 2), ("b", 7), ("c", 18))
-    ]
-    assert len(labels_of(made)) == 7
-    for axes, mean in zip(made.axes, middles, strict=True):
-        assert axes.get_xlim() == (0.0, 1000.0)
-        x, y = marks_of(axes)[0]  # runs of 3 or 4 entries of the series each
-        assert np.diff(x) == pytest.approx(1000.0 / currents.MARKS, abs=6.0)
-        assert y.mean() == pytest.approx(mean, rel=0.05)
+        means = [
+            {name: files[0].series(at, 0).flows[name].mean() for name in currents.FLOW_LOOK}
+            for at in range(3)
+        ]
+    titles = [axes.get_title("left") for axes in made.axes]
+    assert [title for title in titles if title] == ["(a)  $T = 2$", "(b)  $T = 7$", "(c)  $T = 18$"]
+    assert labels_of(made)[-4:] == [label for _, _, label in currents.FLOW_LOOK.values()]
+    timed = [axes for axes in made.axes if axes.get_xlabel() != "$N_2/N$"]
+    starts = [at for at, axes in enumerate(timed) if axes.get_title("left")]
+    for start, end, mean in zip(starts, [*starts[1:], None], means, strict=True):
+        for axes in timed[start:end]:
+            assert axes.get_xlim() == (0.0, 1000.0)
+            for (x, y), name in zip(marks_of(axes), currents.FLOW_LOOK, strict=True):
+                assert np.diff(x) == pytest.approx(1000.0 / currents.MARKS, abs=6.0)
+                assert y.mean() == pytest.approx(mean[name], rel=0.05, abs=1e-2)
+    assert len(made.axes) - len(timed) == 3
+
+
+def test_an_axis_is_broken_where_nothing_lies_and_all_is_shown() -> None:
+    (low, high), (other, top) = currents._ranges(np.array([0.0, 0.01, 0.02, 1.0, 1.1]))
+    assert low < 0.0
+    assert 0.02 < high < 0.1
+    assert 0.9 < other < 1.0
+    assert top > 1.1
+    ((low, top),) = currents._ranges(np.linspace(-0.2, 1.0, 20))
+    assert low < -0.2
+    assert top > 1.0
 
 
 def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
     with opened([folder / "time.h5"]) as files:
         made = circuits.figure_comp06(files)
-        states = [stable_state(files[0].circuit(at)) for at in range(3)]
-        numbers = files[0].series(1, 0).urn1_number
+        states = [one.stable_state(files[0].circuit(at)) for at in range(3) for one in models.PAIR]
+        series = files[0].series(1, 0)
     spread, current = made.axes
     assert spread.get_ylabel() == r"mass spread $\chi$"
     assert current.get_xlabel() == "time $t$  (length / $v$)"
     assert current.get_xlim() == (0.0, 1000.0)
     assert labels_of(made)[:3] == ["$T = 2$", "$T = 7$", "$T = 18$"]
     drawn = {line.get_label(): line.get_ydata() for line in spread.lines}
-    assert drawn["$T = 7$"] == pytest.approx(np.abs(1000.0 - 2.0 * numbers) / 1000.0)
+    assert drawn["$T = 7$"] == pytest.approx(np.abs(1000.0 - 2.0 * series.urn1_number) / 1000.0)
     expected = {state.mass_spread for state in states if state is not None}
-    levels = {float(y[0]) for dashes in (":", "--") for _, y in lines_of(spread, dashes)}
+    levels = {
+        float(y[0])
+        for dashes in ("-", "--")
+        for x, y in lines_of(spread, dashes)
+        if list(x) == [0, 1]
+    }
     assert levels == expected
     assert len(levels) >= 2
+
+
+def test_currents_of_a_homogeneous_state_scatter_about_zero(folder: Path) -> None:
+    with opened([folder / "time.h5"]) as files:
+        made = circuits.figure_comp06(files)
+        net = files[0].series(2, 0)
+    current = made.axes[1]
+    full = [line for line in current.lines if line.get_color() == style.BLACK]
+    assert min(float(line.get_ydata().min()) for line in full) < 0.0
+    measured = (net.flows["flow2_12"] - net.flows["flow2_21"])[:50].mean()
+    assert measured > 0.0  # from the urn that was full, urn 1
+    drawn = max(full, key=lambda line: line.get_linewidth())
+    early = drawn.get_xdata() < 500.0
+    assert drawn.get_ydata()[early].mean() == pytest.approx(measured, abs=0.02)
+
+
+def test_net_currents_have_a_sign_unless_a_polarity_gives_them_one(folder: Path) -> None:
+    with edited(folder / "slices.h5") as file:
+        file["chi"][:4] = [[0.02, 0.03], [0.8, 0.9], [0.8, np.nan], [0.02, 0.02]]
+        file["current1"][:4] = [[0.2, -0.3], [1.0, -1.2], [-1.0, np.nan], [-0.1, -0.2]]
+        file["task_status"][2, 1] = 2
+    with Results(folder / "slices.h5") as results:
+        current, error = results.net_current()
+    assert current[:4] == pytest.approx([-0.05, 1.1, 1.0, -0.15])
+    assert np.all(error[:4] > 0.0)
+    along = np.full((8, 2), 0.7)
+    with edited(folder / "slices.h5") as file:
+        file["polarised_current"] = along
+        file["polarised_current_error"] = 0.01 * along
+    with Results(folder / "slices.h5") as results:
+        current, _ = results.net_current()
+    assert current[:4] == pytest.approx([-0.05, 0.7, 0.7, -0.15])
 
 
 def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path) -> None:
@@ -126,7 +184,7 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
     assert left.get_ylabel() == "net current (per unit time)"
     assert right.get_xlabel() == r"mass spread $\chi$"
     assert right.get_xlim() == (0.0, 1.0)
-    theories = [f"theory, {name}" for name in THEORIES]
+    theories = [f"theory, {one.label}" for one in models.ALL]
     assert labels_of(made) == ["$w' = 0.0102$", "$w' = 0.0306$", *theories]
     for at, width in enumerate((0.0102, 0.0306)):
         group = gathered.where(gathered.channel2_width == width)
@@ -140,7 +198,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
     with opened([folder / "homogeneous.h5", folder / "polarised.h5"]) as files:
         made = maps.figure_numris(files)
         parts = [part for _, part in maps.by_start(points.gather(files))]
-        lines = maps.transition_lines(parts[0], files[0].circuit(0))
+        lines = maps.transition_lines(parts[0], files[0].circuit(0), models.ALL)
     panels, bars = made.axes[:6], made.axes[6:]
     values = [part.chi for part in parts], [part.current for part in parts]
     for column, (start, final) in enumerate(values):
@@ -160,7 +218,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
         for label in (r"mass spread $\chi$", "net current (per unit time)")
     }
     assert [axes.get_xlabel() for axes in panels[4:]] == ["$T/N$"] * 2
-    assert labels_of(made) == [f"transition, {name}" for name in THEORIES]
+    assert labels_of(made) == [f"transition, {one.label}" for one in models.ALL]
 
 
 def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
@@ -180,6 +238,14 @@ def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
     scaled = marks_of(together.axes[0])
     paper = [one for axes in by_number.axes for one in lines_of(axes, "--")]
     differences = [one for axes in relative.axes[:2] for one in marks_of(axes)[::2]]
+    lowest = min(float(np.nanmin(y)) for _, y in differences)
+    edges = [
+        line for axes in relative.axes[:2] for line in axes.lines
+        if line.get_marker() == "v" and len(line.get_xdata())
+    ]  # fmt: skip
+    assert len(edges) == sum(int((y < appendix.LOWEST).sum()) for _, y in differences) > 0
+    notes = [text.get_text() for axes in relative.axes[:2] for text in axes.texts]
+    assert f"{lowest:.2g}" in notes or any(note.startswith("$-10^") for note in notes)
     for at, group in enumerate(groups):
         fraction, current = (gathered.threshold / gathered.number)[group], gathered.current[group]
         assert marks[at] == pytest.approx(np.array([fraction, current]))
@@ -223,11 +289,46 @@ def test_map_has_each_value_in_its_cell(folder: Path) -> None:
     assert maps.edges(np.array([1.0, 2.0, 4.0])) == pytest.approx([0.5, 1.5, 3.0, 5.0])
 
 
-def test_drawn_transition_line_is_where_stability_changes() -> None:
-    (width,) = maps.transition_line(Circuit(1000, 7), np.array([7.0]))
+@pytest.mark.parametrize("name", list(models.MODELS))
+def test_drawn_transition_line_is_where_stability_changes(name: str) -> None:
+    model = models.MODELS[name]
+    thresholds, widths = model.transition_line(Circuit(1000, 7), 6, 8)
+    width = float(widths[thresholds == 7.0][0])
     below, above = (Circuit(1000, 7, channel2_width=width * factor) for factor in (0.999, 1.001))
-    assert homogeneous_kind(below) == "unstable"
-    assert homogeneous_kind(above) == "stable"
+    assert homogeneous_kind(model.of(below)) == "unstable"
+    assert homogeneous_kind(model.of(above)) == "stable"
+
+
+@pytest.mark.parametrize("name", list(models.MODELS))
+def test_transition_line_goes_through_whole_thresholds_and_ends_on_the_axis(name: str) -> None:
+    model, circuit = models.MODELS[name], Circuit(1000, 7)
+    thresholds, widths = model.transition_line(circuit, 1, 25)
+    for one in (4.0, 9.0, 15.0):
+        exact = transition_width(replace(model.of(circuit), threshold=int(one)))
+        assert widths[thresholds == one] == pytest.approx([exact], rel=1e-5)
+    there = np.flatnonzero(np.isfinite(widths))
+    assert np.all(np.diff(there) == 1)  # no gap
+    assert widths[there[-1]] == 0.0
+    assert 16.0 < thresholds[there[-1]] < 17.0
+    assert widths[0] < 1e-3
+    assert np.abs(np.diff(widths[there])).max() < 0.006  # a smooth line, not one of whole T
+
+
+def test_theories_are_drawn_by_name(folder: Path, tmp_path: Path) -> None:
+    with opened([folder / "slices.h5"]) as files:
+        made = circuits.figure_comp01(files, models.named(["renewal"]))
+    assert labels_of(made)[-1:] == ["theory, renewal gate"]
+    arguments = [str(folder / "slices.h5"), "--output", str(tmp_path)]
+    assert call("figures", ["comp01", *arguments, "--model", "window", "renewal"]) == 0
+    assert call("figures", ["comp01", *arguments, "--model", "guess"]) == 2
+
+
+def test_single_urn_is_drawn_with_its_end_wall(tmp_path: Path) -> None:
+    (axes,) = model.figure_app1([]).axes
+    texts = [text.get_text() for text in axes.texts if text.get_text()]
+    assert sorted(texts) == ["$\\ell/2$", "$r$", "$w$", "end wall", "gate 1", "urn 1"]
+    assert (axes.collections[0].get_offsets()[:, 0] < 0.0).all()
+    assert call("figures", ["app1", "--output", str(tmp_path)]) == 0
 
 
 def test_relative_difference_leaves_out_vanishing_theory() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from postproc.accuracy import gated_reversal as gated
+from postproc.accuracy import pasts
 from postproc.accuracy.events import Log, outward_stays, stories
 from postproc.accuracy.job import Job
 
@@ -66,10 +67,10 @@ def test_mirror_images_need_gate_number_and_time() -> None:
 
 def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
     job = Job(tmp_path)
-    good = gated._example(job, "good", gated.FROM_URN2)
+    good = gated.example(job, "good", gated.FROM_URN2)
     assert good["returns_within"] < 1e-14
     assert [words for _, words in good["back"]] == [words for _, words in good["forth"]]
-    bad = gated._example(job, "bad", (*gated.FROM_URN2, gated.PASSER))
+    bad = gated.example(job, "bad", (*gated.FROM_URN2, gated.PASSER))
     assert bad["returns_within"] > 0.5
     assert [words for _, words in bad["back"]] == [
         "particle 3 enters gate 2",
@@ -83,21 +84,63 @@ def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
 def test_two_pasts_have_one_present(tmp_path: Path) -> None:
     job = Job(tmp_path)
     told = [
-        gated._example(job, f"past{at}", past, gated.PAST_TIME)
-        for at, past in enumerate(gated.PASTS)
+        gated.example(job, f"past{at}", past, pasts.PAST_TIME)
+        for at, past in enumerate(pasts.PASTS)
     ]
     ends = [np.array(one["forth_end"]) for one in told]
     assert ends[0] == pytest.approx(ends[1], abs=1e-14)
     fired = [[time for time, text in one["forth"] if "turns back 2" in text] for one in told]
     assert fired == [pytest.approx([1.3]), pytest.approx([1.1])]
-    starts = np.array(gated.PASTS)[:, :, 0]
+    starts = np.array(pasts.PASTS)[:, :, 0]
     assert (np.abs(starts) > 0.5).all()  # all begin in the urns
+    for at, end in enumerate(ends):
+        assert pasts.present(np.array(pasts.PASTS[at]), at) == pytest.approx(end, abs=1e-14)
 
 
 def test_pasts_nearby_meet_too(tmp_path: Path) -> None:
-    worked_out = gated.other_past(np.array([[0.6, 0.05, 1, 0], [0.8, -0.05, 1, 0], [1, 0, 1, 0]]))
-    assert worked_out == pytest.approx(np.array(gated.PASTS[1]))
-    assert gated._pasts_nearby(Job(tmp_path), 2)["differ_by"] < 1e-12
+    worked_out = pasts.other_past(np.array([[0.6, 0.05, 1, 0], [0.8, -0.05, 1, 0], [1, 0, 1, 0]]))
+    assert worked_out == pytest.approx(np.array(pasts.PASTS[1]))
+    found = pasts.nearby(Job(tmp_path), 2)
+    assert found["differ_by"] < 1e-12
+    assert found["by_hand_differ_by"] < 1e-12
+
+
+def test_each_way_to_the_present_keeps_volume_and_both_end_there() -> None:
+    assert [pasts.volume_ratio(past) for past in (0, 1)] == pytest.approx([1.0, 1.0], abs=1e-8)
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        start = np.array(pasts.PASTS[0]) + random.uniform(-0.01, 0.01, (3, 4))
+        end = pasts.present(start, 0)
+        other = pasts.other_past(end)
+        assert np.abs(other - start).max() > 1.0
+        assert pasts.present(other, 1) == pytest.approx(end, abs=1e-12)
+
+
+def test_picture_of_the_pasts_ends_in_one_state() -> None:
+    panels = pasts.figure_pasts().axes
+    ends = [
+        sorted(
+            (float(line.get_ydata()[0]), line.get_color())
+            for line in axes.lines
+            if line.get_marker() == "o" and line.get_xdata()[0] == pasts.PAST_TIME
+        )
+        for axes in panels
+    ]
+    assert [round(x, 9) for x, _ in ends[0]] == [0.6, 0.8, 1.0]
+    for one, other in zip(*ends, strict=True):
+        assert one == (pytest.approx(other[0]), other[1])
+
+
+def test_reversals_of_one_run_count_as_one_in_the_error() -> None:
+    random = np.random.default_rng(4)
+    chance = random.uniform(0.2, 0.8, 400)  # of a run, whose reversals share it
+    hits = random.binomial(50, chance)
+    share, error = gated.share_of(hits, np.full(400, 50))
+    assert share == pytest.approx(0.5, abs=0.03)
+    assert error == pytest.approx(np.std(hits / 50.0) / 20.0, rel=0.01)
+    assert error > 2.0 * math.sqrt(0.25 / 20000)  # what single ones would give
+    assert math.isnan(gated.share_of([0, 0], [0, 0])[0])
+    assert math.isnan(gated.share_of([1, 0], [3, 0])[1])
 
 
 def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:

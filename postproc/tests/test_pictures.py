@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from postproc.figures import currents, scene
+from postproc.figures import currents, models, scene
 from postproc.figures.style import VERMILION
 from postproc.reading.results import Results, Snapshot, mean_and_error
 from postproc.tests.commands import call
@@ -44,33 +44,57 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     with Results(run_file) as results:
         made = currents.figure_currents(results, 0, 1)
         series, circuit = results.series(0, 1), results.circuit(0)
-    (axes,) = made.axes
-    assert axes.get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
-    assert axes.get_xlabel() == "time $t$  (length / $v$)"
-    assert axes.get_ylabel() == "particles per unit time"
-    assert axes.get_xlim() == (0.0, 1000.0)
-    for container, name in zip(axes.containers, currents.FLOW_LOOK, strict=True):
-        assert container.get_label() == currents.FLOW_LOOK[name][2]
-        x, y = container.lines[0].get_data()
-        assert np.all((x > 0.0) & (x < 1000.0))
-        assert y.mean() == pytest.approx(series.flows[name].mean(), rel=0.05, abs=1e-3)
-    net = [line for line in axes.lines if str(line.get_label()).startswith("net current")]
-    assert [line.get_label() for line in net] == [
-        "net current, channel 1",
-        "net current, channel 2",
-    ]
-    # the theory's state with N2 = 968.7 or its mirror image, as the run chose
-    levels = sorted(line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == "--")
-    expected = [flow(circuit, 31.273) for flow in (flow1, flow2)]
-    expected += [flow(circuit, 968.727) for flow in (flow1, flow2)]
-    expected.append(expected[3] - expected[1])
-    assert levels == pytest.approx(sorted(map(float, expected)), abs=1e-4)
-    (inset,) = axes.child_axes
-    assert (inset.get_xlabel(), inset.get_ylabel()) == ("$N_2/N$", r"$\eta$")
-    share, flow = next(line.get_data() for line in inset.lines if len(line.get_xdata()) > 2)
+    *panels, balance = made.axes
+    assert panels[0].get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
+    assert panels[-1].get_xlabel() == "time $t$  (length / $v$)"
+    for axes in panels:
+        assert axes.get_ylabel() == "flow (per unit time)"
+        assert axes.get_xlim() == (0.0, 1000.0)
+        for container, name in zip(axes.containers, currents.FLOW_LOOK, strict=True):
+            assert container.get_label() == currents.FLOW_LOOK[name][2]
+            x, y = container.lines[0].get_data()
+            assert np.all((x > 0.0) & (x < 1000.0))
+            assert y.mean() == pytest.approx(series.flows[name].mean(), rel=0.05, abs=1e-3)
+        net = [line for line in axes.lines if str(line.get_label()).startswith("net current")]
+        assert [line.get_label() for line in net] == [
+            "net current, channel 1",
+            "net current, channel 2",
+        ]
+        # both along the polarity, so both are positive
+        assert all(line.get_ydata()[20:].mean() > 0.5 for line in net)
+        # the paper's state with N2 = 968.7 or its mirror image, as the run chose
+        drawn = [line for line in axes.lines if list(line.get_xdata()) == [0, 1]]
+        levels = sorted(line.get_ydata()[0] for line in drawn if line.get_linestyle() == "--")
+        expected = [flow(circuit, 31.273) for flow in (flow1, flow2)]
+        expected += [flow(circuit, 968.727) for flow in (flow1, flow2)]
+        expected.append(expected[3] - expected[1])
+        assert levels == pytest.approx(sorted(map(float, expected)), abs=1e-4)
+    assert balance.get_xlabel() == "$N_2/N$"
+    curves = [line.get_data() for line in balance.lines if len(line.get_xdata()) > 2]
+    assert len(curves) == 2
+    share, flow = curves[0]
     assert flow == pytest.approx(eta(circuit, 1000.0 * share))
     reached = currents.settled_number2(circuit, series) / 1000.0
-    assert reached in [line.get_xdata()[0] for line in inset.lines if line.get_color() == VERMILION]
+    marked = [line for line in balance.lines if line.get_markeredgecolor() == VERMILION]
+    assert reached in [line.get_xdata()[0] for line in marked if len(line.get_xdata())]
+
+
+def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
+    with Results(run_file) as results:
+        made = currents.figure_currents(results, 0, 1, models.named(["window"]))
+        circuit, series = results.circuit(0), results.series(0, 1)
+    second = models.MODELS["window"].nearest_stable(
+        circuit, currents.settled_number2(circuit, series)
+    )
+    colours = {
+        line.get_color(): line.get_ydata()[0]
+        for line in made.axes[0].lines
+        if list(line.get_xdata()) == [0, 1] and line.get_linestyle() == "--"
+    }
+    assert colours[currents.FLOW_LOOK["flow2_21"][1]] == pytest.approx(flow2(circuit, second))
+    assert colours[currents.FLOW_LOOK["flow2_12"][1]] == pytest.approx(
+        flow2(circuit, 1000.0 - second)
+    )
 
 
 def test_scene_shows_every_particle_and_counts_those_in_the_gates(run_file: Path) -> None:
@@ -261,6 +285,7 @@ def test_binning_keeps_the_mean() -> None:
 
 def test_nearest_stable_state_follows_the_side() -> None:
     circuit = Circuit(1000, 7)
-    assert currents.nearest_stable(circuit, 940.0) == pytest.approx(968.73, abs=0.01)
-    assert currents.nearest_stable(circuit, 60.0) == pytest.approx(31.27, abs=0.01)
-    assert currents.nearest_stable(Circuit(1000, 18), 900.0) == 500.0
+    paper = models.MODELS["window"]
+    assert paper.nearest_stable(circuit, 940.0) == pytest.approx(968.73, abs=0.01)
+    assert paper.nearest_stable(circuit, 60.0) == pytest.approx(31.27, abs=0.01)
+    assert paper.nearest_stable(Circuit(1000, 18), 900.0) == 500.0

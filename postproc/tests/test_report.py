@@ -126,6 +126,37 @@ def test_rays_along_the_axis_are_noticed() -> None:
     assert warn.axial(table, rays) == 2
 
 
+def test_what_memory_explains_is_no_warning(tmp_path: Path) -> None:
+    path = results_of(
+        tmp_path / "run.h5", scan={"channel2_width": [0.01, 0.05], "threshold": [7, 10]},
+        output={"series_interval": 0.0, "snapshot_times": None},
+    )  # fmt: skip
+    with edited(path) as file:
+        file["chi"][:] = 0.9
+        file["chi_error"][:] = 1e-3
+        for name in ("current1", "current2"):
+            file[name][:] = [[0.98, 0.98], [4.9, 4.9], [0.98, 0.98], [4.9, 4.9]]
+            file[f"{name}_error"][:] = 1e-3
+    with Results(path) as results:
+        assert results.value("channel2_width").tolist() == [0.01, 0.05, 0.01, 0.05]
+        assert warn.warnings(results) == []
+        (told,) = warn.explanations(results)
+    assert told.startswith("At 4 of 4 points")
+    assert "no error" in told
+    with edited(path) as file:
+        file["current1"][0] = [1.3, 1.3]
+    with Results(path) as results:
+        (wrong,) = warn.warnings(results)
+    assert wrong.startswith("T = 7, w' = 0.01, N = 1000: the net current is 4")
+    assert "More replicas tell" in wrong
+
+
+@pytest.mark.parametrize(("width", "measured"), [(0.004, 1.043), (0.02, 1.127), (0.073, 1.189)])
+def test_memory_explains_the_conductance_of_the_maps(width: float, measured: float) -> None:
+    assert warn.memory_factor(Circuit(1000, 7, channel2_width=width)) > measured
+    assert warn.memory_factor(Circuit(1000, 7, channel2_width=width)) < measured + 0.2
+
+
 def test_flight_stays_on_the_table() -> None:
     table = Circuit(3000, 7)
     random = np.random.default_rng(7)

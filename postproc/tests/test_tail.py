@@ -140,3 +140,14 @@ def test_circulation_that_began_with_a_reversal_is_found() -> None:
         found = tail.circulations(told, CIRCUIT)
         assert found.rounds.max() == 8
         assert tail.fed_by_gate(told, found.all_rounds) == expected
+
+
+def test_errors_of_a_scatter_are_those_of_whole_runs() -> None:
+    random = np.random.default_rng(8)
+    runs = random.normal(1.0, 0.1, (30, 1)) + np.zeros((30, 40))  # windows that say the same
+    found = tail.scatter_with_error(runs)
+    assert found["deviation"] == pytest.approx(runs[:, 0].std(), rel=0.02)
+    assert found["deviation_error"] == pytest.approx(found["deviation"] / math.sqrt(58.0), rel=0.4)
+    apart = tail.scatter_with_error(random.normal(1.0, 0.1, (30, 40)))
+    assert apart["deviation_error"] < 0.4 * found["deviation_error"]
+    assert apart["half_width_error"] > 0.0

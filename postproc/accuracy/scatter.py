@@ -1,0 +1,60 @@
+"""How averages of runs of one length scatter, and how long a run must be for a goal."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+GOAL = 0.01  # relative accuracy that is asked for
+REDRAWN = 400  # sets of runs that errors of a scatter are taken from
+
+
+def scatter(values: Floats) -> dict[str, float]:
+    """Return how the currents of runs of one length scatter."""
+    low, middle, high = np.quantile(values, [0.16, 0.5, 0.84])
+    mean = values.mean()
+    return {
+        "runs": values.size, "mean": mean, "median": middle, "half_width": 0.5 * (high - low),
+        "deviation": values.std(ddof=1) if values.size > 1 else math.nan,
+        "off_by_goal": float(np.mean(np.abs(values - mean) > GOAL * mean)),
+    }  # fmt: skip
+
+
+def scatter_with_error(runs: Floats) -> dict[str, float]:
+    """Return `scatter` of windows of several runs, shape (run, window), with its errors.
+
+    Windows of one run are not independent, since circulations outlast them: the errors are those of
+    whole runs drawn again and again.
+    """
+    random = np.random.default_rng(5)
+    drawn = [runs[random.integers(0, len(runs), len(runs))] for _ in range(REDRAWN)]
+    found = [scatter(one.ravel()) for one in drawn]
+    errors = {
+        f"{name}_error": float(np.std([one[name] for one in found], ddof=1))
+        for name in ("half_width", "deviation")
+    }
+    return {**scatter(runs.ravel()), **errors}
+
+
+def length_for_goal(times: Floats, widths: Floats, mean: float) -> float:
+    """Return the time from which on the widths stay below the goal.
+
+    Between two lengths on a log-log line; beyond the longest as the square root of time, which
+    holds once even the longest circulations are over.
+    """
+    excess = np.log(np.array(widths) / (GOAL * mean))
+    late = np.flatnonzero(excess >= 0.0)
+    if late.size == 0:
+        return float(times[0])
+    at = int(late[-1])
+    if at == excess.size - 1:
+        return float(times[-1] * math.exp(2.0 * excess[-1]))
+    share = excess[at] / (excess[at] - excess[at + 1])
+    return float(times[at] * (times[at + 1] / times[at]) ** share)

@@ -1,0 +1,187 @@
+"""The theories that figures draw, by name: what a figure may ask of one, and how it looks.
+
+A figure asks only what it draws, and leaves out what a theory has no answer to (`None`, NaN, no
+level). So a theory of another kind is a class with the methods of `Model` that it can answer, and a
+line in `MODELS`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import interpolate
+
+from postproc.theory.chain import passage_times
+from postproc.theory.circuit import (
+    eta,
+    flow1,
+    flow2,
+    gate_load,
+    homogeneous_kind,
+    in_urn,
+    net_current2,
+    single_urn_current,
+)
+from postproc.theory.renewal import THEORIES
+from postproc.theory.states import stable_state, stationary_states
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from postproc.theory.circuit import Circuit
+    from postproc.theory.states import State
+
+    Floats = NDArray[np.float64]
+
+STEPS = 20  # places on a line of transition from one whole T to the next
+WIDTHS = 400  # places between w' = 0 and 2r where a transition is looked for
+
+
+@dataclass(frozen=True)
+class Model:
+    """A theory of the balance of flows: eta of a circuit with some of its fields changed.
+
+    Attributes
+    ----------
+    label : what legends call it.
+    dashes : style of its lines.
+    changes : what it changes of a circuit, by the field's name.
+    """
+
+    label: str
+    dashes: str
+    changes: dict[str, object] = field(default_factory=dict)
+
+    def of(self, circuit: Circuit) -> Circuit:
+        """Return the circuit as this theory has it."""
+        return replace(circuit, **self.changes)
+
+    def stable_state(self, circuit: Circuit) -> State | None:
+        """Return the stable polarised state with the largest chi, None if there is none."""
+        return stable_state(self.of(circuit))
+
+    def zeros(self, circuit: Circuit) -> list[tuple[float, str]]:
+        """Return (N2, kind) of all stationary states, on both sides of N/2 and at it."""
+        total, own = float(circuit.number), self.of(circuit)
+        found = [(one.urn2_number, one.kind) for one in stationary_states(own)]
+        found += [(total - number, kind) for number, kind in found]
+        return [*found, (0.5 * total, homogeneous_kind(own))]
+
+    def nearest_stable(self, circuit: Circuit, number2: float) -> float:
+        """Return N2 of the stable state (either sign of N2 - N1) nearest to `number2`."""
+        stable = [number for number, kind in self.zeros(circuit) if kind != "unstable"]
+        return min(stable, key=lambda number: abs(number - number2))
+
+    def eta(self, circuit: Circuit, number2: ArrayLike) -> Floats:
+        """Return eta of eq. (eq007) (per unit time)."""
+        return eta(self.of(circuit), number2)
+
+    def levels(self, circuit: Circuit, number2: float) -> dict[str, float]:
+        """Return flows and net current (per unit time) of the stable state nearest to `number2`.
+
+        By name: flow1_12 ... flow2_21 as in results, and "net", that of channel 2 by its size.
+        """
+        own, second = self.of(circuit), self.nearest_stable(circuit, number2)
+        held = {"12": float(circuit.number) - second, "21": second}
+        found = {
+            f"flow{channel}_{way}": float(flow(own, inside))
+            for channel, flow in ((1, flow1), (2, flow2))
+            for way, inside in held.items()
+        }
+        return {**found, "net": abs(float(net_current2(own, second)))}
+
+    def transition_line(self, circuit: Circuit, first: int, last: int) -> tuple[Floats, Floats]:
+        """Return (T, w') along the line of transition, eq. (transition), from one T to another.
+
+        w' is the least at which the homogeneous state turns stable, NaN where there is none. It is
+        what it is at whole T only: in between, what decides on stability is interpolated. Beyond
+        its last T the homogeneous state is stable without channel 2, so the line ends at w' = 0.
+        """
+        own, whole = self.of(circuit), np.arange(max(first, 1), last + 1)
+        widths = np.linspace(0.0, 2.0 * float(circuit.urn_radius), WIDTHS, endpoint=False)
+        values = np.array([_stability(replace(own, threshold=int(one)), widths) for one in whole])
+        thresholds = np.linspace(whole[0], whole[-1], (whole.size - 1) * STEPS + 1)
+        if whole.size > 1:
+            values = interpolate.PchipInterpolator(whole, values)(thresholds)
+        return _where_zero(thresholds, widths, values)
+
+    def urn_current(self, urn: Circuit) -> Floats:
+        """Return the current of the single urn of the appendix (per unit time)."""
+        return single_urn_current(self.of(urn))
+
+    def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
+        """Return how long homogeneous and polarised state last by the chain (length/v)."""
+        return passage_times(self.of(circuit), low, high)
+
+
+PAPER, GATE, CHANNELS = THEORIES.values()
+MODELS: dict[str, Model] = {
+    "window": Model("paper", "--", PAPER),
+    "renewal": Model("renewal gate", "-", GATE),
+    "renewal_occupation": Model("renewal gate, channels counted", ":", CHANNELS),
+}
+ALL = tuple(MODELS.values())
+# the paper's and the best: where there is no room for more
+PAIR = (MODELS["window"], replace(MODELS["renewal_occupation"], dashes="-"))
+
+
+def named(names: Iterable[str]) -> tuple[Model, ...]:
+    """Return models by their names in `MODELS`, in that order."""
+    return tuple(MODELS[name] for name in names)
+
+
+def _stability(circuit: Circuit, widths: Floats) -> Floats:
+    """Return what is negative at the w' where the homogeneous state is unstable, eq. (transition).
+
+    The change with N1 of what an urn sends out, but for a positive factor.
+    """
+    at_width = replace(circuit, channel2_width=widths)
+    load = gate_load(at_width, in_urn(at_width, 0.5 * float(circuit.number)))
+    return widths + float(circuit.channel1_width) * circuit.gate.slope(circuit.threshold, load)
+
+
+def _where_zero(thresholds: Floats, widths: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return (T, w') where `values` of shape (T, w') first rise through 0, its end at w' = 0."""
+    rises = (values[:, :-1] < 0.0) & (values[:, 1:] >= 0.0)
+    there = rises.any(axis=1) & (values[:, 0] <= 0.0)
+    at, row = np.argmax(rises, axis=1), np.arange(thresholds.size)
+    low, high = values[row, at], values[row, at + 1]
+    share = low / np.where(there, low - high, 1.0)
+    line = np.where(there, widths[at] + share * (widths[at + 1] - widths[at]), math.nan)
+    line = np.where(values[:, 0] == 0.0, 0.0, line)  # too small for any number
+    start = values[:, 0]
+    for one in np.flatnonzero((start[:-1] < 0.0) & (start[1:] > 0.0))[::-1]:
+        share = start[one] / (start[one] - start[one + 1])
+        end = thresholds[one] + share * (thresholds[one + 1] - thresholds[one])
+        thresholds, line = np.insert(thresholds, one + 1, end), np.insert(line, one + 1, 0.0)
+    return thresholds, line
+
+
+def add_models(options: argparse.ArgumentParser) -> None:
+    """Add `--model NAME ...`, the theories to draw."""
+    options.add_argument(
+        "--model",
+        metavar="NAME",
+        nargs="+",
+        choices=sorted(MODELS),
+        help=f"theories to draw: {', '.join(MODELS)} (default: what the figure has room for)",
+    )
+
+
+def spread_and_current(
+    model: Model, circuit: Circuit, thresholds: Sequence[int]
+) -> tuple[Floats, Floats]:
+    """Return chi and net current of the stable polarised state at each T, NaN without one."""
+    states = [model.stable_state(replace(circuit, threshold=int(one))) for one in thresholds]
+    found = [
+        (math.nan, math.nan) if one is None else (one.mass_spread, one.net_current)
+        for one in states
+    ]
+    spread, current = np.array(found).T
+    return spread, current
