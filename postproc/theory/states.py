@@ -63,10 +63,10 @@ def stationary_states(circuit: Circuit) -> list[State]:
         few = np.asarray(first, float)
         return log_outflow(circuit, few) - log_outflow(circuit, 2.0 * half - few)
 
-    places = _places(circuit, half)  # N1, decreasing from N/2 to 0
+    places = places_of(circuit, half)  # N1, decreasing from N/2 to 0
     values = balance(places)
     values[0] = 1.0 if homogeneous_kind(circuit) == "unstable" else -1.0
-    roots = _crossings(balance, places, values)
+    roots = crossings(balance, places, values)
     if closed and values[-1] > 0.0:
         roots.append((0.0, "stable"))  # N1 too small for any number: all in one urn
     return [_state(circuit, 2.0 * half, first, kind) for first, kind in roots]
@@ -92,7 +92,7 @@ def stable_spread(circuit: Circuit, branch: str = "polarised") -> float:
     return min(stable) if branch == "homogeneous" else max(stable)
 
 
-def _places(circuit: Circuit, half: float) -> NDArray[np.float64]:
+def places_of(circuit: Circuit, half: float) -> NDArray[np.float64]:
     """Return N1 where g is looked at, from just below N/2 down to 0."""
     threshold = float(circuit.threshold)
     per_particle = float(circuit.load_per_particle)
@@ -107,10 +107,13 @@ def _places(circuit: Circuit, half: float) -> NDArray[np.float64]:
     return np.concatenate([[first], np.unique(inside)[::-1]])
 
 
-def _crossings(
+def crossings(
     balance: Balance, places: NDArray[np.float64], values: NDArray[np.float64]
 ) -> list[tuple[float, str]]:
-    """Return (N1, kind) of the zeros, N1 decreasing."""
+    """Return (N1, kind) of the zeros of `balance`, looked for between `places`, N1 decreasing.
+
+    `values` are those of `balance` there, or of its limit at the first place.
+    """
     places, values = _with_close_pairs(balance, places, values)
     roots: list[tuple[float, str]] = []
     for at in np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0):
