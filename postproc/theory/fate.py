@@ -26,7 +26,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
 from postproc.theory.renewal import RENEWAL
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 ANGLES = 24
 STEPS, LAST = 96, 6.0  # of the time axis, and its end in shortest stays
+CLOSED = 0.01  # overall share below which the law of stays is not asked for
 SMALL = 1e-300
 
 
@@ -86,13 +87,17 @@ def overall_share(threshold: int, rate: float, stays: Floats, shares: Floats) ->
     """Return <q>: the cosine law's at this load, corrected for the law of stays."""
     load = rate * float(shares @ stays)
     usual_stays, usual = cosine_law(float(stays.min()))
+    if RENEWAL.share(threshold, load) < CLOSED:
+        return float(RENEWAL.share(threshold, load))
     usual_rate = load / float(usual @ usual_stays)
     here, there = (
         _cycle_share(threshold, *law)
         for law in ((rate, stays, shares), (usual_rate, usual_stays, usual))
     )
     logit = float(RENEWAL.logit(threshold, load))
-    return float(special.expit(logit + special.logit(here) - special.logit(there)))
+    if min(here, there) > CLOSED:
+        logit += float(special.logit(here) - special.logit(there))
+    return float(special.expit(logit))
 
 
 def _lasting(stays: Floats, shares: Floats, time: Floats) -> tuple[Floats, Floats]:
@@ -101,14 +106,29 @@ def _lasting(stays: Floats, shares: Floats, time: Floats) -> tuple[Floats, Float
     return kept, np.minimum(time[:, None], stays) @ shares
 
 
+def _poisson(count: Floats, mean: Floats) -> Floats:
+    """Return the chance of a Poisson number of that mean; 0 for counts below 0."""
+    at = np.maximum(count, 0)
+    chance = np.exp(special.xlogy(at, mean) - mean - special.gammaln(at + 1.0))
+    return np.where(count >= 0, chance, 0.0)
+
+
 def _meeting(others: int, survive: Floats, last: Floats, mean: Floats, level: int) -> Floats:
-    """Return P(binomial(others, survive) + one of chance `last` + Poisson(mean) = level)."""
-    k = np.arange(others + 1).reshape(-1, *([1] * survive.ndim))
-    rest = level - k
-    new = np.where(rest >= 0, stats.poisson.pmf(rest, mean), 0.0) * (1.0 - last)
-    new = new + np.where(rest >= 1, stats.poisson.pmf(rest - 1, mean), 0.0) * last
-    chance = special.binom(others, k) * survive**k * (1.0 - survive) ** (others - k)
-    return (chance * new).sum(axis=0)
+    """Return P(binomial(others, survive) + one of chance `last` + Poisson(mean) = level).
+
+    Arrays of shape (case,); summed over how many of the others are left.
+    """
+    k = np.arange(min(others, level) + 1)[:, None]
+    log_binomial = special.gammaln(others + 1.0)
+    log_binomial = log_binomial - special.gammaln(k + 1.0) - special.gammaln(others - k + 1.0)
+    chance = np.exp(
+        log_binomial + special.xlogy(k, survive) + special.xlog1py(others - k, -survive)
+    )
+    poisson = _poisson(np.arange(level + 1)[:, None], mean)
+    new, fewer = poisson[level - k[:, 0]], np.zeros(chance.shape)
+    some = k[:, 0] < level
+    fewer[some] = poisson[level - 1 - k[some, 0]]
+    return (chance * (new * (1.0 - last) + fewer * last)).sum(axis=0)
 
 
 def _cycle_share(threshold: int, rate: float, stays: Floats, shares: Floats) -> float:
@@ -117,7 +137,7 @@ def _cycle_share(threshold: int, rate: float, stays: Floats, shares: Floats) -> 
     step = time[1]
     kept, filled = _lasting(stays, shares, time)
     _, longer = _lasting(stays, shares, np.concatenate([time, time[1:] + time[-1]]))
-    meet = rate * stats.poisson.pmf(threshold, rate * filled)
+    meet = rate * _poisson(np.float64(threshold), rate * filled)
     first = np.zeros(STEPS + 1)
     row, column = np.tril_indices(STEPS + 1, -1)  # at time row, after one at time column > 0
     row, column = row[column > 0], column[column > 0]
@@ -183,4 +203,4 @@ def _found(threshold: int, load: float, full: float) -> Floats:
     low, high = 1e-3 * load, 1e3 * load + 10.0
     if not law(low)[-1] < full < law(high)[-1]:
         return law(load)
-    return law(float(np.exp(optimize.brentq(lambda y: law(np.exp(y))[-1] - full, np.log(low), np.log(high)))))
+    return law(optimize.brentq(lambda x: law(x)[-1] - full, low, high))

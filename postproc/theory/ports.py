@@ -23,7 +23,12 @@ import numpy as np
 from postproc.theory.visits import visits
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from postproc.theory.circuit import Circuit
+    from postproc.theory.visits import Pieces
+
+    Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -70,19 +75,26 @@ def disc(circuit: Circuit) -> Ports:
 
 @lru_cache(maxsize=512)
 def returns_and_stay(radius: float, own: float, other: float) -> tuple[float, float]:
-    """Return the share that leaves through the opening it came through, and the mean stay.
-
-    The stay is n chords of 2 r cos(psi) less the ends between arc and chord of either opening.
-    """
+    """Return the share that leaves through the opening it came through, and the mean stay."""
     found = visits(radius, own, other)
-    place, weight = found.nodes()
+    _, weight = found.nodes()
+    mean = float((weight * stays(radius, found, own, other)).sum())
+    return float(found.share[found.same].sum()), mean
+
+
+def stays(radius: float, found: Pieces, own: float, other: float) -> Floats:
+    """Return the times of visits through openings of widths `own` and `other`, from chord to chord.
+
+    n chords of 2 r cos(psi) less the ends between arc and chord of either opening; at the nodes of
+    the pieces, shape (2, piece).
+    """
+    place, _ = found.nodes()
     chord = {width: math.sqrt(radius**2 - 0.25 * width**2) for width in (own, other)}
     leaving = place + found.shift
     behind = np.where(found.same, chord[own], chord[other])
     ends = (radius * np.cos(place) - chord[own]) / np.cos(place - found.incidence)
     ends += (radius * np.cos(leaving) - behind) / np.cos(leaving + found.incidence)
-    stay = 2.0 * radius * found.chords * np.cos(found.incidence) - ends
-    return float(found.share[found.same].sum()), float((weight * stay).sum())
+    return 2.0 * radius * found.chords * np.cos(found.incidence) - ends
 
 
 def return_chance_of_polygons(circuit: Circuit) -> float:
