@@ -21,12 +21,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import optimize
 
-from postproc.theory import fate
+from postproc.theory import fate, ports
+from postproc.theory.circulation import circulating_current
 from postproc.theory.ports import stays
+from postproc.theory.states import State
 from postproc.theory.visits import visits
 
 if TYPE_CHECKING:
@@ -36,9 +40,14 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-POLYNOMIALS = 16
+POLYNOMIALS = 12
 ROUNDS = 80  # at most, of the iteration that makes gates and flows agree
-AGREED = 1e-7  # relative change of the flows at which it ends
+AGREED = 1e-5  # change of fates, and of flows relative to the largest, at which it ends
+KEPT = 0.3  # of the fates of the round before, against overshooting
+LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to which states are looked for
+LOOKED_AT = 14  # places, and
+NEARER = 5  # halvings of the last step towards what channel 2 alone keeps in an urn
+NEXT_TO_EQUAL = 0.02  # how far off equal urns the first is
 
 
 @dataclass(frozen=True)
@@ -115,6 +124,11 @@ class Held:
         return float(self.across[1, 0] - self.across[0, 0])
 
     @property
+    def possible(self) -> bool:
+        """Whether all flows are positive: an urn cannot hold fewer than channel 2 keeps in it."""
+        return bool(self.entries[:, 0].min() > 0.0 and self.across[:, 0].min() > 0.0)
+
+    @property
     def sent(self) -> Floats:
         """What each half sends to the other per unit time."""
         return self.through + np.maximum(self.across[:, 0], 0.0)
@@ -156,9 +170,11 @@ class Directions:
             parts *= number / found.in_half.sum()
             entries, across = self._flows(found.passing, parts)
             before, found = found, self._with_fates(entries, across, parts, found.passing)
+            if not found.possible:
+                break
             changed = np.abs(found.entries - before.entries).max()
             if changed <= AGREED * np.abs(found.entries).max() and np.all(
-                np.abs(found.passing - before.passing) < 1e-6
+                np.abs(found.passing - before.passing) < AGREED
             ):
                 break
         return found
@@ -195,7 +211,7 @@ class Directions:
     def _with_fates(
         self, entries: Floats, across: Floats, parts: Floats, before: Floats | None = None
     ) -> Held:
-        """Return flows with the fates that they make, half way from those of `before`."""
+        """Return flows with the fates that they make, some of those of `before` kept."""
         density = np.maximum(entries @ self.basis, 0.0) * self.weights
         rates = np.maximum(density.sum(axis=1), 1e-300)
         loads = (density @ self.stays)
@@ -206,7 +222,7 @@ class Directions:
             ]
         )
         if before is not None:
-            passing = 0.5 * (passing + before)
+            passing = (1.0 - KEPT) * passing + KEPT * before
         through = (passing * density).sum(axis=1)
         thresholds = np.array([float(one.threshold) for one in self.sides])
         beyond = (passing * density) @ self.stays
@@ -215,3 +231,79 @@ class Directions:
         return Held(
             entries, across, passing, parts, parts + turning + beyond + beyond[::-1], through
         )
+
+
+def _shares() -> Floats:
+    """Return shares of urn 1 at which a circuit is held, falling from next to 1/2."""
+    even = np.linspace(0.5 * (1.0 - NEXT_TO_EQUAL), 0.1, LOOKED_AT - 4)
+    return np.concatenate([even, np.geomspace(0.1, LEAST_SHARE, 7)[1:]])
+
+
+def _excess(held: Held) -> float:
+    return math.log(held.sent[0] / held.sent[1])
+
+
+def scan(circuit: Circuit) -> list[tuple[float, Held]]:
+    """Return (share of urn 1, the circuit held there), the share falling; past 1/2 if unlike."""
+    equations, shares = Directions(circuit), list(_shares())
+    if not circuit.alike:
+        shares = [*(1.0 - one for one in reversed(shares)), *shares]
+    found: list[tuple[float, Held]] = []
+    tries = NEARER
+    while shares and tries:
+        held = equations.held(shares[0], found[-1][1] if found else None)
+        if held.possible:
+            found.append((shares.pop(0), held))
+        elif found:
+            shares, tries = [0.5 * (found[-1][0] + shares[0])], tries - 1
+        else:
+            shares.pop(0)
+    return found
+
+
+def homogeneous_kind(circuit: Circuit) -> str:
+    """Return whether the state with equal densities is "stable" or "unstable"."""
+    return "stable" if _excess(Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL))) <= 0.0 else "unstable"
+
+
+def stationary_states(circuit: Circuit) -> list[State]:
+    """Return all states of a circuit, of equal urns those with N2 > N/2 (chi above 0.02)."""
+    equations, number, found = Directions(circuit), float(circuit.number), []
+    for (one, here), (other, there) in pairwise(scan(circuit)):
+        before, after = _excess(here), _excess(there)
+        if np.sign(before) * np.sign(after) >= 0.0:
+            continue
+
+        latest = [here]
+
+        def excess(share: float, latest: list[Held] = latest) -> float:
+            latest[0] = equations.held(share, latest[0])
+            return _excess(latest[0])
+
+        optimize.brentq(excess, other, one, xtol=1e-5)
+        held = latest[0]
+        urns = [ports.disc(side) for side in circuit.sides]
+        around = circulating_current(circuit, urns, held.entries[:, 0], held.across[:, 0])
+        second = float(held.in_half[1])
+        found.append(
+            State(
+                second,
+                "stable" if before > 0.0 else "unstable",
+                abs(2.0 * second - number) / number,
+                held.net_current + around,
+                around,
+            )
+        )
+    return found
+
+
+def outflows(circuit: Circuit) -> tuple[Floats, Floats]:
+    """Return N2 and the logarithms of what halves 1 and 2 send each other; as `two_port.outflows`."""
+    held = [one for _, one in scan(circuit)]
+    second = np.array([one.in_half[1] for one in held])
+    sent = np.log(np.maximum(np.array([one.sent for one in held]).T, 1e-300))
+    if circuit.alike:  # the mirror images
+        number = float(circuit.number)
+        second = np.concatenate([number - second[::-1], second])
+        sent = np.concatenate([sent[::-1, ::-1], sent], axis=1)
+    return second, sent

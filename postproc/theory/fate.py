@@ -36,9 +36,10 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 ANGLES = 24
-STEPS, LAST = 96, 6.0  # of the time axis, and its end in shortest stays
+STEPS, LAST = 64, 6.0  # of the time axis, and its end in shortest stays
 CLOSED = 0.01  # overall share below which the law of stays is not asked for
-SMALL = 1e-300
+STEEPEST = 60.0  # power of S
+SMALL = 1e-200
 
 
 def cosine_law(half_length: float, count: int = ANGLES) -> tuple[Floats, Floats]:
@@ -79,7 +80,9 @@ def passing(threshold: int, rate: float, stays: Floats, shares: Floats) -> Float
     def excess(power: float) -> float:
         return float(shares @ np.exp(power * log_alone)) * entering - overall
 
-    power = optimize.brentq(excess, 0.0, 60.0) if excess(60.0) < 0.0 else 60.0
+    if not excess(0.0) > 0.0:  # next to nobody is thrown out
+        return np.full(stays.size, overall)
+    power = optimize.brentq(excess, 0.0, STEEPEST) if excess(STEEPEST) < 0.0 else STEEPEST
     return entering * np.exp(power * log_alone)
 
 
@@ -91,12 +94,12 @@ def overall_share(threshold: int, rate: float, stays: Floats, shares: Floats) ->
         return float(RENEWAL.share(threshold, load))
     usual_rate = load / float(usual @ usual_stays)
     here, there = (
-        _cycle_share(threshold, *law)
+        _thrown_out(threshold, *law)
         for law in ((rate, stays, shares), (usual_rate, usual_stays, usual))
     )
     logit = float(RENEWAL.logit(threshold, load))
-    if min(here, there) > CLOSED:
-        logit += float(special.logit(here) - special.logit(there))
+    if SMALL < min(here, there) and max(here, there) < 1.0 - CLOSED:
+        logit += float(np.log(there / here) + np.log1p(-here) - np.log1p(-there))
     return float(special.expit(logit))
 
 
@@ -131,8 +134,8 @@ def _meeting(others: int, survive: Floats, last: Floats, mean: Floats, level: in
     return (chance * (new * (1.0 - last) + fewer * last)).sum(axis=0)
 
 
-def _cycle_share(threshold: int, rate: float, stays: Floats, shares: Floats) -> float:
-    """Return 1 - (T + 1)/(e C) by the equation of first passage from an empty gate."""
+def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> float:
+    """Return (T + 1)/(e C) by the equation of first passage from an empty gate."""
     time = np.linspace(0.0, LAST * stays.min(), STEPS + 1)
     step = time[1]
     kept, filled = _lasting(stays, shares, time)
@@ -155,7 +158,7 @@ def _cycle_share(threshold: int, rate: float, stays: Floats, shares: Floats) -> 
     cycle = step * (alive[:end].sum() - 0.5)
     if not over.size:
         cycle += alive[-1] * (0.5 * step + alive[-1] / max(first[-1], SMALL))
-    return 1.0 - (threshold + 1.0) / max(rate * cycle, (threshold + 1.0) * (1.0 + 1e-9))
+    return min((threshold + 1.0) / (rate * cycle), 1.0)
 
 
 def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, full: float) -> Floats:

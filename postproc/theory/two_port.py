@@ -23,6 +23,7 @@ import numpy as np
 from scipy import optimize
 
 from postproc.theory import ports
+from postproc.theory.circulation import circulating_current
 from postproc.theory.states import State, crossings, places_of
 
 if TYPE_CHECKING:
@@ -175,15 +176,38 @@ def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[Sta
     Parameters
     ----------
     circuit : with its gate, and whether those in the channels are told from those in the urns.
-    memory : what an urn remembers, `ports.disc` or `ports.well_mixed`.
+    memory : what an urn remembers, `ports.disc` or `ports.well_mixed`. The former comes with those
+        that go round (`circulation`), whose current is added.
     """
     number, found = float(circuit.number), []
+    urns = [memory(side) for side in circuit.sides]
     for first, kind in _roots(circuit, memory):
         at = balance(circuit, first, memory)
         second = float(at.in_half[1, 0])
-        spread = abs(2.0 * second - number) / number
-        found.append(State(second, kind, spread, float(at.net_current[0])))
+        state = State(second, kind, abs(2.0 * second - number) / number, float(at.net_current[0]))
+        if memory is ports.disc:
+            around = circulating_current(circuit, urns, at.entries[:, 0], at.across[:, 0])
+            state = replace(
+                state, net_current=state.net_current + around, circulating_current=around
+            )
+        found.append(state)
     return found
+
+
+def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Floats]:
+    """Return N2 and the logarithms of what halves 1 and 2 send to each other there.
+
+    Shapes (case,) and (half, case), N2 increasing over what the theory can hold.
+    """
+    number = float(circuit.number)
+    one, two = circuit.sides
+    above, below = places_of(one, 0.5 * number), places_of(two, 0.5 * number)
+    first = np.unique(np.concatenate([above, [0.5 * number], number - below]))[::-1]
+    at = balance(circuit, first[(first > 0.0) & (first < number)], memory)
+    with np.errstate(divide="ignore"):
+        through2 = np.log(np.maximum(at.across, 0.0))
+        sent = np.logaddexp(np.log(at.entries) + at.log_share, through2)
+    return at.in_half[1], sent
 
 
 def conductance(circuit: Circuit) -> float:
