@@ -1,8 +1,8 @@
 """What a theory says of one circuit, as JSON: stationary states, transition.
 
-Options are named like the keys of the namelist; lengths are over the speed v = 1. The net current of
-two_port and direction includes what circulates, which is told as well. These two count particles in
-the channels always.
+Options are named like the keys of the namelist; lengths are over the speed v = 1. The net current
+of two_port and direction includes what circulates, which is told as well. These two count
+particles in the channels always.
 """
 
 from __future__ import annotations

@@ -1,17 +1,18 @@
 """Particles that fly round and round through both channels, and the current they carry.
 
 A particle that leaves channel 2 nearly along the axis, or so that the wall of channel 1 reflects it
-back, crosses both urns without a bounce and comes back to channel 2. Unfolded at the walls of channel
-1 it is displaced by eps = u Lam - k w a round (slope u, k reflections, Lam the way outside channel 2:
-urn, channel 1, urn), and is lost if that takes it beyond the edge of channel 2. Inside channel 2 the
-walls reflect; unfolded there its place x turns by u l' on a circle of circumference w'. So a round is
+back, crosses both urns without a bounce and comes back to channel 2. Unfolded at the walls of
+channel 1 it is displaced by eps = u Lam - k w a round (slope u, k reflections, Lam the way outside
+channel 2: urn, channel 1, urn), and is lost if that takes it beyond the edge of channel 2. Inside
+channel 2 the walls reflect; unfolded there its place x turns by u l' on a circle of circumference
+w'. So a round is
 
     x -> x + eps, lost unless |x| < w'/2          x -> x + u l' mod w'
 
-and every round loses one arc of that circle, next to the edge, of length |eps| (more where channel 1's
-mouths cut off too). What lasts m rounds is what m such arcs, each turned by eps + u l' against the one
-before, leave uncovered. Integrated over slopes that is V_m, a volume in (y, sin(theta)); it falls as
-1/m, near the axis as 2 (w'^2/L)(1 + 2 s/(1 - s))/m with L = Lam + l', s = l'/L.
+and every round loses one arc of that circle, next to the edge, of length |eps| (more where channel
+1's mouths cut off too). What lasts m rounds is what m such arcs, each turned by eps + u l' against
+the one before, leave uncovered. Integrated over slopes that is V_m, a volume in (y, sin(theta));
+it falls as 1/m, so that each decade of m carries as much current as the one before.
 
 The gate of a dense urn turns back nearly all, as a flat mirror: it fills these orbits with rho_2 =
 e_2/(2w), what flows out of that urn, on top of those that come round already. On orbits that have
@@ -21,9 +22,9 @@ where two urns that forget would have (1 - q_2) rho_2 + q_1 rho_1. What is more 
     q_1 (c_0 - rho_1) V_1 + ((1 - q_2) rho_2 - (1 - q_1) c_0) (sum over m > 1 of q_1^(m-1) V_m),
 
 less the same for those that go round the other way, 1 and 2 exchanged. q is that of the shortest
-stay, l/2. It is 0 where both urns are alike. Each passes urn 2 for certain, where the two ports have
-it pass by the chance P12 already, and urn 1 where they send it back by the chance a; the rest is a
-source between the openings, to which the urns answer (`response`).
+stay, l/2. It is 0 where both urns are alike. Each passes urn 2 for certain, where the two ports
+have it pass by the chance P12 already, and urn 1 where they send it back by the chance a; the rest
+is a source between the openings, to which the urns answer (`response`).
 """
 
 from __future__ import annotations

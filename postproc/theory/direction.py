@@ -1,10 +1,11 @@
 """Stationary states of two urns that remember by which opening, and in which direction, one came.
 
 A visit keeps the angle of incidence. From opening 1 to opening 1 the angle to the channel changes
-by the difference of two places on one arc only, so s = |sin(theta)| of successive entries into a gate
-diffuses, nearly as D d/ds (1 - s^2) d/ds with D about 0.065 (w/r)^2 a visit. Oblique particles stay
-long in the gate and are turned back again and again; the fast ones pass. With F_i(s), H_i(s) the
-densities of what urn i sends into channels 1 and 2, and q_i(s) the fate of `fate.passing`,
+by the difference of two places on one arc only, so s = |sin(theta)| of successive entries into a
+gate diffuses, nearly as D d/ds (1 - s^2) d/ds with D about 0.065 (w/r)^2 a visit. Oblique
+particles stay long in the gate and are turned back again and again; the fast ones pass. With
+F_i(s), H_i(s) the densities of what urn i sends into channels 1 and 2, and q_i(s) the fate of
+`fate.passing`,
 
     B_i = (1 - q_i) F_i + q_j F_j          F_i = K11 B_i + K21 H_j          H_i = K12 B_i + K22 H_j.
 
@@ -44,7 +45,9 @@ POLYNOMIALS = 12
 ROUNDS = 80  # at most, of the iteration that makes gates and flows agree
 AGREED = 1e-5  # change of fates, and of flows relative to the largest, at which it ends
 KEPT = 0.3  # of the fates of the round before, against overshooting
-LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to which states are looked for
+LEAST_SHARE = (
+    1e-3  # of the particles in urns, in the emptier one, down to which states are looked for
+)
 LOOKED_AT = 14  # places, and
 NEARER = 5  # halvings of the last step towards what channel 2 alone keeps in an urn
 NEXT_TO_EQUAL = 0.02  # how far off equal urns the first is
@@ -214,7 +217,7 @@ class Directions:
         """Return flows with the fates that they make, some of those of `before` kept."""
         density = np.maximum(entries @ self.basis, 0.0) * self.weights
         rates = np.maximum(density.sum(axis=1), 1e-300)
-        loads = (density @ self.stays)
+        loads = density @ self.stays
         passing = np.array(
             [
                 fate.passing(int(one.threshold), rate, self.stays, law / rate)
@@ -262,8 +265,17 @@ def scan(circuit: Circuit) -> list[tuple[float, Held]]:
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
-    """Return whether the state with equal densities is "stable" or "unstable"."""
-    return "stable" if _excess(Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL))) <= 0.0 else "unstable"
+    """Return whether the state with equal densities is "stable" or "unstable".
+
+    Unlike circuits: of the state that is nearest to it.
+    """
+    if circuit.alike:
+        near = Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL))
+        return "stable" if _excess(near) <= 0.0 else "unstable"
+    areas = [float(side.urn_area) for side in circuit.sides]
+    second = float(circuit.number) * areas[1] / sum(areas)
+    states = stationary_states(circuit)
+    return min(states, key=lambda one: abs(one.urn2_number - second)).kind if states else "neutral"
 
 
 def stationary_states(circuit: Circuit) -> list[State]:
@@ -298,7 +310,7 @@ def stationary_states(circuit: Circuit) -> list[State]:
 
 
 def outflows(circuit: Circuit) -> tuple[Floats, Floats]:
-    """Return N2 and the logarithms of what halves 1 and 2 send each other; as `two_port.outflows`."""
+    """Return N2 and the logarithms of what halves send each other, as `two_port.outflows`."""
     held = [one for _, one in scan(circuit)]
     second = np.array([one.in_half[1] for one in held])
     sent = np.log(np.maximum(np.array([one.sent for one in held]).T, 1e-300))

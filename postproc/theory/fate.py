@@ -1,24 +1,24 @@
 """What a gate does to a particle that is inside for a given time, under any law of stays.
 
-The gate is the queue of `renewal`: entries at rate e, each inside for a stay sigma, and an entry that
-finds T inside empties it. Exact are, with C the mean time between emptyings and q(sigma) the chance
-to get through,
+The gate is the queue of `renewal`: entries at rate e, each inside for a stay sigma, and an entry
+that finds T inside empties it. Exact are, with C the mean time between emptyings and q(sigma) the
+chance to get through,
 
     <q> = 1 - (T + 1)/(e C)         q(sigma) = (1 - 1/(e C)) S(sigma)         S(0) = 1
 
-since one entrant in e C is the one that empties it; S is the chance that nobody does within the stay.
-T = 1 is closed: S = exp(-e sigma), <q> = p/(2 - p) with p = <exp(-e sigma)>.
+since one entrant in e C is the one that empties it; S is the chance that nobody does within the
+stay. T = 1 is closed: S = exp(-e sigma), <q> = p/(2 - p) with p = <exp(-e sigma)>.
 
-For T > 1 both C and S come from equations of first passage. The number inside at t after an emptying
-would be Poisson, of mean m(t) = e times the integral of the chance to be inside still, were nobody
-turned; the rate at which entries find T there is u(t) = e P(number = T), and
+For T > 1 both C and S come from equations of first passage. The number inside at t after an
+emptying would be Poisson, of mean m(t) = e times the integral of the chance to be inside still,
+were nobody turned; the rate at which entries find T there is u(t) = e P(number = T), and
 
     u(t) = f(t) + integral of f(t') u(t | t') dt',
 
 f(t) the density of the first such entry, u(t | t') the rate after one at t'. It is closed by taking
-those T that it found as any T that came since the emptying, each independently: exact for T = 1. What
-this approximates is small, and smaller still in what it is used for, the *difference* between the
-law of stays at hand and the cosine law; for the latter `renewal` knows <q>.
+those T that it found as any T that came since the emptying, each independently: exact for T = 1.
+What this approximates is small, and smaller still in what it is used for, the *difference* between
+the law of stays at hand and the cosine law; for the latter `renewal` knows <q>.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def overall_share(threshold: int, rate: float, stays: Floats, shares: Floats) ->
         for law in ((rate, stays, shares), (usual_rate, usual_stays, usual))
     )
     logit = float(RENEWAL.logit(threshold, load))
-    if SMALL < min(here, there) and max(here, there) < 1.0 - CLOSED:
+    if min(here, there) > SMALL and max(here, there) < 1.0 - CLOSED:
         logit += float(np.log(there / here) + np.log1p(-here) - np.log1p(-there))
     return float(special.expit(logit))
 
@@ -164,9 +164,9 @@ def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> f
 def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, full: float) -> Floats:
     """Return S, the chance that nobody empties the gate within a stay, up to a power near 1.
 
-    The others of one who entered must not reach T. At first there are k < T by the stationary law of
-    a queue with exponential stays whose chance to be full is `full`, with what is left of their stays
-    as in a queue that nobody empties.
+    The others of one who entered must not reach T. At first there are k < T by the stationary law
+    of a queue with exponential stays whose chance to be full is `full`, with what is left of their
+    stays as in a queue that nobody empties.
     """
     mean_stay = float(shares @ stays)
     time = np.linspace(0.0, LAST * stays.min(), STEPS + 1)
@@ -192,7 +192,7 @@ def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, ful
 
 
 def _found(threshold: int, load: float, full: float) -> Floats:
-    """Return the chances to find 0 ... T inside, exponential stays, at a load that makes P(T) `full`."""
+    """Return chances to find 0 ... T inside: exponential stays, a load that makes P(T) `full`."""
 
     def law(x: float) -> Floats:
         # what flows up from k comes down from k + 1 or by an emptying: p_k in units of p_T

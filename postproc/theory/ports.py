@@ -7,8 +7,8 @@ chances come down to one: P22 = a, P21 = 1 - a, P12 = (w'/w)(1 - a), P11 = 1 - P
 t1, t2 of those that came through 1 and 2 fill the urn evenly: w t1 + w' t2 = pi A.
 
 A well mixed urn has a = w'/(w + w') and t1 = t2. A disc with opposite openings has not: of the
-orbits that would come back to opening 2 those with an even number of chords meet opening 1 first, so
-only odd polygons return (`return_chance_of_polygons`), however small the openings.
+orbits that would come back to opening 2 those with an even number of chords meet opening 1 first,
+so only odd polygons return (`return_chance_of_polygons`), however small the openings.
 """
 
 from __future__ import annotations

@@ -8,7 +8,6 @@ ends bracket every zero; minima of |g| in between are followed for pairs that li
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -48,7 +47,7 @@ class State:
     net_current : of channel 1 from urn 1 to urn 2, and back through channel 2 (per unit time).
     circulating_current : what of it is carried by particles that go round without a bounce in an
         urn; None if the theory does not tell.
-    mass_spread_error, net_current_error : standard errors where the theory draws numbers, else None.
+    mass_spread_error, net_current_error : standard errors where the theory draws numbers.
     """
 
     urn2_number: float
@@ -183,8 +182,8 @@ class Theory:
     states : all its stationary states, `State`s.
     homogeneous_kind : "stable", "unstable" or "neutral", of the state with equal densities.
     transition_width : w' of the transition line, NaN without one.
-    outflows : N2, shape (case,), and the logarithms of what halves 1 and 2 send to each other there,
-        shape (half, case); None: `circuit.log_outflow`.
+    outflows : N2, shape (case,), and the logarithms of what halves 1 and 2 send to each other
+        there, shape (half, case); None: `circuit.log_outflow`.
     """
 
     states: Callable[[Circuit], list[State]] = stationary_states

@@ -1,16 +1,17 @@
 """Stationary states of two urns that remember by which opening one came.
 
-With e_i the rate at which urn i sends particles into channel 1, f_i into channel 2, q_i the share of
-e_i that its gate lets through at load e_i pi l/4, j the other urn, and the ports of `ports`:
+With e_i the rate at which urn i sends particles into channel 1, f_i into channel 2, q_i the share
+of e_i that its gate lets through at load e_i pi l/4, j the other urn, and the ports of `ports`:
 
     back into urn i through channel 1   b_i = (1 - q_i) e_i + q_j e_j      through channel 2   f_j
     e_i = (1 - P12) b_i + (1 - a) f_j   f_i = P12 b_i + a f_j              n_i = t1 b_i + t2 f_j
 
-Where the urns are stationary channel 2 carries J = f_2 - f_1 and channel 1 as much, b_1 = e_1 - J and
-b_2 = e_2 + J; these are linear in e_1, e_2, for equal urns J = P12 (e_2 - e_1)/(1 + a - 2 P12) or
-J = G (n_2 - n_1) with G = k/(t1 + k (2 t1 - t2)), k = (w'/w)(1 - a)/(1 + a - 2 (w'/w)(1 - a)). So
-every ratio e_1/e_2 is a pair of urns held against each other, and a state of the circuit where the
-gates send J as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007) back, G = w'/(pi A).
+Where the urns are stationary channel 2 carries J = f_2 - f_1 and channel 1 as much, b_1 = e_1 - J
+and b_2 = e_2 + J; these are linear in e_1, e_2, for equal urns J = P12 (e_2 - e_1)/(1 + a - 2 P12)
+or J = G (n_2 - n_1) with G = k/(t1 + k (2 t1 - t2)), k = P12/(1 + a - 2 P12), P12 = (w'/w)(1 - a).
+So every ratio e_1/e_2 is a pair of urns held against each other, and a state of the circuit where
+the gates send J as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007) back, and
+G = w'/(pi A).
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Balance:
     across : f, what it sends into channel 2.
     log_share : logarithm of q, the share of `entries` that its gate lets through.
     in_urn : n, how many are in it.
-    in_half : N, with its gate and its half of channel 2; `in_urn` if the circuit does not tell them.
+    in_half : N, with its gate and its half of channel 2; `in_urn` if the circuit does not tell.
     """
 
     entries: Floats
@@ -135,7 +136,7 @@ def homogeneous_kind(circuit: Circuit, memory: Memory = ports.disc) -> str:
     """
     if circuit.alike:
         return "stable" if _growth(circuit, memory) <= 0.0 else "unstable"
-    middle = 0.5 * float(circuit.number)
+    middle = 0.5 * float(circuit.number)  # both send as many: densities are equal
     roots = _roots(circuit, memory)
     return min(roots, key=lambda one: abs(one[0] - middle))[1] if roots else "neutral"
 
@@ -218,7 +219,7 @@ def conductance(circuit: Circuit) -> float:
 
 
 def transition_width(circuit: Circuit, start: float) -> float:
-    """Return the w' at which the homogeneous state of equal urns turns stable; NaN if there is none.
+    """Return the w' at which equal urns' homogeneous state turns stable, NaN without one.
 
     `start` is another theory's answer, NaN if it has none; it is looked for around that first.
     """
@@ -231,9 +232,10 @@ def transition_width(circuit: Circuit, start: float) -> float:
         return math.nan
     widths = np.geomspace(1e-3, 0.99, WIDTHS_TRIED) * diameter
     near = start * np.array([0.5, 0.8, 1.25, 2.0])
-    for places in (near, np.concatenate([[0.0], widths])):
-        places = places[places < diameter]
-        values = [growth(width) for width in places] if np.all(np.isfinite(places)) else []
+    tried = [near] if math.isfinite(start) else []
+    for candidates in (*tried, np.concatenate([[0.0], widths])):
+        places = candidates[candidates < diameter]
+        values = [growth(width) for width in places]
         for at in range(len(values) - 1):
             if values[at] > 0.0 >= values[at + 1]:
                 return float(optimize.brentq(growth, places[at], places[at + 1], rtol=1e-6))

@@ -5,9 +5,9 @@ opening's arc, |y| < asin(w/2r), measured from its middle. Every bounce then add
 delta, the chord's, whose angle of incidence psi = (pi - delta)/2 never changes. Entries by the
 cosine law fill (delta, y) with the density r sin(delta/2)/2 (lines: r cos(psi) dpsi dy). At a given
 delta the whole arc of starts turns rigidly: after n chords it is shifted by n delta, and what then
-lies upon an opening leaves. So the visits of one delta fall into a few *pieces*, intervals of y that
-leave together; over delta they change smoothly between places where ends of arcs meet, which are
-known beforehand. Two nodes of Gauss between these make sums over pieces good to 1e-5.
+lies upon an opening leaves. So the visits of one delta fall into a few *pieces*, intervals of y
+that leave together; over delta they change smoothly between places where ends of arcs meet, which
+are known beforehand. Two nodes of Gauss between these make sums over pieces good to 2e-5.
 
 The next shift upon an opening is found by Euclid's algorithm, not step by step: visits of a million
 chords cost as much as those of ten.
@@ -31,8 +31,10 @@ if TYPE_CHECKING:
 
 TURN = 2.0 * math.pi
 TOUCH = 1e-13  # arcs that overlap by less do not meet
-LEAST_ORDER, LARGEST_ORDER = 24, 60  # chords up to which ends of arcs are told apart
+LEAST_ORDER, LARGEST_ORDER = 24, 120  # chords up to which ends of arcs are told apart
 NEAREST = 1e-6  # of a rational part of a turn: the ladder of places towards it ends there
+RUNGS = 12  # of that ladder
+EVEN = 8000  # cells of even width besides, for what more chords do
 LONGEST = 1e7  # chords; what winds on for longer is left out
 
 
@@ -64,10 +66,11 @@ class Pieces:
         return self.weight * (self.high - self.low)
 
     def nodes(self) -> tuple[Floats, Floats]:
-        """Return places y and weights (shares of all entries), two a piece: shape (2, piece)."""
+        """Return places y and weights (shares of all entries), three a piece: shape (3, piece)."""
         middle, half = 0.5 * (self.high + self.low), 0.5 * (self.high - self.low)
-        gap = half / math.sqrt(3.0)
-        return np.stack([middle - gap, middle + gap]), np.stack([0.5 * self.share] * 2)
+        gap = math.sqrt(0.6) * half
+        weights = np.array([[5.0], [8.0], [5.0]]) / 18.0
+        return np.stack([middle - gap, middle, middle + gap]), weights * self.share
 
 
 def first_multiple(step: Floats, turn: Floats, low: Floats, high: Floats) -> Floats:
@@ -118,9 +121,11 @@ def _nodes(own: float, other: float, order: int) -> tuple[Floats, Floats]:
     ends = [part + gap / n for gap in (-2.0 * own, 0.0, 2.0 * own)]
     ends += [part + (math.pi + one * own + two * other) / n for one in (-1, 1) for two in (-1, 1)]
     winding = n[:, 0] < 2.0 * math.pi / max(own, other)
-    rungs = np.geomspace(NEAREST, 0.1, 30)
+    rungs = np.geomspace(NEAREST, 0.1, RUNGS)
     near = part[winding][:, :, None] + np.concatenate([-rungs, rungs]) / n[winding][:, :, None]
-    places = np.concatenate([np.array([0.0, math.pi]), *(one.ravel() for one in [*ends, near])])
+    places = np.concatenate(
+        [np.linspace(0.0, math.pi, EVEN + 1), *(one.ravel() for one in [*ends, near])]
+    )
     places = np.unique(places[(places >= 0.0) & (places <= math.pi)])
     places = places[np.concatenate([[True], np.diff(places) > 1e-12])]
     middle, half = 0.5 * (places[1:] + places[:-1]), 0.5 * np.diff(places)
