@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 POLYNOMIALS = 12
+NARROWEST = 1e-6  # channel 2, in radii: what stands for a closed one
 ROUNDS = 80  # at most, of the iteration that makes gates and flows agree
 AGREED = 1e-5  # change of fates, and of flows relative to the largest, at which it ends
 KEPT = 0.3  # of the fates of the round before, against overshooting
@@ -145,7 +146,11 @@ class Directions:
         self.circuit = circuit
         self.sides = circuit.sides
         self.urns = [
-            transfer(float(one.urn_radius), float(one.channel1_width), float(one.channel2_width))
+            transfer(
+                float(one.urn_radius),
+                float(one.channel1_width),
+                max(float(one.channel2_width), NARROWEST * float(one.urn_radius)),
+            )
             for one in self.sides
         ]
         self.sine, self.weights = fate.directions()
@@ -269,6 +274,8 @@ def homogeneous_kind(circuit: Circuit) -> str:
 
     Unlike circuits: of the state that is nearest to it.
     """
+    if float(circuit.channel2_width) == 0.0 and float(circuit.threshold) == 0.0:
+        return "neutral"
     if circuit.alike:
         near = Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL))
         return "stable" if _excess(near) <= 0.0 else "unstable"

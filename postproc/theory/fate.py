@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 ANGLES = 24
 STEPS, LAST = 64, 6.0  # of the time axis, and its end in shortest stays
 CLOSED = 0.01  # overall share below which the law of stays is not asked for
+FREE = 1.0 - 1e-12  # overall share from which everyone passes
 STEEPEST = 60.0  # power of S
 SMALL = 1e-200
 
@@ -73,6 +74,8 @@ def passing(threshold: int, rate: float, stays: Floats, shares: Floats) -> Float
     if threshold == 1:
         alone = np.exp(-rate * stays)
         return alone / (2.0 - shares @ alone)
+    if RENEWAL.share(threshold, rate * float(shares @ stays)) > FREE:
+        return np.ones(stays.size)
     overall = overall_share(threshold, rate, stays, shares)
     entering = 1.0 - (1.0 - overall) / (threshold + 1.0)
     log_alone = np.log(_undisturbed(threshold, rate, stays, shares, 1.0 - entering))

@@ -134,6 +134,8 @@ def homogeneous_kind(circuit: Circuit, memory: Memory = ports.disc) -> str:
 
     "neutral": nothing moves at all. Unlike circuits: of the state that is nearest to it.
     """
+    if float(circuit.channel2_width) == 0.0 and float(circuit.threshold) == 0.0:
+        return "neutral"
     if circuit.alike:
         return "stable" if _growth(circuit, memory) <= 0.0 else "unstable"
     middle = 0.5 * float(circuit.number)  # both send as many: densities are equal
@@ -228,6 +230,8 @@ def transition_width(circuit: Circuit, start: float) -> float:
     def growth(width: float) -> float:
         return _growth(replace(circuit, channel2_width=width), ports.disc)
 
+    if float(circuit.threshold) == 0.0:
+        return 0.0  # any channel 2 at all brings both urns to equal densities
     if growth(0.0) <= 0.0:
         return math.nan
     widths = np.geomspace(1e-3, 0.99, WIDTHS_TRIED) * diameter
