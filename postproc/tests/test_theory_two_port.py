@@ -309,3 +309,14 @@ def test_unlike_urns_and_gates(model: str, capsys: pytest.CaptureFixture[str]) -
 def test_three_thresholds_are_too_many(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("theory", ["--number", "10", "--threshold", "1", "2", "3"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("model", ["two_port", "direction"])
+def test_gates_that_let_nobody_or_everybody_pass_have_no_battery(
+    model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for threshold in ("0", "1000"):
+        words = ["--number", "1000", "--threshold", threshold, "--model", model]
+        assert call("theory", words) == 0
+        printed = json.loads(capsys.readouterr().out)
+        assert (printed["homogeneous"], printed["roots"]) == ("stable", [])

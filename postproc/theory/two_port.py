@@ -152,6 +152,8 @@ def _growth(circuit: Circuit, memory: Memory) -> float:
 def _roots(circuit: Circuit, memory: Memory) -> list[tuple[float, str]]:
     """Return (first, kind) of all states, those of equal circuits with urn 2 fuller only."""
     number = float(circuit.number)
+    if circuit.alike and float(circuit.threshold) == 0.0:
+        return []  # channel 2 alone
 
     def excess(first: ArrayLike) -> Floats:
         found = np.nan_to_num(balance(circuit, first, memory).log_excess, posinf=1e9, neginf=-1e9)
