@@ -12,9 +12,13 @@ import numpy as np
 from postproc.reading.results import Results
 from postproc.theory.chain import stationary_distribution
 from postproc.theory.circuit import Circuit, eta, half2_number, net_current2
+from postproc.theory.direction import transfer
 from postproc.theory.gates import WINDOW
+from postproc.theory.models import MODELS
+from postproc.theory.ports import returns_and_stay
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
+from postproc.theory.visits import visits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,10 +111,28 @@ def chain(circuit: Circuit) -> tuple[float, float]:
     return float(weights @ chi), float(weights @ np.abs(net_current2(circuit, share)))
 
 
+def by_model(name: str) -> Callable[[Circuit], tuple[float, float]]:
+    """Return what asks a model of `theory.models` as `mean_field` does.
+
+    Each question starts from nothing: what the urns remember is worked out anew.
+    """
+
+    def ask(circuit: Circuit) -> tuple[float, float]:
+        for kept in (visits, returns_and_stay, transfer):
+            kept.cache_clear()
+        prepared, theory = MODELS[name].of(circuit)
+        stable = [state for state in theory.states(prepared) if state.kind == "stable"]
+        return (stable[-1].mass_spread, stable[-1].net_current) if stable else (0.0, 0.0)
+
+    return ask
+
+
 THEORIES: tuple[tuple[str, Circuit, Callable[[Circuit], tuple[float, float]]], ...] = (
     ("eta of the paper", replace(BATTERY, gate=WINDOW), mean_field),
     ("renewal gate", replace(BATTERY, gate=RENEWAL), mean_field),
     ("renewal gate with channels", replace(BATTERY, gate=RENEWAL, occupation=True), mean_field),
+    ("two ports", BATTERY, by_model("two_port")),
+    ("directions", BATTERY, by_model("direction")),
     ("renewal chain", replace(BATTERY, gate=RENEWAL, occupation=True), chain),
 )
 

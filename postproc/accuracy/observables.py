@@ -140,6 +140,7 @@ def look(line: dict) -> tuple[str, str]:
         "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
         "eta of the paper": ("P", style.VERMILION), "renewal gate": ("X", style.ORANGE),
         "renewal gate with channels": ("*", style.ORANGE), "renewal chain": ("v", style.ORANGE),
+        "two ports": ("P", style.PURPLE), "directions": ("X", style.PURPLE),
     }  # fmt: skip
     return marks.get(line["name"], (">", style.PURPLE))
 

@@ -102,6 +102,15 @@ def test_chain_is_the_mean_field_but_for_fluctuations() -> None:
     assert ladder.chain(homogeneous)[0] == pytest.approx(expected, rel=0.06)  # channels: 5 %
 
 
+@pytest.mark.parametrize("name", ["two ports", "directions"])
+def test_theories_with_memory_find_the_billiard(name: str) -> None:
+    (circuit, ask), *_ = [(one, ask) for named, one, ask in ladder.THEORIES if named == name]
+    spread, flow = ask(circuit)
+    assert spread == pytest.approx(SPREAD, abs=0.002)
+    assert flow == pytest.approx(CURRENT, rel=0.01)
+    assert ask(replace(circuit, threshold=40)) == (0.0, 0.0)
+
+
 def _line(kind: str, value: float, error: float, seconds: float) -> dict:
     answers = {name: ladder.Answer(value, error, seconds) for name in ladder.QUANTITIES}
     truth = {name: ladder.Answer(1.0, 0.0, 1.0) for name in ladder.QUANTITIES}

@@ -1,0 +1,230 @@
+"""Directions: transfer by drawn visits, fates by a simulated gate, and the lifetimes measured."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postproc.tests.commands import call
+from postproc.theory import direction, fate, ports, two_port
+from postproc.theory.chain import passage_times
+from postproc.theory.circuit import Circuit
+from postproc.theory.models import MODELS
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.renewal_fit import share_of_one
+
+LOW, HIGH = 0.2, 0.7  # chi of the passages, as `figures.passages` has them
+# T = 1, 32 runs of 40000 time units a point (namelists/lifetimes_one.nml): first passages from
+# chi = 0 to 0.7 and from 1 to 0.2, NaN where fewer than four runs had any; T = 2 likewise
+MEASURED = (
+    (1, 340, 5.5e3, math.nan), (1, 360, 7.5e3, 2.3e5), (1, 380, 1.61e4, 2.69e4),
+    (1, 400, 3.1e5, 8.97e3), (1, 420, math.nan, 5.15e3), (1, 480, math.nan, 2.12e3),
+    (2, 860, math.nan, 2.63e3), (2, 1000, math.nan, 1.44e3),
+)  # fmt: skip
+CROSSING = 382.5  # N at which both lifetimes are equal, T = 1, by these runs
+
+
+def simulated(
+    threshold: int, rate: float, stays: np.ndarray, shares: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shares of each stay that get through a gate, and their errors."""
+    random, gates, entries = np.random.default_rng(1), 1500, 500
+    leaves, who = np.full((gates, threshold), -1.0), np.full((gates, threshold), -1)
+    clock, came, out = np.zeros(gates), np.zeros(stays.size), np.zeros(stays.size)
+    at = np.arange(gates)
+    for entry in range(entries):
+        clock += random.exponential(1.0 / rate, gates)
+        kind = random.choice(stays.size, p=shares, size=gates)
+        oldest = leaves.argmin(axis=1)
+        full = leaves[at, oldest] > clock
+        if entry >= entries // 4:
+            came += np.bincount(kind, minlength=stays.size)
+            out += np.bincount(kind[full], minlength=stays.size)
+            out += np.bincount(who[full].ravel(), minlength=stays.size)
+        leaves[full], who[full] = -1.0, 0
+        enters = np.flatnonzero(~full)
+        leaves[enters, oldest[enters]] = clock[enters] + stays[kind[enters]]
+        who[enters, oldest[enters]] = kind[enters]
+    return 1.0 - out / came, np.sqrt(np.maximum(out, 1.0)) / came
+
+
+def test_fate_at_one_is_known_exactly() -> None:
+    stays, shares = fate.cosine_law(0.5, 200)
+    load = 1.3
+    found = fate.passing(1, load / (0.25 * math.pi), stays, shares)
+    assert shares @ found == pytest.approx(float(share_of_one(np.array([load]))[0]), rel=1e-3)
+    ratio = found[:50] / found[0]
+    assert ratio == pytest.approx(np.exp(-load / (0.25 * math.pi) * (stays[:50] - stays[0])))
+
+
+@pytest.mark.parametrize(("threshold", "load"), [(2, 1.0), (4, 3.0), (7, 5.0), (15, 12.0)])
+@pytest.mark.parametrize("tilt", [-0.8, 0.0, 0.8])
+def test_fates_are_those_of_a_simulated_gate(threshold: int, load: float, tilt: float) -> None:
+    sine, weights = fate.directions(12)
+    shares = weights * (1.0 + tilt * (sine - 0.5))
+    shares = shares / shares.sum()
+    stays = 0.5 / np.sqrt(1.0 - sine**2)
+    rate = load / float(shares @ stays)
+    found = fate.passing(threshold, rate, stays, shares)
+    seen, error = simulated(threshold, rate, stays, shares)
+    assert shares @ found == pytest.approx(float(shares @ seen), abs=0.006)
+    assert np.all(np.abs(found - seen) < 0.02 + 5.0 * error)
+    assert np.all(np.diff(found) <= 0.0)
+
+
+@pytest.mark.parametrize(("threshold", "load"), [(1, 1.0), (2, 2.0), (7, 8.0), (15, 12.0)])
+def test_fates_of_the_cosine_law_add_up_to_the_renewal_gate(threshold: int, load: float) -> None:
+    stays, shares = fate.cosine_law(0.35)
+    rate = load / (0.35 * 0.5 * math.pi)
+    found = shares @ fate.passing(threshold, rate, stays, shares)
+    assert found == pytest.approx(float(RENEWAL.share(threshold, load)), abs=6e-3)
+
+
+def test_fates_at_any_load_are_chances() -> None:
+    stays, shares = fate.cosine_law(0.5)
+    for threshold in (1, 2, 7, 25):
+        before = 1.0
+        for load in (1e-3, 0.1, 1.0, 5.0, 12.0, 30.0, 200.0):
+            found = fate.passing(threshold, load / float(shares @ stays), stays, shares)
+            assert np.all((found >= 0.0) & (found <= 1.0))
+            assert shares @ found <= before + 1e-9
+            before = float(shares @ found)
+
+
+@pytest.mark.parametrize("widths", [(0.3, 0.01), (0.3, 0.4)])
+def test_transfer_reads_backwards_and_loses_nobody(widths: tuple[float, float]) -> None:
+    found = direction.transfer(1.0, *widths)
+    kernel = found.kernel
+    assert kernel[:, :, 0, 0].sum(axis=1) == pytest.approx([1.0, 1.0], rel=1e-12)
+    for own in (0, 1):
+        assert kernel[own, own] == pytest.approx(kernel[own, own].T, abs=2e-4)
+    assert widths[0] * kernel[0, 1] == pytest.approx(widths[1] * kernel[1, 0].T, abs=1e-3)
+    port = ports.disc(Circuit(1, 1, *widths))
+    assert kernel[1, 1, 0, 0] == pytest.approx(port.return_chance, abs=1e-4)
+    assert found.stay[:, 0] == pytest.approx([port.stay1, port.stay2], rel=1e-3)
+
+
+def test_cosine_of_entries_is_remembered_over_visits() -> None:
+    # autocorrelation of cos(theta) after 1, 5, 10, 20, 40 visits, w = 0.3: by drawn visits
+    sine, weights = fate.directions()
+    basis = direction.polynomials(sine)
+    start = basis @ (weights * np.sqrt(1.0 - sine**2))
+    kernel = direction.transfer(1.0, 0.3, 0.001).kernel[0, 0]
+    kernel = kernel / kernel[0, 0]
+    one = start.copy()
+    found, mean = [], start[0] ** 2
+    for _ in range(40):
+        one = kernel.T @ one
+        found.append((start @ one - mean) / (start @ start - mean))
+    expected = [0.96, 0.82, 0.67, 0.47, 0.23]
+    assert [found[k - 1] for k in (1, 5, 10, 20, 40)] == pytest.approx(expected, abs=0.035)
+
+
+def test_directions_diffuse_slower_through_narrower_openings() -> None:
+    rates = []
+    for width in (0.4, 0.2):
+        kernel = direction.transfer(1.0, width, 0.001).kernel[0, 0]
+        rates.append(-math.log(kernel[1, 1] / kernel[0, 0]) / 6.0)  # of l = 2
+    assert rates[0] / 0.4**2 == pytest.approx(0.065, rel=0.1)
+    assert rates[1] / 0.2**2 == pytest.approx(0.065, rel=0.1)
+
+
+def test_where_fates_ask_for_no_direction_two_ports_come_out() -> None:
+    # nearly free gates: everyone passes
+    circuit = Circuit(200, 60, 0.3, 0.05, gate=RENEWAL, occupation=True)
+    held = direction.Directions(circuit).held(0.3)
+    first = np.linspace(40.0, 80.0, 200)
+    at = two_port.balance(circuit, first)
+    share = at.in_urn[0] / at.in_urn.sum(axis=0)
+    assert held.in_half.sum() == pytest.approx(200.0, rel=1e-4)
+    # with the gates open directions stay as they come in: by the cosine law
+    law = held.entries @ direction.polynomials(fate.directions()[0])
+    assert law / held.entries[:, :1] == pytest.approx(1.0, abs=0.2)
+    assert held.entries[0, 0] < held.entries[1, 0]
+    assert share.min() < 0.3 < share.max()
+
+
+def test_sparse_urn_sends_less_than_well_mixed() -> None:
+    # measured 0.85 to 0.92; T = 1, N = 400, sparse urn with 14, 23, 31, 46 particles
+    circuit = Circuit(400, 1, gate=RENEWAL, occupation=True)
+    equations, stays = direction.Directions(circuit), fate.cosine_law(0.5)
+    found = []
+    for number in (14, 23, 31, 46):
+        held = equations.held(number / 400.0)
+        rate = held.in_urn[0] * 0.3 / (math.pi * float(circuit.urn_area))
+        found.append(held.through[0] / (rate * stays[1] @ fate.passing(1, rate, *stays)))
+    assert found == pytest.approx([0.93, 0.93, 0.89, 0.85], abs=0.04)
+    assert all(one > other for one, other in itertools.pairwise(found))
+
+
+def test_drift_vanishes_at_380() -> None:
+    for number, sign in ((360, 1.0), (380, 0.0), (400, -1.0)):
+        equations = direction.Directions(Circuit(number, 1, gate=RENEWAL, occupation=True))
+        for chi in (0.25, 0.4, 0.57):
+            held = equations.held(0.5 * (1.0 - chi))
+            drift = math.log(held.sent[0] / held.sent[1])
+            assert drift == pytest.approx(0.0, abs=0.02) if sign == 0.0 else drift * sign > 0.02
+
+
+def test_polarised_state_is_lost_between_380_and_400() -> None:
+    for number, states in ((380, 1), (400, 0)):
+        circuit = Circuit(number, 1, gate=RENEWAL, occupation=True)
+        found = [one for one in direction.stationary_states(circuit) if one.kind == "stable"]
+        assert len(found) == states
+
+
+@pytest.mark.parametrize(("threshold", "number", "homogeneous", "polarised"), MEASURED)
+def test_lifetimes_are_within_a_factor_of_three(
+    threshold: int, number: int, homogeneous: float, polarised: float
+) -> None:
+    circuit, theory = MODELS["direction"].of(Circuit(number, threshold))
+    found = passage_times(circuit, LOW, HIGH, theory=theory)
+    for one, seen in zip(found, (homogeneous, polarised), strict=True):
+        assert math.isnan(seen) or seen / 3.0 < one < 3.0 * seen
+
+
+def test_both_states_live_equally_long_where_they_are_measured_to() -> None:
+    numbers, logs = np.arange(370, 396, 5), []
+    for number in numbers:
+        circuit, theory = MODELS["direction"].of(Circuit(int(number), 1))
+        one, other = passage_times(circuit, LOW, HIGH, theory=theory)
+        logs.append(math.log(one / other))
+    assert np.all(np.diff(logs) > 0.0)
+    assert float(np.interp(0.0, logs, numbers)) == pytest.approx(CROSSING, rel=0.05)
+
+
+def test_state_does_not_depend_on_where_it_is_looked_for_from() -> None:
+    circuit = Circuit(1000, 7, gate=RENEWAL, occupation=True)
+    equations = direction.Directions(circuit)
+    fresh = equations.held(0.1)
+    led = equations.held(0.1, equations.held(0.2))
+    assert led.entries[:, 0] == pytest.approx(fresh.entries[:, 0], rel=1e-4)
+    assert led.through == pytest.approx(fresh.through, rel=1e-3)
+
+
+def test_command_line_and_exchange_of_unlike_halves(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--number", "400", "--channel1-length", "1.2", "--model", "direction"]
+    said = []
+    for pair, radii in ((("1", "2"), ("1", "1.1")), (("2", "1"), ("1.1", "1"))):
+        assert call("theory", [*words, "--threshold", *pair, "--urn-radius", *radii]) == 0
+        said.append(json.loads(capsys.readouterr().out))
+    here, there = (sorted(one["urn2_number"] for one in printed["roots"]) for printed in said)
+    assert here == pytest.approx(sorted(400.0 - one for one in there), abs=0.05)
+    assert said[0]["homogeneous"] == said[1]["homogeneous"]
+
+
+def test_lifetimes_command_takes_every_theory(capsys: pytest.CaptureFixture[str]) -> None:
+    found = {}
+    for model in ("renewal", "two_port", "direction"):
+        words = ["--number", "380", "--threshold", "1", "--model", model]
+        assert call("lifetimes", words) == 0
+        found[model] = json.loads(capsys.readouterr().out)
+    assert found["renewal"]["polarised_share"] > found["direction"]["polarised_share"]
+    assert call("lifetimes", ["--number", "380", "--threshold", "1", "2"]) == 2
+    replaced = replace(Circuit(380, 1), gate2_threshold=1)
+    assert replaced.alike

@@ -1,0 +1,322 @@
+"""Two ports and circulation: drawn visits, identities, limits, the conductance measured."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postproc.tests.commands import call
+from postproc.theory import circulation, ports, states, two_port
+from postproc.theory.circuit import Circuit
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.visits import first_multiple, visits
+
+PAPER = Circuit(1000, 7, gate=RENEWAL, occupation=True)
+# w', I/(G0 chi N) over both maps of Fig. numris (chi > 0.5, T >= 6), about +- 0.01
+CONDUCTANCES = ((0.004, 1.043), (0.010, 1.080), (0.020, 1.127), (0.032, 1.164),
+                (0.046, 1.181), (0.062, 1.188), (0.073, 1.189))  # fmt: skip
+
+
+def drawn(circuit: Circuit, opening: int, count: int) -> tuple[float, float]:
+    """Return, from drawn visits flown bounce by bounce, the share that comes back, and its error.
+
+    The disc is about the origin, channel 1 at angle 0; entries by the cosine law.
+    """
+    random = np.random.default_rng(5)
+    radius = float(circuit.urn_radius)
+    widths = np.array([float(circuit.channel1_width), float(circuit.channel2_width)])
+    chord = math.sqrt(radius**2 - widths[opening] ** 2 / 4)
+    side = 1.0 if opening == 0 else -1.0
+    x = np.full(count, side * chord)
+    y = widths[opening] * (random.uniform(size=count) - 0.5)
+    uy = random.uniform(-1.0, 1.0, count)
+    ux = -side * np.sqrt(1.0 - uy**2)
+    inside, back = np.arange(count), np.zeros(count, bool)
+    for _ in range(4000):
+        along = x * ux + y * uy
+        far = np.sqrt(np.maximum(along**2 - x**2 - y**2 + radius**2, 0.0)) - along
+        x, y = x + far * ux, y + far * uy
+        size, speed = np.hypot(x, y) / radius, np.hypot(ux, uy)
+        x, y, ux, uy = x / size, y / size, ux / speed, uy / speed
+        # the arc of an opening is where |y| < w/2 on its side
+        out = [(x > 0) & (np.abs(y) < widths[0] / 2), (x < 0) & (np.abs(y) < widths[1] / 2)]
+        back[inside[out[opening]]] = True
+        on = ~(out[0] | out[1])
+        inside, x, y, ux, uy = (one[on] for one in (inside, x, y, ux, uy))
+        normal = 2.0 * (ux * x + uy * y) / radius**2
+        ux, uy = ux - normal * x, uy - normal * y
+    share = float(back.mean())
+    return share, math.sqrt(share * (1.0 - share) / count)
+
+
+@pytest.mark.parametrize(
+    ("widths", "radius"),
+    [((0.3, 0.05), 1.0), ((0.3, 0.1), 1.0), ((0.5, 0.9), 1.0), ((0.4, 0.3), 0.7)],
+)
+def test_return_chance_is_that_of_drawn_visits(widths: tuple[float, float], radius: float) -> None:
+    circuit = Circuit(1, 1, *widths, radius)
+    found = ports.disc(circuit)
+    for opening, expected in ((0, 1.0 - found.across), (1, found.return_chance)):
+        share, error = drawn(circuit, opening, 30_000)
+        assert expected == pytest.approx(share, abs=4.0 * error)
+
+
+@pytest.mark.parametrize(("width", "chance", "stay2", "stay1"), [
+    (0.01, 0.0128, 33.7, 31.7), (0.05, 0.0624, 24.1, 28.8), (0.10, 0.1184, 20.3, 26.0)
+])  # fmt: skip
+def test_table_of_4e5_drawn_visits(width: float, chance: float, stay2: float, stay1: float) -> None:
+    found = ports.disc(replace(PAPER, channel2_width=width))
+    assert found.return_chance == pytest.approx(chance, rel=0.02)
+    assert found.stay2 == pytest.approx(stay2, rel=0.01)
+    assert found.stay1 == pytest.approx(stay1, rel=0.006)
+
+
+@pytest.mark.parametrize("width", [1e-4, 1e-3])
+def test_only_odd_polygons_return_to_small_openings(width: float) -> None:
+    for width1, radius in ((0.3, 1.0), (0.7, 1.0), (0.3, 2.0)):
+        circuit = replace(PAPER, channel1_width=width1, channel2_width=width, urn_radius=radius)
+        expected = ports.return_chance_of_polygons(circuit)
+        assert ports.disc(circuit).return_chance == pytest.approx(expected, rel=2e-3)
+
+
+def test_small_openings_remember_at_four_tenths_of_chance() -> None:
+    circuit = replace(PAPER, channel1_width=0.02, channel2_width=0.001)
+    found = ports.return_chance_of_polygons(circuit)
+    assert found == pytest.approx(4.0 / math.pi**2 * 0.05, rel=0.02)
+
+
+@pytest.mark.parametrize("widths", [(0.3, 0.01), (0.3, 0.3), (0.2, 0.7), (1.0, 1.2)])
+def test_visits_through_either_opening_agree(widths: tuple[float, float]) -> None:
+    # each summed by itself: read backwards, one's are the other's, and together they fill the urn
+    circuit = Circuit(1, 1, *widths)
+    back1, stay1 = ports.returns_and_stay(1.0, *widths)
+    back2, stay2 = ports.returns_and_stay(1.0, *widths[::-1])
+    assert widths[0] * (1.0 - back1) == pytest.approx(widths[1] * (1.0 - back2), rel=2e-4)
+    filled = widths[0] * stay1 + widths[1] * stay2
+    assert filled == pytest.approx(math.pi * float(circuit.urn_area), rel=1e-4)
+    found = ports.disc(circuit)
+    filled = widths[0] * found.stay1 + widths[1] * found.stay2
+    assert filled == pytest.approx(math.pi * float(circuit.urn_area), rel=1e-12)
+
+
+def test_every_entry_leaves_once() -> None:
+    for widths in ((0.3, 0.01), (0.01, 0.3), (0.8, 0.5)):
+        found = visits(1.0, *widths)
+        assert found.share.sum() == pytest.approx(1.0, rel=1e-12)
+        assert np.all(found.high > found.low)
+        assert np.all(np.abs(found.low + found.shift) < math.pi)
+
+
+def test_first_multiple_is_the_first() -> None:
+    random = np.random.default_rng(3)
+    step, low = random.uniform(0.1, 6.0, 200), random.uniform(0.0, 6.0, 200)
+    high = low + random.uniform(0.001, 0.2, 200)
+    found = first_multiple(step, np.full(200, 2.0 * math.pi), low, high)
+    n = np.arange(20_000)
+    for one in zip(step, low, high, found, strict=True):
+        place = np.mod(n * one[0], 2.0 * math.pi)
+        within = np.flatnonzero((place >= one[1]) & (place <= one[2]))
+        assert one[3] == within[0]
+
+
+@pytest.mark.parametrize("gate", [WINDOW, RENEWAL])
+@pytest.mark.parametrize("occupation", [False, True])
+@pytest.mark.parametrize("threshold", [2, 7, 15, 18])
+def test_well_mixed_urns_have_the_theories_before(
+    gate: object, occupation: bool, threshold: int
+) -> None:
+    circuit = Circuit(900, threshold, 0.4, 0.02, 1.2, 0.8, 1.3, gate=gate, occupation=occupation)
+    expected = states.stationary_states(circuit)
+    found = two_port.stationary_states(circuit, ports.well_mixed)
+    assert [one.kind for one in found] == [one.kind for one in expected]
+    for one, other in zip(found, expected, strict=True):
+        assert one.urn2_number == pytest.approx(other.urn2_number, rel=1e-8)
+        assert one.net_current == pytest.approx(other.net_current, rel=1e-7)
+    kind = two_port.homogeneous_kind(circuit, ports.well_mixed)
+    assert kind == states.WELL_MIXED.homogeneous_kind(circuit)
+
+
+def test_flows_of_urns_held_apart_are_balanced() -> None:
+    circuit = replace(
+        PAPER, urn2_radius=1.3, gate2_threshold=9, channel1_length=0.7, channel2_length=2.0
+    )
+    at = two_port.balance(circuit, np.array([30.0, 400.0, 900.0]))
+    sign = np.array([[1.0], [-1.0]])
+    arriving, back = at.across[::-1], at.entries - sign * at.net_current
+    for urn, side in enumerate(circuit.sides):
+        port = ports.disc(side)
+        out1 = (1.0 - port.across) * back[urn] + (1.0 - port.return_chance) * arriving[urn]
+        out2 = port.across * back[urn] + port.return_chance * arriving[urn]
+        assert at.entries[urn] == pytest.approx(out1, rel=1e-12)
+        assert at.across[urn] == pytest.approx(out2, rel=1e-9)
+        inside = port.stay1 * back[urn] + port.stay2 * arriving[urn]
+        assert at.in_urn[urn] == pytest.approx(inside, rel=1e-12)
+    assert at.in_half.sum(axis=0) == pytest.approx(1000.0, rel=1e-12)
+
+
+def test_in_a_state_the_gates_send_what_channel_2_returns() -> None:
+    for circuit in (PAPER, replace(PAPER, threshold=15, urn_radius=2.0, number=4000)):
+        (first, _), *_ = two_port._roots(circuit, ports.disc)
+        at = two_port.balance(circuit, first)
+        net = float(at.through[0, 0] - at.through[1, 0])
+        assert net == pytest.approx(float(at.net_current[0]), rel=1e-8)
+        apart = float(at.in_urn[1, 0] - at.in_urn[0, 0])
+        assert net == pytest.approx(two_port.conductance(circuit) * apart, rel=1e-8)
+
+
+def test_well_mixed_conductance_is_the_papers() -> None:
+    mixed = ports.well_mixed(PAPER)
+    k = mixed.across / (1.0 + mixed.return_chance - 2.0 * mixed.across)
+    found = k / (mixed.stay1 + k * (2.0 * mixed.stay1 - mixed.stay2))
+    assert found == pytest.approx(0.01 / (math.pi * float(PAPER.urn_area)), rel=1e-12)
+
+
+def test_exchange_of_unlike_urns_mirrors_the_states() -> None:
+    one = replace(PAPER, urn2_radius=1.2, gate2_threshold=9)
+    other = replace(PAPER, urn_radius=1.2, urn2_radius=1.0, threshold=9, gate2_threshold=7)
+    found, mirrored = two_port.stationary_states(one), two_port.stationary_states(other)[::-1]
+    assert len(found) == len(mirrored) > 1
+    for state, image in zip(found, mirrored, strict=True):
+        assert state.kind == image.kind
+        assert state.urn2_number == pytest.approx(1000.0 - image.urn2_number, rel=1e-6)
+        assert state.net_current == pytest.approx(-image.net_current, rel=1e-5)
+
+
+def test_equal_urns_given_twice_are_those_given_once() -> None:
+    twice = replace(PAPER, urn2_radius=1.0, gate2_threshold=7)
+    assert twice.alike
+    assert two_port.stationary_states(twice) == two_port.stationary_states(PAPER)
+
+
+def test_battery_at_seven() -> None:
+    # measured: 0.92909, current 0.9751 +- 0.0016 without circulation, 1.0191 +- 0.0028 with it
+    (state,) = two_port.stationary_states(PAPER)
+    assert state.mass_spread == pytest.approx(0.92909, abs=0.0015)
+    assert state.net_current - state.circulating_current == pytest.approx(0.9751, abs=0.003)
+    assert state.net_current == pytest.approx(1.0191, rel=0.01)
+
+
+@pytest.mark.parametrize(("width", "measured"), CONDUCTANCES)
+def test_two_ports_and_circulation_have_the_conductance_that_is_measured(
+    width: float, measured: float
+) -> None:
+    found = []
+    for threshold in range(6, 18, 2 if width < 0.05 else 1):
+        circuit = replace(PAPER, threshold=threshold, channel2_width=width)
+        ohm = width * 1000.0 / (math.pi * float(circuit.urn_area))
+        found += [
+            state.net_current / (ohm * state.mass_spread)
+            for state in two_port.stationary_states(circuit)[-1:]
+            if state.kind == "stable" and state.mass_spread > 0.5
+        ]
+    assert np.mean(found) == pytest.approx(measured, rel=0.03)
+
+
+def walked(circuit: Circuit, rounds: int, count: int) -> np.ndarray:
+    """Return V_m by flying particles from channel 2 round the table, wall by wall."""
+    random = np.random.default_rng(7)
+    width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
+    across = float(sum(circuit.chords))
+    lengths = float(circuit.channel1_length), float(circuit.channel2_length)
+    steepest = 0.5 * (width1 + width2) / across
+    y = width2 * (random.uniform(size=count) - 0.5)
+    slope = random.uniform(-steepest, steepest, count)
+    weight = 2.0 * steepest * width2 / count * (1.0 + slope**2) ** -1.5
+
+    def along(width: float, length: float) -> None:
+        nonlocal y, slope
+        place = np.mod(y + slope * length + 0.5 * width, 2.0 * width)
+        back = place > width
+        y = np.where(back, 2.0 * width - place, place) - 0.5 * width
+        slope = np.where(back, -slope, slope)
+
+    found = []
+    for _ in range(rounds):
+        for width, length in ((width1, lengths[0]), (width2, lengths[1])):
+            y = y + slope * across
+            on = np.abs(y) < 0.5 * width
+            y, slope, weight = y[on], slope[on], weight[on]
+            if width == width2:
+                found.append(weight.sum())
+            along(width, length)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("circuit", [
+    PAPER,
+    replace(PAPER, channel2_width=0.073),
+    replace(PAPER, channel2_width=0.05, channel1_length=0.6, channel2_length=1.7, urn_radius=0.8),
+])  # fmt: skip
+def test_volumes_of_circulation_are_those_of_flown_particles(circuit: Circuit) -> None:
+    flown = walked(circuit, 8, 2_000_000)
+    found = circulation.volumes(circuit)[:8]
+    assert found[[0, 1, 3, 7]] == pytest.approx(flown[[0, 1, 3, 7]], rel=0.05)
+
+
+def test_near_the_axis_what_lasts_falls_as_one_over_the_rounds() -> None:
+    # with next to no channel 2 a slope u is lost after w'/(u Lam) rounds: V_m = w'^2/(m Lam)
+    width, outside = 0.01, 5.0
+    slope, weight = circulation._slopes(0.0, width, outside, 1e-9, 0.1)
+    for m in (1, 3, 30):
+        left = circulation._uncovered(width, slope * outside, slope * outside, m)
+        assert 2.0 * weight @ left == pytest.approx(width**2 / (m * outside), rel=0.02)
+
+
+def test_nothing_goes_round_between_equal_urns() -> None:
+    at = two_port.balance(replace(PAPER, threshold=18), 500.0)
+    urns = [ports.disc(PAPER)] * 2
+    around = circulation.circulating_current(PAPER, urns, at.entries[:, 0], at.across[:, 0])
+    assert around == pytest.approx(0.0, abs=1e-12)
+
+
+def test_command_line_tells_what_the_urns_remember(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--number", "1000", "--threshold", "7"]
+    assert call("theory", [*words, "--model", "two_port"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["return_chance"] == pytest.approx(0.012846, abs=1e-6)
+    filled = 0.3 * printed["stay1"] + 0.01 * printed["stay2"]
+    assert filled == pytest.approx(math.pi * printed["urn_area"], rel=1e-12)
+    assert printed["homogeneous"] == "unstable"
+    assert len(printed["roots"]) == 1
+    assert 0.05 < printed["transition_width"] < 0.08
+
+
+def test_gate_is_an_alias_of_model(capsys: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for option in ("--gate", "--model"):
+        assert call("theory", ["--number", "1000", "--threshold", "7", option, "renewal"]) == 0
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
+    assert json.loads(said[0])["roots"][0]["urn2_number"] == pytest.approx(968.0373, abs=1e-3)
+
+
+@pytest.mark.parametrize("model", ["window", "renewal", "two_port"])
+def test_unlike_urns_and_gates(model: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--number", "1000", "--model", model, "--threshold", "7", "9"]
+    assert call("theory", [*words, "--urn-radius", "1", "1.3"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert len(printed["urn_area"]) == 2
+    fuller = [state["urn2_number"] > 500.0 for state in printed["roots"]]
+    assert any(fuller)
+    assert not all(fuller)
+
+
+def test_three_thresholds_are_too_many(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("theory", ["--number", "10", "--threshold", "1", "2", "3"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("model", ["two_port", "direction"])
+def test_gates_that_let_nobody_or_everybody_pass_have_no_battery(
+    model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for threshold in ("0", "1000"):
+        words = ["--number", "1000", "--threshold", threshold, "--model", model]
+        assert call("theory", words) == 0
+        printed = json.loads(capsys.readouterr().out)
+        assert (printed["homogeneous"], printed["roots"]) == ("stable", [])
