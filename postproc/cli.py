@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 EXIT_BAD_INPUT = 2
 
 
-class InputError(Exception):
+class InputError(ValueError):
     """What the user gave cannot be used; the message is one line that says why."""
 
 

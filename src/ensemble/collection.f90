@@ -30,6 +30,7 @@ contains
 
     allocate (failures(task_count(plan)))
     call new_results(results, plan%point_count, plan%replicas)
+    results%scanned = plan%scanned
     do k = 1, task_count(plan)
       task = task_of(plan, k)
       results%number(task%point) = task%number

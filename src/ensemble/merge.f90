@@ -34,7 +34,7 @@ contains
     call collect_results(plan, journal, results, failures)
     metadata%program = 'battery'
     metadata%version = program_version
-    metadata%git_commit = git_commit
+    metadata%git_commit = git_commit()
     metadata%compiler = compiler_version()
     metadata%compiler_options = compiler_options()
     metadata%mpi_library = mpi_library()

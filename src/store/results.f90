@@ -3,6 +3,7 @@
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
   use battery_kinds, only: dp, int32, int64
+  use battery_plan, only: scanned_type
   use battery_quantities, only: averaged_quantities, counted_quantities, place_of, unknown_real, &
     unknown_count
   implicit none (type, external)
@@ -17,6 +18,9 @@ module battery_results
   !> lengths over the speed.
   type :: results_type
     integer :: points = 0, replicas = 0
+    !> The keys that were scanned, the slowest first, with their values: the points are all
+    !> combinations.
+    type(scanned_type), allocatable :: scanned(:)
     !> The points of the scan, (point): N, T of gate 1, particles in urn 1 at the start, lengths.
     integer(int32), allocatable :: number(:), threshold(:), urn1_number(:)
     real(dp), allocatable :: channel1_width(:), channel1_length(:), channel2_width(:), &
@@ -59,6 +63,7 @@ contains
     counted = size(counted_quantities())
     results%points = points
     results%replicas = replicas
+    allocate (results%scanned(0))
     allocate (results%number(points), results%threshold(points), results%urn1_number(points), &
       source=int(unknown_count, int32))
     allocate (results%gate_threshold(2, points), source=int(unknown_count, int32))
