@@ -35,6 +35,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
+PREFIX  ?= /usr/local
 VENV    := build/venv
 PYTHON  := $(VENV)/bin/python
 PROGRAM := build/bin/battery
@@ -47,7 +48,7 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 
-.PHONY: help demo test build bench probes accuracy figures lint clean install information
+.PHONY: help demo test build bench probes accuracy figures lint clean install packages information
 
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 16
@@ -136,8 +137,25 @@ figures: build ## every figure of the paper, quick; FULL=1: at the paper's own l
 	echo "The figures are in $(FIGURES)"
 
 lint: packages ## style of the Fortran and the Python sources
-	@$(VENV)/bin/fortitude check --output-format concise src app test
-	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test
+	@$(VENV)/bin/fortitude check --output-format concise src app test docs
+	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs
+
+install: ## program, man page and Python side into PREFIX (default: /usr/local)
+	@prefix=$$(realpath -m -- "$(PREFIX)")
+	for folder in bin lib/battery share/man/man1; do
+	  mkdir -p "$$prefix/$$folder" 2> /dev/null && [[ -w "$$prefix/$$folder" ]] || {
+	    echo "$$prefix/$$folder: cannot be written to; make install PREFIX=DIR takes another place" >&2
+	    exit 1
+	  }
+	done
+	$(MAKE) build
+	install $(PROGRAM) "$$prefix/bin"
+	$(PYTHON) docs/man_page.py $(PROGRAM) > "$$prefix/share/man/man1/battery.1"
+	python3 -m venv "$$prefix/lib/battery"
+	"$$prefix/lib/battery/bin/python" -m pip install --quiet --disable-pip-version-check \
+	  --upgrade --constraint postproc/requirements.txt .
+	ln -sf ../lib/battery/bin/battery-postproc "$$prefix/bin"
+	echo "battery and battery-postproc are in $$prefix/bin"
 
 clean: ## removes everything made, the virtual environment too
 	rm -rf build

@@ -8,6 +8,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import contextmanager
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
     Groups = Mapping[str, Mapping[str, object]]
 
 STOPPED = 3  # exit code of a run that was stopped early
-CHECKOUT = Path(__file__).resolve().parents[1] / "build/bin/battery"
+# Where make leaves the program: in a checkout, or beside the Python side that it installed.
+BUILT = Path(__file__).resolve().parents[1] / "build/bin/battery"
+INSTALLED = Path(sys.prefix, "../../bin/battery").resolve()
 # How the program says which file has the results: after a run, or where they are there already.
 RESULTS = re.compile(r"^(?:results: (?P<made>.+)|(?P<there>.+) is complete; --overwrite .*)$", re.M)
 
@@ -46,7 +49,7 @@ class RunError(RuntimeError):
 
 
 def find_program(program: str | Path | None = None) -> Path:
-    """Return the program: the one given, that of BATTERY_PROGRAM, this checkout's, that on PATH.
+    """Return the program: the one given, that of BATTERY_PROGRAM, make's own, that on PATH.
 
     Raises `InputError` if it is not there.
     """
@@ -54,7 +57,7 @@ def find_program(program: str | Path | None = None) -> Path:
     if given:
         return existing_file(Path(given)).resolve()
     on_path = shutil.which("battery")
-    for place in (CHECKOUT, *([Path(on_path)] if on_path else [])):
+    for place in (BUILT, INSTALLED, *([Path(on_path)] if on_path else [])):
         if place.is_file():
             return place
     raise InputError(
