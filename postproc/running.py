@@ -144,6 +144,8 @@ def run(
         command = [*([*launcher, str(ranks)] if ranks > 1 else []), str(battery)]
         command += [*(["--overwrite"] if overwrite else []), "--", str(path)]
         code, said, complaints = _launch(command, place, quiet)
+    if isinstance(namelist, Mapping):
+        complaints = complaints.replace(str(path), "the namelist")
     complaints = complaints.strip()
     if code == EXIT_BAD_INPUT:
         raise InputError(complaints)

@@ -96,8 +96,9 @@ def test_all_that_is_wrong_is_told_at_once() -> None:
 
 @pytest.mark.parametrize("value", ["seven", -1, 1.5, float("nan")])
 def test_what_the_program_refuses_is_a_value_error(tmp_path: Path, value: object) -> None:
-    with pytest.raises(ValueError, match="threshold"):
+    with pytest.raises(ValueError, match="threshold") as caught:
         postproc.run(changed(gate={"threshold": value}), folder=tmp_path, quiet=True)
+    assert str(caught.value).startswith("the namelist, line ")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -116,7 +117,7 @@ def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
-    long = changed(run={"duration": 4000.0}, scan={"replicas": 8})
+    long = changed(run={"duration": 40000.0}, scan={"replicas": 8})
     whole = postproc.run(long, folder=tmp_path / "whole", quiet=True)
     journal = tmp_path / "it's.h5.tasks"
     alarm = threading.Thread(target=interrupt_when_there_is, args=[journal])
@@ -125,6 +126,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
         postproc.run(long, folder=tmp_path, quiet=True)
         alarm.join()
     alarm.join()
+    assert postproc.open_results(tmp_path / "it's.h5").attrs["status"] == "partial"
     path = postproc.run(long, folder=tmp_path, quiet=True)
     assert_same(path, whole)
     assert not journal.exists()
