@@ -14,13 +14,17 @@ import json
 
 from postproc import cli
 from postproc.theory.chain import lifetimes
+from postproc.theory.models import MODELS
 from postproc.theory.options import circuit_options, given_circuit
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the lifetimes of one circuit as JSON (null: it is never left)."""
     given = circuit_options("lifetimes", __doc__).parse_args(arguments)
-    found = lifetimes(given_circuit(given))
+    circuit = given_circuit(given)
+    if not circuit.alike:
+        raise cli.InputError("a chain of lifetimes wants two equal urns and gates")
+    found = lifetimes(*MODELS[given.model].of(circuit))
     print(json.dumps(cli.finite(vars(found)), indent=2))
     return 0
 

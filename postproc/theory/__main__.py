@@ -1,6 +1,8 @@
-"""What the probabilistic theory says of one circuit, as JSON: eta, stationary states, transition.
+"""What a theory says of one circuit, as JSON: stationary states, transition.
 
-Options are named like the keys of the namelist; lengths are over the speed v = 1.
+Options are named like the keys of the namelist; lengths are over the speed v = 1. The net current of
+two_port and direction includes what circulates, which is told as well. These two count particles in
+the channels always.
 """
 
 from __future__ import annotations
@@ -8,14 +10,14 @@ from __future__ import annotations
 import json
 
 from postproc import cli
+from postproc.theory.models import MODELS, describe
 from postproc.theory.options import circuit_options, given_circuit
-from postproc.theory.states import describe
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the theory of one circuit as JSON."""
     given = circuit_options("theory", __doc__).parse_args(arguments)
-    print(json.dumps(describe(given_circuit(given)), indent=2))
+    print(json.dumps(describe(given_circuit(given), MODELS[given.model]), indent=2))
     return 0
 
 

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc.theory.circuit import flow1, flow2, homogeneous_kind, log_outflow
-from postproc.theory.states import stationary_states
+from postproc.theory.circuit import flow1, flow2, log_outflow
+from postproc.theory.states import WELL_MIXED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.theory.circuit import Circuit
+    from postproc.theory.states import Theory
 
     Floats = NDArray[np.float64]
 
@@ -37,9 +38,14 @@ class Lifetimes:
     polarised_share: float
 
 
-def log_rates(circuit: Circuit) -> tuple[Floats, Floats]:
+def log_rates(circuit: Circuit, theory: Theory = WELL_MIXED) -> tuple[Floats, Floats]:
     """Return the logarithms of the rates of N2 -> N2 + 1 and N2 -> N2 - 1 for N2 = 0 ... N."""
     number = int(circuit.number)
+    if theory.outflows is not None:
+        second, sent = theory.outflows(circuit)
+        up, down = (np.interp(np.arange(number + 1), second, one) for one in sent)
+        up[-1], down[0] = -np.inf, -np.inf
+        return up, down
     out = np.full(number + 1, -np.inf)
     scale = math.log(math.pi * float(circuit.urn_area))
     out[1:] = log_outflow(circuit, np.arange(1, number + 1)) - scale
@@ -78,11 +84,14 @@ def folded(log_up: Floats, log_down: Floats) -> tuple[Floats, Floats]:
     return up, down
 
 
-def lifetimes(circuit: Circuit) -> Lifetimes:
-    """Return the lifetimes of the homogeneous and of the (outermost) polarised state."""
-    states = stationary_states(circuit)
+def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
+    """Return the lifetimes of the homogeneous and of the (outermost) polarised state.
+
+    Of circuits with equal urns and gates.
+    """
+    states = theory.states(circuit)
     polarised = [state for state in states if state.kind == "stable"]
-    homogeneous = homogeneous_kind(circuit) != "unstable"
+    homogeneous = theory.homogeneous_kind(circuit) != "unstable"
     if not polarised:
         return Lifetimes(math.inf, 0.0, math.nan, 0.0)
     if not homogeneous and len(polarised) == 1:
@@ -91,7 +100,7 @@ def lifetimes(circuit: Circuit) -> Lifetimes:
     barrier = max(state.urn2_number for state in states if state.kind == "unstable")
     if not homogeneous:
         barrier = 0.5 * number
-    up, down = folded(*log_rates(circuit))
+    up, down = folded(*log_rates(circuit, theory))
     offset = (number + 1) // 2
     wall = int(np.clip(round(barrier) - offset, 1, up.size - 1))
     far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, up.size - 1))
@@ -106,15 +115,19 @@ def lifetimes(circuit: Circuit) -> Lifetimes:
 
 
 def passage_times(
-    circuit: Circuit, low: float, high: float, sparse: tuple[float, float] = (1.0, 1.0)
+    circuit: Circuit,
+    low: float,
+    high: float,
+    sparse: tuple[float, float] = (1.0, 1.0),
+    theory: Theory = WELL_MIXED,
 ) -> tuple[float, float]:
     """Return the chain's mean times from chi = 0 until chi >= high, and from 1 until chi <= low.
 
     Unlike `lifetimes` they are defined whether or not the theory has both states. `sparse` are
-    factors of what the sparser urn sends through channels 1 and 2.
+    factors of what the sparser urn sends through channels 1 and 2, if it is well mixed.
     """
     number = int(circuit.number)
-    up, down = folded(*log_rates(circuit))
+    up, down = folded(*log_rates(circuit, theory))
     if sparse != (1.0, 1.0):
         fewer = number // 2 - np.arange(up.size)  # how many the sparser urn of each state has
         apart = (fewer > 0) & (2 * fewer < number)

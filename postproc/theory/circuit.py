@@ -50,6 +50,8 @@ class Circuit:
     shape : "circuit", or "urn": the appendix's single urn with gate 1 and an end wall. It has no
         channel 2, so w' = 0; what hits the wall comes back through the gate, so it is there for
         2 tau, as in the circuit what gets through is in either gate.
+    urn2_radius, gate2_threshold : r of urn 2 and T of its gate where they are others than those of
+        urn 1. What this module computes is one side's: ask it about each of `sides`.
     """
 
     number: ArrayLike
@@ -62,6 +64,22 @@ class Circuit:
     gate: Gate = WINDOW
     occupation: bool = False
     shape: str = "circuit"
+    urn2_radius: ArrayLike | None = None
+    gate2_threshold: ArrayLike | None = None
+
+    @property
+    def sides(self) -> tuple[Circuit, Circuit]:
+        """Two circuits with equal urns and gates, of urn 1's kind and of urn 2's."""
+        one = replace(self, urn2_radius=None, gate2_threshold=None)
+        radius = self.urn_radius if self.urn2_radius is None else self.urn2_radius
+        threshold = self.threshold if self.gate2_threshold is None else self.gate2_threshold
+        return one, replace(one, urn_radius=radius, threshold=threshold)
+
+    @property
+    def alike(self) -> bool:
+        """Whether both urns and both gates are equal."""
+        one, two = self.sides
+        return one == two
 
     @property
     def chords(self) -> tuple[Floats, Floats]:

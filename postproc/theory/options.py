@@ -8,20 +8,25 @@ from typing import TYPE_CHECKING
 
 from postproc import cli
 from postproc.theory.circuit import Circuit
-from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL
+from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     import argparse
 
 
 def circuit_options(name: str, description: str | None) -> argparse.ArgumentParser:
-    """Return a command line that describes a circuit by the namelist's keys."""
+    """Return a command line that describes a circuit by the namelist's keys, and a theory."""
     options = cli.parser(name, description)
     options.add_argument("--number", type=int, required=True, help="N, how many particles")
-    options.add_argument("--threshold", type=int, required=True, help="T of the gates")
+    both = "one for both, or urn 1's and urn 2's"
+    options.add_argument(
+        "--threshold", type=int, nargs="+", required=True, metavar="T", help=f"T, {both}"
+    )
+    options.add_argument(
+        "--urn-radius", type=float, nargs="+", default=[1.0], metavar="R",
+        help=f"r, {both} (default: 1.0)",
+    )  # fmt: skip
     for key, default, meaning in (
-        ("urn-radius", 1.0, "r"),
         ("channel1-width", 0.3, "w"),
         ("channel1-length", 1.0, "l, both gates together"),
         ("channel2-width", 0.01, "w', 0 for the one-channel model"),
@@ -30,12 +35,11 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
         options.add_argument(
             f"--{key}", type=float, default=default, help=f"{meaning} (default: {default})"
         )
+    told = "; ".join(f"{one}: {model.meaning}" for one, model in MODELS.items())
     options.add_argument(
-        "--gate",
-        choices=("window", "renewal"),
-        default="window",
-        help="the paper's window of time tau, or the gate's own rule (default: window)",
-    )
+        "--model", "--gate", choices=tuple(MODELS), default="window",
+        help=f"{told} (default: window)",
+    )  # fmt: skip
     options.add_argument(
         "--occupation", action="store_true", help="tell those in the channels from those in urns"
     )
@@ -43,21 +47,31 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
 
 
 def given_circuit(given: argparse.Namespace) -> Circuit:
-    """Return the circuit of the options, checked."""
+    """Return the circuit of the options, checked; its gate is the model's to choose."""
     _check(given)
-    gate = RENEWAL if given.gate == "renewal" else WINDOW
     names = {field.name for field in fields(Circuit)} - {"gate", "shape"}
     values = {name: value for name, value in vars(given).items() if name in names}
-    return Circuit(**values, gate=gate)
+    values["threshold"], *other_threshold = given.threshold
+    values["urn_radius"], *other_radius = given.urn_radius
+    return Circuit(
+        **values,
+        gate2_threshold=other_threshold[0] if other_threshold else None,
+        urn2_radius=other_radius[0] if other_radius else None,
+    )
 
 
 def _check(given: argparse.Namespace) -> None:
     """Raise with every problem of the values given."""
-    diameter = 2.0 * given.urn_radius
-    rules = (
+    rules = [
         (given.number >= 1, f"--number {given.number} must be at least 1"),
-        (given.threshold >= 0, f"--threshold {given.threshold} must not be negative"),
-        (0 < given.urn_radius < math.inf, f"--urn-radius {given.urn_radius} must be positive"),
+        (len(given.threshold) <= 2, "--threshold takes one number or two"),
+        (len(given.urn_radius) <= 2, "--urn-radius takes one number or two"),
+    ]
+    rules += [(one >= 0, f"--threshold {one} must not be negative") for one in given.threshold]
+    for radius in given.urn_radius:
+        rules.append((0 < radius < math.inf, f"--urn-radius {radius} must be positive"))
+    diameter = 2.0 * min(given.urn_radius)
+    rules += [
         (
             0 < given.channel1_width < diameter,
             f"--channel1-width {given.channel1_width} must lie above 0 and below 2r = {diameter}",
@@ -74,7 +88,7 @@ def _check(given: argparse.Namespace) -> None:
             0 < given.channel2_length < math.inf,
             f"--channel2-length {given.channel2_length} must be positive",
         ),
-    )
+    ]
     problems = [text for good, text in rules if not good]
     if problems:
         raise cli.InputError("; ".join(problems))

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
     Balance = Callable[[ArrayLike], NDArray[np.float64]]
 
+    Outflows = Callable[[Circuit], tuple[NDArray[np.float64], NDArray[np.float64]]]
+
 NEAREST = 1e-6  # states closer to N/2 than this, relative to it, are the homogeneous one
 
 
@@ -44,12 +46,18 @@ class State:
     kind : "stable" or "unstable".
     mass_spread : chi = |N1 - N2|/N, eq. (mass).
     net_current : of channel 1 from urn 1 to urn 2, and back through channel 2 (per unit time).
+    circulating_current : what of it is carried by particles that go round without a bounce in an
+        urn; None if the theory does not tell.
+    mass_spread_error, net_current_error : standard errors where the theory draws numbers, else None.
     """
 
     urn2_number: float
     kind: str
     mass_spread: float
     net_current: float
+    circulating_current: float | None = None
+    mass_spread_error: float | None = None
+    net_current_error: float | None = None
 
 
 def stationary_states(circuit: Circuit) -> list[State]:
@@ -63,10 +71,10 @@ def stationary_states(circuit: Circuit) -> list[State]:
         few = np.asarray(first, float)
         return log_outflow(circuit, few) - log_outflow(circuit, 2.0 * half - few)
 
-    places = _places(circuit, half)  # N1, decreasing from N/2 to 0
+    places = places_of(circuit, half)  # N1, decreasing from N/2 to 0
     values = balance(places)
     values[0] = 1.0 if homogeneous_kind(circuit) == "unstable" else -1.0
-    roots = _crossings(balance, places, values)
+    roots = crossings(balance, places, values)
     if closed and values[-1] > 0.0:
         roots.append((0.0, "stable"))  # N1 too small for any number: all in one urn
     return [_state(circuit, 2.0 * half, first, kind) for first, kind in roots]
@@ -92,7 +100,7 @@ def stable_spread(circuit: Circuit, branch: str = "polarised") -> float:
     return min(stable) if branch == "homogeneous" else max(stable)
 
 
-def _places(circuit: Circuit, half: float) -> NDArray[np.float64]:
+def places_of(circuit: Circuit, half: float) -> NDArray[np.float64]:
     """Return N1 where g is looked at, from just below N/2 down to 0."""
     threshold = float(circuit.threshold)
     per_particle = float(circuit.load_per_particle)
@@ -107,10 +115,13 @@ def _places(circuit: Circuit, half: float) -> NDArray[np.float64]:
     return np.concatenate([[first], np.unique(inside)[::-1]])
 
 
-def _crossings(
+def crossings(
     balance: Balance, places: NDArray[np.float64], values: NDArray[np.float64]
 ) -> list[tuple[float, str]]:
-    """Return (N1, kind) of the zeros, N1 decreasing."""
+    """Return (N1, kind) of the zeros of `balance`, looked for between `places`, N1 decreasing.
+
+    `values` are those of `balance` there, or of its limit at the first place.
+    """
     places, values = _with_close_pairs(balance, places, values)
     roots: list[tuple[float, str]] = []
     for at in np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0):
@@ -163,20 +174,23 @@ def _state(circuit: Circuit, number: float, first: float, kind: str) -> State:
     return State(in_half, kind, (2.0 * in_half - number) / number, current)
 
 
-def describe(circuit: Circuit) -> dict[str, object]:
-    """Return what the theory says of one circuit, as the command line prints it."""
-    width = transition_width(circuit)
-    return {
-        "homogeneous": homogeneous_kind(circuit),
-        "roots": [
-            {
-                "urn2_number": state.urn2_number,
-                "kind": state.kind,
-                "mass_spread": state.mass_spread,
-                "net_current": state.net_current,
-            }
-            for state in stationary_states(circuit)
-        ],
-        "transition_width": None if math.isnan(width) else width,
-        "urn_area": float(circuit.urn_area),
-    }
+@dataclass(frozen=True)
+class Theory:
+    """What a theory answers about a circuit.
+
+    Attributes
+    ----------
+    states : all its stationary states, `State`s.
+    homogeneous_kind : "stable", "unstable" or "neutral", of the state with equal densities.
+    transition_width : w' of the transition line, NaN without one.
+    outflows : N2, shape (case,), and the logarithms of what halves 1 and 2 send to each other there,
+        shape (half, case); None: `circuit.log_outflow`.
+    """
+
+    states: Callable[[Circuit], list[State]] = stationary_states
+    homogeneous_kind: Callable[[Circuit], str] = homogeneous_kind
+    transition_width: Callable[[Circuit], float] = transition_width
+    outflows: Outflows | None = None
+
+
+WELL_MIXED = Theory()

@@ -1,0 +1,309 @@
+"""Stationary states of two urns that remember by which opening, and in which direction, one came.
+
+A visit keeps the angle of incidence. From opening 1 to opening 1 the angle to the channel changes
+by the difference of two places on one arc only, so s = |sin(theta)| of successive entries into a gate
+diffuses, nearly as D d/ds (1 - s^2) d/ds with D about 0.065 (w/r)^2 a visit. Oblique particles stay
+long in the gate and are turned back again and again; the fast ones pass. With F_i(s), H_i(s) the
+densities of what urn i sends into channels 1 and 2, and q_i(s) the fate of `fate.passing`,
+
+    B_i = (1 - q_i) F_i + q_j F_j          F_i = K11 B_i + K21 H_j          H_i = K12 B_i + K22 H_j.
+
+The K are no diffusion but exact: K_oo'(s, s') is the density of exits through opening o' at s' of
+entries through opening o at s, summed over the pieces of `visits`. They stand in even Legendre
+polynomials, orthonormal over 0 ... 1, as do F, H and B; the first is the cosine law.
+
+A circuit out of balance is held by taking from one urn and giving to the other, by the cosine law,
+what the gates and channel 2 leave over.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import optimize
+
+from postproc.theory import fate, ports
+from postproc.theory.circulation import circulating_current
+from postproc.theory.ports import stays
+from postproc.theory.states import State
+from postproc.theory.visits import visits
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
+
+    Floats = NDArray[np.float64]
+
+POLYNOMIALS = 12
+ROUNDS = 80  # at most, of the iteration that makes gates and flows agree
+AGREED = 1e-5  # change of fates, and of flows relative to the largest, at which it ends
+KEPT = 0.3  # of the fates of the round before, against overshooting
+LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to which states are looked for
+LOOKED_AT = 14  # places, and
+NEARER = 5  # halvings of the last step towards what channel 2 alone keeps in an urn
+NEXT_TO_EQUAL = 0.02  # how far off equal urns the first is
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """What an urn does to densities of direction; polynomials in, polynomials out.
+
+    Attributes
+    ----------
+    kernel : kernel[o, p] takes entries through opening o to exits through p (0, 1: channels 1, 2),
+        shape (2, 2, polynomial in, polynomial out).
+    stay : times these, mean number in the urn of entries at rate 1, shape (2, polynomial in).
+    """
+
+    kernel: Floats
+    stay: Floats
+
+
+def polynomials(sine: Floats) -> Floats:
+    """Return the even Legendre polynomials, orthonormal over 0 ... 1: shape (polynomial, *s)."""
+    one, two, found = np.ones_like(sine), sine, []
+    for degree in range(2 * POLYNOMIALS):
+        if degree % 2 == 0:
+            found.append(math.sqrt(2.0 * degree + 1.0) * one)
+        one, two = two, ((2.0 * degree + 3.0) * sine * two - (degree + 1.0) * one) / (degree + 2.0)
+    return np.array(found)
+
+
+@lru_cache(maxsize=32)
+def transfer(radius: float, width1: float, width2: float) -> Transfer:
+    """Return the transfer of directions by a disc with openings of these widths.
+
+    The entries through the wider opening come last: what they lack to the identities of `ports` (it
+    is below 1e-4) is made up for.
+    """
+    widths = (width1, width2)
+    kernel, stay = np.zeros((2, 2, POLYNOMIALS, POLYNOMIALS)), np.zeros((2, POLYNOMIALS))
+    for own, other in ((0, 1), (1, 0)):
+        found = visits(radius, widths[own], widths[other])
+        place, weight = found.nodes()
+        entering = polynomials(np.abs(np.sin(place - found.incidence)).ravel())
+        leaving = np.sin(place + found.shift + found.incidence).ravel()
+        leaving = polynomials(np.abs(leaving)) * weight.ravel()
+        stay[own] = entering @ (weight * stays(radius, found, widths[own], widths[other])).ravel()
+        same = np.broadcast_to(found.same, place.shape).ravel()
+        kernel[own, own] = entering[:, same] @ leaving[:, same].T
+        kernel[own, other] = entering[:, ~same] @ leaving[:, ~same].T
+    for own in (0, 1):  # everyone leaves
+        kernel[own, own, 0, 0] += 1.0 - kernel[own, :, 0, 0].sum()
+    return Transfer(kernel, stay)
+
+
+@dataclass(frozen=True)
+class Held:
+    """A circuit held with given numbers in the urns; arrays by urn.
+
+    Attributes
+    ----------
+    entries, across : densities F and H by polynomial, shape (urn, polynomial).
+    passing : q at the nodes of `fate.directions`, shape (urn, node).
+    in_urn, in_half : how many are in the urns, and with their half of the channels.
+    through : what passes each gate per unit time.
+    """
+
+    entries: Floats
+    across: Floats
+    passing: Floats
+    in_urn: Floats
+    in_half: Floats
+    through: Floats
+
+    @property
+    def net_current(self) -> float:
+        """Current of channel 2 from urn 2 to urn 1."""
+        return float(self.across[1, 0] - self.across[0, 0])
+
+    @property
+    def possible(self) -> bool:
+        """Whether all flows are positive: an urn cannot hold fewer than channel 2 keeps in it."""
+        return bool(self.entries[:, 0].min() > 0.0 and self.across[:, 0].min() > 0.0)
+
+    @property
+    def sent(self) -> Floats:
+        """What each half sends to the other per unit time."""
+        return self.through + np.maximum(self.across[:, 0], 0.0)
+
+
+class Directions:
+    """The equations of one circuit, ready to be solved."""
+
+    def __init__(self, circuit: Circuit) -> None:
+        """Prepare the transfer matrices of both urns (equal circuits: one)."""
+        self.circuit = circuit
+        self.sides = circuit.sides
+        self.urns = [
+            transfer(float(one.urn_radius), float(one.channel1_width), float(one.channel2_width))
+            for one in self.sides
+        ]
+        self.sine, self.weights = fate.directions()
+        self.basis = polynomials(self.sine)
+        half = 0.5 * float(circuit.channel1_length)
+        self.stays = half / np.sqrt((1.0 - self.sine) * (1.0 + self.sine))
+
+    def held(self, share: float, start: Held | None = None) -> Held:
+        """Return the circuit held with all N, the share of those in urns that is in urn 1 given.
+
+        `start` is a neighbouring solution to begin with.
+        """
+        number = float(self.circuit.number)
+        found = start
+        if found is None:
+            parts = number * np.array([share, 1.0 - share])
+            entries, across = np.zeros((2, POLYNOMIALS)), np.zeros((2, POLYNOMIALS))
+            for k, one in enumerate(self.sides):
+                per_width = parts[k] / (math.pi * float(one.urn_area))
+                entries[k, 0] = per_width * float(one.channel1_width)
+                across[k, 0] = per_width * float(one.channel2_width)
+            found = self._with_fates(entries, across, parts)
+        for _ in range(ROUNDS):
+            parts = np.array([share, 1.0 - share]) * found.in_urn.sum()
+            parts *= number / found.in_half.sum()
+            entries, across = self._flows(found.passing, parts)
+            before, found = found, self._with_fates(entries, across, parts, found.passing)
+            if not found.possible:
+                break
+            changed = np.abs(found.entries - before.entries).max()
+            if changed <= AGREED * np.abs(found.entries).max() and np.all(
+                np.abs(found.passing - before.passing) < AGREED
+            ):
+                break
+        return found
+
+    def _flows(self, passing: Floats, parts: Floats) -> tuple[Floats, Floats]:
+        """Return F and H with fates q and `parts` in the urns: linear equations."""
+        size = POLYNOMIALS
+        gate = [(self.basis * (self.weights * one)) @ self.basis.T for one in passing]
+        unit = np.eye(size)
+        source = np.zeros((size, 4 * size))  # into urn 1 by the cosine law, what it is short of
+        source[0, :size], source[0, size : 2 * size] = gate[0][0], -gate[1][0]
+        source[0, 2 * size], source[0, 3 * size] = 1.0, -1.0
+        rows, held = [], []
+        for k in (0, 1):
+            mine, theirs = slice(k * size, (k + 1) * size), slice((1 - k) * size, (2 - k) * size)
+            sent_back = source * (1.0 if k == 0 else -1.0)
+            sent_back[:, mine] += unit - gate[k]
+            sent_back[:, theirs] += gate[1 - k]
+            arriving = np.zeros((size, 4 * size))
+            arriving[:, (3 - k) * size : (4 - k) * size] = unit
+            urn = self.urns[k]
+            for opening in (0, 1):
+                leaving = np.zeros((size, 4 * size))
+                at = (2 * opening + k) * size
+                leaving[:, at : at + size] = unit
+                made = urn.kernel[0, opening].T @ sent_back + urn.kernel[1, opening].T @ arriving
+                rows.append(leaving - made)
+            held.append(urn.stay[0] @ sent_back + urn.stay[1] @ arriving)
+        matrix = np.concatenate([*rows, np.array(held)])
+        right = np.concatenate([np.zeros(4 * size), parts])
+        solution = np.linalg.lstsq(matrix, right, rcond=None)[0].reshape(4, size)
+        return solution[:2], solution[2:]
+
+    def _with_fates(
+        self, entries: Floats, across: Floats, parts: Floats, before: Floats | None = None
+    ) -> Held:
+        """Return flows with the fates that they make, some of those of `before` kept."""
+        density = np.maximum(entries @ self.basis, 0.0) * self.weights
+        rates = np.maximum(density.sum(axis=1), 1e-300)
+        loads = (density @ self.stays)
+        passing = np.array(
+            [
+                fate.passing(int(one.threshold), rate, self.stays, law / rate)
+                for one, rate, law in zip(self.sides, rates, density, strict=True)
+            ]
+        )
+        if before is not None:
+            passing = (1.0 - KEPT) * passing + KEPT * before
+        through = (passing * density).sum(axis=1)
+        thresholds = np.array([float(one.threshold) for one in self.sides])
+        beyond = (passing * density) @ self.stays
+        beyond = beyond + 0.25 * math.pi * float(self.circuit.channel2_length) * across[:, 0]
+        turning = (1.0 - through / rates) * np.minimum(thresholds, loads)
+        return Held(
+            entries, across, passing, parts, parts + turning + beyond + beyond[::-1], through
+        )
+
+
+def _shares() -> Floats:
+    """Return shares of urn 1 at which a circuit is held, falling from next to 1/2."""
+    even = np.linspace(0.5 * (1.0 - NEXT_TO_EQUAL), 0.1, LOOKED_AT - 4)
+    return np.concatenate([even, np.geomspace(0.1, LEAST_SHARE, 7)[1:]])
+
+
+def _excess(held: Held) -> float:
+    return math.log(held.sent[0] / held.sent[1])
+
+
+def scan(circuit: Circuit) -> list[tuple[float, Held]]:
+    """Return (share of urn 1, the circuit held there), the share falling; past 1/2 if unlike."""
+    equations, shares = Directions(circuit), list(_shares())
+    if not circuit.alike:
+        shares = [*(1.0 - one for one in reversed(shares)), *shares]
+    found: list[tuple[float, Held]] = []
+    tries = NEARER
+    while shares and tries:
+        held = equations.held(shares[0], found[-1][1] if found else None)
+        if held.possible:
+            found.append((shares.pop(0), held))
+        elif found:
+            shares, tries = [0.5 * (found[-1][0] + shares[0])], tries - 1
+        else:
+            shares.pop(0)
+    return found
+
+
+def homogeneous_kind(circuit: Circuit) -> str:
+    """Return whether the state with equal densities is "stable" or "unstable"."""
+    return "stable" if _excess(Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL))) <= 0.0 else "unstable"
+
+
+def stationary_states(circuit: Circuit) -> list[State]:
+    """Return all states of a circuit, of equal urns those with N2 > N/2 (chi above 0.02)."""
+    equations, number, found = Directions(circuit), float(circuit.number), []
+    for (one, here), (other, there) in pairwise(scan(circuit)):
+        before, after = _excess(here), _excess(there)
+        if np.sign(before) * np.sign(after) >= 0.0:
+            continue
+
+        latest = [here]
+
+        def excess(share: float, latest: list[Held] = latest) -> float:
+            latest[0] = equations.held(share, latest[0])
+            return _excess(latest[0])
+
+        optimize.brentq(excess, other, one, xtol=1e-5)
+        held = latest[0]
+        urns = [ports.disc(side) for side in circuit.sides]
+        around = circulating_current(circuit, urns, held.entries[:, 0], held.across[:, 0])
+        second = float(held.in_half[1])
+        found.append(
+            State(
+                second,
+                "stable" if before > 0.0 else "unstable",
+                abs(2.0 * second - number) / number,
+                held.net_current + around,
+                around,
+            )
+        )
+    return found
+
+
+def outflows(circuit: Circuit) -> tuple[Floats, Floats]:
+    """Return N2 and the logarithms of what halves 1 and 2 send each other; as `two_port.outflows`."""
+    held = [one for _, one in scan(circuit)]
+    second = np.array([one.in_half[1] for one in held])
+    sent = np.log(np.maximum(np.array([one.sent for one in held]).T, 1e-300))
+    if circuit.alike:  # the mirror images
+        number = float(circuit.number)
+        second = np.concatenate([number - second[::-1], second])
+        sent = np.concatenate([sent[::-1, ::-1], sent], axis=1)
+    return second, sent

@@ -1,0 +1,209 @@
+"""What a gate does to a particle that is inside for a given time, under any law of stays.
+
+The gate is the queue of `renewal`: entries at rate e, each inside for a stay sigma, and an entry that
+finds T inside empties it. Exact are, with C the mean time between emptyings and q(sigma) the chance
+to get through,
+
+    <q> = 1 - (T + 1)/(e C)         q(sigma) = (1 - 1/(e C)) S(sigma)         S(0) = 1
+
+since one entrant in e C is the one that empties it; S is the chance that nobody does within the stay.
+T = 1 is closed: S = exp(-e sigma), <q> = p/(2 - p) with p = <exp(-e sigma)>.
+
+For T > 1 both C and S come from equations of first passage. The number inside at t after an emptying
+would be Poisson, of mean m(t) = e times the integral of the chance to be inside still, were nobody
+turned; the rate at which entries find T there is u(t) = e P(number = T), and
+
+    u(t) = f(t) + integral of f(t') u(t | t') dt',
+
+f(t) the density of the first such entry, u(t | t') the rate after one at t'. It is closed by taking
+those T that it found as any T that came since the emptying, each independently: exact for T = 1. What
+this approximates is small, and smaller still in what it is used for, the *difference* between the
+law of stays at hand and the cosine law; for the latter `renewal` knows <q>.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import optimize, special
+
+from postproc.theory.renewal import RENEWAL
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+ANGLES = 24
+STEPS, LAST = 64, 6.0  # of the time axis, and its end in shortest stays
+CLOSED = 0.01  # overall share below which the law of stays is not asked for
+STEEPEST = 60.0  # power of S
+SMALL = 1e-200
+
+
+def cosine_law(half_length: float, count: int = ANGLES) -> tuple[Floats, Floats]:
+    """Return stays (l/2)/cos(theta) of entries by the cosine law, and their shares."""
+    sine, shares = directions(count)
+    return half_length / np.sqrt((1.0 - sine) * (1.0 + sine)), shares
+
+
+def directions(count: int = ANGLES) -> tuple[Floats, Floats]:
+    """Return nodes s = sin(theta) between 0 and 1 and their weights, Gauss's in theta.
+
+    Mean stays, which diverge where s is 1 as 1/cos(theta), are exact.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    angle = 0.25 * np.pi * (1.0 + nodes)
+    return np.sin(angle), 0.25 * np.pi * weights * np.cos(angle)
+
+
+def passing(threshold: int, rate: float, stays: Floats, shares: Floats) -> Floats:
+    """Return the chance to get through a gate, for each of `stays`.
+
+    Parameters
+    ----------
+    threshold : T.
+    rate : entries per unit time.
+    stays : times inside, ascending; the first the shortest there can be, or near it.
+    shares : how many of the entries have each, shape of `stays`, sum 1.
+    """
+    if threshold == 0:
+        return np.zeros(stays.size)
+    if threshold == 1:
+        alone = np.exp(-rate * stays)
+        return alone / (2.0 - shares @ alone)
+    overall = overall_share(threshold, rate, stays, shares)
+    entering = 1.0 - (1.0 - overall) / (threshold + 1.0)
+    log_alone = np.log(_undisturbed(threshold, rate, stays, shares, 1.0 - entering))
+
+    def excess(power: float) -> float:
+        return float(shares @ np.exp(power * log_alone)) * entering - overall
+
+    if not excess(0.0) > 0.0:  # next to nobody is thrown out
+        return np.full(stays.size, overall)
+    power = optimize.brentq(excess, 0.0, STEEPEST) if excess(STEEPEST) < 0.0 else STEEPEST
+    return entering * np.exp(power * log_alone)
+
+
+def overall_share(threshold: int, rate: float, stays: Floats, shares: Floats) -> float:
+    """Return <q>: the cosine law's at this load, corrected for the law of stays."""
+    load = rate * float(shares @ stays)
+    usual_stays, usual = cosine_law(float(stays.min()))
+    if RENEWAL.share(threshold, load) < CLOSED:
+        return float(RENEWAL.share(threshold, load))
+    usual_rate = load / float(usual @ usual_stays)
+    here, there = (
+        _thrown_out(threshold, *law)
+        for law in ((rate, stays, shares), (usual_rate, usual_stays, usual))
+    )
+    logit = float(RENEWAL.logit(threshold, load))
+    if SMALL < min(here, there) and max(here, there) < 1.0 - CLOSED:
+        logit += float(np.log(there / here) + np.log1p(-here) - np.log1p(-there))
+    return float(special.expit(logit))
+
+
+def _lasting(stays: Floats, shares: Floats, time: Floats) -> tuple[Floats, Floats]:
+    """Return the chance to be inside still at a time after entry, and its integral up to there."""
+    kept = (time[:, None] < stays) @ shares
+    return kept, np.minimum(time[:, None], stays) @ shares
+
+
+def _poisson(count: Floats, mean: Floats) -> Floats:
+    """Return the chance of a Poisson number of that mean; 0 for counts below 0."""
+    at = np.maximum(count, 0)
+    chance = np.exp(special.xlogy(at, mean) - mean - special.gammaln(at + 1.0))
+    return np.where(count >= 0, chance, 0.0)
+
+
+def _meeting(others: int, survive: Floats, last: Floats, mean: Floats, level: int) -> Floats:
+    """Return P(binomial(others, survive) + one of chance `last` + Poisson(mean) = level).
+
+    Arrays of shape (case,); summed over how many of the others are left.
+    """
+    k = np.arange(min(others, level) + 1)[:, None]
+    log_binomial = special.gammaln(others + 1.0)
+    log_binomial = log_binomial - special.gammaln(k + 1.0) - special.gammaln(others - k + 1.0)
+    chance = np.exp(
+        log_binomial + special.xlogy(k, survive) + special.xlog1py(others - k, -survive)
+    )
+    poisson = _poisson(np.arange(level + 1)[:, None], mean)
+    new, fewer = poisson[level - k[:, 0]], np.zeros(chance.shape)
+    some = k[:, 0] < level
+    fewer[some] = poisson[level - 1 - k[some, 0]]
+    return (chance * (new * (1.0 - last) + fewer * last)).sum(axis=0)
+
+
+def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> float:
+    """Return (T + 1)/(e C) by the equation of first passage from an empty gate."""
+    time = np.linspace(0.0, LAST * stays.min(), STEPS + 1)
+    step = time[1]
+    kept, filled = _lasting(stays, shares, time)
+    _, longer = _lasting(stays, shares, np.concatenate([time, time[1:] + time[-1]]))
+    meet = rate * _poisson(np.float64(threshold), rate * filled)
+    first = np.zeros(STEPS + 1)
+    row, column = np.tril_indices(STEPS + 1, -1)  # at time row, after one at time column > 0
+    row, column = row[column > 0], column[column > 0]
+    since = row - column
+    survive = (longer[row] - filled[since]) / filled[column]
+    again = np.zeros((STEPS + 1, STEPS + 1))
+    again[row, column] = rate * _meeting(
+        threshold, np.clip(survive, 0.0, 1.0), kept[since], rate * filled[since], threshold
+    )
+    for at in range(1, STEPS + 1):
+        first[at] = max(meet[at] - step * again[at, :at] @ first[:at], 0.0)
+    alive = 1.0 - step * (np.cumsum(first) - 0.5 * first)
+    over = np.flatnonzero(alive <= 1e-4)
+    end = over[0] if over.size else STEPS
+    cycle = step * (alive[:end].sum() - 0.5)
+    if not over.size:
+        cycle += alive[-1] * (0.5 * step + alive[-1] / max(first[-1], SMALL))
+    return min((threshold + 1.0) / (rate * cycle), 1.0)
+
+
+def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, full: float) -> Floats:
+    """Return S, the chance that nobody empties the gate within a stay, up to a power near 1.
+
+    The others of one who entered must not reach T. At first there are k < T by the stationary law of
+    a queue with exponential stays whose chance to be full is `full`, with what is left of their stays
+    as in a queue that nobody empties.
+    """
+    mean_stay = float(shares @ stays)
+    time = np.linspace(0.0, LAST * stays.min(), STEPS + 1)
+    step = time[1]
+    kept, filled = _lasting(stays, shares, time)
+    residual, level = 1.0 - filled / mean_stay, threshold - 1
+    found = _found(threshold, rate * mean_stay, full)[:threshold]
+    found = found / found.sum()
+    mean = rate * filled
+    meet = rate * sum(
+        weight * _meeting(k, residual, np.zeros(time.size), mean, level)
+        for k, weight in enumerate(found)
+    )
+    again = rate * _meeting(level, residual, kept, mean, level)
+    first = np.zeros(time.size)
+    for at in range(time.size):
+        first[at] = max(meet[at] - step * again[at:0:-1] @ first[:at], 0.0)
+    gone = step * (np.cumsum(first) - 0.5 * (first + first[0]))
+    alone = np.maximum(1.0 - gone, 1e-12)
+    hazard = max(first[-1] / alone[-1], SMALL)
+    within = np.interp(stays, time, np.log(alone))
+    return np.exp(np.maximum(within - hazard * np.maximum(stays - time[-1], 0.0), -600.0))
+
+
+def _found(threshold: int, load: float, full: float) -> Floats:
+    """Return the chances to find 0 ... T inside, exponential stays, at a load that makes P(T) `full`."""
+
+    def law(x: float) -> Floats:
+        # what flows up from k comes down from k + 1 or by an emptying: p_k in units of p_T
+        chances = np.zeros(threshold + 1)
+        chances[threshold] = 1.0
+        for k in range(threshold - 1, -1, -1):
+            # x p_k = (k + 1) p_(k+1) + x p_T
+            chances[k] = (k + 1.0) / x * chances[k + 1] + 1.0
+        return chances / chances.sum()
+
+    low, high = 1e-3 * load, 1e3 * load + 10.0
+    if not law(low)[-1] < full < law(high)[-1]:
+        return law(load)
+    return law(optimize.brentq(lambda x: law(x)[-1] - full, low, high))

@@ -1,0 +1,112 @@
+"""What an urn remembers by which opening one came: chances and mean stays of its visits.
+
+An urn has two ports, the openings to channels 1 and 2. Of those that enter through channel 2 the
+share a, its return chance, leaves through channel 2. Visits keep the measure cos(theta) dtheta dy
+and read backwards are visits too, so w P12 = w' P21 (P12: in through 1, out through 2), and four
+chances come down to one: P22 = a, P21 = 1 - a, P12 = (w'/w)(1 - a), P11 = 1 - P12. The mean stays
+t1, t2 of those that came through 1 and 2 fill the urn evenly: w t1 + w' t2 = pi A.
+
+A well mixed urn has a = w'/(w + w') and t1 = t2. A disc with opposite openings has not: of the
+orbits that would come back to opening 2 those with an even number of chords meet opening 1 first, so
+only odd polygons return (`return_chance_of_polygons`), however small the openings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc.theory.visits import visits
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
+    from postproc.theory.visits import Pieces
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ports:
+    """How an urn answers an entrant through either opening.
+
+    Attributes
+    ----------
+    return_chance : a, in through channel 2 and out through channel 2.
+    across : P12, in through channel 1 and out through channel 2.
+    stay1, stay2 : mean time in the urn, in through channel 1 and 2, from chord to chord.
+    """
+
+    return_chance: float
+    across: float
+    stay1: float
+    stay2: float
+
+
+def well_mixed(circuit: Circuit) -> Ports:
+    """Return the ports of an urn without memory."""
+    width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
+    across, stay = width2 / (width1 + width2), math.pi * float(circuit.urn_area) / (width1 + width2)
+    return Ports(across, across, stay, stay)
+
+
+def disc(circuit: Circuit) -> Ports:
+    """Return the ports of the disc, by direct integration over its visits.
+
+    Summed are the visits through the narrower opening; the identities above give the others'. A
+    closed channel 2 leaves nothing to remember.
+    """
+    widths = float(circuit.channel1_width), float(circuit.channel2_width)
+    if widths[1] == 0.0:
+        return well_mixed(circuit)
+    filled = math.pi * float(circuit.urn_area)
+    narrow, wide = sorted(widths)
+    back, stay = returns_and_stay(float(circuit.urn_radius), narrow, wide)
+    other_stay = (filled - narrow * stay) / wide
+    if widths[1] <= widths[0]:
+        return Ports(back, widths[1] / widths[0] * (1.0 - back), other_stay, stay)
+    return Ports(1.0 - widths[0] / widths[1] * (1.0 - back), 1.0 - back, stay, other_stay)
+
+
+@lru_cache(maxsize=512)
+def returns_and_stay(radius: float, own: float, other: float) -> tuple[float, float]:
+    """Return the share that leaves through the opening it came through, and the mean stay."""
+    found = visits(radius, own, other)
+    _, weight = found.nodes()
+    mean = float((weight * stays(radius, found, own, other)).sum())
+    return float(found.share[found.same].sum()), mean
+
+
+def stays(radius: float, found: Pieces, own: float, other: float) -> Floats:
+    """Return the times of visits through openings of widths `own` and `other`, from chord to chord.
+
+    n chords of 2 r cos(psi) less the ends between arc and chord of either opening; at the nodes of
+    the pieces, shape (2, piece).
+    """
+    place, _ = found.nodes()
+    chord = {width: math.sqrt(radius**2 - 0.25 * width**2) for width in (own, other)}
+    leaving = place + found.shift
+    behind = np.where(found.same, chord[own], chord[other])
+    ends = (radius * np.cos(place) - chord[own]) / np.cos(place - found.incidence)
+    ends += (radius * np.cos(leaving) - behind) / np.cos(leaving + found.incidence)
+    return 2.0 * radius * found.chords * np.cos(found.incidence) - ends
+
+
+def return_chance_of_polygons(circuit: Circuit) -> float:
+    """Return a for small w': the sum over odd polygons whose corners pass by opening 1.
+
+    a = w'/(4r) sum of sin(pi k/n)/n over odd n >= 3 with pi/n > asin(w/2r), k < n coprime to n. For
+    small w as well it is (4/pi^2) w'/w.
+    """
+    radius, width1 = float(circuit.urn_radius), float(circuit.channel1_width)
+    largest = math.ceil(math.pi / math.asin(0.5 * width1 / radius)) - 1
+    total = 0.0
+    for n in range(3, largest + 1, 2):
+        k = np.arange(1, n)
+        total += float(np.sin(math.pi * k[np.gcd(k, n) == 1] / n).sum()) / n
+    return 0.25 * float(circuit.channel2_width) / radius * total

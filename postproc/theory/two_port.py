@@ -1,0 +1,240 @@
+"""Stationary states of two urns that remember by which opening one came.
+
+With e_i the rate at which urn i sends particles into channel 1, f_i into channel 2, q_i the share of
+e_i that its gate lets through at load e_i pi l/4, j the other urn, and the ports of `ports`:
+
+    back into urn i through channel 1   b_i = (1 - q_i) e_i + q_j e_j      through channel 2   f_j
+    e_i = (1 - P12) b_i + (1 - a) f_j   f_i = P12 b_i + a f_j              n_i = t1 b_i + t2 f_j
+
+Where the urns are stationary channel 2 carries J = f_2 - f_1 and channel 1 as much, b_1 = e_1 - J and
+b_2 = e_2 + J; these are linear in e_1, e_2, for equal urns J = P12 (e_2 - e_1)/(1 + a - 2 P12) or
+J = G (n_2 - n_1) with G = k/(t1 + k (2 t1 - t2)), k = (w'/w)(1 - a)/(1 + a - 2 (w'/w)(1 - a)). So
+every ratio e_1/e_2 is a pair of urns held against each other, and a state of the circuit where the
+gates send J as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007) back, G = w'/(pi A).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import optimize
+
+from postproc.theory import ports
+from postproc.theory.circulation import circulating_current
+from postproc.theory.states import State, crossings, places_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from postproc.theory.circuit import Circuit
+    from postproc.theory.ports import Ports
+
+    Floats = NDArray[np.float64]
+    Memory = Callable[[Circuit], Ports]
+
+STEP = 1e-5  # relative, of N1, next to equal urns
+WIDTHS_TRIED = 24  # of channel 2, where a transition is looked for
+ROUNDS = 60  # at most, of the iteration that finds how many fly
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Two urns held against each other; fields of shape (urn, case).
+
+    Attributes
+    ----------
+    entries : e, what each urn sends into channel 1 per unit time.
+    across : f, what it sends into channel 2.
+    log_share : logarithm of q, the share of `entries` that its gate lets through.
+    in_urn : n, how many are in it.
+    in_half : N, with its gate and its half of channel 2; `in_urn` if the circuit does not tell them.
+    """
+
+    entries: Floats
+    across: Floats
+    log_share: Floats
+    in_urn: Floats
+    in_half: Floats
+
+    @property
+    def through(self) -> Floats:
+        """What each gate lets through per unit time, q e."""
+        return np.exp(self.log_share) * self.entries
+
+    @property
+    def net_current(self) -> Floats:
+        """Current of channel 2 from urn 2 to urn 1, shape (case,)."""
+        return self.across[1] - self.across[0]
+
+    @property
+    def log_excess(self) -> Floats:
+        """Logarithm of what urn 1 sends over what urn 2 sends, shape (case,): 0 in a state.
+
+        Said of what is positive whatever the gates do: q_1 e_1 + J - and q_2 e_2 + J + , the two
+        parts of J by its sign.
+        """
+        with np.errstate(divide="ignore"):
+            current = np.log(np.maximum([-self.net_current, self.net_current], 0.0))
+            sent = self.log_share + np.log(self.entries)
+        return np.logaddexp(sent[0], current[0]) - np.logaddexp(sent[1], current[1])
+
+
+def held(circuit: Circuit, entries: Floats, memory: Memory = ports.disc) -> Balance:
+    """Return two urns that send `entries`, shape (urn, case), into channel 1, held as they are."""
+    sides = circuit.sides
+    own = [memory(side) for side in sides]
+    back, across, stay1, stay2 = np.array(
+        [[one.return_chance, one.across, one.stay1, one.stay2] for one in own]
+    ).T[:, :, None]
+    # what arrives through channel 2 is (P12 e_i +- P11 J)/(1 - a), above for urn 1
+    arriving, turned = across * entries / (1.0 - back), (1.0 - across) / (1.0 - back)
+    current = (arriving[1] - arriving[0]) / (turned[0] + turned[1] - 1.0)
+    current = current * np.array([[1.0], [-1.0]])
+    arriving = arriving + turned * current
+    in_urn = stay1 * (entries - current) + stay2 * arriving
+    loads = 0.25 * np.pi * float(circuit.channel1_length) * entries
+    log_share = np.stack(
+        [side.gate.log_share(side.threshold, load) for side, load in zip(sides, loads, strict=True)]
+    )
+    in_half = in_urn
+    if circuit.occupation:
+        share, thresholds = np.exp(log_share), np.array([[float(one.threshold)] for one in sides])
+        beyond = share * loads + 0.25 * np.pi * float(circuit.channel2_length) * arriving[::-1]
+        turning = (1.0 - share) * np.minimum(thresholds, loads)
+        in_half = in_urn + turning + beyond + beyond[::-1]
+    return Balance(entries, arriving[::-1], log_share, in_urn, in_half)
+
+
+def balance(circuit: Circuit, first: ArrayLike, memory: Memory = ports.disc) -> Balance:
+    """Return all N particles held so that urn 1 sends the share `first`/N of what both send.
+
+    `first` is of shape (case,) or a number; it would be N1 if urns of one size were well mixed.
+    """
+    number = float(circuit.number)
+    one = np.atleast_1d(np.asarray(first, float))
+    shares = np.stack([one, number - one]) / number
+    scale = np.full(one.shape, number / float(circuit.urn_area))
+    for _ in range(ROUNDS):
+        found = held(circuit, scale * shares, memory)
+        total = found.in_half.sum(axis=0)
+        if np.all(np.abs(total - number) <= 1e-13 * number):
+            break
+        scale = scale * number / total
+    return found
+
+
+def homogeneous_kind(circuit: Circuit, memory: Memory = ports.disc) -> str:
+    """Return whether the state with equal densities is "stable" or "unstable".
+
+    "neutral": nothing moves at all. Unlike circuits: of the state that is nearest to it.
+    """
+    if circuit.alike:
+        return "stable" if _growth(circuit, memory) <= 0.0 else "unstable"
+    middle = 0.5 * float(circuit.number)
+    roots = _roots(circuit, memory)
+    return min(roots, key=lambda one: abs(one[0] - middle))[1] if roots else "neutral"
+
+
+def _growth(circuit: Circuit, memory: Memory) -> float:
+    """Return what has the sign of the growth of a small difference between equal urns."""
+    excess = balance(circuit, 0.5 * float(circuit.number) * (1.0 - STEP), memory).log_excess
+    return float(np.nan_to_num(excess[0]))
+
+
+def _roots(circuit: Circuit, memory: Memory) -> list[tuple[float, str]]:
+    """Return (first, kind) of all states, those of equal circuits with urn 2 fuller only."""
+    number = float(circuit.number)
+
+    def excess(first: ArrayLike) -> Floats:
+        found = np.nan_to_num(balance(circuit, first, memory).log_excess, posinf=1e9, neginf=-1e9)
+        return found if np.ndim(first) else found[0]
+
+    one, two = circuit.sides
+    places = places_of(one, 0.5 * number)
+    if not circuit.alike:
+        mirrored = number - places_of(two, 0.5 * number)
+        places = np.unique(np.concatenate([places, mirrored, [0.5 * number]]))[::-1]
+        places = places[(places > 0.0) & (places < number)]
+    values = excess(places)
+    if circuit.alike:
+        values[0] = 1.0 if _growth(circuit, memory) > 0.0 else -1.0
+    roots = crossings(excess, places, values)
+    closed = float(circuit.channel2_width) == 0.0
+    if closed and values[-1] > 0.0 and float(one.threshold) > 0.0:
+        roots.append((0.0, "stable"))  # too few to be told
+    return roots
+
+
+def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[State]:
+    """Return all states of a circuit with scalar fields, of equal urns those with N2 > N/2.
+
+    Parameters
+    ----------
+    circuit : with its gate, and whether those in the channels are told from those in the urns.
+    memory : what an urn remembers, `ports.disc` or `ports.well_mixed`. The former comes with those
+        that go round (`circulation`), whose current is added.
+    """
+    number, found = float(circuit.number), []
+    urns = [memory(side) for side in circuit.sides]
+    for first, kind in _roots(circuit, memory):
+        at = balance(circuit, first, memory)
+        second = float(at.in_half[1, 0])
+        state = State(second, kind, abs(2.0 * second - number) / number, float(at.net_current[0]))
+        if memory is ports.disc:
+            around = circulating_current(circuit, urns, at.entries[:, 0], at.across[:, 0])
+            state = replace(
+                state, net_current=state.net_current + around, circulating_current=around
+            )
+        found.append(state)
+    return found
+
+
+def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Floats]:
+    """Return N2 and the logarithms of what halves 1 and 2 send to each other there.
+
+    Shapes (case,) and (half, case), N2 increasing over what the theory can hold.
+    """
+    number = float(circuit.number)
+    one, two = circuit.sides
+    above, below = places_of(one, 0.5 * number), places_of(two, 0.5 * number)
+    first = np.unique(np.concatenate([above, [0.5 * number], number - below]))[::-1]
+    at = balance(circuit, first[(first > 0.0) & (first < number)], memory)
+    with np.errstate(divide="ignore"):
+        through2 = np.log(np.maximum(at.across, 0.0))
+        sent = np.logaddexp(np.log(at.entries) + at.log_share, through2)
+    return at.in_half[1], sent
+
+
+def conductance(circuit: Circuit) -> float:
+    """Return G of equal urns: the net current is G times the difference of the urns' numbers."""
+    one = ports.disc(circuit)
+    k = one.across / (1.0 + one.return_chance - 2.0 * one.across)
+    return k / (one.stay1 + k * (2.0 * one.stay1 - one.stay2))
+
+
+def transition_width(circuit: Circuit, start: float) -> float:
+    """Return the w' at which the homogeneous state of equal urns turns stable; NaN if there is none.
+
+    `start` is another theory's answer, NaN if it has none; it is looked for around that first.
+    """
+    diameter = 2.0 * float(circuit.urn_radius)
+
+    def growth(width: float) -> float:
+        return _growth(replace(circuit, channel2_width=width), ports.disc)
+
+    if growth(0.0) <= 0.0:
+        return math.nan
+    widths = np.geomspace(1e-3, 0.99, WIDTHS_TRIED) * diameter
+    near = start * np.array([0.5, 0.8, 1.25, 2.0])
+    for places in (near, np.concatenate([[0.0], widths])):
+        places = places[places < diameter]
+        values = [growth(width) for width in places] if np.all(np.isfinite(places)) else []
+        for at in range(len(values) - 1):
+            if values[at] > 0.0 >= values[at + 1]:
+                return float(optimize.brentq(growth, places[at], places[at + 1], rtol=1e-6))
+    return math.nan

@@ -1,0 +1,178 @@
+"""All visits to a disc with two opposite openings, piece by piece and without chance.
+
+A visit that enters through an opening meets the circle, traced back, at an angle y within that
+opening's arc, |y| < asin(w/2r), measured from its middle. Every bounce then adds the same angle
+delta, the chord's, whose angle of incidence psi = (pi - delta)/2 never changes. Entries by the
+cosine law fill (delta, y) with the density r sin(delta/2)/2 (lines: r cos(psi) dpsi dy). At a given
+delta the whole arc of starts turns rigidly: after n chords it is shifted by n delta, and what then
+lies upon an opening leaves. So the visits of one delta fall into a few *pieces*, intervals of y that
+leave together; over delta they change smoothly between places where ends of arcs meet, which are
+known beforehand. Two nodes of Gauss between these make sums over pieces good to 1e-5.
+
+The next shift upon an opening is found by Euclid's algorithm, not step by step: visits of a million
+chords cost as much as those of ten.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Flags = NDArray[np.bool_]
+
+TURN = 2.0 * math.pi
+TOUCH = 1e-13  # arcs that overlap by less do not meet
+LEAST_ORDER, LARGEST_ORDER = 24, 60  # chords up to which ends of arcs are told apart
+NEAREST = 1e-6  # of a rational part of a turn: the ladder of places towards it ends there
+LONGEST = 1e7  # chords; what winds on for longer is left out
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The visits that enter through one opening; fields of shape (piece,).
+
+    Attributes
+    ----------
+    weight : share of the entries per unit of y; times `high - low`, the piece's share of them all.
+    incidence : psi, between 0 and pi/2; the mirror images with -psi are in the weights.
+    low, high : between which y the piece enters.
+    shift : by how much further from the middle of the opening of exit, than y from that of entry.
+    chords : how many.
+    same : whether it leaves through the opening it came through.
+    """
+
+    weight: Floats
+    incidence: Floats
+    low: Floats
+    high: Floats
+    shift: Floats
+    chords: Integers
+    same: Flags
+
+    @property
+    def share(self) -> Floats:
+        """Share of all entries that each piece holds, shape (piece,)."""
+        return self.weight * (self.high - self.low)
+
+    def nodes(self) -> tuple[Floats, Floats]:
+        """Return places y and weights (shares of all entries), two a piece: shape (2, piece)."""
+        middle, half = 0.5 * (self.high + self.low), 0.5 * (self.high - self.low)
+        gap = half / math.sqrt(3.0)
+        return np.stack([middle - gap, middle + gap]), np.stack([0.5 * self.share] * 2)
+
+
+def first_multiple(step: Floats, turn: Floats, low: Floats, high: Floats) -> Floats:
+    """Return the smallest n >= 0 with n step mod turn between low and high; inf without one.
+
+    0 <= low < high < turn, 0 < step < turn; all of shape (case,). Where no multiple of the step
+    lies between, n step - m turn does for the smallest m with m (turn mod step) between -high and
+    -low, mod step: the same question with smaller numbers (Euclid).
+    """
+    levels = []
+    places, found = np.arange(step.size), np.full(step.size, np.inf)
+    while places.size:
+        count = np.ceil(low / step)
+        hit = count * step <= high
+        found[places[hit]] = count[hit]
+        levels.append((places, step, turn, low, hit))
+        on = ~hit & (np.fmod(turn, step) > TOUCH * step)
+        places, below, above = places[on], low[on], high[on]
+        step, turn = np.fmod(turn[on], step[on]), step[on]
+        low, high = turn - np.fmod(above, turn), turn - np.fmod(below, turn)
+    for places, step, turn, low, hit in reversed(levels):
+        deeper = places[~hit]
+        found[deeper] = np.ceil((low[~hit] + turn[~hit] * found[deeper]) / step[~hit])
+    return found
+
+
+def _next(delta: Floats, angle: Floats, low: Floats, high: Floats) -> Floats:
+    """Return the smallest n >= 0 with angle + n delta within low ... high, mod a turn."""
+    behind = np.mod(angle - low, TURN)
+    width = high - low
+    found = np.zeros(delta.size)
+    ahead = np.flatnonzero(behind > width)
+    start = TURN - behind[ahead]
+    end = np.minimum(start + width[ahead], TURN * (1.0 - 1e-15))
+    found[ahead] = first_multiple(delta[ahead], np.full(ahead.size, TURN), start, end)
+    return found
+
+
+def _nodes(own: float, other: float, order: int) -> tuple[Floats, Floats]:
+    """Return nodes and weights over delta = 0 ... pi, by two a cell.
+
+    `own` and `other` are the openings' half angles. Cells end where, after n <= `order` chords, an
+    end of the arc of starts meets an end of an opening, and on a ladder towards each rational part
+    of a turn that visits wind around for long.
+    """
+    n = np.arange(1, order + 1)[:, None]
+    part = TURN * np.arange(order + 1)[None, :] / n
+    ends = [part + gap / n for gap in (-2.0 * own, 0.0, 2.0 * own)]
+    ends += [part + (math.pi + one * own + two * other) / n for one in (-1, 1) for two in (-1, 1)]
+    winding = n[:, 0] < 2.0 * math.pi / max(own, other)
+    rungs = np.geomspace(NEAREST, 0.1, 30)
+    near = part[winding][:, :, None] + np.concatenate([-rungs, rungs]) / n[winding][:, :, None]
+    places = np.concatenate([np.array([0.0, math.pi]), *(one.ravel() for one in [*ends, near])])
+    places = np.unique(places[(places >= 0.0) & (places <= math.pi)])
+    places = places[np.concatenate([[True], np.diff(places) > 1e-12])]
+    middle, half = 0.5 * (places[1:] + places[:-1]), 0.5 * np.diff(places)
+    gap = half / math.sqrt(3.0)
+    return np.concatenate([middle - gap, middle + gap]), np.concatenate([half, half])
+
+
+@lru_cache(maxsize=64)
+def visits(radius: float, own_width: float, other_width: float) -> Pieces:
+    """Return all visits that enter a disc through one of two opposite openings.
+
+    Parameters
+    ----------
+    radius : r of the disc.
+    own_width, other_width : chords of the opening of entry and of the other, below 2r.
+    """
+    own, other = (math.asin(0.5 * width / radius) for width in (own_width, other_width))
+    order = int(np.clip(math.pi / max(own, other) + 8.0, LEAST_ORDER, LARGEST_ORDER))
+    delta, weight = _nodes(own, other, order)
+    weight = weight * np.sin(0.5 * delta) * radius
+    node, low, high = np.arange(delta.size), np.full(delta.size, -own), np.full(delta.size, own)
+    chords = np.ones(delta.size)
+    rows = []
+    while node.size:
+        step = delta[node]
+        turns = [
+            chords + _next(step, chords * step - centre, -half - high + TOUCH, half - low - TOUCH)
+            for centre, half in ((0.0, own), (math.pi, other))
+        ]
+        same, chords = turns[0] <= turns[1], np.minimum(*turns)
+        soon = chords < LONGEST
+        node, low, high, chords, same = (x[soon] for x in (node, low, high, chords, same))
+        half = np.where(same, own, other)
+        shift = np.mod(chords * delta[node] - np.where(same, 0.0, math.pi) + math.pi, TURN)
+        shift -= math.pi
+        first = np.clip(-half - shift, low, high)  # rounding may have it just miss
+        last = np.clip(half - shift, first, high)
+        rows.append((node, first, last, shift, chords, same))
+        chords = np.where(last > first, chords, chords + 1.0)
+        left, right = first - low > TOUCH, high - last > TOUCH
+        low, high = (
+            np.concatenate([one[left], other_end[right]])
+            for one, other_end in ((low, last), (first, high))
+        )
+        node, chords = (np.concatenate([x[left], x[right]]) for x in (node, chords))
+    node, low, high, shift, chords, same = (np.concatenate(x) for x in zip(*rows, strict=True))
+    # a chord that leaves its arc of starts by the same arc has not crossed the opening
+    there = (high > low) & ~(same & (chords == 1))
+    node, low, high, shift, chords, same = (
+        x[there] for x in (node, low, high, shift, chords, same)
+    )
+    weight = weight[node]
+    weight = weight / np.sum(weight * (high - low))
+    incidence = 0.5 * (math.pi - delta[node])
+    return Pieces(weight, incidence, low, high, shift, chords.astype(np.int64), same)
