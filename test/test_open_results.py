@@ -15,8 +15,7 @@ from postproc.cli import InputError
 from postproc.reading.grid import PARAMETERS
 from postproc.tests.runs import edited, leave_out
 from postproc.theory.circuit import Circuit, single_urn_current
-from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import describe
+from postproc.theory.models import MODELS, describe
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -121,7 +120,7 @@ def test_theory_is_that_of_each_point(tmp_path: Path) -> None:
     assert one["theory_chi"].dims == ("threshold", "number", "channel2_width")
     for threshold, number, width in product((7, 30), (500, 1000), (0.01, 0.3)):
         point = {"threshold": threshold, "number": number, "channel2_width": width}
-        told = describe(Circuit(number, threshold, channel2_width=width, gate=RENEWAL))
+        told = describe(Circuit(number, threshold, channel2_width=width), MODELS["renewal"])
         stable = [root for root in told["roots"] if root["kind"] == "stable"]
         there = one.sel(point)
         assert float(there["theory_chi"]) == (stable[-1]["mass_spread"] if stable else 0.0)
@@ -201,12 +200,22 @@ def test_a_bad_file_is_one_line_that_names_it(tmp_path: Path, harm: Any, message
 
 def test_a_theory_or_group_that_is_not_there_is_named(tmp_path: Path) -> None:
     path = results_of(tmp_path, {"urn_radius": "1.5, 1.0"})
-    with pytest.raises(InputError, match=r"no theory 'widow'; there are window, renewal"):
+    with pytest.raises(InputError, match=r"no theory 'widow'; there are window, renewal, "):
         postproc.open_results(path, theory="widow")
     with pytest.raises(InputError, match="has no series"):
         postproc.open_results(path, group="series")
     unequal = results_of(tmp_path, {"channel2_width": "0.1"}, gate={"threshold": "5, 6"},
                          output={"file": "'unequal.h5'"}).with_name("unequal.h5")  # fmt: skip
     assert postproc.open_results(unequal)["gate_threshold"].values.tolist() == [5, 6]
-    with pytest.raises(InputError, match="two urns and two gates that are alike"):
-        postproc.open_results(unequal, theory="window")
+
+
+def test_a_theory_of_unlike_gates_has_both(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"channel2_width": "0.01"}, gate={"threshold": "7, 30"},
+                      table={"urn_radius": "1, 1.2"}, particles={"number": 1000})  # fmt: skip
+    data = postproc.open_results(path, theory="two_port")
+    unlike = Circuit(1000, 7, gate2_threshold=30, urn2_radius=1.2)
+    told = describe(unlike, MODELS["two_port"])
+    best = max(root["mass_spread"] for root in told["roots"] if root["kind"] == "stable")
+    assert data["theory_chi"].item() == best
+    assert np.isnan(data["theory_transition_width"])
+    assert "theory_chi_error" not in data

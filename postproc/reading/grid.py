@@ -12,9 +12,7 @@ import xarray as xr
 from postproc.cli import InputError
 from postproc.reading.results import COMPLETE, Results
 from postproc.theory.circuit import single_urn_current
-from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import describe
+from postproc.theory.models import MODELS, describe
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
 
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, str]]]
 
-MODELS = {"window": WINDOW, "renewal": RENEWAL}
+URN_MODELS = ("window", "renewal")  # that say something of the single urn
 # What a point of the scan is, whether it was scanned or not.
 PARAMETERS = (
     "number", "threshold", "gate_threshold", "urn1_number", "urn_radius",
@@ -37,6 +35,8 @@ THEORY = {
     "theory_polarised_current": ("1/time", "net current of that state, from the fuller urn"),
     "theory_homogeneous_stable": ("1", "whether the homogeneous state is stable"),
     "theory_transition_width": ("length", "width w' of channel 2 on the transition line"),
+    "theory_chi_error": ("1", "mass spread by theory, standard error"),
+    "theory_polarised_current_error": ("1/time", "net current by theory, standard error"),
 }
 URN_THEORY = {"theory_current1": ("1/time", "hits on the end wall")}
 
@@ -53,8 +53,9 @@ def open_results(
     Parameters
     ----------
     file : the results file.
-    theory : a model of the gates, "window" (the paper's) or "renewal": its results become variables
-        `theory_...`; several models become a dimension `theory`.
+    theory : the name of a model ("window" is the paper's, see `postproc.theory.models`): its results
+        become variables `theory_...`; several models become a dimension `theory`. Models that draw
+        numbers take seconds a point, and have errors.
     group : what to read in place of the averages: "series", "snapshots", "final" or "events".
 
     Returns
@@ -148,30 +149,43 @@ def _without_idle(values: xr.Variable, axes: Axes) -> xr.Variable:
 
 def _theory(results: Results, models: Sequence[str]) -> dict[str, xr.Variable]:
     """Return what the models say of each point, by name, with dimensions (theory, point)."""
-    meanings = URN_THEORY if results.shape == "urn" else THEORY
+    urn = results.shape == "urn"
+    meanings = URN_THEORY if urn else THEORY
+    if urn and not set(models) <= set(URN_MODELS):
+        raise InputError(f"{results.path}: of the shape 'urn' only {' and '.join(URN_MODELS)} know")
     found = np.full((len(meanings), len(models), results.points), math.nan)
-    known: dict[Circuit, list[float]] = {}
+    known: dict[tuple[Circuit, str], list[float]] = {}
     for at, model in enumerate(models):
         for point in range(results.points):
-            circuit = results.circuit(point, MODELS[model])
-            if circuit not in known:
-                known[circuit] = _said_of(circuit)
-            found[:, at, point] = known[circuit]
+            case = results.any_circuit(point), model
+            if case not in known:
+                known[case] = _said_of_urn(*case) if urn else _said_of(*case)
+            found[:, at, point] = known[case]
     added = {
         name: xr.Variable(("theory", "point"), values, {"units": unit, "long_name": told})
         for (name, (unit, told)), values in zip(meanings.items(), found, strict=True)
+        if not (name.endswith("_error") and np.isnan(values).all())
     }
     return {"theory": xr.Variable("theory", models), **added}
 
 
-def _said_of(circuit: Circuit) -> list[float]:
-    """Return what a theory says of a circuit or urn, in the order of `THEORY` or `URN_THEORY`."""
-    if circuit.shape == "urn":
-        return [float(single_urn_current(circuit))]
-    told = describe(circuit)
+def _said_of_urn(circuit: Circuit, model: str) -> list[float]:
+    """Return what a model says of the single urn, in the order of `URN_THEORY`."""
+    return [float(single_urn_current(MODELS[model].of(circuit)[0]))]
+
+
+def _said_of(circuit: Circuit, model: str) -> list[float]:
+    """Return what a model says of a circuit, in the order of `THEORY`."""
+    told = describe(circuit, MODELS[model])
     stable = [root for root in told["roots"] if root["kind"] == "stable"]
-    best = max(stable, key=lambda root: root["mass_spread"], default=None)
-    spread, current = (best["mass_spread"], best["net_current"]) if best else (0.0, 0.0)
-    width = told["transition_width"]
-    homogeneous = STATES.get(told["homogeneous"], math.nan)
-    return [spread, current, homogeneous, math.nan if width is None else width]
+    none = {"mass_spread": 0.0, "net_current": 0.0}
+    best = max(stable, key=lambda root: root["mass_spread"], default=none)
+    values = [
+        best["mass_spread"],
+        best["net_current"],
+        STATES.get(told["homogeneous"]),
+        told["transition_width"],
+        best.get("mass_spread_error"),
+        best.get("net_current_error"),
+    ]
+    return [math.nan if value is None else value for value in values]

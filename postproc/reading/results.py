@@ -180,6 +180,23 @@ class Results:
         """Shape of the table: "circuit" or "urn"."""
         return self.attributes.get("shape", "circuit")
 
+    def any_circuit(self, point: int) -> Circuit:
+        """Return the circuit of a point, whose urns and gates need not be alike."""
+        self._check_task(point, 0)
+        (threshold, other), (radius, beyond) = (
+            [one.item() for one in np.ravel(self._of_point(name, point))]
+            for name in ("gate_threshold", "urn_radius")
+        )
+        return Circuit(
+            number=int(self._of_point("number", point)),
+            threshold=threshold,
+            urn_radius=radius,
+            urn2_radius=beyond if beyond != radius else None,
+            gate2_threshold=other if other != threshold else None,
+            **{name: float(self._of_point(name, point)) for name in LENGTHS},
+            shape=self.shape,
+        )
+
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
         """Return the circuit of a point, with the paper's gate unless another is given.
 
