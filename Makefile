@@ -48,7 +48,7 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 
-.PHONY: help demo test build bench probes accuracy figures lint clean install packages information
+.PHONY: help demo test build bench probes accuracy figures lint clean install prefix packages information
 
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 16
@@ -140,15 +140,8 @@ lint: packages ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs
 	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs
 
-install: ## program, man page and Python side into PREFIX (default: /usr/local)
+install: prefix build ## program, man page and Python side into PREFIX (default: /usr/local)
 	@prefix=$$(realpath -m -- "$(PREFIX)")
-	for folder in bin lib/battery share/man/man1; do
-	  mkdir -p "$$prefix/$$folder" 2> /dev/null && [[ -w "$$prefix/$$folder" ]] || {
-	    echo "$$prefix/$$folder: cannot be written to; make install PREFIX=DIR takes another place" >&2
-	    exit 1
-	  }
-	done
-	$(MAKE) build
 	install $(PROGRAM) "$$prefix/bin"
 	$(PYTHON) docs/man_page.py $(PROGRAM) > "$$prefix/share/man/man1/battery.1"
 	python3 -m venv "$$prefix/lib/battery"
@@ -156,6 +149,16 @@ install: ## program, man page and Python side into PREFIX (default: /usr/local)
 	  --upgrade --constraint postproc/requirements.txt .
 	ln -sf ../lib/battery/bin/battery-postproc "$$prefix/bin"
 	echo "battery and battery-postproc are in $$prefix/bin"
+
+# The folders of an installation; whether they can be written to is asked before anything is built.
+prefix:
+	@prefix=$$(realpath -m -- "$(PREFIX)")
+	for folder in bin lib/battery share/man/man1; do
+	  mkdir -p "$$prefix/$$folder" 2> /dev/null && [[ -w "$$prefix/$$folder" ]] || {
+	    echo "$$prefix/$$folder: cannot be written to; make install PREFIX=DIR takes another place" >&2
+	    exit 1
+	  }
+	done
 
 clean: ## removes everything made, the virtual environment too
 	rm -rf build
