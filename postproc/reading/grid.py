@@ -53,8 +53,8 @@ def open_results(
     Parameters
     ----------
     file : the results file.
-    theory : the name of a model ("window" is the paper's, see `postproc.theory.models`): its results
-        become variables `theory_...`; several models become a dimension `theory`. Models that draw
+    theory : the name of a model ("window" is the paper's, see `postproc.theory.models`): variables
+        `theory_...` have its results; several models become a dimension `theory`. Models that draw
         numbers take seconds a point, and have errors.
     group : what to read in place of the averages: "series", "snapshots", "final" or "events".
 
