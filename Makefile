@@ -20,16 +20,13 @@ python3-venv:        python3 -c 'import ensurepip, venv'
 endef
 export PACKAGES
 
-# Compiler flags. fpm adds -fimplicit-none and -Werror=implicit-interface.
-COMMON_FLAGS  := -std=f2018 -Wall -Wextra -Wno-maybe-uninitialized -Wno-uninitialized -fwrapv
-RELEASE_FLAGS := $(COMMON_FLAGS) -O3 -march=native -flto -fno-math-errno -fno-trapping-math
-DEBUG_FLAGS   := $(COMMON_FLAGS) -Werror -Og -g -fcheck=all -fbacktrace -finit-real=snan \
-                 -ffpe-trap=invalid,zero,overflow
-
-# Deferred, since pkg-config may be installed by this very make.
-HDF5_INCLUDE = $(shell pkg-config --cflags-only-I hdf5-openmpi)
-HDF5_LIBRARY = $(shell pkg-config --libs-only-L hdf5-openmpi)
-LINK_FLAGS   = $(HDF5_LIBRARY)
+# Switches of compiler and linker stand in fpm.rsp; in quotes of the shell their calls of pkg-config
+# are made. fpm adds -fimplicit-none and -Werror=implicit-interface.
+switches = $(shell sed -nE '/^@$1$$/,/^$$/s/^options --$2 "(.*)"$$/\1/p' fpm.rsp)
+RELEASE_FLAGS := $(call switches,release,flag)
+RELEASE_LINK  := $(call switches,release,link-flag)
+DEBUG_FLAGS   := $(call switches,debug,flag)
+DEBUG_LINK    := $(call switches,debug,link-flag)
 
 export FPM_FC := mpifort
 export FPM_AR := gcc-ar
@@ -38,6 +35,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
+PREFIX  ?= /usr/local
 VENV    := build/venv
 PYTHON  := $(VENV)/bin/python
 PROGRAM := build/bin/battery
@@ -50,7 +48,8 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 
-.PHONY: help demo test build bench probes accuracy experiments figures lint clean install information
+.PHONY: help demo test build bench probes accuracy experiments figures lint clean install prefix \
+        packages information
 
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 18
@@ -66,12 +65,11 @@ demo: build ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictu
 	ls build/demo/*.png
 
 test: build ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
-	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --ldflags=" $(LINK_FLAGS)" \
-	  --release=" $(RELEASE_FLAGS) $(HDF5_INCLUDE)" --debug=" $(DEBUG_FLAGS) $(HDF5_INCLUDE)"
+	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --ldflags=" $(DEBUG_LINK)" \
+	  --release=" $(RELEASE_FLAGS)" --debug=" $(DEBUG_FLAGS)"
 
-build: install information ## only builds: the program is build/bin/battery
-	@export FPM_FFLAGS="$(RELEASE_FLAGS) $(HDF5_INCLUDE)" FPM_LDFLAGS="-flto $(LINK_FLAGS)"
-	flock build/.lock $(VENV)/bin/fpm install --prefix build
+build: packages information ## only builds: the program is build/bin/battery
+	@flock build/.lock $(VENV)/bin/fpm @install --prefix build
 
 bench: build ## the speed tables, and what must be reached; JSON in build/bench
 	@if command -v valgrind > /dev/null; then $(MAKE) build/counted/bin/bench; fi
@@ -79,9 +77,9 @@ bench: build ## the speed tables, and what must be reached; JSON in build/bench
 
 # For callgrind, which knows no AVX-512: fpm keeps a build for each set of flags.
 .PHONY: build/counted/bin/bench
-build/counted/bin/bench: install information
-	@export FPM_FFLAGS="$(subst -march=native,-march=x86-64-v3,$(RELEASE_FLAGS)) $(HDF5_INCLUDE)"
-	export FPM_LDFLAGS="-flto $(LINK_FLAGS)"
+build/counted/bin/bench: packages information
+	@export FPM_FFLAGS="$(subst -march=native,-march=x86-64-v3,$(RELEASE_FLAGS))"
+	export FPM_LDFLAGS="$(RELEASE_LINK)"
 	mkdir -p build/counted
 	echo "Building for x86-64-v3, to count instructions"
 	flock build/.lock $(VENV)/bin/fpm install --prefix build/counted > build/counted/log 2>&1 || \
@@ -100,7 +98,6 @@ link = ["gsl", "gslcblas"]
 external-modules = ["hdf5", "h5ds", "mpi_f08"]
 [library]
 source-dir = "../../src"
-include-dir = "../generated"
 [[executable]]
 name = "accuracy"
 source-dir = "../../app"
@@ -112,7 +109,7 @@ PRECISIONS := real32 real64 real128
 probes: build $(PRECISIONS:%=build/bin/accuracy-%)
 
 .PHONY: $(PRECISIONS:%=build/bin/accuracy-%)
-$(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: install information
+$(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: packages information
 	@mkdir -p build/probe/real$*
 	echo "$$PROBE_PACKAGE" > build/probe/fpm.toml
 	cd build/probe
@@ -144,15 +141,35 @@ figures: build ## every figure of the paper, quick; FULL=1: at the paper's own l
 	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate}.h5
 	echo "The figures are in $(FIGURES)"
 
-lint: install ## style of the Fortran and the Python sources
-	@$(VENV)/bin/fortitude check --output-format concise src app test
-	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test
+lint: packages ## style of the Fortran and the Python sources
+	@$(VENV)/bin/fortitude check --output-format concise src app test docs
+	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs
+
+install: prefix build ## program, man page and Python side into PREFIX (default: /usr/local)
+	@prefix=$$(realpath -m -- "$(PREFIX)")
+	install $(PROGRAM) "$$prefix/bin"
+	$(PYTHON) docs/man_page.py $(PROGRAM) > "$$prefix/share/man/man1/battery.1"
+	python3 -m venv "$$prefix/lib/battery"
+	"$$prefix/lib/battery/bin/python" -m pip install --quiet --disable-pip-version-check \
+	  --upgrade --constraint postproc/requirements.txt .
+	ln -sf ../lib/battery/bin/battery-postproc "$$prefix/bin"
+	echo "battery and battery-postproc are in $$prefix/bin"
+
+# The folders of an installation; whether they can be written to is asked before anything is built.
+prefix:
+	@prefix=$$(realpath -m -- "$(PREFIX)")
+	for folder in bin lib/battery share/man/man1; do
+	  mkdir -p "$$prefix/$$folder" 2> /dev/null && [[ -w "$$prefix/$$folder" ]] || {
+	    echo "$$prefix/$$folder: cannot be written to; make install PREFIX=DIR takes another place" >&2
+	    exit 1
+	  }
+	done
 
 clean: ## removes everything made, the virtual environment too
 	rm -rf build
 
 # What is missing is installed once; the stamps remember that it is there.
-install: build/stamps/packages build/stamps/python
+packages: build/stamps/packages build/stamps/python
 
 build/stamps/packages: Makefile
 	@mkdir -p build/stamps
@@ -187,17 +204,15 @@ build/stamps/python: postproc/requirements.txt | build/stamps/packages
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r postproc/requirements.txt
 	touch $@
 
-# Version and git commit for src/base/build_information.f90. fpm does not watch included files, so
-# the object that has them is removed when they change; objects for another processor go as well.
+# The git commit for src/base/commit.c. fpm does not watch files that may not be there, so the object
+# that has it is removed when it changes; objects for another processor go as well.
 information: build/stamps/packages
 	@mkdir -p build/generated
-	version=$$(sed -nE 's/^version = "(.*)"/\1/p' fpm.toml)
 	commit=$$(git describe --always --dirty --abbrev=40 --exclude='*' 2> /dev/null || echo unknown)
-	new=$$(printf "character(len=*), parameter :: %s = '%s'\n" \
-	  program_version "$$version" git_commit "$$commit")
-	if [[ "$$new" != "$$(cat build/generated/build_information.inc 2> /dev/null)" ]]; then
-	  echo "$$new" > build/generated/build_information.inc
-	  rm -f build/mpifort_*/battery/*build_information.f90.o*
+	new="#define BATTERY_COMMIT \"$$commit\""
+	if [[ "$$new" != "$$(cat build/generated/commit.h 2> /dev/null)" ]]; then
+	  echo "$$new" > build/generated/commit.h
+	  rm -f build/mpifort_*/battery/*commit.c.o*
 	fi
 	# fpm keeps objects of sources that are gone or have moved.
 	sources=$$(find src app -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)

@@ -31,7 +31,7 @@ contains
   subroutine begin_json(file)
     integer, intent(in) :: file
 
-    write (file, '(a)') '{"version": "'//program_version//'", "commit": "'//git_commit//'",', &
+    write (file, '(a)') '{"version": "'//program_version//'", "commit": "'//git_commit()//'",', &
       ' "compiler": "'//compiler_version()//'", "processor": "'//processor()//'", "rows": ['
   end subroutine begin_json
 

@@ -217,7 +217,7 @@ contains
       case_type('collision', 100000, 700), &
       case_type('collision', 1000000, 7000, seconds=1.0_dp, warm_up=5.0_wp)])
     call table(unit, file, 'map', 'Map of Fig. numris: 25 of its points, as its five by five '// &
-      'parts have them in the middle', cost_of_collision, [(case_type(threshold=3 + 5*(k/5), &
+      'parts have them in the middle', cost_of_collision, [(case_type(threshold=3 + k - mod(k, 5), &
       width2=0.002_wp + 0.098_wp*(0.1_wp + 0.2_wp*modulo(k, 5)), seconds=0.15_dp), k=0, 24)])
     write (unit, '(/, a, i0, a)') 'peak memory of this run: ', peak_memory(), ' kB'
     if (file /= 0) then

@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 EXIT_BAD_INPUT = 2
+COMMAND = "battery-postproc"  # all commands as one, where the package is installed
 
 
-class InputError(Exception):
+class InputError(ValueError):
     """What the user gave cannot be used; the message is one line that says why."""
 
 
@@ -33,9 +34,10 @@ class Parser(argparse.ArgumentParser):
 
 
 def parser(name: str, description: str | None) -> Parser:
-    """Return a parser for `python -m postproc.NAME`, described by the module's docstring."""
+    """Return a parser for the command NAME, described by the module's docstring."""
+    installed = Path(sys.argv[0]).name == COMMAND
     return Parser(
-        prog=f"python -m postproc.{name}",
+        prog=f"{COMMAND} {name}" if installed else f"python -m postproc.{name}",
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

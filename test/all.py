@@ -40,11 +40,13 @@ class Part:
 def parts(arguments: argparse.Namespace) -> list[Part]:
     """List the parts in the order in which they run."""
     fortran = [sys.executable, "test/run", f"--ldflags={arguments.ldflags}"]
-    style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml", "postproc", "test"]
+    style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml"]
+    style += ["postproc", "test", "docs"]
     python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "worksteal"]
     if not arguments.full:
         python += ["-m", "not full"]
-    folders = [name for name in ("src", "app", "test") if any((ROOT / name).rglob("*.[fF]90"))]
+    folders = ("src", "app", "test", "docs")
+    folders = [name for name in folders if any((ROOT / name).rglob("*.[fF]90"))]
     return [
         Part(
             "style of the Fortran sources",

@@ -29,6 +29,7 @@ NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 COMPLETE = 0  # value of `task_status`
 POLARISED = 0.15  # chi from which on a state is taken to be polarised
 LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
+READABLE = "0.1."  # how the versions begin whose files are read
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 
 
@@ -72,6 +73,12 @@ class Results:
             self._file.close()
             lacks = missing[0] if missing else "namelist"
             raise InputError(f"{path}: HDF5, but not written by battery (it has no {lacks})")
+        version = self.attributes.get("version", "")
+        if not version.startswith(READABLE):
+            self._file.close()
+            raise InputError(
+                f"{path}: of version {version or 'unknown'} of battery; {READABLE}x can be read"
+            )
 
     def __enter__(self) -> Results:
         """Return itself."""
@@ -109,6 +116,25 @@ class Results:
     def replicas(self) -> int:
         """How many replicas each point has."""
         return self._file["current1"].shape[1]
+
+    def axes(self) -> dict[str, tuple[NDArray[np.generic], dict[str, str]]] | None:
+        """Return the values of each key that was scanned, the slowest first, and their attributes.
+
+        The points are all combinations. A file that does not say gives None.
+        """
+        if "scan" not in self.attributes:
+            return None
+        found = {}
+        for name in self.attributes["scan"].split():
+            self._need("scan", (name,))
+            axis = self._file["scan"][name]
+            whole = name in self._file and self._file[name].dtype.kind == "i"
+            values = axis[()].astype(int) if whole else axis[()]
+            told = {key: _text(axis.attrs.get(key, "")) for key in ("units", "long_name")}
+            found[name] = (values, told)
+        if math.prod(len(values) for values, _ in found.values()) != self.points:
+            raise InputError(f"{self.path}: damaged: its points do not fill the grid of its scan")
+        return found
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
@@ -154,6 +180,23 @@ class Results:
     def shape(self) -> str:
         """Shape of the table: "circuit" or "urn"."""
         return self.attributes.get("shape", "circuit")
+
+    def any_circuit(self, point: int) -> Circuit:
+        """Return the circuit of a point, whose urns and gates need not be alike."""
+        self._check_task(point, 0)
+        (threshold, other), (radius, beyond) = (
+            [one.item() for one in np.ravel(self._of_point(name, point))]
+            for name in ("gate_threshold", "urn_radius")
+        )
+        return Circuit(
+            number=int(self._of_point("number", point)),
+            threshold=threshold,
+            urn_radius=radius,
+            urn2_radius=beyond if beyond != radius else None,
+            gate2_threshold=other if other != threshold else None,
+            **{name: float(self._of_point(name, point)) for name in LENGTHS},
+            shape=self.shape,
+        )
 
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
         """Return the circuit of a point, with the paper's gate unless another is given.

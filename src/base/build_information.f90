@@ -1,10 +1,28 @@
-!> What this program was built from; `make build` writes the values.
+!> What this program was built from.
 module battery_build_information
+  use, intrinsic :: iso_c_binding, only: c_char, c_null_char
   implicit none (type, external)
   private
   public :: program_version, git_commit
 
-  ! program_version: as in fpm.toml; git_commit: 40 digits, `-dirty` where sources were changed.
-  include 'build_information.inc'
+  !> As in fpm.toml (test/test_versions.py).
+  character(len=*), parameter :: program_version = '0.1.0'
+
+  !> `commit.c` has it.
+  character(kind=c_char), bind(c, name='battery_commit'), protected :: commit(48)
+
+contains
+
+  !> 40 digits, `-dirty` where sources were changed; `unknown` if `make` did not build the program.
+  pure function git_commit() result(text)
+    character(len=:), allocatable :: text
+    integer :: at
+
+    text = ''
+    do at = 1, size(commit)
+      if (commit(at) == c_null_char) exit
+      text = text//commit(at)
+    end do
+  end function git_commit
 
 end module battery_build_information

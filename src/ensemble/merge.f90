@@ -34,7 +34,7 @@ contains
     call collect_results(plan, journal, results, failures)
     call add_text(metadata, 'program', 'battery')
     call add_text(metadata, 'version', program_version)
-    call add_text(metadata, 'git_commit', git_commit)
+    call add_text(metadata, 'git_commit', git_commit())
     call add_text(metadata, 'compiler', compiler_version())
     call add_text(metadata, 'compiler_options', compiler_options())
     call add_text(metadata, 'mpi_library', mpi_library())
@@ -64,6 +64,7 @@ contains
 
     allocate (failures(task_count(plan)))
     call new_results(results, plan%point_count, plan%replicas)
+    results%scanned = plan%scanned
     do k = 1, task_count(plan)
       task = task_of(plan, k)
       results%point(task%point) = point_of(plan, task%point)

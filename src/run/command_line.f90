@@ -154,7 +154,7 @@ contains
   pure function version_text() result(text)
     character(len=:), allocatable :: text
 
-    text = 'battery '//program_version//' ('//git_commit//')'
+    text = 'battery '//program_version//' (commit '//git_commit()//')'
   end function version_text
 
 end module battery_command_line

@@ -3,7 +3,7 @@
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
   use battery_kinds, only: dp, int32, int64
-  use battery_plan, only: point_type
+  use battery_plan, only: point_type, scanned_type
   use battery_quantities, only: averaged_quantities, counted_quantities, unknown_real, &
     unknown_count
   implicit none (type, external)
@@ -18,6 +18,9 @@ module battery_results
   !> lengths over the speed.
   type :: results_type
     integer :: replicas = 0
+    !> The keys that were scanned, the slowest first, with their values: the points are all
+    !> combinations.
+    type(scanned_type), allocatable :: scanned(:)
     !> The points of the scan.
     type(point_type), allocatable :: point(:)
     integer(int64), allocatable :: seed(:, :)
@@ -55,7 +58,7 @@ contains
     averaged = size(averaged_quantities())
     counted = size(counted_quantities())
     results%replicas = replicas
-    allocate (results%point(points))
+    allocate (results%scanned(0), results%point(points))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)
     allocate (results%average(replicas, points, averaged), source=unknown_real())

@@ -7,6 +7,8 @@ module battery_results_file
   use battery_kinds, only: dp, int32
   use battery_error, only: error_type
   use battery_files, only: publish_file, remove_file
+  use battery_key, only: key_type, find_key
+  use battery_keys, only: all_keys
   use battery_hdf5_file, only: hdf5_file_type, create_file, close_file, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text
   use battery_hdf5_datasets, only: write_dataset, write_scale, write_dimension
@@ -46,6 +48,7 @@ contains
     call create_file(file, temporary, error)
     if (allocated(error)) return
     call write_metadata(file, metadata, error)
+    call write_scan(file, results, error)
     call write_points(file, results, error)
     call write_measured(file, results, error)
     call write_series(file, results, error)
@@ -57,6 +60,29 @@ contains
     if (.not. allocated(error)) call publish_file(temporary, name, error)
     if (allocated(error)) call remove_file(temporary, other)
   end subroutine write_results
+
+  !> The grid of the scan: its keys in the attribute `scan` of the root, the slowest first, and the
+  !> values of each in the group of that name.
+  subroutine write_scan(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    type(key_type), allocatable :: keys(:)
+    character(len=:), allocatable :: names
+    integer :: k
+
+    names = ''
+    keys = all_keys()
+    if (size(results%scanned) > 0) call make_group(file, '/scan', error)
+    do k = 1, size(results%scanned)
+      associate (key => keys(find_key(keys, 'scan', results%scanned(k)%key)))
+        names = names//' '//trim(key%name)
+        call write_scale(file, '/scan/'//trim(key%name), real(results%scanned(k)%values, dp), &
+          trim(key%unit)//repeat('1', merge(1, 0, key%unit == '')), trim(key%meaning), error)
+      end associate
+    end do
+    call write_text(file, '/', 'scan', names(2:), error)
+  end subroutine write_scan
 
   !> Dimensions, points of the scan, seeds.
   subroutine write_points(file, results, error)

@@ -101,8 +101,8 @@ class Bench:
         compiled = folder / "mutant.o"
         # A mutant may well leave a variable unused.
         common = ["mpifort", *shlex.split(self.flags.replace("-Werror", ""))]
-        compile_it = [*common, "-fimplicit-none", "-ffree-form", f"-I{ROOT / 'build/generated'}",
-                      f"-I{self.modules}", f"-J{folder}", "-c", str(source), "-o", str(compiled)]
+        compile_it = [*common, "-fimplicit-none", "-ffree-form", f"-I{self.modules}",
+                      f"-J{folder}", "-c", str(source), "-o", str(compiled)]
         # What the object defines is not looked for in the archives.
         link_it = [*common, *map(str, self.objects), str(compiled), *map(str, self.archives),
                    *shlex.split(self.libraries), "-lhdf5hl_fortran", "-lhdf5_hl", "-lhdf5_fortran",

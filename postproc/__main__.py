@@ -1,0 +1,72 @@
+"""All commands as one: `battery-postproc NAME ...`, or `python -m postproc NAME ...`.
+
+Each is a module of its own as well: `python -m postproc.NAME ...`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import sys
+from pathlib import Path
+
+from postproc import __version__, cli
+
+# What calls programs that `make build` makes, in a checkout.
+NEED_PROGRAM = ("accuracy", "benchmarks", "renewal_fit", "scaling")
+PLACE = Path(__file__).resolve().parent
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command that is named, with the arguments behind it."""
+    found = commands()
+    options = cli.Parser(
+        prog=cli.COMMAND, description=description(found),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    options.add_argument("--version", action="version", version=f"{cli.COMMAND} {__version__}")
+    options.add_argument("name", metavar="NAME", choices=sorted(found), help="one of these")
+    words = sys.argv[1:] if arguments is None else arguments
+    given = options.parse_args(words[:1])
+    return importlib.import_module(found[given.name]).main(words[1:])
+
+
+def commands() -> dict[str, str]:
+    """Return the module of each command, by its name: those that have a `main`."""
+    files = {path.stem: path for path in PLACE.glob("*.py") if path.stem != "__main__"}
+    files |= {path.parent.name: path for path in PLACE.glob("*/__main__.py")}
+    return {
+        name: f"postproc.{'.'.join(path.relative_to(PLACE).with_suffix('').parts)}"
+        for name, path in sorted(files.items())
+        if any(getattr(node, "name", "") == "main" for node in _tree(path).body)
+    }
+
+
+def description(found: dict[str, str]) -> str:
+    """Return what the commands do, one line each: the first of their docstrings."""
+    lines = {True: [], False: []}
+    for name, module in found.items():
+        path = PLACE.joinpath(*module.split(".")[1:]).with_suffix(".py")
+        told = (ast.get_docstring(_tree(path)) or "").split("\n", 1)[0]
+        lines[name in NEED_PROGRAM].append(f"  {name:12s} {told}")
+    return "\n".join([
+        "Results, theory, figures, film and report of the program battery.",
+        "", "Without the program, from results files or none:", *lines[False],
+        "", "With programs that `make build` makes, in a checkout:", *lines[True],
+        "", "NAME --help explains one. In Python, postproc.open_results reads a results file;",
+        "postproc.run starts the program.",
+    ])  # fmt: skip
+
+
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def run() -> int:
+    """Call `main` as a command line; an error is one line and exit 2."""
+    return cli.run(main)
+
+
+if __name__ == "__main__":
+    raise SystemExit(run())

@@ -1,0 +1,191 @@
+"""Results as a dataset of xarray on the grid of the scan, with theory beside them if asked for."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from postproc.cli import InputError
+from postproc.reading.results import COMPLETE, Results
+from postproc.theory.circuit import single_urn_current
+from postproc.theory.models import MODELS, describe
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
+
+    Axes = dict[str, tuple[NDArray[np.generic], dict[str, str]]]
+
+URN_MODELS = ("window", "renewal")  # that say something of the single urn
+# What a point of the scan is, whether it was scanned or not.
+PARAMETERS = (
+    "number", "threshold", "gate_threshold", "urn1_number", "urn_radius",
+    "channel1_width", "channel1_length", "channel2_width", "channel2_length",
+)  # fmt: skip
+STATES = {"stable": 1.0, "unstable": 0.0}
+THEORY = {
+    "theory_chi": ("1", "mass spread of the most polarised stable state"),
+    "theory_polarised_current": ("1/time", "net current of that state, from the fuller urn"),
+    "theory_homogeneous_stable": ("1", "whether the homogeneous state is stable"),
+    "theory_transition_width": ("length", "width w' of channel 2 on the transition line"),
+    "theory_chi_error": ("1", "mass spread by theory, standard error"),
+    "theory_polarised_current_error": ("1/time", "net current by theory, standard error"),
+}
+URN_THEORY = {"theory_current1": ("1/time", "hits on the end wall")}
+
+
+def open_results(
+    file: str | Path, *, theory: str | Sequence[str] = (), group: str | None = None
+) -> xr.Dataset:
+    """Return a results file as a dataset on the grid of its scan.
+
+    Every key that was scanned is a dimension with its values as coordinates, in the order of the
+    scan, and `replica` comes after them. What was not scanned is a coordinate without a dimension.
+    What belongs to tasks that are not complete is NaN. All is in memory, and the file is closed.
+
+    Parameters
+    ----------
+    file : the results file.
+    theory : the name of a model ("window" is the paper's, see `postproc.theory.models`): variables
+        `theory_...` have its results; several models become a dimension `theory`. Models that draw
+        numbers take seconds a point, and have errors.
+    group : what to read in place of the averages: "series", "snapshots", "final" or "events".
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables have `units` and `long_name`. Attributes are those of the file (`namelist`,
+        `version`, `status` ...) and `tasks`, how many of how many are complete. A file of before
+        the program wrote the grid has the dimension `point`, with what it is as coordinates.
+
+    Raises
+    ------
+    ValueError
+        One line: the file is not there, damaged, of another version, or not of this program;
+        there is no such model or group; the model is not for this table.
+    """
+    models = [theory] if isinstance(theory, str) else list(theory)
+    for model in models:
+        if model not in MODELS:
+            raise InputError(f"there is no theory {model!r}; there are {', '.join(MODELS)}")
+    path = Path(file)
+    with Results(path) as results:
+        if group is not None and not (results.has(group) and group != "scan"):
+            raise InputError(f"{path}: has no {group}")
+        axes = results.axes()
+        added = _theory(results, models) if models and group is None else {}
+        attributes = dict(results.attributes)
+    data = _read(path)
+    known = data["task_status"] == COMPLETE
+    attributes["tasks"] = f"{int(known.sum())} of {known.size} tasks are complete"
+    points = data[[name for name in PARAMETERS if name in data]]
+    if group is None:
+        data = data.drop_vars(list(points.data_vars)).assign(added)
+    else:
+        data = _read(path, group).assign_coords(replica=data["replica"])
+        points = points.drop_vars(list(data.variables), errors="ignore")
+    data = data.map(lambda one: _masked(one, known)).assign_coords(points.data_vars)
+    data = _on_grid(data, axes)
+    if isinstance(theory, str) and "theory" in data.dims:
+        data = data.isel(theory=0)
+    data.attrs = attributes
+    return data
+
+
+def _read(path: Path, group: str | None = None) -> xr.Dataset:
+    with xr.open_dataset(path, engine="h5netcdf", group=group, decode_times=False) as data:
+        return data.load()
+
+
+def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
+    """Return the values of complete tasks, NaN for the others; whole numbers stay what they are."""
+    by_task = {"point", "replica"} <= set(values.dims)
+    if not by_task or values.dtype.kind != "f":
+        return values
+    return values.where(known)
+
+
+def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
+    """Put the scan's keys in the place of `point`, and drop what a parameter does not depend on."""
+    if axes is None or "point" not in data.dims:
+        return data
+    shape = [len(values) for values, _ in axes.values()]
+    variables, coordinates = {}, {}
+    for name, values in data.variables.items():
+        if name == "point" or name in axes:
+            continue
+        grid = values
+        if "point" in values.dims:
+            rest = [one for one in values.dims if one != "point"]
+            columns = values.transpose("point", *rest)
+            columns = columns.data.reshape(shape + list(columns.shape[1:]))
+            grid = xr.Variable([*axes, *rest], columns, values.attrs)
+        if name in data.coords:
+            coordinates[name] = _without_idle(grid, axes)
+        else:
+            variables[name] = grid
+    for name, (values, told) in axes.items():
+        coordinates[name] = xr.Variable(name, values, data[name].attrs if name in data else told)
+    return xr.Dataset(variables, coordinates)
+
+
+def _without_idle(values: xr.Variable, axes: Axes) -> xr.Variable:
+    """Return values without the dimensions along which they do not change."""
+    for axis in axes:
+        if axis not in values.dims:
+            continue
+        first = values.isel({axis: 0})
+        if bool((values == first).all()):
+            values = first
+    return values
+
+
+def _theory(results: Results, models: Sequence[str]) -> dict[str, xr.Variable]:
+    """Return what the models say of each point, by name, with dimensions (theory, point)."""
+    urn = results.shape == "urn"
+    meanings = URN_THEORY if urn else THEORY
+    if urn and not set(models) <= set(URN_MODELS):
+        raise InputError(f"{results.path}: of the shape 'urn' only {' and '.join(URN_MODELS)} know")
+    found = np.full((len(meanings), len(models), results.points), math.nan)
+    known: dict[tuple[Circuit, str], list[float]] = {}
+    for at, model in enumerate(models):
+        for point in range(results.points):
+            case = results.any_circuit(point), model
+            if case not in known:
+                known[case] = _said_of_urn(*case) if urn else _said_of(*case)
+            found[:, at, point] = known[case]
+    added = {
+        name: xr.Variable(("theory", "point"), values, {"units": unit, "long_name": told})
+        for (name, (unit, told)), values in zip(meanings.items(), found, strict=True)
+        if not (name.endswith("_error") and np.isnan(values).all())
+    }
+    return {"theory": xr.Variable("theory", models), **added}
+
+
+def _said_of_urn(circuit: Circuit, model: str) -> list[float]:
+    """Return what a model says of the single urn, in the order of `URN_THEORY`."""
+    return [float(single_urn_current(MODELS[model].of(circuit)[0]))]
+
+
+def _said_of(circuit: Circuit, model: str) -> list[float]:
+    """Return what a model says of a circuit, in the order of `THEORY`."""
+    told = describe(circuit, MODELS[model])
+    stable = [root for root in told["roots"] if root["kind"] == "stable"]
+    none = {"mass_spread": 0.0, "net_current": 0.0}
+    best = max(stable, key=lambda root: root["mass_spread"], default=none)
+    values = [
+        best["mass_spread"],
+        best["net_current"],
+        STATES.get(told["homogeneous"]),
+        told["transition_width"],
+        best.get("mass_spread_error"),
+        best.get("net_current_error"),
+    ]
+    return [math.nan if value is None else value for value in values]

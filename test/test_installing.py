@@ -1,0 +1,138 @@
+"""The doors of an installed battery: one prefix, one command, one man page."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from support.program import ENVIRONMENT, PROGRAM, ROOT
+
+from postproc import __main__ as command
+
+OUTSIDE = {name: value for name, value in ENVIRONMENT.items() if not name.startswith("BATTERY_")}
+OTHER_NAMES = {"PIL": "pillow"}  # packages that are imported by another name
+
+
+def call(*words: object, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """Run a command outside of any other make."""
+    environment = {name: value for name, value in OUTSIDE.items() if not name.startswith("MAKE")}
+    return subprocess.run(
+        [str(word) for word in words], cwd=folder, env=environment, stdin=subprocess.DEVNULL,
+        text=True, capture_output=True, check=False,
+    )  # fmt: skip
+
+
+def test_an_unwritable_prefix_is_one_message(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    done = call("make", "install", f"PREFIX={tmp_path}/file")
+    said = [line for line in done.stderr.splitlines() if not line.startswith("make: ***")]
+    assert said == [
+        f"{tmp_path}/file/bin: cannot be written to; make install PREFIX=DIR takes another place"
+    ]
+    assert done.returncode != 0
+    assert "Error 1" in done.stderr
+    assert done.stdout == ""
+
+
+def test_the_command_has_every_script() -> None:
+    found = command.commands()
+    for module in found.values():
+        path = ROOT.joinpath(*module.split(".")).with_suffix(".py")
+        assert 'if __name__ == "__main__":' in path.read_text(encoding="utf-8")
+    scripts = {
+        path.parent.name if path.stem == "__main__" else path.stem
+        for path in [*ROOT.glob("postproc/*.py"), *ROOT.glob("postproc/*/__main__.py")]
+        if 'if __name__ == "__main__":' in path.read_text(encoding="utf-8")
+    }
+    assert set(found) == scripts - {"postproc"}
+    assert set(command.NEED_PROGRAM) < set(found)
+    told = command.description(found)
+    without, needing = told.split("make build")
+    for name in found:
+        assert re.search(rf"^  {name} +\S", needing if name in command.NEED_PROGRAM else without,
+                         re.MULTILINE)  # fmt: skip
+
+
+def test_a_subcommand_does_what_the_script_does() -> None:
+    options = ["theory", "--number", "1000", "--threshold", "7"]
+    one = call(sys.executable, "-m", "postproc", *options)
+    assert one.stdout == call(sys.executable, "-m", "postproc.theory", *options[1:]).stdout
+    assert '"mass_spread"' in one.stdout
+
+
+@pytest.mark.parametrize(
+    "words", [[], ["nosuch"], ["theory", "--number", "x"], ["currents", "no.h5"]]
+)
+def test_a_wrong_word_is_one_line(words: list[str]) -> None:
+    done = call(sys.executable, "-m", "postproc", *words)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""
+
+
+def test_the_python_side_names_what_it_imports() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = {re.match(r"[\w-]+", one)[0] for one in project["dependencies"]}
+    pinned = (ROOT / "postproc/requirements.txt").read_text(encoding="utf-8")
+    assert asked <= set(re.findall(r"^([\w-]+)==", pinned, re.MULTILINE))
+    imported = set()
+    for path in ROOT.glob("postproc/**/*.py"):
+        if "tests" not in path.parts:
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    imported |= {one.name.split(".")[0] for one in node.names}
+                elif isinstance(node, ast.ImportFrom):
+                    imported.add(node.module.split(".")[0])
+    foreign = {one for one in imported if one not in sys.stdlib_module_names} - {"postproc"}
+    assert {OTHER_NAMES.get(one, one.replace("_", "-")) for one in foreign} <= asked
+
+
+def test_the_man_page_has_every_key_and_option(tmp_path: Path) -> None:
+    page = call(sys.executable, "docs/man_page.py", PROGRAM).stdout
+    told = call(PROGRAM, "--help").stdout
+    plain = page.replace("\\-", "-").replace("\\&", "").replace("\\e", "\\")
+    shown = [line for line in told.splitlines() if line.startswith(("  ", "&"))]
+    assert len(shown) > 50
+    for line in shown:
+        assert line in plain.splitlines()
+    if shutil.which("groff"):
+        (tmp_path / "battery.1").write_text(page, encoding="utf-8")
+        done = call("groff", "-man", "-Tascii", "-ww", "-z", tmp_path / "battery.1")
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.full
+def test_an_installed_battery_needs_no_checkout(tmp_path: Path) -> None:
+    prefix = tmp_path / "a prefix"
+    done = call("make", "install", f"PREFIX={prefix}")
+    assert done.returncode == 0, done.stderr
+    assert call(prefix / "bin/battery", "--version", folder=tmp_path).returncode == 0
+    assert ".TH BATTERY 1" in (prefix / "share/man/man1/battery.1").read_text(encoding="utf-8")
+    postproc = prefix / "bin/battery-postproc"
+    assert "mass_spread" in call(
+        postproc, "theory", "--number", "1000", "--threshold", "7", folder=tmp_path
+    ).stdout  # fmt: skip
+    assert "usage: battery-postproc theory" in call(
+        postproc, "theory", "--help", folder=tmp_path
+    ).stdout  # fmt: skip
+    ran = call(
+        prefix / "lib/battery/bin/python", "-c",
+        "import postproc\n"
+        "given = {'particles': {'number': 50}, 'gate': {'threshold': 5}, 'run': {'duration': 5}}\n"
+        "print(postproc.open_results(postproc.run(given, quiet=True)).sizes['replica'])",
+        folder=tmp_path,
+    )  # fmt: skip
+    assert (ran.stdout, ran.returncode) == ("1\n", 0), ran.stderr
+    drawn = call(postproc, "report", "battery.h5", folder=tmp_path)
+    assert drawn.returncode == 0, drawn.stderr
+    refused = call(postproc, "benchmarks", "run", folder=tmp_path)
+    assert refused.returncode == 2
+    assert re.fullmatch(r"error: .*bench: no such program \(make build\)\n", refused.stderr)
+    assert os.access(postproc, os.X_OK)

@@ -1,0 +1,221 @@
+"""Results on the grid of their scan: every cell is the point of the file that it says it is."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+import pytest
+from support.program import namelist, run
+
+import postproc
+from postproc.cli import InputError
+from postproc.reading.grid import PARAMETERS
+from postproc.tests.runs import edited, leave_out
+from postproc.theory.circuit import Circuit, single_urn_current
+from postproc.theory.models import MODELS, describe
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FRACTIONS = {"threshold_fraction": "0.1, 0.05, 0.2", "number": "60, 35", "urn1_fraction": "1, 0.3"}
+SHARES = {"threshold_fraction": "threshold", "urn1_fraction": "urn1_number"}
+SCANS = {
+    "widths": {"threshold": "7, 3", "channel1_width": "0.3, 0.2", "channel2_width": "0.1, 0.02"},
+    "lengths": {"channel1_length": "2, 1, 0.5", "channel2_length_range": "1, 3, 2"},
+    "radii": {"urn_radius": "1.5, 1.0"},
+    "fractions": FRACTIONS,
+    "single": {},
+    "list_of_one": {"threshold": "4"},
+}
+
+
+def results_of(folder: Path, scan: dict[str, Any], **groups: dict[str, Any]) -> Path:
+    """Run a short scan in a folder, two replicas a point."""
+    given = {
+        "particles": {} if "number" in scan else {"number": 40},
+        "gate": {} if {"threshold", "threshold_fraction"} & set(scan) else {"threshold": 5},
+        "run": {"collisions": 400},
+        **groups,
+    }
+    text = namelist(**given, scan={**scan, "replicas": 2})
+    (folder / "in.nml").write_text(text, encoding="utf-8")
+    done = run("--quiet", "in.nml", folder=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "battery.h5"
+
+
+@pytest.mark.parametrize("scan", SCANS.values(), ids=SCANS)
+def test_a_cell_of_the_grid_is_the_point_that_it_says(tmp_path: Path, scan: dict[str, str]) -> None:
+    path = results_of(tmp_path, scan, output={"series_interval": 0.5})
+    data = postproc.open_results(path)
+    series = postproc.open_results(path, group="series")
+    keys = [key.removesuffix("_range") for key in scan]
+    assert data["chi"].dims == (*keys, "replica")
+    assert series["urn1_number"].dims == (*keys, "replica", "time")
+    with h5py.File(path) as file:
+        for point, cell in enumerate(np.ndindex(*(data.sizes[key] for key in keys))):
+            there = data.isel(dict(zip(keys, cell, strict=True)))
+            for name in (*PARAMETERS, "chi", "seed"):
+                expected = file[name][point]  # urn_radius: both, where the scan has one
+                found = np.broadcast_to(there[name], expected.shape)
+                assert np.array_equal(found, expected, equal_nan=True), (name, point)
+            for share, whole in SHARES.items():
+                if share in keys:
+                    assert there[whole] == int(float(there[share] * there["number"]) + 0.5)
+            n1 = series["urn1_number"].isel(dict(zip(keys, cell, strict=True)))
+            assert np.array_equal(n1.fillna(-1), file["series/urn1_number"][point])
+
+
+def test_units_meanings_and_namelist_come_along(tmp_path: Path) -> None:
+    path = results_of(tmp_path, SCANS["widths"])
+    data = postproc.open_results(path)
+    for name, one in data.variables.items():
+        assert one.attrs["units"], name
+        assert one.attrs["long_name"], name
+    assert data.attrs["namelist"] == (tmp_path / "in.nml").read_text(encoding="utf-8").rstrip()
+    assert data.attrs["status"] == "complete"
+    assert data.attrs["tasks"] == "16 of 16 tasks are complete"
+    assert data["threshold"].dtype.kind == "i"
+    assert data["channel1_length"].dims == ()
+    mean = data.chi.sel(threshold=7).mean("replica")
+    assert mean.dims == ("channel1_width", "channel2_width")
+    mean.plot()
+    data.to_netcdf(tmp_path / "copy.nc", engine="h5netcdf")
+
+
+def test_what_a_scan_does_not_change_has_no_dimension(tmp_path: Path) -> None:
+    data = postproc.open_results(results_of(tmp_path, FRACTIONS))
+    assert data["threshold"].dims == ("threshold_fraction", "number")
+    assert data["urn1_number"].dims == ("number", "urn1_fraction")
+    assert data["channel2_width"].dims == ()
+
+
+def test_missing_tasks_are_not_numbers_and_it_is_said(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"threshold": "3, 7"}, output={"final_state": ".true."})
+    whole = postproc.open_results(path)
+    with edited(path) as file:
+        file["task_status"][1, 0] = 1  # failed, with numbers that do not count
+    leave_out(path, (0, 1))
+    data = postproc.open_results(path)
+    assert data.attrs["tasks"] == "2 of 4 tasks are complete"
+    assert data.attrs["status"] == "partial"
+    for name in ("chi", "current1_error", "collisions", "time"):
+        known = np.isfinite(data[name])
+        assert known.values.tolist() == [[True, False], [False, True]], name
+        assert (data[name].values[known] == whole[name].values[known]).all()
+    final = postproc.open_results(path, group="final")
+    assert np.isfinite(final["x"]).all("particle").values.tolist()[1] == [False, True]
+
+
+def test_theory_is_that_of_each_point(tmp_path: Path) -> None:
+    path = results_of(
+        tmp_path, {"number": "500, 1000", "threshold": "7, 30", "channel2_width": "0.01, 0.3"}
+    )
+    data = postproc.open_results(path, theory=["window", "renewal"])
+    assert data["theory"].values.tolist() == ["window", "renewal"]
+    one = postproc.open_results(path, theory="renewal")
+    assert one["theory_chi"].dims == ("threshold", "number", "channel2_width")
+    for threshold, number, width in product((7, 30), (500, 1000), (0.01, 0.3)):
+        point = {"threshold": threshold, "number": number, "channel2_width": width}
+        told = describe(Circuit(number, threshold, channel2_width=width), MODELS["renewal"])
+        stable = [root for root in told["roots"] if root["kind"] == "stable"]
+        there = one.sel(point)
+        assert float(there["theory_chi"]) == (stable[-1]["mass_spread"] if stable else 0.0)
+        assert float(there["theory_polarised_current"]) == (
+            stable[-1]["net_current"] if stable else 0.0
+        )
+        assert bool(there["theory_homogeneous_stable"]) == (told["homogeneous"] == "stable")
+        both = data.sel(point)["theory_chi"]
+        assert float(both.sel(theory="renewal")) == float(there["theory_chi"])
+    assert 0.9 < float(one["theory_chi"].sel(threshold=7, number=1000, channel2_width=0.01)) < 1
+    assert bool((data["theory_chi"].sel(theory="window") != one["theory_chi"]).any())
+
+
+def test_a_single_urn_has_its_own_theory(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"number": "40, 80"}, table={"shape": "'urn'"})
+    data = postproc.open_results(path, theory="window")
+    expected = [float(single_urn_current(Circuit(n, 5, channel2_width=0.0, shape="urn")))
+                for n in (40, 80)]  # fmt: skip
+    assert data["theory_current1"].values.tolist() == expected
+    assert "theory_chi" not in data
+    assert np.isnan(data["chi"]).all()
+
+
+def test_a_file_without_its_grid_comes_by_points(tmp_path: Path) -> None:
+    path = results_of(tmp_path, SCANS["widths"])
+    with edited(path) as file:
+        del file.attrs["scan"]
+        del file["scan"]
+    data = postproc.open_results(path)
+    assert data["chi"].dims == ("point", "replica")
+    assert data["threshold"].dims == ("point",)
+
+
+def other_version(path: Path) -> None:
+    with edited(path) as file:
+        file.attrs["version"] = np.bytes_("3.0.0")
+
+
+def another_grid(path: Path) -> None:
+    with edited(path) as file:
+        file.attrs["scan"] = np.bytes_("")
+
+
+def damaged(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 255
+    path.write_bytes(content)
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:3000])
+
+
+def not_hdf5(path: Path) -> None:
+    path.write_text("&particles\n/\n", encoding="utf-8")
+
+
+BAD = {
+    other_version: "of version 3.0.0 of battery; 0.1.x can be read",
+    another_grid: "damaged: its points do not fill the grid",
+    damaged: "damaged: its digest is wrong",
+    cut: "only a piece of its file|no digest at its end",
+    not_hdf5: "not an HDF5 file",
+    lambda path: path.unlink(): "no such file",
+}
+
+
+@pytest.mark.parametrize(("harm", "message"), BAD.items())
+def test_a_bad_file_is_one_line_that_names_it(tmp_path: Path, harm: Any, message: str) -> None:
+    path = results_of(tmp_path, {"threshold": "3, 7"})
+    harm(path)
+    with pytest.raises(ValueError, match=message) as caught:
+        postproc.open_results(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_theory_or_group_that_is_not_there_is_named(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"urn_radius": "1.5, 1.0"})
+    with pytest.raises(InputError, match=r"no theory 'widow'; there are window, renewal, "):
+        postproc.open_results(path, theory="widow")
+    with pytest.raises(InputError, match="has no series"):
+        postproc.open_results(path, group="series")
+    unequal = results_of(tmp_path, {"channel2_width": "0.1"}, gate={"threshold": "5, 6"},
+                         output={"file": "'unequal.h5'"}).with_name("unequal.h5")  # fmt: skip
+    assert postproc.open_results(unequal)["gate_threshold"].values.tolist() == [5, 6]
+
+
+def test_a_theory_of_unlike_gates_has_both(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"channel2_width": "0.01"}, gate={"threshold": "7, 30"},
+                      table={"urn_radius": "1, 1.2"}, particles={"number": 1000})  # fmt: skip
+    data = postproc.open_results(path, theory="two_port")
+    unlike = Circuit(1000, 7, gate2_threshold=30, urn2_radius=1.2)
+    told = describe(unlike, MODELS["two_port"])
+    best = max(root["mass_spread"] for root in told["roots"] if root["kind"] == "stable")
+    assert data["theory_chi"].item() == best
+    assert np.isnan(data["theory_transition_width"])
+    assert "theory_chi_error" not in data

@@ -1,0 +1,147 @@
+"""Runs started from Python are those of the command line, and what is wrong is one error."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from support.program import ENVIRONMENT, PROGRAM, UNDER_MPIRUN, assert_same
+from support.program import run as run_program
+
+import postproc
+from postproc.running import RunError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CASE = {
+    "particles": {"number": 100},
+    "gate": {"threshold": 5},
+    "run": {"duration": 20.0, "transient_duration": np.float64(1e-1)},
+    "scan": {"channel2_width": np.array([0.1, 0.05]), "replicas": np.int64(2)},
+    "output": {"file": "it's.h5", "final_state": True, "snapshot_times": None},
+}
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {**ENVIRONMENT, "BATTERY_PROGRAM": str(PROGRAM)}.items():
+        monkeypatch.setenv(name, value)
+
+
+def changed(**groups: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {**CASE, **{name: {**CASE.get(name, {}), **keys} for name, keys in groups.items()}}
+
+
+def test_a_run_of_values_is_the_run_of_its_namelist(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = postproc.run(CASE, folder=tmp_path / "values", quiet=True)
+    assert there == tmp_path / "values/it's.h5"
+    text = postproc.write_namelist(tmp_path / "in.nml", CASE)
+    assert text == (tmp_path / "in.nml").read_text(encoding="utf-8")
+    assert "snapshot_times" not in text
+    assert run_program("in.nml", folder=tmp_path).returncode == 0
+    assert_same(there, tmp_path / "it's.h5")
+    for name, value in UNDER_MPIRUN.items():
+        monkeypatch.setenv(name, value)
+    shared = postproc.run(tmp_path / "in.nml", ranks=2, folder=tmp_path / "ranks", quiet=True)
+    assert_same(there, shared)
+    assert postproc.open_results(shared)["chi"].sizes["channel2_width"] == 2
+
+
+def test_a_complete_run_is_there_at_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = postproc.run(CASE, folder=tmp_path)
+    assert "4 of 4 tasks are complete" in capfd.readouterr().out
+    written = path.stat().st_mtime_ns
+    assert postproc.run(CASE, folder=tmp_path, quiet=True) == path
+    assert path.stat().st_mtime_ns == written
+    with pytest.raises(ValueError, match="threshold"):
+        postproc.run(changed(gate={"threshold": 6}), folder=tmp_path, quiet=True)
+    assert path.stat().st_mtime_ns == written
+    postproc.run(changed(gate={"threshold": 6}), folder=tmp_path, overwrite=True, quiet=True)
+    assert postproc.open_results(path)["threshold"] == 6
+    assert capfd.readouterr() == ("", "")
+
+
+WRONG = {
+    r"no key colisions in &run \(did you mean collisions\?\)": {"run": {"colisions": 3}},
+    r"no group &outputs \(did you mean output\?\)": {"outputs": {"file": "x.h5"}},
+    r"no key replicas in &gate; there are threshold, threshold_fraction": {"gate": {"replicas": 2}},
+    r"&gate threshold: a namelist cannot hold \{7\}": {"gate": {"threshold": {7}}},
+    r"&scan threshold: a namelist cannot hold \[\]": {"scan": {"threshold": []}},
+    r"&particles: values by key are wanted, not 100": {"particles": 100},
+}
+
+
+@pytest.mark.parametrize(("message", "groups"), WRONG.items())
+def test_what_no_namelist_has_is_named(tmp_path: Path, message: str, groups: Any) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        postproc.run({**CASE, **groups}, folder=tmp_path)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match=message):
+        postproc.write_namelist(tmp_path / "in.nml", {**CASE, **groups})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_all_that_is_wrong_is_told_at_once() -> None:
+    with pytest.raises(ValueError, match=r"seeed.*oyster"):
+        postproc.write_namelist(None, {"particles": {"seeed": 1}, "oyster": {}})
+
+
+@pytest.mark.parametrize("value", ["seven", -1, 1.5, float("nan")])
+def test_what_the_program_refuses_is_a_value_error(tmp_path: Path, value: object) -> None:
+    with pytest.raises(ValueError, match="threshold") as caught:
+        postproc.run(changed(gate={"threshold": value}), folder=tmp_path, quiet=True)
+    assert str(caught.value).startswith("the namelist, line ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    with pytest.raises(ValueError, match=f"{other}: no such file"):
+        postproc.run(CASE, program=other)
+    other.write_text("#!/bin/sh\necho hello\n", encoding="utf-8")
+    other.chmod(0o755)
+    with pytest.raises(ValueError, match=f"{other}: --help lists no groups"):
+        postproc.write_namelist(None, CASE, program=other)
+    with pytest.raises(ValueError, match="no-launcher: No such file"):
+        postproc.run(CASE, ranks=2, launcher=["no-launcher"], folder=tmp_path)
+    with pytest.raises(ValueError, match="must be at least 1"):
+        postproc.run(CASE, ranks=0)
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
+    long = changed(run={"duration": 40000.0}, scan={"replicas": 8})
+    whole = postproc.run(long, folder=tmp_path / "whole", quiet=True)
+    journal = tmp_path / "it's.h5.tasks"
+    alarm = threading.Thread(target=interrupt_when_there_is, args=[journal])
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012 (the alarm belongs to the run)
+        alarm.start()
+        postproc.run(long, folder=tmp_path, quiet=True)
+        alarm.join()
+    alarm.join()
+    assert postproc.open_results(tmp_path / "it's.h5").attrs["status"] == "partial"
+    path = postproc.run(long, folder=tmp_path, quiet=True)
+    assert_same(path, whole)
+    assert not journal.exists()
+
+
+def interrupt_when_there_is(path: Path) -> None:
+    end = time.monotonic() + 60.0
+    while not path.exists() and time.monotonic() < end:
+        time.sleep(0.002)
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_run_that_stops_early_says_so(tmp_path: Path) -> None:
+    long = changed(run={"duration": 1e5}, limits={"wall_minutes": 1e-3})
+    with pytest.raises(RunError, match="stopped early") as caught:
+        postproc.run(long, folder=tmp_path, quiet=True)
+    assert caught.value.code == 3
+    assert postproc.open_results(tmp_path / "it's.h5").attrs["status"] == "partial"
