@@ -10,10 +10,11 @@
 module battery_calendar
   use battery_kinds, only: wp, int16, int32
   use battery_powers, only: power_above
+  use battery_ordering, only: insert
   implicit none (type, external)
   private
   public :: calendar_type, idle, new_calendar, page_for, flight_type, schedule, schedule_all, &
-    open_until, next_due, drop_done, turn_calendar
+    open_until, next_due, due_before, drop_done, turn_calendar
 
   !> A particle between two of its events. The calendar knows `due` and `next` only; the rest is
   !> its owner's. A record fills a line of the cache: with many particles the time is that of
@@ -220,28 +221,6 @@ contains
     sorted = at
   end subroutine open_buckets
 
-  !> Puts an event in its place among `sorted` ones: by time, then by number.
-  pure subroutine insert(number, due_time, particle, sorted, time, i)
-    integer, intent(in) :: number, i
-    real(wp), intent(inout) :: due_time(number)
-    integer, intent(inout) :: particle(number)
-    integer, intent(inout) :: sorted
-    real(wp), intent(in) :: time
-    integer :: at
-
-    at = sorted
-    do while (at > 0)
-      if (due_time(at) < time) exit
-      if (.not. due_time(at) > time .and. particle(at) < i) exit
-      due_time(at + 1) = due_time(at)
-      particle(at + 1) = particle(at)
-      at = at - 1
-    end do
-    due_time(at + 1) = time
-    particle(at + 1) = i
-    sorted = sorted + 1
-  end subroutine insert
-
   !> When the next event is due; opens buckets as needed; not beyond `horizon`, nor beyond the page.
   pure subroutine next_due(calendar, flight, horizon, time)
     type(calendar_type), intent(inout) :: calendar
@@ -260,6 +239,19 @@ contains
     time = min(horizon, calendar%page)
     if (calendar%sorted > 0) time = min(time, calendar%due_time(1))
   end subroutine next_due
+
+  !> How many of the sorted events are due before `instant`.
+  pure function due_before(sorted, due_time, instant) result(due)
+    integer, intent(in) :: sorted
+    real(wp), intent(in) :: due_time(sorted), instant
+    integer :: due
+
+    due = sorted
+    do while (due > 0)
+      if (due_time(due) < instant) exit
+      due = due - 1
+    end do
+  end function due_before
 
   !> The first `done` of the sorted events are over.
   pure subroutine drop_done(calendar, done)
