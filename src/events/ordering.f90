@@ -8,12 +8,13 @@ module battery_ordering
   private
   public :: put_in_order, insert
 
-  !> So many times are compared with each other at a time.
-  integer, parameter :: block = 16
+  !> So many times are compared with another at a time.
+  integer, parameter :: block = 8
   !> Longest list that is ordered by counting.
   integer, parameter, public :: longest = 16*block
-  !> Longer lists than that are dealt out by time first, to about `share` a heap.
-  integer, parameter :: share = 12
+  !> Longer lists than `short` are dealt out by time first, to bins for `share` events.
+  integer, parameter, public :: short = 32
+  integer, parameter :: share = 10
 
 contains
 
@@ -25,56 +26,129 @@ contains
     real(wp), intent(inout) :: time(n)
     !> Whose each is; no two at one time are the same.
     integer, intent(inout) :: number(n)
-    integer :: k, sorted
+    real(wp) :: least, most
 
-    if (n < 2) return
-    if (n <= longest) then
+    if (n <= short) then
       call order_by_counting(n, time, number)
+      return
+    end if
+    least = minval(time)
+    most = maxval(time)
+    if (most > least) then
+      call deal_out(n, time, number, least, (real(n/share, wp) - 0.5_wp)/(most - least))
     else
-      do k = 2, n
-        sorted = k - 1
-        call insert(n, time, number, sorted, time(k), number(k))
-      end do
+      call insert_all(n, time, number)
     end if
   end subroutine put_in_order
 
-  !> The same for a list no longer than `longest`.
+  !> The same for many: into bins of equal width, each of which is put in order then.
+  pure subroutine deal_out(n, time, number, least, per_width)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: time(n)
+    integer, intent(inout) :: number(n)
+    !> The earliest of the times, and bins a time unit.
+    real(wp), intent(in) :: least, per_width
+    real(wp), allocatable :: was(:)
+    integer, allocatable :: whose(:), bin(:), place(:)
+    integer :: k, at, first, bins
+
+    bins = n/share
+    was = time
+    whose = number
+    allocate (bin(n), place(0:bins))
+    place = 0
+    do k = 1, n
+      bin(k) = int((was(k) - least)*per_width)
+      place(bin(k) + 1) = place(bin(k) + 1) + 1
+    end do
+    do k = 1, bins
+      place(k) = place(k) + place(k - 1)
+    end do
+    do k = 1, n
+      at = place(bin(k)) + 1
+      place(bin(k)) = at
+      time(at) = was(k)
+      number(at) = whose(k)
+    end do
+    ! Now `place` is where each bin ends.
+    first = 1
+    do k = 0, bins - 1
+      at = place(k)
+      if (at - first < longest) then
+        call order_by_counting(at - first + 1, time(first:at), number(first:at))
+      else
+        call insert_all(at - first + 1, time(first:at), number(first:at))
+      end if
+      first = at + 1
+    end do
+  end subroutine deal_out
+
+  !> A list no longer than `longest`: the place of each is how many are earlier.
   pure subroutine order_by_counting(n, time, number)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
     integer, intent(inout) :: number(n)
     real(wp) :: was(longest)
-    integer :: whose(longest)
+    integer :: whose(longest), place
     integer(int64) :: earlier(block), total
-    integer :: first, k, j, lane, sorted
+    integer :: first, k
 
-    was(:n) = time
-    whose(:n) = number
-    do k = n + 1, block*((n + block - 1)/block)
+    if (n < 2) return
+    do k = 1, n
+      was(k) = time(k)
+      whose(k) = number(k)
+    end do
+    do k = n + 1, min(n + block - 1, longest)
       was(k) = huge(1.0_wp)
     end do
     total = 0
     do first = 1, n, block
-      earlier = 0
-      do j = 1, n
-        do lane = 1, block
-          earlier(lane) = earlier(lane) + merge(1_int64, 0_int64, was(j) < was(first + lane - 1))
-        end do
-      end do
+      call count_earlier(n, was, was(first), earlier)
       do k = first, min(first + block - 1, n)
-        j = int(earlier(k - first + 1)) + 1
-        time(j) = was(k)
-        number(j) = whose(k)
-        total = total + j
+        place = int(earlier(k - first + 1)) + 1
+        time(place) = was(k)
+        number(place) = whose(k)
+        total = total + place
       end do
     end do
     if (total == (int(n, int64)*(n + 1))/2) return
     ! Some are due at one time.
-    do k = 1, n
-      sorted = k - 1
-      call insert(n, time, number, sorted, was(k), whose(k))
-    end do
+    time = was(:n)
+    number = whose(:n)
+    call insert_all(n, time, number)
   end subroutine order_by_counting
+
+  !> How many of the times are before each of eight of `mine`. The eight are named, so that the
+  !> compiler keeps their counts in registers.
+  pure subroutine count_earlier(n, time, mine, earlier)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: time(n), mine(block)
+    integer(int64), intent(out) :: earlier(block)
+    integer(int64) :: found(block)
+    integer :: j
+
+    found = 0
+    do j = 1, n
+      found = found + merge(1_int64, 0_int64, time(j) < mine)
+    end do
+    earlier = found
+  end subroutine count_earlier
+
+  !> A list with many at one time.
+  pure subroutine insert_all(n, time, number)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: time(n)
+    integer, intent(inout) :: number(n)
+    real(wp) :: this_time
+    integer :: k, sorted, this
+
+    do k = 2, n
+      sorted = k - 1
+      this_time = time(k)
+      this = number(k)
+      call insert(n, time, number, sorted, this_time, this)
+    end do
+  end subroutine insert_all
 
   !> Puts an event in its place among `sorted` ones: by time, then by number.
   pure subroutine insert(room, time, number, sorted, at, whose)
