@@ -16,6 +16,7 @@ module battery_excursion
   use battery_flight, only: gather, land, locate, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
+  use battery_few, only: walk_few, few
   use battery_chamber, only: leave_channels
   use battery_chambers, only: urn_chamber_type, new_chamber
   use battery_visits, only: visits_type, reserve_visits, part_visits
@@ -179,9 +180,15 @@ contains
     call open_until(self%calendar, self%flight, ends)
     done = due_before(self%calendar%sorted, self%calendar%due_time, ends)
     call reserve_visits(self%visits(1), done + sum(self%gate%counted%count))
-    call reserve_window(self%events, done, self%gate%counted%count)
     call reserve_history(history, done + sum(self%gate%counted%count), 0)
-    call walk(self, began, ends, done, history)
+    if (done <= few) then
+      call walk_few(self%gate, self%beyond, self%number, self%flight, done, &
+        self%calendar%due_time, self%calendar%particle, began, ends, self%visits(1), history, &
+        self%known_hits)
+    else
+      call reserve_window(self%events, done, self%gate%counted%count)
+      call walk(self, began, ends, done, history)
+    end if
     call drop_done(self%calendar, done)
     if (self%batches == 2) call part_visits(self%visits(1), self%visits(2))
     do b = 1, self%batches

@@ -10,7 +10,7 @@ module battery_flight
   use battery_channel, only: fold
   implicit none (type, external)
   private
-  public :: gather, land, locate, never
+  public :: gather, land, locate, middle_time, never
   public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel
 
   !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
@@ -26,6 +26,16 @@ module battery_flight
   real(wp), parameter :: never = 0.25_wp*huge(1.0_wp)
 
 contains
+
+  !> When a particle that enters a gate is to cross the middle of channel 1. Nobody does so before
+  !> having entered, however short the channel.
+  elemental function middle_time(enters, through) result(time)
+    !> When it enters, from 0 up, and how long it would be in the channel.
+    real(wp), intent(in) :: enters, through
+    real(wp) :: time
+
+    time = max(enters + 0.5_wp*through, enters*(1.0_wp + 2.0_wp*epsilon(1.0_wp)))
+  end function middle_time
 
   !> Takes what a batch needs to know of its particles from their flights.
   pure subroutine gather(number, flight, n, particle, turned, passage, time, y, along, across)

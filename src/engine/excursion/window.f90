@@ -5,7 +5,7 @@ module battery_window
   use battery_gate, only: stretch_type, reserve_stretch
   use battery_ordering, only: put_in_order
   use battery_calendar, only: flight_type
-  use battery_flight, only: to_gate, in_gate
+  use battery_flight, only: middle_time, to_gate, in_gate
   use battery_history, only: history_type, record_crossing, record_event, record_reversal, &
     crossing_of, event_entry
   implicit none (type, external)
@@ -82,9 +82,7 @@ contains
       place = dealt(line) + 1
       dealt(line) = place
       due(place, line) = due_time(k)
-      ! Nobody crosses before having entered, however short the channel.
-      middle(place, line) = max(due_time(k) + 0.5_wp*flight(i)%through, &
-        due_time(k)*(1.0_wp + 2.0_wp*epsilon(1.0_wp)))
+      middle(place, line) = middle_time(due_time(k), flight(i)%through)
       particle(place, line) = i
     end do
   end subroutine deal
