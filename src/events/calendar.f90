@@ -8,7 +8,7 @@
 !>
 !> The flights, one a particle, belong to the caller.
 module battery_calendar
-  use battery_kinds, only: wp, int16, int32
+  use battery_kinds, only: wp, int16, int32, int64
   use battery_powers, only: power_above
   use battery_ordering, only: put_in_order, insert
   implicit none (type, external)
@@ -249,12 +249,14 @@ contains
     integer, intent(in) :: sorted
     real(wp), intent(in) :: due_time(sorted), instant
     integer :: due
+    integer(int64) :: found
+    integer :: k
 
-    due = sorted
-    do while (due > 0)
-      if (due_time(due) < instant) exit
-      due = due - 1
+    found = 0
+    do k = 1, sorted
+      found = found + merge(1_int64, 0_int64, due_time(k) < instant)
     end do
+    due = int(found)
   end function due_before
 
   !> The first `done` of the sorted events are over.

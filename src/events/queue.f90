@@ -32,6 +32,7 @@ contains
   pure subroutine empty_queue(queue)
     type(queue_type), intent(inout) :: queue
 
+    if (queue%room == 0) call grow(queue)
     queue%count = 0
     queue%next = huge(1.0_wp)
     queue%in_order = .false.

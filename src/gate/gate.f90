@@ -145,13 +145,14 @@ contains
   subroutine reserve_stretch(stretch, number)
     type(stretch_type), intent(inout) :: stretch
     integer, intent(in) :: number
+    integer :: room
 
     if (allocated(stretch%who)) then
       if (size(stretch%who) >= number) return
       deallocate (stretch%last_entry, stretch%turned, stretch%time, stretch%who)
     end if
-    allocate (stretch%time(max(64, 2*number)))
-    allocate (stretch%last_entry, stretch%turned, stretch%who, mold=int(stretch%time))
+    room = max(64, 2*number)
+    allocate (stretch%last_entry(room), stretch%turned(room), stretch%time(room), stretch%who(room))
   end subroutine reserve_stretch
 
   !> A whole stretch of entries, and all crossings before `until`, which is after the last entry.
@@ -214,7 +215,7 @@ contains
     integer, intent(out) :: rest
     integer :: limit, others, first, last, k, inside
 
-    limit = min(threshold, huge(1)/2)
+    limit = min(threshold, shiftr(huge(1), 1))
     others = staying
     first = 1
     k = max(1, limit + 1 - held - others)

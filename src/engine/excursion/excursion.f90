@@ -170,7 +170,7 @@ contains
     real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
     real(wp) :: began, limit, ends, due
-    integer :: done, b
+    integer :: done, counted(2), b
 
     began = self%now
     limit = min(self%now + duration, self%page)
@@ -179,14 +179,15 @@ contains
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
     call open_until(self%calendar, self%flight, ends)
     done = due_before(self%calendar%sorted, self%calendar%due_time, ends)
-    call reserve_visits(self%visits(1), done + sum(self%gate%counted%count))
-    call reserve_history(history, done + sum(self%gate%counted%count), 0)
+    counted = [self%gate(1)%counted%count, self%gate(2)%counted%count]
+    call reserve_visits(self%visits(1), done + sum(counted))
+    call reserve_history(history, done + sum(counted), 0)
     if (done <= few) then
       call walk_few(self%gate, self%beyond, self%number, self%flight, done, &
         self%calendar%due_time, self%calendar%particle, began, ends, self%visits(1), history, &
         self%known_hits)
     else
-      call reserve_window(self%events, done, self%gate%counted%count)
+      call reserve_window(self%events, done, counted)
       call walk(self, began, ends, done, history)
     end if
     call drop_done(self%calendar, done)
