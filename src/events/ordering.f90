@@ -124,14 +124,18 @@ contains
     integer, intent(in) :: n
     real(wp), intent(in) :: time(n), mine(block)
     integer(int64), intent(out) :: earlier(block)
-    integer(int64) :: found(block)
-    integer :: j
+    integer :: j, lane
 
-    found = 0
-    do j = 1, n
-      found = found + merge(1_int64, 0_int64, time(j) < mine)
+    do lane = 1, block
+      earlier(lane) = 0
     end do
-    earlier = found
+    do j = 1, n
+      ! Not unrolled, the lanes become one vector; else the loop about them becomes vectors, slowly.
+!GCC$ unroll 0
+      do lane = 1, block
+        earlier(lane) = earlier(lane) + merge(1_int64, 0_int64, time(j) < mine(lane))
+      end do
+    end do
   end subroutine count_earlier
 
   !> A list with many at one time.
