@@ -32,8 +32,8 @@ module battery_calendar
 
   !> One without an event. Not by default, since the program must be able to say where a great array
   !> is to lie before it is written to.
-  type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int16, 0_int16, 0.0_wp, 0.0_wp, 0.0_wp, &
-    0.0_wp, 0.0_wp, 0.0_wp)
+  type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int16, 0_int16, 0.0_wp, 0.0_wp, &
+    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
 
   !> Events of a block, a power of two. A block is a line of the cache: with few buckets all lines
   !> that are written to are at hand, however many particles there are.
@@ -138,9 +138,9 @@ contains
     next_place, whose, block_before, free_blocks, free_block, flight, some_at_once)
     integer, intent(in) :: number, count, particle(count)
     real(wp), intent(in) :: time(count), per_width, opened_until, page
-    integer(int32), intent(inout) :: next_place(*), whose(0:*), block_before(0:*)
+    integer(int32), intent(inout), contiguous :: next_place(:), whose(0:), block_before(0:)
     integer, intent(inout) :: free_blocks
-    integer(int32), intent(in) :: free_block(*)
+    integer(int32), intent(in), contiguous :: free_block(:)
     type(flight_type), intent(inout) :: flight(number)
     logical, intent(out) :: some_at_once
     integer :: k, bucket
@@ -192,12 +192,12 @@ contains
     integer, intent(in) :: number, buckets
     type(flight_type), intent(in) :: flight(number)
     integer(int32), intent(inout) :: next_place(buckets)
-    integer(int32), intent(in) :: whose(0:*), block_before(0:*)
+    integer(int32), intent(in), contiguous :: whose(0:), block_before(0:)
     integer, intent(inout) :: free_blocks
-    integer(int32), intent(inout) :: free_block(*)
+    integer(int32), intent(inout), contiguous :: free_block(:)
     integer, intent(inout) :: sorted
-    real(wp), intent(inout) :: due_time(*)
-    integer, intent(inout) :: particle(*)
+    real(wp), intent(inout), contiguous :: due_time(:)
+    integer, intent(inout), contiguous :: particle(:)
     integer(int32) :: block
     integer :: bucket, n, events, k, i
 

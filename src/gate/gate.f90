@@ -170,12 +170,12 @@ contains
     real(wp), intent(in) :: until
     !> Those turned back, and when; added to the first `leaving` of the list.
     integer, intent(inout) :: leaving
-    integer, intent(inout) :: leaver(:)
-    real(wp), intent(inout) :: turned_at(:)
+    integer, intent(inout), contiguous :: leaver(:)
+    real(wp), intent(inout), contiguous :: turned_at(:)
     !> Those who cross, and when; added to the first `crossed` of the list.
     integer, intent(inout) :: crossed
-    integer, intent(inout) :: crosser(:)
-    real(wp), intent(inout) :: crossed_at(:)
+    integer, intent(inout), contiguous :: crosser(:)
+    real(wp), intent(inout), contiguous :: crossed_at(:)
     integer :: held, rest
 
     stretch%reversals = 0
@@ -207,11 +207,12 @@ contains
     real(wp), intent(in) :: entry_time(entries), until
     real(wp), intent(inout) :: time(held + entries)
     integer, intent(inout) :: who(held + entries)
-    integer, intent(in) :: stayer(*)
+    integer, intent(in), contiguous :: stayer(:)
     integer, intent(inout) :: reversals
-    integer, intent(inout) :: last_entry(*), turned(*)
-    integer, intent(inout) :: leaving, leaver(*), crossed, crosser(*)
-    real(wp), intent(inout) :: turned_at(*), crossed_at(*)
+    integer, intent(inout), contiguous :: last_entry(:), turned(:)
+    integer, intent(inout) :: leaving, crossed
+    integer, intent(inout), contiguous :: leaver(:), crosser(:)
+    real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
     integer, intent(out) :: rest
     integer :: limit, others, first, last, k, inside
 
@@ -277,8 +278,9 @@ contains
     integer, intent(in) :: n
     real(wp), intent(in) :: time(n), instant
     integer, intent(in) :: who(n)
-    integer, intent(inout) :: leaving, leaver(*), crossed, crosser(*)
-    real(wp), intent(inout) :: turned_at(*), crossed_at(*)
+    integer, intent(inout) :: leaving, crossed
+    integer, intent(inout), contiguous :: leaver(:), crosser(:)
+    real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
     integer :: k
 
     do k = 1, n

@@ -1,4 +1,4 @@
-!> The events of one window of the engine `excursion`: who enters which gate, who crosses which line.
+!> The events of one window of the engine `excursion`: who enters which gate, who crosses a line.
 module battery_window
   use battery_kinds, only: wp, int8
   use battery_table, only: gated, ungated
