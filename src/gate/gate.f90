@@ -86,8 +86,16 @@ contains
     type(gate_type), intent(in) :: gate
     logical :: must_turn
 
-    must_turn = gate%counted%count > gate%threshold
+    must_turn = gate%counted%count > most_inside(gate)
   end function must_turn
+
+  !> So many may be counted at most; one more, and the gate turns.
+  pure function most_inside(gate) result(most)
+    type(gate_type), intent(in) :: gate
+    integer :: most
+
+    most = gate%threshold
+  end function most_inside
 
   !> Whether any gate has something to decide when the instant is over.
   pure function undecided(gate)
@@ -185,7 +193,7 @@ contains
       call take_due(counted, until, held, stretch%time, stretch%who)
       stretch%time(held + 1:held + entries) = crossing_time
       stretch%who(held + 1:held + entries) = entrant
-      call let_through(gate%threshold, counted%count, held, entries, entry_time, until, &
+      call let_through(most_inside(gate), counted%count, held, entries, entry_time, until, &
         stretch%time, stretch%who, counted%who, stretch%reversals, stretch%last_entry, &
         stretch%turned, leaving, leaver, turned_at, crossed, crosser, crossed_at, rest)
       if (stretch%reversals > 0) call empty_queue(counted)
@@ -198,12 +206,12 @@ contains
   !> at the end are the first `rest` of `time` and `who`.
   !>
   !> One entry adds one to the count at most: while `inside` are counted at an entry, the gate
-  !> cannot turn before the (threshold + 1 - inside)-th after it. So only few are looked at, and of
+  !> cannot turn before the (most + 1 - inside)-th after it. So only few are looked at, and of
   !> those the count is a loop without branches.
-  pure subroutine let_through(threshold, staying, held, entries, entry_time, until, time, who, &
+  pure subroutine let_through(most, staying, held, entries, entry_time, until, time, who, &
     stayer, reversals, last_entry, turned, leaving, leaver, turned_at, crossed, crosser, &
     crossed_at, rest)
-    integer, intent(in) :: threshold, staying, held, entries
+    integer, intent(in) :: most, staying, held, entries
     real(wp), intent(in) :: entry_time(entries), until
     real(wp), intent(inout) :: time(held + entries)
     integer, intent(inout) :: who(held + entries)
@@ -216,7 +224,7 @@ contains
     integer, intent(out) :: rest
     integer :: limit, others, first, last, k, inside
 
-    limit = min(threshold, shiftr(huge(1), 1))
+    limit = min(most, shiftr(huge(1), 1))
     others = staying
     first = 1
     k = max(1, limit + 1 - held - others)
@@ -244,7 +252,7 @@ contains
       turned(reversals) = leaving - turned(reversals)
       others = 0
       first = last + 1
-      k = k + limit + 1
+      k = k + max(limit, 0) + 1
     end do
     rest = 0
     do k = first, held + entries
