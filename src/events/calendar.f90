@@ -1,27 +1,26 @@
 !> The pending events of many particles, one each, handed out window by window in the order of time.
 !>
-!> A calendar of narrow buckets of equal width covers one page of time; a bucket is a list of about
-!> one particle. Buckets are opened one after the other and their particles sorted into `due_time`.
-!> What lies beyond the page waits until the page is turned: then the clock is set back by the
-!> length of the page, a power of two, so that future times stay exact and resolve the same however
-!> long the run has been.
+!> A calendar of buckets of equal width covers one page of time; a bucket knows whose events it has,
+!> in no order. Buckets are opened one after the other and their events put in order in `due_time`.
+!> What lies beyond the page waits until the page is turned: then the
+!> clock is set back by the length of the page, a power of two, so that future times stay exact and
+!> resolve the same however long the run has been.
 !>
 !> The flights, one a particle, belong to the caller.
 module battery_calendar
-  use battery_kinds, only: wp, int16, int32
+  use battery_kinds, only: wp, int16, int32, int64
   use battery_powers, only: power_above
+  use battery_ordering, only: put_in_order, insert
   implicit none (type, external)
   private
   public :: calendar_type, idle, new_calendar, page_for, flight_type, schedule, schedule_all, &
-    open_until, next_due, drop_done, turn_calendar
+    open_until, next_due, due_before, drop_done, turn_calendar
 
-  !> A particle between two of its events. The calendar knows `due` and `next` only; the rest is
-  !> its owner's. A record fills a line of the cache: with many particles the time is that of
-  !> reading one line of memory a particle.
+  !> A particle between two of its events. The calendar knows `due` only; the rest is its owner's. A
+  !> record fills a line of the cache: with many particles the time is that of reading one line of
+  !> memory a particle.
   type :: flight_type
     real(wp) :: due
-    !> Next particle in the same bucket, 0 at the end.
-    integer(int32) :: next
     !> Heading, and the urn it leaves, 1 or 2.
     integer(int16) :: heading, urn
     !> When it enters the channel (entered it, for those that are inside), at which height, with
@@ -33,19 +32,30 @@ module battery_calendar
 
   !> One without an event. Not by default, since the program must be able to say where a great array
   !> is to lie before it is written to.
-  type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int32, 0_int16, 0_int16, 0.0_wp, &
-    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
+  type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int16, 0_int16, 0.0_wp, 0.0_wp, &
+    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
 
-  !> So many buckets are looked at together.
-  integer, parameter :: chunk = 64
+  !> Events of a block, a power of two. A block is a line of the cache: with few buckets all lines
+  !> that are written to are at hand, however many particles there are.
+  integer(int32), parameter :: places = 16
+
+  !> Up to 2**crowd particles a bucket is to hold about ten events; of more particles it holds more.
+  integer, parameter :: crowd = 14
 
   !> The events of a page of time, from the beginning of which its times count.
   type :: calendar_type
     !> Length of a page and width of a bucket, powers of two.
     real(wp) :: page = 0.0_wp, width = 0.0_wp, per_width = 0.0_wp
     integer :: buckets = 0
-    !> First particle of each bucket.
-    integer(int32), allocatable :: head(:)
+    !> Whose the events of each bucket are, in blocks: block b has the places from b*places on.
+    integer(int32), allocatable :: whose(:)
+    !> The place for the next event of each bucket, or 0: none yet. At the first place of a block
+    !> the last one is full.
+    integer(int32), allocatable :: next_place(:)
+    !> The block of the same bucket that was filled before, or -1; blocks that are free: a stack.
+    integer(int32), allocatable :: block_before(:)
+    integer :: free_blocks = 0
+    integer(int32), allocatable :: free_block(:)
     !> How many buckets are open; all that is due before `opened_until` is sorted or done.
     integer :: opened = 0
     real(wp) :: opened_until = 0.0_wp
@@ -62,17 +72,22 @@ contains
     type(calendar_type), intent(out) :: calendar
     integer, intent(in) :: number
     real(wp), intent(in) :: interval
-    integer :: bits
+    integer :: bits, blocks, k
 
-    bits = 0
-    do while (2**bits < max(number, 16) .and. bits < 28)
+    bits = 4
+    do while (2**bits < number .and. bits < 30)
       bits = bits + 1
     end do
-    calendar%buckets = 2**(bits + 2)
+    calendar%buckets = 2**(min(bits, crowd) + max(bits - crowd, 0)/2 - 1)
     calendar%page = page_for(interval)
     calendar%width = calendar%page/real(calendar%buckets, wp)
     calendar%per_width = 1.0_wp/calendar%width
-    allocate (calendar%head(calendar%buckets), source=0_int32)
+    allocate (calendar%next_place(calendar%buckets), source=0_int32)
+    ! Each bucket that is not empty has one block that is not full at most.
+    blocks = number/places + min(number, calendar%buckets)
+    allocate (calendar%whose(0:places*blocks - 1), calendar%block_before(0:blocks - 1))
+    calendar%free_blocks = blocks
+    calendar%free_block = [(int(blocks - k, int32), k=1, blocks)]
     allocate (calendar%due_time(number), calendar%particle(number))
   end subroutine new_calendar
 
@@ -90,17 +105,8 @@ contains
     type(flight_type), intent(inout) :: flight(:)
     integer, intent(in) :: particle
     real(wp), intent(in) :: time
-    integer :: bucket
 
-    flight(particle)%due = time
-    if (time < calendar%opened_until) then
-      call insert(size(calendar%particle), calendar%due_time, calendar%particle, calendar%sorted, &
-        time, particle)
-    else if (time < calendar%page) then
-      bucket = 1 + int(time*calendar%per_width)
-      flight(particle)%next = calendar%head(bucket)
-      calendar%head(bucket) = int(particle, int32)
-    end if
+    call schedule_all(calendar, flight, 1, [particle], [time])
   end subroutine schedule
 
   !> Writes down many events at once: of `particle(:count)` at `time(:count)`; one whose time is
@@ -117,36 +123,48 @@ contains
     integer :: k
     logical :: some_at_once
 
-    call fill_buckets(size(calendar%particle), calendar%buckets, count, particle, time, &
-      calendar%per_width, calendar%opened_until, calendar%page, calendar%head, flight, some_at_once)
+    call fill_buckets(size(flight), count, particle, time, calendar%per_width, &
+      calendar%opened_until, calendar%page, calendar%next_place, calendar%whose, &
+      calendar%block_before, calendar%free_blocks, calendar%free_block, flight, some_at_once)
     if (.not. some_at_once) return
     do k = 1, count
-      if (time(k) < calendar%opened_until) call schedule(calendar, flight, particle(k), time(k))
+      if (time(k) < calendar%opened_until) call insert(size(calendar%particle), &
+        calendar%due_time, calendar%particle, calendar%sorted, time(k), particle(k))
     end do
   end subroutine schedule_all
 
   !> The part of it that is not due before `opened_until`; tells whether there are others.
-  pure subroutine fill_buckets(number, buckets, count, particle, time, per_width, opened_until, &
-    page, head, flight, some_at_once)
-    integer, intent(in) :: number, buckets, count, particle(count)
+  pure subroutine fill_buckets(number, count, particle, time, per_width, opened_until, page, &
+    next_place, whose, block_before, free_blocks, free_block, flight, some_at_once)
+    integer, intent(in) :: number, count, particle(count)
     real(wp), intent(in) :: time(count), per_width, opened_until, page
-    integer(int32), intent(inout) :: head(buckets)
+    integer(int32), intent(inout), contiguous :: next_place(:), whose(0:), block_before(0:)
+    integer, intent(inout) :: free_blocks
+    integer(int32), intent(in), contiguous :: free_block(:)
     type(flight_type), intent(inout) :: flight(number)
     logical, intent(out) :: some_at_once
-    integer :: k, i, bucket
+    integer :: k, bucket
+    integer(int32) :: at, before
 
     some_at_once = .false.
     do k = 1, count
-      i = particle(k)
-      flight(i)%due = time(k)
+      flight(particle(k))%due = time(k)
       if (time(k) >= page) cycle
       if (time(k) < opened_until) then
         some_at_once = .true.
         cycle
       end if
       bucket = 1 + int(time(k)*per_width)
-      flight(i)%next = head(bucket)
-      head(bucket) = int(i, int32)
+      at = next_place(bucket)
+      if (modulo(at, places) == 0) then
+        before = at/places - 1
+        at = free_block(free_blocks)
+        free_blocks = free_blocks - 1
+        block_before(at) = before
+        at = places*at
+      end if
+      whose(at) = int(particle(k), int32)
+      next_place(bucket) = at + 1
     end do
   end subroutine fill_buckets
 
@@ -155,92 +173,57 @@ contains
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(in) :: flight(:)
     real(wp), intent(in) :: time
-    integer :: target, first, last
+    integer :: target
 
     if (calendar%opened_until >= time .or. calendar%opened == calendar%buckets) return
     target = calendar%buckets
     if (time < calendar%page) target = min(target, ceiling(time*calendar%per_width))
-    do first = calendar%opened + 1, target, chunk
-      last = min(first + chunk - 1, target)
-      call open_buckets(size(calendar%particle), last - first + 1, calendar%head(first:last), &
-        flight, calendar%sorted, calendar%due_time, calendar%particle)
-    end do
+    call open_buckets(size(flight), flight, target - calendar%opened, &
+      calendar%next_place(calendar%opened + 1:target), calendar%whose, calendar%block_before, &
+      calendar%free_blocks, calendar%free_block, calendar%sorted, calendar%due_time, &
+      calendar%particle)
     calendar%opened = target
     calendar%opened_until = real(target, wp)*calendar%width
   end subroutine open_until
 
-  !> Empties some buckets, at most `chunk`, into the sorted events. All that was sorted before is
-  !> due earlier and a bucket holds about one particle, so few have to be put in their place. The
-  !> loops over `first` and `second` particles of the buckets have no branches, so that many flights
-  !> are on their way from memory at a time.
-  pure subroutine open_buckets(number, buckets, head, flight, sorted, due_time, particle)
+  !> Empties buckets into the sorted events. All that was sorted before is due earlier.
+  pure subroutine open_buckets(number, flight, buckets, next_place, whose, block_before, &
+    free_blocks, free_block, sorted, due_time, particle)
     integer, intent(in) :: number, buckets
-    integer(int32), intent(inout) :: head(buckets)
-    type(flight_type), intent(in) :: flight(:)
+    type(flight_type), intent(in) :: flight(number)
+    integer(int32), intent(inout) :: next_place(buckets)
+    integer(int32), intent(in), contiguous :: whose(0:), block_before(0:)
+    integer, intent(inout) :: free_blocks
+    integer(int32), intent(inout), contiguous :: free_block(:)
     integer, intent(inout) :: sorted
-    real(wp), intent(inout) :: due_time(number)
-    integer, intent(inout) :: particle(number)
-    integer :: first(chunk + 1), following(chunk + 1), second(chunk + 1), third(chunk)
-    real(wp) :: due(chunk + 1), second_due(chunk)
-    integer :: k, kept, seconds, i, some, at
+    real(wp), intent(inout), contiguous :: due_time(:)
+    integer, intent(inout), contiguous :: particle(:)
+    integer(int32) :: block
+    integer :: bucket, n, events, k, i
 
-    kept = 0
-    seconds = 0
-    do k = 1, buckets
-      i = head(k)
-      head(k) = 0
-      ! An empty bucket writes what the next one overwrites.
-      some = max(i, 1)
-      first(kept + 1) = i
-      due(kept + 1) = flight(some)%due
-      following(kept + 1) = flight(some)%next
-      second(seconds + 1) = following(kept + 1)
-      seconds = seconds + merge(1, 0, i > 0 .and. following(kept + 1) > 0)
-      kept = kept + merge(1, 0, i > 0)
-    end do
-    do k = 1, seconds
-      second_due(k) = flight(second(k))%due
-      third(k) = flight(second(k))%next
-    end do
-    at = sorted
-    seconds = 0
-    do k = 1, kept
-      at = at + 1
-      due_time(at) = due(k)
-      particle(at) = first(k)
-      if (following(k) == 0) cycle
-      seconds = seconds + 1
-      call insert(number, due_time, particle, at, second_due(seconds), second(seconds))
-      i = third(seconds)
-      do while (i > 0)
-        call insert(number, due_time, particle, at, flight(i)%due, i)
-        i = flight(i)%next
+    do bucket = 1, buckets
+      if (next_place(bucket) == 0) cycle
+      n = sorted
+      block = (next_place(bucket) - 1)/places
+      events = next_place(bucket) - places*block
+      next_place(bucket) = 0
+      do while (block >= 0)
+        do k = 1, events
+          i = whose(places*block + k - 1)
+          particle(n + k) = i
+          due_time(n + k) = flight(i)%due
+        end do
+        n = n + events
+        events = places
+        free_blocks = free_blocks + 1
+        free_block(free_blocks) = block
+        block = block_before(block)
       end do
+      if (n > sorted + 1) call put_in_order(n - sorted, due_time(sorted + 1:n), &
+        particle(sorted + 1:n))
+      sorted = n
     end do
-    sorted = at
   end subroutine open_buckets
-
-  !> Puts an event in its place among `sorted` ones: by time, then by number.
-  pure subroutine insert(number, due_time, particle, sorted, time, i)
-    integer, intent(in) :: number, i
-    real(wp), intent(inout) :: due_time(number)
-    integer, intent(inout) :: particle(number)
-    integer, intent(inout) :: sorted
-    real(wp), intent(in) :: time
-    integer :: at
-
-    at = sorted
-    do while (at > 0)
-      if (due_time(at) < time) exit
-      if (.not. due_time(at) > time .and. particle(at) < i) exit
-      due_time(at + 1) = due_time(at)
-      particle(at + 1) = particle(at)
-      at = at - 1
-    end do
-    due_time(at + 1) = time
-    particle(at + 1) = i
-    sorted = sorted + 1
-  end subroutine insert
 
   !> When the next event is due; opens buckets as needed; not beyond `horizon`, nor beyond the page.
   pure subroutine next_due(calendar, flight, horizon, time)
@@ -253,13 +236,28 @@ contains
 
     if (calendar%sorted == 0 .and. calendar%opened_until < horizon) then
       do bucket = calendar%opened + 1, calendar%buckets
-        if (calendar%head(bucket) > 0) exit
+        if (calendar%next_place(bucket) > 0) exit
       end do
       call open_until(calendar, flight, min(horizon, real(bucket, wp)*calendar%width))
     end if
     time = min(horizon, calendar%page)
     if (calendar%sorted > 0) time = min(time, calendar%due_time(1))
   end subroutine next_due
+
+  !> How many of the sorted events are due before `instant`.
+  pure function due_before(sorted, due_time, instant) result(due)
+    integer, intent(in) :: sorted
+    real(wp), intent(in) :: due_time(sorted), instant
+    integer :: due
+    integer(int64) :: found
+    integer :: k
+
+    found = 0
+    do k = 1, sorted
+      found = found + merge(1_int64, 0_int64, due_time(k) < instant)
+    end do
+    due = int(found)
+  end function due_before
 
   !> The first `done` of the sorted events are over.
   pure subroutine drop_done(calendar, done)
@@ -284,7 +282,7 @@ contains
     calendar%due_time(:calendar%sorted) = calendar%due_time(:calendar%sorted) - calendar%page
     calendar%opened = 0
     calendar%opened_until = 0.0_wp
-    do i = 1, size(calendar%particle)
+    do i = 1, size(flight)
       flight(i)%due = flight(i)%due - calendar%page
       if (flight(i)%due >= 0.0_wp) call schedule(calendar, flight, i, flight(i)%due)
     end do

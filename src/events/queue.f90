@@ -8,7 +8,7 @@ module battery_queue
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: queue_type, empty_queue, push, pop, remove, shift_queue, pass_queue
+  public :: queue_type, empty_queue, push, push_all, pop, take_due, remove, shift_queue, pass_queue
 
   !> Numbers, each with a time; `time` and `who` have room for `room` of them.
   type :: queue_type
@@ -22,12 +22,17 @@ module battery_queue
     integer, allocatable :: who(:)
   end type queue_type
 
+  !> A list so short is taken out as a whole: telling who is due costs more than putting back the
+  !> others.
+  integer, parameter :: short_list = 256
+
 contains
 
   !> All leave at once.
   pure subroutine empty_queue(queue)
     type(queue_type), intent(inout) :: queue
 
+    if (queue%room == 0) call grow(queue)
     queue%count = 0
     queue%next = huge(1.0_wp)
     queue%in_order = .false.
@@ -46,6 +51,32 @@ contains
     queue%who(queue%count) = who
     if (queue%in_order) call lift_last(queue)
   end subroutine push
+
+  !> Each of `who` is due at its time.
+  pure subroutine push_all(queue, count, time, who)
+    type(queue_type), intent(inout) :: queue
+    !> How many.
+    integer, intent(in) :: count
+    real(wp), intent(in) :: time(count)
+    integer, intent(in) :: who(count)
+    integer :: before, k
+
+    if (count == 0) return
+    if (queue%in_order) then
+      do k = 1, count
+        call push(queue, time(k), who(k))
+      end do
+      return
+    end if
+    before = queue%count
+    do while (queue%room < before + count)
+      call grow(queue)
+    end do
+    queue%time(before + 1:before + count) = time
+    queue%who(before + 1:before + count) = who
+    queue%count = before + count
+    queue%next = min(queue%next, minval(time))
+  end subroutine push_all
 
   pure subroutine grow(queue)
     type(queue_type), intent(inout) :: queue
@@ -89,6 +120,32 @@ contains
     who = queue%who(1)
     call take_out(queue, 1)
   end subroutine pop
+
+  !> Takes out all who are due before `until`, and others, as it likes: in no order. There is room
+  !> for all that are in the queue.
+  pure subroutine take_due(queue, until, taken, time, who)
+    type(queue_type), intent(inout) :: queue
+    real(wp), intent(in) :: until
+    !> How many were taken; when each is due, and who it is.
+    integer, intent(out) :: taken
+    real(wp), intent(inout) :: time(:)
+    integer, intent(inout) :: who(:)
+
+    taken = 0
+    if (queue%count == 0) return
+    if (queue%count <= short_list) then
+      taken = queue%count
+      time(:taken) = queue%time(:taken)
+      who(:taken) = queue%who(:taken)
+      call empty_queue(queue)
+    else
+      do while (queue%next < until)
+        taken = taken + 1
+        time(taken) = queue%next
+        call pop(queue, who(taken))
+      end do
+    end if
+  end subroutine take_due
 
   !> `who`, who is in the queue and about to be due, leaves it.
   pure subroutine remove(queue, who)

@@ -11,15 +11,18 @@
 !> to be seen.
 !>
 !> Those counted stand in a queue by the time at which they will reach the middle line. Engines ask
-!> the gate at entries and crossings; no engine knows the rule.
+!> the gate at entries and crossings, one by one (`enter`, `must_turn`, `cross_first`), or send a
+!> whole stretch of entries through (`admit`); no engine knows the rule.
 module battery_gate
-  use battery_kinds, only: wp
-  use battery_queue, only: queue_type, empty_queue, push, pop, remove, shift_queue, pass_queue
+  use battery_kinds, only: wp, int64
+  use battery_queue, only: queue_type, empty_queue, push, push_all, pop, take_due, remove, &
+    shift_queue, pass_queue
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
   public :: gate_type, new_gate, hold, enter, must_turn, undecided, decide, turned_back
   public :: first_to_cross, cross_first, cross, shift_gate, pass_gate
+  public :: stretch_type, reserve_stretch, admit
 
   !> The gate of one side: its rule, and whom it counts.
   type :: gate_type
@@ -30,6 +33,17 @@ module battery_gate
     !> Those counted, by when each will reach the middle line.
     type(queue_type) :: counted
   end type gate_type
+
+  !> What a stretch of entries into one gate leads to (`admit`). Arrays may be longer than their
+  !> counts say.
+  type :: stretch_type
+    !> How often the gate turned; after which entry, and how many it turned back.
+    integer :: reversals = 0
+    integer, allocatable :: last_entry(:), turned(:)
+    !> Work space: those counted before and the entrants, in turn; when each crosses.
+    real(wp), allocatable :: time(:)
+    integer, allocatable :: who(:)
+  end type stretch_type
 
 contains
 
@@ -72,8 +86,16 @@ contains
     type(gate_type), intent(in) :: gate
     logical :: must_turn
 
-    must_turn = gate%counted%count > gate%threshold
+    must_turn = gate%counted%count > most_inside(gate)
   end function must_turn
+
+  !> So many may be counted at most; one more, and the gate turns.
+  pure function most_inside(gate) result(most)
+    type(gate_type), intent(in) :: gate
+    integer :: most
+
+    most = gate%threshold
+  end function most_inside
 
   !> Whether any gate has something to decide when the instant is over.
   pure function undecided(gate)
@@ -126,6 +148,158 @@ contains
     call empty_queue(gate%counted)
     gate%entered = .false.
   end subroutine turned_back
+
+  !> Makes room for so many: entries, and those counted before them.
+  subroutine reserve_stretch(stretch, number)
+    type(stretch_type), intent(inout) :: stretch
+    integer, intent(in) :: number
+    integer :: room
+
+    if (allocated(stretch%who)) then
+      if (size(stretch%who) >= number) return
+      deallocate (stretch%last_entry, stretch%turned, stretch%time, stretch%who)
+    end if
+    room = max(64, 2*number)
+    allocate (stretch%last_entry(room), stretch%turned(room), stretch%time(room), stretch%who(room))
+  end subroutine reserve_stretch
+
+  !> A whole stretch of entries, and all crossings before `until`, which is after the last entry.
+  !> The same as one by one; but those who leave, turned back or across the middle line, are told in
+  !> no order.
+  pure subroutine admit(gate, stretch, entries, entry_time, crossing_time, entrant, until, &
+    leaving, leaver, turned_at, crossed, crosser, crossed_at)
+    type(gate_type), intent(inout) :: gate
+    type(stretch_type), intent(inout) :: stretch
+    !> When each enters, in order, when it would reach the middle line, which is later, and who it
+    !> is; on the clock of the engine, as all times here.
+    integer, intent(in) :: entries
+    real(wp), intent(in) :: entry_time(entries), crossing_time(entries)
+    integer, intent(in) :: entrant(entries)
+    real(wp), intent(in) :: until
+    !> Those turned back, and when; added to the first `leaving` of the list.
+    integer, intent(inout) :: leaving
+    integer, intent(inout), contiguous :: leaver(:)
+    real(wp), intent(inout), contiguous :: turned_at(:)
+    !> Those who cross, and when; added to the first `crossed` of the list.
+    integer, intent(inout) :: crossed
+    integer, intent(inout), contiguous :: crosser(:)
+    real(wp), intent(inout), contiguous :: crossed_at(:)
+    integer :: held, rest
+
+    stretch%reversals = 0
+    gate%entered = .false.
+    associate (counted => gate%counted)
+      if (entries == 0 .and. counted%next >= until) return
+      call take_due(counted, until, held, stretch%time, stretch%who)
+      stretch%time(held + 1:held + entries) = crossing_time
+      stretch%who(held + 1:held + entries) = entrant
+      call let_through(most_inside(gate), counted%count, held, entries, entry_time, until, &
+        stretch%time, stretch%who, counted%who, stretch%reversals, stretch%last_entry, &
+        stretch%turned, leaving, leaver, turned_at, crossed, crosser, crossed_at, rest)
+      if (stretch%reversals > 0) call empty_queue(counted)
+      call push_all(counted, rest, stretch%time, stretch%who)
+    end associate
+  end subroutine admit
+
+  !> The rule for a stretch of entries, by counting. Of `held` from before and the entrants in turn,
+  !> `time` is when each will cross; `staying` more cross after `until`. Those who are left inside
+  !> at the end are the first `rest` of `time` and `who`.
+  !>
+  !> One entry adds one to the count at most: while `inside` are counted at an entry, the gate
+  !> cannot turn before the (most + 1 - inside)-th after it. So only few are looked at, and of
+  !> those the count is a loop without branches.
+  pure subroutine let_through(most, staying, held, entries, entry_time, until, time, who, &
+    stayer, reversals, last_entry, turned, leaving, leaver, turned_at, crossed, crosser, &
+    crossed_at, rest)
+    integer, intent(in) :: most, staying, held, entries
+    real(wp), intent(in) :: entry_time(entries), until
+    real(wp), intent(inout) :: time(held + entries)
+    integer, intent(inout) :: who(held + entries)
+    integer, intent(in), contiguous :: stayer(:)
+    integer, intent(inout) :: reversals
+    integer, intent(inout), contiguous :: last_entry(:), turned(:)
+    integer, intent(inout) :: leaving, crossed
+    integer, intent(inout), contiguous :: leaver(:), crosser(:)
+    real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
+    integer, intent(out) :: rest
+    integer :: limit, others, first, last, k, inside
+
+    limit = min(most, shiftr(huge(1), 1))
+    others = staying
+    first = 1
+    k = max(1, limit + 1 - held - others)
+    do while (k <= entries)
+      last = held + k
+      inside = others + count_after(last - first + 1, time(first:last), entry_time(k))
+      if (inside <= limit) then
+        k = k + limit + 1 - inside
+        cycle
+      end if
+      ! All who enter at this instant count before the gate decides.
+      do while (k < entries)
+        if (entry_time(k + 1) > entry_time(k)) exit
+        k = k + 1
+      end do
+      last = held + k
+      reversals = reversals + 1
+      last_entry(reversals) = k
+      turned(reversals) = leaving
+      leaver(leaving + 1:leaving + others) = stayer(:others)
+      turned_at(leaving + 1:leaving + others) = entry_time(k)
+      leaving = leaving + others
+      call turn_back(last - first + 1, time(first:last), who(first:last), entry_time(k), leaving, &
+        leaver, turned_at, crossed, crosser, crossed_at)
+      turned(reversals) = leaving - turned(reversals)
+      others = 0
+      first = last + 1
+      k = k + max(limit, 0) + 1
+    end do
+    rest = 0
+    do k = first, held + entries
+      crosser(crossed + 1) = who(k)
+      crossed_at(crossed + 1) = time(k)
+      crossed = crossed + merge(1, 0, time(k) < until)
+      who(rest + 1) = who(k)
+      time(rest + 1) = time(k)
+      rest = rest + merge(0, 1, time(k) < until)
+    end do
+  end subroutine let_through
+
+  !> How many of the times are after `instant`.
+  pure function count_after(n, time, instant) result(after)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: time(n), instant
+    integer :: after
+    integer(int64) :: found
+    integer :: k
+
+    found = 0
+    do k = 1, n
+      found = found + merge(1_int64, 0_int64, time(k) > instant)
+    end do
+    after = int(found)
+  end function count_after
+
+  !> The gate turns at this `instant`: who has crossed by then, and who is turned back.
+  pure subroutine turn_back(n, time, who, instant, leaving, leaver, turned_at, crossed, crosser, &
+    crossed_at)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: time(n), instant
+    integer, intent(in) :: who(n)
+    integer, intent(inout) :: leaving, crossed
+    integer, intent(inout), contiguous :: leaver(:), crosser(:)
+    real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
+    integer :: k
+
+    do k = 1, n
+      leaver(leaving + 1) = who(k)
+      turned_at(leaving + 1) = instant
+      leaving = leaving + merge(1, 0, time(k) > instant)
+      crosser(crossed + 1) = who(k)
+      crossed_at(crossed + 1) = time(k)
+      crossed = crossed + merge(0, 1, time(k) > instant)
+    end do
+  end subroutine turn_back
 
   !> The clock is set back by `shift`.
   pure subroutine shift_gate(gate, shift)

@@ -173,40 +173,71 @@ contains
     end do
   end subroutine sharpen
 
-  !> `march_steps` impacts of each particle; one whose impact lies in an opening stays there. No
-  !> branches: the loop over the particles is the one that becomes vector instructions, and a
-  !> particle's state stays in registers for all its steps.
+  !> `march_steps` impacts of each particle; one whose impact lies in an opening stays there. All
+  !> impacts are computed first, as if nothing were open, then the first that lies in an opening is
+  !> chosen, from the last backwards: so no step waits for a comparison. No branches: the loop over
+  !> the particles is the one that becomes vector instructions.
   pure subroutine march(half1, half2, n, px, py, zx, zy, steps)
     real(wp), intent(in) :: half1, half2
     integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), steps(n)
     real(wp), intent(in) :: zx(n), zy(n)
-    real(wp) :: h1, h2, x, y, next_x, next_y, cosine, sine, taken
-    logical :: open
-    integer :: j, step
+    real(wp) :: h1, h2, c, s, taken
+    real(wp) :: x0, x1, x2, x3, x4, x5, x6, x7, x8, y0, y1, y2, y3, y4, y5, y6, y7, y8
+    integer :: j
 
     ! Copies in registers: a load behind a pointer would have to stay conditional, with a branch.
     h1 = half1
     h2 = half2
+    ! Written out, since the compiler makes no vectors of a loop in this loop.
     do j = 1, n
-      x = px(j)
-      y = py(j)
-      cosine = zx(j)
-      sine = zy(j)
-      taken = steps(j)
-      do step = 1, march_steps
-        open = abs(y) < merge(h1, h2, x > 0.0_wp)
-        next_x = x*cosine - y*sine
-        next_y = x*sine + y*cosine
-        taken = merge(taken, taken + 1.0_wp, open)
-        x = merge(x, next_x, open)
-        y = merge(y, next_y, open)
-      end do
-      px(j) = x
-      py(j) = y
-      steps(j) = taken
+      x0 = px(j)
+      y0 = py(j)
+      c = zx(j)
+      s = zy(j)
+      call rotate(c, s, x0, y0, x1, y1)
+      call rotate(c, s, x1, y1, x2, y2)
+      call rotate(c, s, x2, y2, x3, y3)
+      call rotate(c, s, x3, y3, x4, y4)
+      call rotate(c, s, x4, y4, x5, y5)
+      call rotate(c, s, x5, y5, x6, y6)
+      call rotate(c, s, x6, y6, x7, y7)
+      call rotate(c, s, x7, y7, x8, y8)
+      taken = real(march_steps, wp)
+      call choose(h1, h2, 7.0_wp, x7, y7, x8, y8, taken)
+      call choose(h1, h2, 6.0_wp, x6, y6, x8, y8, taken)
+      call choose(h1, h2, 5.0_wp, x5, y5, x8, y8, taken)
+      call choose(h1, h2, 4.0_wp, x4, y4, x8, y8, taken)
+      call choose(h1, h2, 3.0_wp, x3, y3, x8, y8, taken)
+      call choose(h1, h2, 2.0_wp, x2, y2, x8, y8, taken)
+      call choose(h1, h2, 1.0_wp, x1, y1, x8, y8, taken)
+      call choose(h1, h2, 0.0_wp, x0, y0, x8, y8, taken)
+      px(j) = x8
+      py(j) = y8
+      steps(j) = steps(j) + taken
     end do
   end subroutine march
+
+  !> The next impact.
+  elemental subroutine rotate(cosine, sine, x, y, next_x, next_y)
+    real(wp), intent(in) :: cosine, sine, x, y
+    real(wp), intent(out) :: next_x, next_y
+
+    next_x = x*cosine - y*sine
+    next_y = x*sine + y*cosine
+  end subroutine rotate
+
+  !> If the impact (x, y), before which there were `before`, lies in an opening, it is the first.
+  elemental subroutine choose(half1, half2, before, x, y, first_x, first_y, taken)
+    real(wp), intent(in) :: half1, half2, before, x, y
+    real(wp), intent(inout) :: first_x, first_y, taken
+    logical :: open
+
+    open = abs(y) < merge(half1, half2, x > 0.0_wp)
+    first_x = merge(x, first_x, open)
+    first_y = merge(y, first_y, open)
+    taken = merge(before, taken, open)
+  end subroutine choose
 
   !> Writes down where every particle stands and keeps those that still bounce, without branches.
   pure subroutine close_ranks(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &

@@ -12,19 +12,21 @@ module battery_excursion
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion
-  use battery_flight, only: look_up, gather, land, locate, never, to_gate, to_return, in_gate, &
+  use battery_flight, only: gather, land, locate, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
+  use battery_few, only: walk_few, few
   use battery_chamber, only: leave_channels
   use battery_urn, only: cross
   use battery_visits, only: visits_type, reserve_visits, part_visits
-  use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
+  use battery_gate, only: hold, admit
+  use battery_window, only: window_type, reserve_window, deal, line_up, line_of, write_log, &
+    record_crossings
   use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
-    schedule, schedule_all, open_until, next_due, drop_done, turn_calendar
+    schedule, schedule_all, open_until, next_due, due_before, drop_done, turn_calendar
   use battery_memory, only: prefer_large_pages
   use battery_engine, only: engine_type, particles_type, turn_clock
-  use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
-    record_reversal, crossing_of, event_entry
+  use battery_history, only: history_type, reserve_history
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -40,8 +42,8 @@ module battery_excursion
     integer, public :: batch = 1024
     type(flight_type), allocatable :: flight(:)
     type(calendar_type) :: calendar
-    !> Of the sorted events of the calendar: when an entrant would cross the middle.
-    real(wp), allocatable :: middle(:)
+    !> The events of a window.
+    type(window_type) :: events
     !> The visits to the urn of each side. Urns that are alike share the first batch.
     type(visits_type) :: visits(2)
     integer :: batches = 1
@@ -65,8 +67,7 @@ contains
       + 0.25_wp*pi*self%table%channel(gated)%length
     self%lookahead = shortest_excursion(self%table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
-    if (allocated(self%flight)) deallocate (self%flight, self%middle)
-    allocate (self%middle(self%number))
+    if (allocated(self%flight)) deallocate (self%flight)
     call lay_out(self%flight, self%number)
     self%known_hits = 0
     self%told_hits = 0
@@ -152,7 +153,7 @@ contains
     real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
     real(wp) :: began, limit, ends, due
-    integer :: done, b
+    integer :: done, counted(2), b
 
     began = self%now
     limit = min(self%now + duration, self%page)
@@ -160,13 +161,18 @@ contains
       self%gate(2)%counted%next), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
     call open_until(self%calendar, self%flight, ends)
-    call reserve_visits(self%visits(1), self%calendar%sorted + self%gate(1)%counted%count &
-      + self%gate(2)%counted%count)
-    call reserve_history(history, self%calendar%sorted, 0)
-    call look_up(self%number, self%flight, self%calendar%sorted, self%calendar%particle, &
-      self%calendar%due_time, self%middle)
-    call walk(self, began, ends, self%calendar%sorted, self%calendar%due_time, &
-      self%calendar%particle, self%middle, self%number, self%flight, history, done)
+    done = due_before(self%calendar%sorted, self%calendar%due_time, ends)
+    counted = [self%gate(1)%counted%count, self%gate(2)%counted%count]
+    call reserve_visits(self%visits(1), done + sum(counted))
+    call reserve_history(history, done + sum(counted), 0)
+    if (done <= few) then
+      call walk_few(self%gate, self%table%beyond, self%number, self%flight, done, &
+        self%calendar%due_time, self%calendar%particle, began, ends, self%visits(1), history, &
+        self%known_hits)
+    else
+      call reserve_window(self%events, done, counted)
+      call walk(self, began, ends, done, history)
+    end if
     call drop_done(self%calendar, done)
     if (self%batches == 2) call part_visits(self%visits(1), self%visits(2))
     do b = 1, self%batches
@@ -193,116 +199,63 @@ contains
     call turn_clock(self)
   end subroutine turn_page
 
-  !> All events before `ends` in order, `done` of `last` sorted ones; gathers visits they begin.
-  subroutine walk(self, began, ends, last, due_time, particle, middle, number, flight, history, &
-    done)
-    type(excursion_type), intent(inout) :: self
+  !> All events before `ends`, the first `events` of the sorted ones and the crossings of the middle
+  !> line; gathers the visits that they begin. The gates do not meet: what the entries into one lead
+  !> to has nothing to do with the other.
+  subroutine walk(self, began, ends, events, history)
+    class(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: began, ends
-    integer, intent(in) :: last, particle(last)
-    real(wp), intent(in) :: due_time(last), middle(last)
-    integer, intent(in) :: number
-    type(flight_type), intent(inout) :: flight(number)
+    integer, intent(in) :: events
     type(history_type), intent(inout) :: history
-    integer, intent(out) :: done
-    real(wp) :: time
-    integer :: at, i, urn
-    logical :: logging
+    integer :: urn, before, crossed, crossed_before, from_gate(2)
 
-    ! A copy, which the compiler may keep in a register while it writes to `self`.
-    logging = history%logging
-    do at = 1, last
-      time = due_time(at)
-      if (time >= ends) exit
-      i = particle(at)
-      do while (min(self%gate(1)%counted%next, self%gate(2)%counted%next) <= time)
-        call cross_channel1(self, began, history)
+    associate (v => self%visits(1), w => self%events, due => self%calendar%due_time, &
+      particle => self%calendar%particle)
+      call deal(self%number, self%flight, events, due, particle, size(w%crosser), w%dealt, w%due, &
+        w%middle, w%particle)
+      crossed = 0
+      do urn = 1, 2
+        before = v%count
+        crossed_before = crossed
+        call admit(self%gate(urn), w%stretch(urn), w%dealt(urn), w%due(:, urn), w%middle(:, urn), &
+          w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, w%crosser, &
+          w%crossing_time)
+        v%urn(before + 1:v%count) = urn
+        v%channel(before + 1:v%count) = gated
+        from_gate(urn) = crossed - crossed_before
+        if (self%table%beyond(urn) == urn) self%known_hits = self%known_hits + from_gate(urn)
       end do
-      urn = flight(i)%urn
-      if (flight(i)%heading == to_gate) then
-        flight(i)%heading = in_gate
-        call enter(self%gate(urn), middle(at), i)
-        if (logging) call record_event(history, time - began, event_entry, urn, i)
-        if (must_turn(self%gate(urn))) then
-          if (.not. more_enter_now(last, due_time, particle, number, flight, at)) &
-            call reverse(self, urn, time, began, history)
-        end if
+      call line_up(w, self%number, from_gate(1), from_gate(2))
+      if (history%logging) then
+        call write_log(w, self%number, self%flight, began, events, due, particle, history)
       else
-        call record_crossing(history, time - began, crossing_of(urn, ungated), i)
-        call send(self%visits(1), i, self%table%beyond(urn), ungated)
+        history%reversals = sum(int(w%stretch%reversals, int64))
+        history%bounce_backs = v%count
+        call record_crossings(w, self%number, self%flight, began, history)
       end if
-    end do
-    done = at - 1
-    do while (min(self%gate(1)%counted%next, self%gate(2)%counted%next) < ends)
-      call cross_channel1(self, began, history)
-    end do
+      call send(self, w%crossings, w%crosser)
+    end associate
   end subroutine walk
 
-  !> Whether another particle enters the same gate at the very same time as the event `at`.
-  pure function more_enter_now(last, due_time, particle, number, flight, at) result(more)
-    integer, intent(in) :: last, particle(last), number, at
-    real(wp), intent(in) :: due_time(last)
-    type(flight_type), intent(in) :: flight(number)
-    logical :: more
-    integer :: other, i
+  !> Puts those who have crossed a line into the batch: they go straight to the urn beyond.
+  pure subroutine send(self, crossings, crosser)
+    class(excursion_type), intent(inout) :: self
+    integer, intent(in) :: crossings
+    !> As in `window_type`.
+    integer, intent(in) :: crosser(crossings)
+    integer :: k, count, particle, from, channel
 
-    more = .false.
-    do other = at + 1, last
-      if (due_time(other) > due_time(at)) exit
-      i = particle(other)
-      more = flight(i)%heading == to_gate .and. flight(i)%urn == flight(particle(at))%urn
-      if (more) exit
-    end do
-  end function more_enter_now
-
-  !> A gate reverses: all counted go back to their urn, as long as they have been in the channel.
-  subroutine reverse(self, urn, time, began, history)
-    type(excursion_type), intent(inout) :: self
-    integer, intent(in) :: urn
-    real(wp), intent(in) :: time, began
-    type(history_type), intent(inout) :: history
-    integer :: first, last
-
-    associate (counted => self%gate(urn)%counted, v => self%visits(1))
-      call record_reversal(history, time - began, urn, counted%count)
-      first = v%count + 1
-      last = v%count + counted%count
-      v%count = last
-      v%particle(first:last) = counted%who(:counted%count)
-      v%urn(first:last) = urn
-      v%channel(first:last) = gated
-      v%turned(first:last) = time
+    associate (v => self%visits(1))
+      count = v%count
+      do k = 1, crossings
+        call line_of(self%number, self%flight, crosser(k), particle, from, channel)
+        v%particle(count + k) = particle
+        v%urn(count + k) = self%table%beyond(from)
+        v%channel(count + k) = channel
+        v%turned(count + k) = never
+      end do
+      v%count = count + crossings
     end associate
-    call turned_back(self%gate(urn))
-  end subroutine reverse
-
-  !> The next particle of channel 1 crosses its middle line, or hits the end wall there.
-  subroutine cross_channel1(self, began, history)
-    type(excursion_type), intent(inout) :: self
-    real(wp), intent(in) :: began
-    type(history_type), intent(inout) :: history
-    real(wp) :: time
-    integer :: urn, i
-
-    urn = first_to_cross(self%gate)
-    time = self%gate(urn)%counted%next
-    call cross_first(self%gate(urn), i)
-    call record_crossing(history, time - began, crossing_of(urn, gated), i)
-    if (self%table%beyond(urn) == urn) self%known_hits = self%known_hits + 1
-    call send(self%visits(1), i, self%table%beyond(urn), gated)
-  end subroutine cross_channel1
-
-  !> Puts a particle into the batch: it goes straight to `urn` through `channel`.
-  pure subroutine send(visits, i, urn, channel)
-    type(visits_type), intent(inout) :: visits
-    integer, intent(in) :: i, urn, channel
-    integer :: count
-
-    count = visits%count + 1
-    visits%count = count
-    visits%particle(count) = i
-    visits%urn(count) = urn
-    visits%channel(count) = channel
-    visits%turned(count) = never
   end subroutine send
 
   !> x, y, u_x, u_y of particle `i` now, by going back in its flight.

@@ -9,7 +9,7 @@ module battery_flight
   use battery_urn, only: urn_type, place_before, place_for_ever
   implicit none (type, external)
   private
-  public :: look_up, gather, land, locate, never
+  public :: gather, land, locate, middle_time, never
   public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel
 
   !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
@@ -23,25 +23,15 @@ module battery_flight
 
 contains
 
-  !> When each of the particles whose events are due would cross the middle of channel 1, if it is
-  !> to enter a gate. Without branches: with many particles each flight is a line of memory, and
-  !> many of them are to be on their way at a time, before the events are walked through one by one.
-  pure subroutine look_up(number, flight, n, particle, due, middle)
-    !> How many particles there are, and how many events.
-    integer, intent(in) :: number, n
-    type(flight_type), intent(in) :: flight(number)
-    !> Whose the events are.
-    integer, intent(in) :: particle(n)
-    !> When each event is due.
-    real(wp), intent(in) :: due(n)
-    !> When each would cross; without meaning for one that enters no gate.
-    real(wp), intent(out) :: middle(n)
-    integer :: k
+  !> When a particle that enters a gate is to cross the middle of channel 1. Nobody does so before
+  !> having entered, however short the channel.
+  elemental function middle_time(enters, through) result(time)
+    !> When it enters, from 0 up, and how long it would be in the channel.
+    real(wp), intent(in) :: enters, through
+    real(wp) :: time
 
-    do k = 1, n
-      middle(k) = due(k) + 0.5_wp*flight(particle(k))%through
-    end do
-  end subroutine look_up
+    time = max(enters + 0.5_wp*through, enters*(1.0_wp + 2.0_wp*epsilon(1.0_wp)))
+  end function middle_time
 
   !> Takes what a batch needs to know of its particles from their flights.
   pure subroutine gather(number, flight, n, particle, turned, passage, time, y, along, across)

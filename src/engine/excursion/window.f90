@@ -1,0 +1,195 @@
+!> The events of one window of the engine `excursion`: who enters which gate, who crosses a line.
+module battery_window
+  use battery_kinds, only: wp, int8
+  use battery_table, only: gated, ungated
+  use battery_gate, only: stretch_type, reserve_stretch
+  use battery_ordering, only: put_in_order
+  use battery_calendar, only: flight_type
+  use battery_flight, only: middle_time, to_gate, in_gate
+  use battery_history, only: history_type, record_crossing, record_event, record_reversal, &
+    crossing_of, event_entry
+  implicit none (type, external)
+  private
+  public :: window_type, reserve_window, deal, line_up, line_of, record_crossings, &
+    write_log
+
+  !> Where events are dealt out to: the gates of urn 1 and 2, and the periodic line.
+  integer, parameter, public :: periodic_line = 3
+
+  type :: window_type
+    !> How many were dealt out to each; when each is due, when it would cross the middle line, whose
+    !> it is: (place, gate 1, gate 2, periodic line).
+    integer :: dealt(3) = 0
+    real(wp), allocatable :: due(:, :), middle(:, :)
+    integer, allocatable :: particle(:, :)
+    !> What the entries into each gate led to.
+    type(stretch_type) :: stretch(2)
+    !> Crossings of all lines: when, and who; after `line_up` in order, and the number of all
+    !> particles is added once for gate 2 and twice for the periodic line.
+    integer :: crossings = 0
+    real(wp), allocatable :: crossing_time(:)
+    integer, allocatable :: crosser(:)
+  end type window_type
+
+contains
+
+  !> Makes room for so many events, and for those that gates count.
+  subroutine reserve_window(window, events, counted)
+    type(window_type), intent(inout) :: window
+    integer, intent(in) :: events
+    !> By gate 1 and by gate 2.
+    integer, intent(in) :: counted(2)
+    integer :: side, room
+
+    do side = 1, 2
+      call reserve_stretch(window%stretch(side), events + counted(side))
+    end do
+    window%crossings = 0
+    room = events + sum(counted)
+    if (allocated(window%crosser)) then
+      if (size(window%crosser) >= room) return
+      deallocate (window%due, window%middle, window%particle, window%crossing_time, window%crosser)
+    end if
+    room = max(64, 2*room)
+    allocate (window%due(room, 3), window%middle(room, 3), window%particle(room, 3), &
+      window%crossing_time(room), window%crosser(room))
+  end subroutine reserve_window
+
+  !> Deals out the events that are due: those who enter a gate are inside from now on. Without
+  !> branches: with many particles each flight is a line of memory, and many of them are to be on
+  !> their way at a time.
+  pure subroutine deal(number, flight, events, due_time, who, room, dealt, due, middle, particle)
+    !> How many particles and events there are.
+    integer, intent(in) :: number, events
+    type(flight_type), intent(inout) :: flight(number)
+    !> Events in the order of time: when each is due, and whose it is.
+    real(wp), intent(in) :: due_time(events)
+    integer, intent(in) :: who(events)
+    !> As in `window_type`.
+    integer, intent(in) :: room
+    integer, intent(out) :: dealt(3)
+    real(wp), intent(inout) :: due(room, 3), middle(room, 3)
+    integer, intent(inout) :: particle(room, 3)
+    integer :: k, i, place, line
+    logical :: enters
+
+    dealt = 0
+    do k = 1, events
+      i = who(k)
+      enters = flight(i)%heading == to_gate
+      line = merge(int(flight(i)%urn), periodic_line, enters)
+      flight(i)%heading = merge(in_gate, flight(i)%heading, enters)
+      place = dealt(line) + 1
+      dealt(line) = place
+      due(place, line) = due_time(k)
+      middle(place, line) = middle_time(due_time(k), flight(i)%through)
+      particle(place, line) = i
+    end do
+  end subroutine deal
+
+  !> Puts the crossings of all lines into order: by time, at one time those of gate 1, of gate 2, of
+  !> the periodic line, then by number. The first are those who crossed from the gates.
+  pure subroutine line_up(window, number, from_gate1, from_gate2)
+    type(window_type), intent(inout) :: window
+    !> How many particles there are; how many crossed from each gate.
+    integer, intent(in) :: number, from_gate1, from_gate2
+    integer :: crossed, returned
+
+    crossed = from_gate1 + from_gate2
+    returned = window%dealt(periodic_line)
+    window%crosser(from_gate1 + 1:crossed) = window%crosser(from_gate1 + 1:crossed) + number
+    window%crossing_time(crossed + 1:crossed + returned) = window%due(:returned, periodic_line)
+    window%crosser(crossed + 1:crossed + returned) = 2*number &
+      + window%particle(:returned, periodic_line)
+    window%crossings = crossed + returned
+    call put_in_order(window%crossings, window%crossing_time, window%crosser)
+  end subroutine line_up
+
+  !> Who crosses which line, from which side.
+  pure subroutine line_of(number, flight, crosser, particle, urn, channel)
+    integer, intent(in) :: number
+    type(flight_type), intent(in) :: flight(number)
+    !> As in `window_type`.
+    integer, intent(in) :: crosser
+    integer, intent(out) :: particle, urn, channel
+    integer :: line
+
+    line = 1 + merge(1, 0, crosser > number) + merge(1, 0, crosser > 2*number)
+    particle = crosser - (line - 1)*number
+    channel = merge(ungated, gated, line == periodic_line)
+    urn = merge(int(flight(particle)%urn), line, line == periodic_line)
+  end subroutine line_of
+
+  !> Tells a history of the crossings; there is room for them.
+  pure subroutine record_crossings(window, number, flight, began, history)
+    type(window_type), intent(in) :: window
+    integer, intent(in) :: number
+    type(flight_type), intent(in) :: flight(number)
+    !> When the window began.
+    real(wp), intent(in) :: began
+    type(history_type), intent(inout) :: history
+    integer :: k, particle, from, channel
+
+    do k = 1, window%crossings
+      call line_of(number, flight, window%crosser(k), particle, from, channel)
+      history%crossing_time(k) = window%crossing_time(k) - began
+      history%crossing(k) = int(crossing_of(from, channel), int8)
+    end do
+    history%crossings = window%crossings
+  end subroutine record_crossings
+
+  !> Tells a history what happened, with the event log.
+  subroutine write_log(window, number, flight, began, events, due_time, who, history)
+    type(window_type), intent(in) :: window
+    integer, intent(in) :: number, events
+    type(flight_type), intent(in) :: flight(number)
+    !> When the window began.
+    real(wp), intent(in) :: began
+    !> As they were dealt out.
+    real(wp), intent(in) :: due_time(events)
+    integer, intent(in) :: who(events)
+    type(history_type), intent(inout) :: history
+    integer :: k, next, urn, entered(2), turned(2)
+
+    next = 1
+    entered = 0
+    turned = 0
+    do k = 1, events
+      ! Of the same instant, crossings of the middle line come first.
+      do while (next <= window%crossings)
+        if (window%crossing_time(next) > due_time(k)) exit
+        if (window%crossing_time(next) >= due_time(k) .and. window%crosser(next) > 2*number) exit
+        call tell_crossing()
+      end do
+      if (flight(who(k))%heading /= in_gate) then
+        call tell_crossing()
+        cycle
+      end if
+      urn = flight(who(k))%urn
+      call record_event(history, due_time(k) - began, event_entry, urn, who(k))
+      entered(urn) = entered(urn) + 1
+      associate (stretch => window%stretch(urn))
+        if (turned(urn) == stretch%reversals) cycle
+        if (stretch%last_entry(turned(urn) + 1) > entered(urn)) cycle
+        turned(urn) = turned(urn) + 1
+        call record_reversal(history, due_time(k) - began, urn, stretch%turned(turned(urn)))
+      end associate
+    end do
+    do while (next <= window%crossings)
+      call tell_crossing()
+    end do
+
+  contains
+
+    subroutine tell_crossing()
+      integer :: particle, from, channel
+
+      call line_of(number, flight, window%crosser(next), particle, from, channel)
+      call record_crossing(history, window%crossing_time(next) - began, &
+        crossing_of(from, channel), particle)
+      next = next + 1
+    end subroutine tell_crossing
+
+  end subroutine write_log
+
+end module battery_window

@@ -1,0 +1,180 @@
+!> Puts a short list of events into the order of time, and of their numbers at one time.
+!>
+!> Which of two times is less cannot be guessed, so the kernel does not ask: the place of each is
+!> how many are earlier, and counting has no branches.
+module battery_ordering
+  use battery_kinds, only: wp, int64
+  implicit none (type, external)
+  private
+  public :: put_in_order, insert
+
+  !> So many times are compared with another at a time.
+  integer, parameter :: block = 8
+  !> Longest list that is ordered by counting.
+  integer, parameter, public :: longest = 16*block
+  !> Longer lists than `short` are dealt out by time first, to bins for `share` events.
+  integer, parameter, public :: short = 32
+  integer, parameter :: share = 10
+
+contains
+
+  !> Puts a list into order: by time, then by number.
+  pure subroutine put_in_order(n, time, number)
+    !> How many.
+    integer, intent(in) :: n
+    !> In and out, all finite.
+    real(wp), intent(inout) :: time(n)
+    !> Whose each is; no two at one time are the same.
+    integer, intent(inout) :: number(n)
+    real(wp) :: least, most
+
+    if (n <= short) then
+      call order_by_counting(n, time, number)
+      return
+    end if
+    least = minval(time)
+    most = maxval(time)
+    if (most > least) then
+      call deal_out(n, time, number, least, (real(n/share, wp) - 0.5_wp)/(most - least))
+    else
+      call insert_all(n, time, number)
+    end if
+  end subroutine put_in_order
+
+  !> The same for many: into bins of equal width, each of which is put in order then.
+  pure subroutine deal_out(n, time, number, least, per_width)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: time(n)
+    integer, intent(inout) :: number(n)
+    !> The earliest of the times, and bins a time unit.
+    real(wp), intent(in) :: least, per_width
+    real(wp), allocatable :: was(:)
+    integer, allocatable :: whose(:), bin(:), place(:)
+    integer :: k, at, first, bins
+
+    bins = n/share
+    was = time
+    whose = number
+    allocate (bin(n), place(0:bins))
+    place = 0
+    do k = 1, n
+      bin(k) = int((was(k) - least)*per_width)
+      place(bin(k) + 1) = place(bin(k) + 1) + 1
+    end do
+    do k = 1, bins
+      place(k) = place(k) + place(k - 1)
+    end do
+    do k = 1, n
+      at = place(bin(k)) + 1
+      place(bin(k)) = at
+      time(at) = was(k)
+      number(at) = whose(k)
+    end do
+    ! Now `place` is where each bin ends.
+    first = 1
+    do k = 0, bins - 1
+      at = place(k)
+      if (at - first < longest) then
+        call order_by_counting(at - first + 1, time(first:at), number(first:at))
+      else
+        call insert_all(at - first + 1, time(first:at), number(first:at))
+      end if
+      first = at + 1
+    end do
+  end subroutine deal_out
+
+  !> A list no longer than `longest`: the place of each is how many are earlier.
+  pure subroutine order_by_counting(n, time, number)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: time(n)
+    integer, intent(inout) :: number(n)
+    real(wp) :: was(longest)
+    integer :: whose(longest), place
+    integer(int64) :: earlier(block), total
+    integer :: first, k
+
+    if (n < 2) return
+    do k = 1, n
+      was(k) = time(k)
+      whose(k) = number(k)
+    end do
+    do k = n + 1, min(n + block - 1, longest)
+      was(k) = huge(1.0_wp)
+    end do
+    total = 0
+    do first = 1, n, block
+      call count_earlier(n, was, was(first), earlier)
+      do k = first, min(first + block - 1, n)
+        place = int(earlier(k - first + 1)) + 1
+        time(place) = was(k)
+        number(place) = whose(k)
+        total = total + place
+      end do
+    end do
+    if (total == (int(n, int64)*(n + 1))/2) return
+    ! Some are due at one time.
+    time = was(:n)
+    number = whose(:n)
+    call insert_all(n, time, number)
+  end subroutine order_by_counting
+
+  !> How many of the times are before each of eight of `mine`. The eight are named, so that the
+  !> compiler keeps their counts in registers.
+  pure subroutine count_earlier(n, time, mine, earlier)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: time(n), mine(block)
+    integer(int64), intent(out) :: earlier(block)
+    integer :: j, lane
+
+    do lane = 1, block
+      earlier(lane) = 0
+    end do
+    do j = 1, n
+      ! Not unrolled, the lanes become one vector; else the loop about them becomes vectors, slowly.
+!GCC$ unroll 0
+      do lane = 1, block
+        earlier(lane) = earlier(lane) + merge(1_int64, 0_int64, time(j) < mine(lane))
+      end do
+    end do
+  end subroutine count_earlier
+
+  !> A list with many at one time.
+  pure subroutine insert_all(n, time, number)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: time(n)
+    integer, intent(inout) :: number(n)
+    real(wp) :: this_time
+    integer :: k, sorted, this
+
+    do k = 2, n
+      sorted = k - 1
+      this_time = time(k)
+      this = number(k)
+      call insert(n, time, number, sorted, this_time, this)
+    end do
+  end subroutine insert_all
+
+  !> Puts an event in its place among `sorted` ones: by time, then by number.
+  pure subroutine insert(room, time, number, sorted, at, whose)
+    integer, intent(in) :: room
+    real(wp), intent(inout) :: time(room)
+    integer, intent(inout) :: number(room)
+    integer, intent(inout) :: sorted
+    real(wp), intent(in) :: at
+    integer, intent(in) :: whose
+    integer :: place
+
+    place = sorted
+    do while (place > 0)
+      if (time(place) < at) exit
+      if (.not. time(place) > at .and. number(place) < whose) exit
+      time(place + 1) = time(place)
+      number(place + 1) = number(place)
+      place = place - 1
+    end do
+    time(place + 1) = at
+    number(place + 1) = whose
+    sorted = sorted + 1
+  end subroutine insert
+
+end module battery_ordering
