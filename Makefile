@@ -7,13 +7,18 @@ SHELL := bash
 .DEFAULT_GOAL := help
 MAKEFLAGS += --no-print-directory
 
+# Which MPI: `make build MPI=mpich` builds with Debian's MPICH, into build/mpich.
+export MPI := openmpi
+SUFFIX := $(if $(filter-out openmpi,$(MPI)),.$(MPI))
+PREFIX := build$(SUFFIX:.%=/%)
+
 # What compiling needs. The command after the colon tells whether it is there.
 define PACKAGES
 gfortran:            command -v gfortran
-openmpi-bin:         command -v mpirun
-libopenmpi-dev:      command -v mpifort
+$(MPI:openmpi=openmpi-bin): command -v mpirun$(SUFFIX)
+lib$(MPI)-dev:       command -v mpifort$(SUFFIX)
 pkg-config:          command -v pkg-config
-libhdf5-openmpi-dev: pkg-config --exists hdf5-openmpi
+libhdf5-$(MPI)-dev:  pkg-config --exists hdf5-$(MPI)
 libgsl-dev:          pkg-config --exists gsl
 libssl-dev:          pkg-config --exists libcrypto
 python3-venv:        python3 -c 'import ensurepip, venv'
@@ -27,11 +32,11 @@ DEBUG_FLAGS   := $(COMMON_FLAGS) -Werror -Og -g -fcheck=all -fbacktrace -finit-r
                  -ffpe-trap=invalid,zero,overflow
 
 # Deferred, since pkg-config may be installed by this very make.
-HDF5_INCLUDE = $(shell pkg-config --cflags-only-I hdf5-openmpi)
-HDF5_LIBRARY = $(shell pkg-config --libs-only-L hdf5-openmpi)
+HDF5_INCLUDE = $(shell pkg-config --cflags-only-I hdf5-$(MPI))
+HDF5_LIBRARY = $(shell pkg-config --libs-only-L hdf5-$(MPI))
 LINK_FLAGS   = $(HDF5_LIBRARY)
 
-export FPM_FC := mpifort
+export FPM_FC := mpifort$(SUFFIX)
 export FPM_AR := gcc-ar
 # Open MPI as root, and with more ranks than cores.
 export OMPI_ALLOW_RUN_AS_ROOT := 1
@@ -69,9 +74,9 @@ test: build ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: 
 	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --ldflags=" $(LINK_FLAGS)" \
 	  --release=" $(RELEASE_FLAGS) $(HDF5_INCLUDE)" --debug=" $(DEBUG_FLAGS) $(HDF5_INCLUDE)"
 
-build: install information ## only builds: the program is build/bin/battery
+build: install information ## only builds: the program is build/bin/battery; MPI=mpich: build/mpich/bin/battery
 	@export FPM_FFLAGS="$(RELEASE_FLAGS) $(HDF5_INCLUDE)" FPM_LDFLAGS="-flto $(LINK_FLAGS)"
-	flock build/.lock $(VENV)/bin/fpm install --prefix build
+	flock build/.lock $(VENV)/bin/fpm install --prefix $(PREFIX)
 
 bench: build ## the speed tables, and what must be reached; JSON in build/bench
 	@if command -v valgrind > /dev/null; then $(MAKE) build/counted/bin/bench; fi
@@ -148,9 +153,9 @@ clean: ## removes everything made, the virtual environment too
 	rm -rf build
 
 # What is missing is installed once; the stamps remember that it is there.
-install: build/stamps/packages build/stamps/python
+install: build/stamps/packages$(SUFFIX) build/stamps/python
 
-build/stamps/packages: Makefile
+build/stamps/packages$(SUFFIX): Makefile
 	@mkdir -p build/stamps
 	missing=()
 	while IFS=: read -r package question; do
@@ -177,7 +182,7 @@ build/stamps/packages: Makefile
 	fi
 	touch $@
 
-build/stamps/python: postproc/requirements.txt | build/stamps/packages
+build/stamps/python: postproc/requirements.txt | build/stamps/packages$(SUFFIX)
 	@echo "Installing the Python packages of postproc/requirements.txt in $(VENV)"
 	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r postproc/requirements.txt
@@ -185,7 +190,7 @@ build/stamps/python: postproc/requirements.txt | build/stamps/packages
 
 # Version and git commit for src/base/build_information.f90. fpm does not watch included files, so
 # the object that has them is removed when they change; objects for another processor go as well.
-information: build/stamps/packages
+information: build/stamps/packages$(SUFFIX)
 	@mkdir -p build/generated
 	version=$$(sed -nE 's/^version = "(.*)"/\1/p' fpm.toml)
 	commit=$$(git describe --always --dirty --abbrev=40 --exclude='*' 2> /dev/null || echo unknown)
@@ -193,16 +198,16 @@ information: build/stamps/packages
 	  program_version "$$version" git_commit "$$commit")
 	if [[ "$$new" != "$$(cat build/generated/build_information.inc 2> /dev/null)" ]]; then
 	  echo "$$new" > build/generated/build_information.inc
-	  rm -f build/mpifort_*/battery/*build_information.f90.o*
+	  rm -f build/mpifort*/battery/*build_information.f90.o*
 	fi
 	# fpm keeps objects of sources that are gone or have moved.
 	sources=$$(find src app -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
 	if [[ "$$sources" != "$$(cat build/stamps/sources 2> /dev/null)" ]]; then
-	  rm -rf build/mpifort_* build/probe/build build/test_package
+	  rm -rf build/mpifort* build/probe/build build/test_package
 	  echo "$$sources" > build/stamps/sources
 	fi
 	processor=$$(gfortran -march=native -Q --help=target | sha256sum)
 	if [[ "$$processor" != "$$(cat build/stamps/processor 2> /dev/null)" ]]; then
-	  rm -rf build/mpifort_* build/probe/build
+	  rm -rf build/mpifort* build/probe/build
 	  echo "$$processor" > build/stamps/processor
 	fi

@@ -162,16 +162,17 @@ contains
     summary(2) = summary(2)/real(communicator%size, dp)
   end function summary_of
 
-  !> Name and version of the MPI library.
+  !> Name and version of the MPI library; what else it says of itself stands behind a comma or in
+  !> further lines, and a tab may stand for a blank.
   function mpi_library() result(name)
     character(len=:), allocatable :: name
     character(len=MPI_MAX_LIBRARY_VERSION_STRING) :: text
-    integer :: length, first_comma
+    integer :: length, tab
 
     call MPI_Get_library_version(text, length)
-    first_comma = index(text(:length), ',')
-    if (first_comma > 0) length = first_comma - 1
-    name = text(:length)
+    name = text(:scan(text(:length)//new_line('a'), ','//new_line('a')) - 1)
+    tab = index(name, achar(9))
+    if (tab > 0) name(tab:tab) = ' '
   end function mpi_library
 
   !> Sets up the board, all entries 0, with the list of tasks that rank 0 has. Collective.

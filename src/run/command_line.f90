@@ -20,9 +20,9 @@ module battery_command_line
   !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
   !> second to save their states.
   character(len=*), parameter, public :: ways_to_stop = &
-    'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. mpirun kills its' &
+    'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. Open MPI''s mpirun' &
     //new_line_character &
-    //'ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its last' &
+    //'kills its ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its last' &
     //new_line_character &
     //'checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
 

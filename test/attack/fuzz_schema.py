@@ -59,6 +59,9 @@ def as_json(value: Any) -> Any:  # noqa: ANN401
 
 def read(text: str) -> Json | None:
     """Read a namelist with f90nml; nothing if it cannot, or if JSON has no word for a value."""
+    # It would fill the memory with so many values, or places before an index.
+    if re.search(r"\d{6}\d*\s*[*)]", text):
+        return None
     try:
         # It prints what it was about when it gives up.
         with contextlib.redirect_stdout(io.StringIO()):
