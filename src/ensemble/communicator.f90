@@ -17,6 +17,7 @@ module battery_communicator
     MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type
+  use battery_signals, only: signals_watch
   use battery_terminal, only: is_terminal, parent_is_terminal
   implicit none (type, external)
   private
@@ -63,7 +64,11 @@ contains
 
     call MPI_Initialized(running)
     communicator%mine = .not. running
-    if (communicator%mine) call MPI_Init()
+    if (communicator%mine) then
+      call MPI_Init()
+      ! MPICH takes SIGUSR1 for the word of a failed rank, asks mpiexec which, and without one hangs.
+      call signals_watch()
+    end if
     from = MPI_COMM_WORLD
     if (present(parent)) from = parent
     call MPI_Comm_dup(from, communicator%ranks)
