@@ -66,7 +66,7 @@ contains
     communicator%mine = .not. running
     if (communicator%mine) then
       call MPI_Init()
-      ! MPICH takes SIGUSR1 for the word of a failed rank, asks mpiexec which, and without one hangs.
+      ! MPICH takes SIGUSR1 for word of a failed rank, asks mpiexec which, and without one hangs.
       call signals_watch()
     end if
     from = MPI_COMM_WORLD

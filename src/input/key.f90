@@ -128,8 +128,9 @@ contains
 
   !> `a b c` as `'a', 'b', 'c'`.
   pure function choices_text(choices, quote) result(text)
-    !> Words set apart by single blanks, and what stands around each.
+    !> Words set apart by single blanks.
     character(len=*), intent(in) :: choices
+    !> What stands around each.
     character(len=1), intent(in) :: quote
     character(len=:), allocatable :: text
     integer :: at

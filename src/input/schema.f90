@@ -4,8 +4,8 @@
 module battery_schema
   use battery_kinds, only: wp
   use battery_text, only: to_text, new_line_character
-  use battery_key, only: key_type, allowed_text, choices_text, is_beyond, longest_text, longest_range, &
-    whole_key, real_key, logical_key
+  use battery_key, only: key_type, allowed_text, choices_text, is_beyond, longest_text, &
+    longest_range, whole_key, real_key, logical_key
   implicit none (type, external)
   private
   public :: schema_text

@@ -12,7 +12,8 @@ module battery_command_line
 
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
-    'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, battery --schema, '//'battery --version'
+    'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, '// &
+    'battery --schema, battery --version'
 
   character(len=11), parameter :: options(6) = [character(len=11) :: '--check', '--overwrite', &
     '--quiet', '--help', '--schema', '--version']
@@ -22,9 +23,9 @@ module battery_command_line
   character(len=*), parameter, public :: ways_to_stop = &
     'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. Open MPI''s mpirun' &
     //new_line_character &
-    //'kills its ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its last' &
+    //'kills its ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its' &
     //new_line_character &
-    //'checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
+    //'last checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
 
   !> What is to be done.
   type :: command_line_type
