@@ -7,13 +7,18 @@ SHELL := bash
 .DEFAULT_GOAL := help
 MAKEFLAGS += --no-print-directory
 
+# Which MPI: `make build MPI=mpich` builds with Debian's MPICH, into build/mpich.
+export MPI := openmpi
+SUFFIX := $(if $(filter-out openmpi,$(MPI)),.$(MPI))
+BUILT  := build$(SUFFIX:.%=/%)
+
 # What compiling needs. The command after the colon tells whether it is there.
 define PACKAGES
 gfortran:            command -v gfortran
-openmpi-bin:         command -v mpirun
-libopenmpi-dev:      command -v mpifort
+$(MPI:openmpi=openmpi-bin): command -v mpirun$(SUFFIX)
+lib$(MPI)-dev:       command -v mpifort$(SUFFIX)
 pkg-config:          command -v pkg-config
-libhdf5-openmpi-dev: pkg-config --exists hdf5-openmpi
+libhdf5-$(MPI)-dev:  pkg-config --exists hdf5-$(MPI)
 libgsl-dev:          pkg-config --exists gsl
 libssl-dev:          pkg-config --exists libcrypto
 python3-venv:        python3 -c 'import ensurepip, venv'
@@ -22,13 +27,17 @@ export PACKAGES
 
 # Switches of compiler and linker stand in fpm.rsp; in quotes of the shell their calls of pkg-config
 # are made. fpm adds -fimplicit-none and -Werror=implicit-interface.
-switches = $(shell sed -nE '/^@$1$$/,/^$$/s/^options --$2 "(.*)"$$/\1/p' fpm.rsp)
+switches = $(shell sed -nE '/^@$1$$/,/^$$/s/^options --$2 "(.*)"$$/\1/p' fpm.rsp \
+           | sed 's/hdf5-openmpi/hdf5-$(MPI)/g')
 RELEASE_FLAGS := $(call switches,release,flag)
 RELEASE_LINK  := $(call switches,release,link-flag)
 DEBUG_FLAGS   := $(call switches,debug,flag)
 DEBUG_LINK    := $(call switches,debug,link-flag)
+# `fpm @install` where it is Open MPI, for which fpm.rsp is made.
+FPM_INSTALL   := $(if $(SUFFIX),install --compiler mpifort$(SUFFIX) --archiver gcc-ar \
+                 --flag "$(RELEASE_FLAGS)" --link-flag "$(RELEASE_LINK)",@install)
 
-export FPM_FC := mpifort
+export FPM_FC := mpifort$(SUFFIX)
 export FPM_AR := gcc-ar
 # Open MPI as root, and with more ranks than cores.
 export OMPI_ALLOW_RUN_AS_ROOT := 1
@@ -68,8 +77,8 @@ test: build ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: 
 	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --ldflags=" $(DEBUG_LINK)" \
 	  --release=" $(RELEASE_FLAGS)" --debug=" $(DEBUG_FLAGS)"
 
-build: packages information ## only builds: the program is build/bin/battery
-	@flock build/.lock $(VENV)/bin/fpm @install --prefix build
+build: packages information ## only builds: the program is build/bin/battery; MPI=mpich: build/mpich/bin/battery
+	@flock build/.lock $(VENV)/bin/fpm $(FPM_INSTALL) --prefix $(BUILT)
 
 bench: build ## the speed tables, and what must be reached; JSON in build/bench
 	@if command -v valgrind > /dev/null; then $(MAKE) build/counted/bin/bench; fi
@@ -169,9 +178,9 @@ clean: ## removes everything made, the virtual environment too
 	rm -rf build
 
 # What is missing is installed once; the stamps remember that it is there.
-packages: build/stamps/packages build/stamps/python
+packages: build/stamps/packages$(SUFFIX) build/stamps/python
 
-build/stamps/packages: Makefile
+build/stamps/packages$(SUFFIX): Makefile
 	@mkdir -p build/stamps
 	missing=()
 	while IFS=: read -r package question; do
@@ -198,7 +207,7 @@ build/stamps/packages: Makefile
 	fi
 	touch $@
 
-build/stamps/python: postproc/requirements.txt | build/stamps/packages
+build/stamps/python: postproc/requirements.txt | build/stamps/packages$(SUFFIX)
 	@echo "Installing the Python packages of postproc/requirements.txt in $(VENV)"
 	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r postproc/requirements.txt
@@ -206,22 +215,22 @@ build/stamps/python: postproc/requirements.txt | build/stamps/packages
 
 # The git commit for src/base/commit.c. fpm does not watch files that may not be there, so the object
 # that has it is removed when it changes; objects for another processor go as well.
-information: build/stamps/packages
+information: build/stamps/packages$(SUFFIX)
 	@mkdir -p build/generated
 	commit=$$(git describe --always --dirty --abbrev=40 --exclude='*' 2> /dev/null || echo unknown)
 	new="#define BATTERY_COMMIT \"$$commit\""
 	if [[ "$$new" != "$$(cat build/generated/commit.h 2> /dev/null)" ]]; then
 	  echo "$$new" > build/generated/commit.h
-	  rm -f build/mpifort_*/battery/*commit.c.o*
+	  rm -f build/mpifort*/battery/*commit.c.o*
 	fi
 	# fpm keeps objects of sources that are gone or have moved.
 	sources=$$(find src app -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
 	if [[ "$$sources" != "$$(cat build/stamps/sources 2> /dev/null)" ]]; then
-	  rm -rf build/mpifort_* build/probe/build build/test_package
+	  rm -rf build/mpifort* build/probe/build build/test_package
 	  echo "$$sources" > build/stamps/sources
 	fi
 	processor=$$(gfortran -march=native -Q --help=target | sha256sum)
 	if [[ "$$processor" != "$$(cat build/stamps/processor 2> /dev/null)" ]]; then
-	  rm -rf build/mpifort_* build/probe/build
+	  rm -rf build/mpifort* build/probe/build
 	  echo "$$processor" > build/stamps/processor
 	fi

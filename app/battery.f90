@@ -1,7 +1,7 @@
 !> The program `battery`: arguments, plan, ensemble, exit code.
 program battery
   use battery_error, only: error_type, exit_success, exit_failure
-  use battery_command_line, only: command_line_type, read_command_line, usage_text, version_text
+  use battery_command_line, only: command_line_type, read_command_line
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node
   use battery_ensemble, only: run_ensemble, heed_time_limit
@@ -27,10 +27,10 @@ program battery
   call open_communicator(communicator)
   call read_command_line(command_line, error)
   if (.not. allocated(error)) then
-    if (command_line%help .or. command_line%version) then
-      if (communicator%rank == 0) call answer()
-    else
+    if (command_line%answer == '') then
       call run()
+    else if (communicator%rank == 0) then
+      call say(command_line%answer)
     end if
   end if
   if (allocated(error)) then
@@ -45,11 +45,6 @@ program battery
   call leave(exit_code)
 
 contains
-
-  subroutine answer()
-    if (command_line%version) call say(version_text())
-    if (command_line%help) call say(usage_text())
-  end subroutine answer
 
   subroutine run()
     type(plan_type) :: plan

@@ -17,6 +17,7 @@ module battery_communicator
     MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type
+  use battery_signals, only: signals_watch
   use battery_terminal, only: is_terminal, parent_is_terminal
   implicit none (type, external)
   private
@@ -63,7 +64,11 @@ contains
 
     call MPI_Initialized(running)
     communicator%mine = .not. running
-    if (communicator%mine) call MPI_Init()
+    if (communicator%mine) then
+      call MPI_Init()
+      ! MPICH takes SIGUSR1 for word of a failed rank, asks mpiexec which, and without one hangs.
+      call signals_watch()
+    end if
     from = MPI_COMM_WORLD
     if (present(parent)) from = parent
     call MPI_Comm_dup(from, communicator%ranks)
@@ -162,16 +167,17 @@ contains
     summary(2) = summary(2)/real(communicator%size, dp)
   end function summary_of
 
-  !> Name and version of the MPI library.
+  !> Name and version of the MPI library; what else it says of itself stands behind a comma or in
+  !> further lines, and a tab may stand for a blank.
   function mpi_library() result(name)
     character(len=:), allocatable :: name
     character(len=MPI_MAX_LIBRARY_VERSION_STRING) :: text
-    integer :: length, first_comma
+    integer :: length, tab
 
     call MPI_Get_library_version(text, length)
-    first_comma = index(text(:length), ',')
-    if (first_comma > 0) length = first_comma - 1
-    name = text(:length)
+    name = text(:scan(text(:length)//new_line('a'), ','//new_line('a')) - 1)
+    tab = index(name, achar(9))
+    if (tab > 0) name(tab:tab) = ' '
   end function mpi_library
 
   !> Sets up the board, all entries 0, with the list of tasks that rank 0 has. Collective.

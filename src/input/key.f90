@@ -7,11 +7,15 @@ module battery_key
   use battery_text, only: string_type, to_text, is_one_of, new_line_character
   implicit none (type, external)
   private
-  public :: key_type, find_key, different, allowed_text, keys_text
+  public :: key_type, find_key, different, is_beyond, allowed_text
+  public :: choices_text, keys_text
   public :: whole_key, real_key, text_key, logical_key
 
   !> Types of keys.
   integer, parameter :: whole_key = 1, real_key = 2, text_key = 3, logical_key = 4
+
+  !> Longest text of a key: the longest path that the system takes; most points of a range.
+  integer, parameter, public :: longest_text = 4000, longest_range = 100000
 
   !> One key of a namelist: where it stands, what it means, what may be its value.
   type :: key_type
@@ -21,7 +25,8 @@ module battery_key
     character(len=16) :: default = ''
     !> What it means.
     character(len=80) :: meaning = ''
-    !> Least number that is allowed, and whether it is itself forbidden; greatest whole number.
+    !> Least number that is allowed, and whether it is itself forbidden; greatest number, of
+    !> numbers that are not whole only where it is below `huge(1)`.
     real(wp) :: least = -huge(1.0_wp)
     logical :: above = .false.
     integer(int64) :: greatest = huge(1)
@@ -66,6 +71,15 @@ contains
     end do
   end function different
 
+  !> Whether a number is greater than a key allows.
+  elemental logical function is_beyond(key, number)
+    type(key_type), intent(in) :: key
+    !> Or `huge`, to ask whether there is a greatest number at all.
+    real(wp), intent(in) :: number
+
+    is_beyond = number > key%greatest .and. (key%kind == whole_key .or. key%greatest < huge(1))
+  end function is_beyond
+
   !> What is allowed for a key, in words.
   pure function allowed_text(key) result(text)
     type(key_type), intent(in) :: key
@@ -80,7 +94,7 @@ contains
       text = '.true. or .false.'
     case default
       text = 'one text in quotes'
-      if (key%choices /= '') text = choices_text(trim(key%choices))
+      if (key%choices /= '') text = choices_text(trim(key%choices), '''')
     end select
   end function allowed_text
 
@@ -113,20 +127,23 @@ contains
   end function bound_text
 
   !> `a b c` as `'a', 'b', 'c'`.
-  pure function choices_text(choices) result(text)
+  pure function choices_text(choices, quote) result(text)
+    !> Words set apart by single blanks.
     character(len=*), intent(in) :: choices
+    !> What stands around each.
+    character(len=1), intent(in) :: quote
     character(len=:), allocatable :: text
     integer :: at
 
-    text = ''''
+    text = quote
     do at = 1, len(choices)
       if (choices(at:at) == ' ') then
-        text = text//''', '''
+        text = text//quote//', '//quote
       else
         text = text//choices(at:at)
       end if
     end do
-    text = text//''''
+    text = text//quote
   end function choices_text
 
   !> All groups and keys with defaults and meanings, for the help text.

@@ -9,18 +9,12 @@ module battery_settings
   use battery_remarks, only: remarks_type, add_remark, shown_text
   use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist, &
     written_text
-  use battery_key, only: key_type, different, find_key, allowed_text, whole_key, real_key, &
-    text_key, logical_key
+  use battery_key, only: key_type, different, find_key, allowed_text, is_beyond, whole_key, &
+    real_key, text_key, logical_key, longest_text, longest_range
   implicit none (type, external)
   private
   public :: setting_type, settings_type, read_settings, find_setting
   public :: take, take_list, take_text
-
-  !> Longest text of a key: the longest path that the system takes.
-  integer, parameter :: longest_text = 4000
-
-  !> Most points of a range.
-  integer, parameter :: longest_range = 100000
 
   !> The value of one key; which component counts depends on its type.
   type :: setting_type
@@ -232,8 +226,6 @@ contains
         call read_whole(value%text, setting%integers(at), wrong)
         if (value%quoted) wrong = 'is not a whole number'
         written = to_text(setting%integers(at))
-        if (wrong == '' .and. setting%integers(at) > key%greatest) &
-          wrong = 'is beyond '//to_text(key%greatest)
         if (wrong == '') wrong = out_of_bounds(key, real(setting%integers(at), wp))
       case (real_key)
         call read_decimal(value%text, setting%reals(at), wrong)
@@ -259,6 +251,9 @@ contains
 
     wrong = ''
     if (number < key%least .or. (key%above .and. number <= key%least)) wrong = 'is too small'
+    ! The number of values of a range has a bound of its own.
+    if (is_beyond(key, number) .and. .not. key%is_range) &
+      wrong = 'is beyond '//to_text(key%greatest)
   end function out_of_bounds
 
   !> True or false, with or without points, whole or as T and F.
@@ -294,8 +289,10 @@ contains
       wrong = 'has a control character'
     else if (index(value%text, ' ') == 1 .and. value%text /= '') then
       wrong = 'begins with a blank'
+    else if (value%text == '' .and. key%default /= '''''') then
+      wrong = 'is empty'
     else if (key%choices /= '') then
-      if (value%text == '' .or. index(trim(value%text), ' ') > 0 .or. &
+      if (index(trim(value%text), ' ') > 0 .or. &
         index(' '//key%choices, ' '//trim(value%text)//' ') == 0) wrong = 'is not known'
     end if
   end function wrong_text

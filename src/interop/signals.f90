@@ -10,7 +10,8 @@ module battery_signals
   use battery_error, only: error_type, fatal_error, exit_stopped_early
   implicit none (type, external)
   private
-  public :: watch_signals, stop_requested, stop_after, clear_stop_request, stopped_before_start
+  public :: watch_signals, stop_requested, stop_after, clear_stop_request, stopped_before_start, &
+    signals_watch
 
   !> Names of the signals, as C numbers them.
   character(len=*), parameter :: names(3) = ['SIGINT ', 'SIGUSR1', 'SIGTERM']
@@ -18,6 +19,7 @@ module battery_signals
   !> When the program began to watch, and when it must stop, on the clock of `wall_seconds`.
   real(dp) :: began = 0.0_dp, deadline = huge(1.0_dp)
 
+  ! The first alone takes the signals back from a library; time limits stay.
   procedure(action), bind(c) :: signals_watch, signals_forget
   procedure(number_known), bind(c) :: signals_received
 

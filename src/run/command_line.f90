@@ -2,41 +2,43 @@
 module battery_command_line
   use battery_build_information, only: program_version, git_commit
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_text, only: string_type, closest_word, join, new_line_character
+  use battery_text, only: string_type, closest_word, is_one_of, join, new_line_character
   use battery_key, only: keys_text, different
   use battery_keys, only: all_keys
+  use battery_schema, only: schema_text
   implicit none (type, external)
   private
-  public :: command_line_type, read_command_line, parse_arguments, usage_text, version_text
+  public :: command_line_type, read_command_line, parse_arguments, usage_text
 
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
-    'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, battery --version'
+    'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, '// &
+    'battery --schema, battery --version'
 
-  character(len=11), parameter :: options(5) = [character(len=11) :: '--check', '--overwrite', &
-    '--quiet', '--help', '--version']
+  character(len=11), parameter :: options(6) = [character(len=11) :: '--check', '--overwrite', &
+    '--quiet', '--help', '--schema', '--version']
 
   !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
   !> second to save their states.
   character(len=*), parameter, public :: ways_to_stop = &
-    'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. mpirun kills its' &
+    'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. Open MPI''s mpirun' &
     //new_line_character &
-    //'ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its last' &
+    //'kills its ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its' &
     //new_line_character &
-    //'checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
+    //'last checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
 
   !> What is to be done.
   type :: command_line_type
-    !> The namelist file; empty if help or version is asked for.
+    !> The namelist file; empty if there is an answer.
     character(len=:), allocatable :: file
+    !> What is printed instead of a run: help, schema or version.
+    character(len=:), allocatable :: answer
     !> Only check the input and show the plan.
     logical :: check = .false.
     !> Discard results that are there.
     logical :: overwrite = .false.
     !> Print nothing but problems.
     logical :: quiet = .false.
-    !> Print the help, or the version, and do nothing.
-    logical :: help = .false., version = .false.
   end type command_line_type
 
 contains
@@ -71,6 +73,7 @@ contains
     integer :: at
 
     command%file = ''
+    command%answer = ''
     problems = ''
     only_files = .false.
     do at = 1, size(words)
@@ -86,8 +89,10 @@ contains
         command%file = words(at)%text
       end if
     end do
-    if (command%file == '' .and. problems == '' .and. .not. (command%help .or. command%version)) &
+    if (command%answer == '' .and. command%file == '' .and. problems == '') &
       call add(problems, 'the namelist file is missing')
+    if (command%answer /= '' .and. command%file /= '' .and. is_one_of('--schema', words)) &
+      call add(problems, command%file//': --schema takes no file; it is the same for all')
     if (problems /= '') call fatal_error(error, problems//new_line_character//usage_line, &
       exit_bad_input)
   end subroutine parse_arguments
@@ -107,9 +112,11 @@ contains
     case ('--quiet')
       command%quiet = .true.
     case ('--help', '-h')
-      command%help = .true.
+      command%answer = usage_text()
     case ('--version')
-      command%version = .true.
+      command%answer = 'battery '//program_version//' (commit '//git_commit()//')'
+    case ('--schema')
+      command%answer = schema_text(all_keys())
     case default
       meant = closest_word(word, different(options))
       if (meant /= '') meant = ' (did you mean '//meant//'?)'
@@ -138,6 +145,7 @@ contains
       //'  --overwrite  discard results that are there'//nl &
       //'  --quiet      print nothing but problems'//nl &
       //'  --help       print this'//nl &
+      //'  --schema     print a JSON Schema of FILE.nml as f90nml turns it into JSON'//nl &
       //'  --version    print the version'//nl//nl &
       //'Exit codes:'//nl &
       //'  0  every task is complete'//nl &
@@ -149,12 +157,5 @@ contains
       //'Groups and keys of the namelist, with their defaults:'//nl//nl &
       //keys_text(all_keys())
   end function usage_text
-
-  !> Name, version, and the commit it was built from.
-  pure function version_text() result(text)
-    character(len=:), allocatable :: text
-
-    text = 'battery '//program_version//' (commit '//git_commit()//')'
-  end function version_text
 
 end module battery_command_line

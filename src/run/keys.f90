@@ -63,7 +63,7 @@ contains
       key_type('particles', 'urn1_number', whole_key, '', 'how many start in urn 1; else half', &
       least=0.0_wp, symbol='N1'), &
       key_type('particles', 'urn1_fraction', real_key, '', 'share that starts in urn 1 instead', &
-      least=0.0_wp, symbol='N1/N'), &
+      least=0.0_wp, greatest=1_int64, symbol='N1/N'), &
       key_type('particles', 'seed', whole_key, '1', 'base seed of the random numbers', &
       least=0.0_wp, greatest=long), &
       key_type('particles', 'initial_file', text_key, '''''', &

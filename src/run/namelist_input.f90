@@ -8,7 +8,7 @@ module battery_namelist_input
   use battery_remarks, only: add_remark, remarks_text, shown_text
   use battery_settings, only: settings_type, read_settings, find_setting, take, &
     take_list, take_text
-  use battery_key, only: key_type, whole_key
+  use battery_key, only: key_type, whole_key, is_beyond
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
   use battery_plan, only: plan_type, scanned_type, problem_type, complete_plan, refuse
@@ -105,7 +105,7 @@ contains
           cycle
         else if (range%known) then
           one%values = range_of(range%reals, list%key%kind == whole_key)
-          if (list%key%kind == whole_key .and. any(one%values > list%key%greatest)) then
+          if (any(is_beyond(list%key, one%values))) then
             call refuse(plan, trim(range%key%name), to_text(maxval(one%values)), &
               'numbers up to '//to_text(list%key%greatest))
             cycle

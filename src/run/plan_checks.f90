@@ -110,7 +110,6 @@ contains
     type(plan_type), intent(inout) :: plan
     integer :: at
 
-    if (plan%file == '') call refuse(plan, 'file', '''''', 'the name of a file')
     associate (times => plan%snapshot_times)
       do at = 2, size(times)
         if (times(at) > times(at - 1)) cycle
@@ -198,8 +197,6 @@ contains
     call check_lengths(plan, point, radii, longest)
     if (size(plan%problems) == before) call check_times(plan, point, radii(1), max(radii(2), &
       longest))
-    if (point%urn1_fraction > 1.0_wp) call refuse(plan, 'urn1_fraction', &
-      to_text(point%urn1_fraction), 'numbers from 0 to 1')
     if (point%number == not_given .or. size(plan%problems) > before) return
     if (point%urn1_number > point%number) then
       call refuse(plan, 'urn1_number', to_text(point%urn1_number), &

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROOT = Path(__file__).resolve().parents[2]
-# Another build may be tried with BATTERY_PROGRAM.
+# Another build may be tried with BATTERY_PROGRAM, and another mpirun with BATTERY_MPIRUN.
+MPIRUN = os.environ.get("BATTERY_MPIRUN", "mpirun")
 PROGRAM = Path(os.environ.get("BATTERY_PROGRAM", ROOT / "build/bin/battery"))
 ENVIRONMENT = {
     **os.environ,
@@ -48,7 +49,7 @@ def namelist(**groups: dict[str, Any]) -> str:
 
 def command_of(*arguments: str, ranks: int = 0) -> list[str]:
     """Give the command; without ranks there is no mpirun."""
-    launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+    launcher = [MPIRUN, "-n", str(ranks)] if ranks else []
     return [*launcher, str(PROGRAM), *arguments]
 
 
@@ -105,16 +106,18 @@ def rank_processes(process: subprocess.Popen[str], ranks: int) -> list[int]:
         return [process.pid]
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end and process.poll() is None:
-        found = [
-            int(child)
-            for task in Path(f"/proc/{process.pid}/task").glob("*/children")
-            for child in words_of(task)
-            if is_program(int(child))
-        ]
+        found = [number for number in descendants(process.pid) if is_program(number)]
         if len(found) == ranks:
             return sorted(found)
         time.sleep(0.005)
     return []
+
+
+def descendants(number: int) -> list[int]:
+    """List the children of a process and theirs; MPICH has a process between mpirun and ranks."""
+    tasks = Path(f"/proc/{number}/task").glob("*/children")
+    children = [int(child) for task in tasks for child in words_of(task)]
+    return children + [one for child in children for one in descendants(child)]
 
 
 def words_of(path: Path) -> list[str]:
@@ -144,12 +147,7 @@ def send(numbers: list[int], what: signal.Signals) -> None:
 
 def kill_all(process: subprocess.Popen[str]) -> None:
     """Kill the program with mpirun and all ranks, at once."""
-    ranks = [
-        int(child)
-        for task in Path(f"/proc/{process.pid}/task").glob("*/children")
-        for child in words_of(task)
-    ]
-    send([process.pid, *ranks], signal.SIGKILL)
+    send([process.pid, *descendants(process.pid)], signal.SIGKILL)
 
 
 def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:

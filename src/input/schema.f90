@@ -1,0 +1,95 @@
+!> A JSON Schema (draft 2020-12) of a namelist in the JSON form of f90nml, made from a list of keys.
+!>
+!> Names, types and bounds of single keys are in it; rules between keys are the program's.
+module battery_schema
+  use battery_kinds, only: wp
+  use battery_text, only: to_text, new_line_character
+  use battery_key, only: key_type, allowed_text, choices_text, is_beyond, longest_text, &
+    longest_range, whole_key, real_key, logical_key
+  implicit none (type, external)
+  private
+  public :: schema_text
+
+  character(len=*), parameter :: object = &
+    '"type": "object", "additionalProperties": false, "properties": {'
+
+contains
+
+  !> The schema: one line a key.
+  pure function schema_text(keys) result(text)
+    !> All there are, those of a group one behind the other, a range behind its list.
+    type(key_type), intent(in) :: keys(:)
+    character(len=:), allocatable :: text
+    character(len=1), parameter :: nl = new_line_character
+    character(len=:), allocatable :: bounds
+    integer :: at
+
+    text = '{"$schema": "https://json-schema.org/draft/2020-12/schema",'//nl//object
+    bounds = ''
+    do at = 1, size(keys)
+      associate (key => keys(at))
+        if (all(keys(:at - 1)%group /= key%group)) &
+          text = text//nl//'  "'//trim(key%group)//'": {'//object
+        ! A range is bounded as the list before it.
+        if (.not. key%is_range) bounds = bounds_text(key)
+        text = text//nl//'    "'//trim(key%name)//'": {"description": "'//description(key)//'", ' &
+          //type_text(key, bounds)//'}'
+        if (all(keys(at + 1:)%group /= key%group)) text = text//'}}'
+        if (at < size(keys)) text = text//','
+      end associate
+    end do
+    text = text//'}}'
+  end function schema_text
+
+  !> What a key means, in words.
+  pure function description(key) result(text)
+    type(key_type), intent(in) :: key
+    character(len=:), allocatable :: text
+
+    text = trim(key%meaning)//'; '//allowed_text(key)
+    if (key%unit /= '') text = text//'; unit: '//trim(key%unit)
+    if (key%symbol /= '') text = text//'; in the paper: '//trim(key%symbol)
+    if (key%default /= '') text = text//'; default: '//trim(key%default)
+  end function description
+
+  !> What a key may hold.
+  pure function type_text(key, bounds) result(text)
+    type(key_type), intent(in) :: key
+    !> Of its numbers.
+    character(len=*), intent(in) :: bounds
+    character(len=:), allocatable :: text, one
+
+    select case (key%kind)
+    case (whole_key, real_key)
+      one = '"type": "'//trim(merge('integer', 'number ', key%kind == whole_key))//'"'//bounds
+      text = one
+      if (key%is_range) then
+        text = '"type": "array", "minItems": 3, "maxItems": 3, "prefixItems": [{'//one//'}, {' &
+          //one//'}, {"type": "integer", "minimum": 1, "maximum": '//to_text(longest_range)//'}]'
+      else if (key%most_values > 1) then
+        text = '"anyOf": [{'//one//'}, {"type": "array", "minItems": 1, "maxItems": ' &
+          //to_text(key%most_values)//', "items": {'//one//'}}]'
+      end if
+    case (logical_key)
+      text = '"type": "boolean"'
+    case default
+      ! Seen by no one: control characters, and blanks before the text.
+      text = '"type": "string", "maxLength": '//to_text(longest_text) &
+        //', "not": {"pattern": "^ +[^ ]|[\\x00-\\x1f\\x7f]"}'
+      if (key%default /= '''''') text = text//', "pattern": "[^ ]"'
+      if (key%choices /= '') text = '"enum": ['//choices_text(trim(key%choices), '"')//']'
+    end select
+  end function type_text
+
+  !> Least and greatest number of a key.
+  pure function bounds_text(key) result(text)
+    type(key_type), intent(in) :: key
+    character(len=:), allocatable :: text
+
+    text = ''
+    if (key%least > -huge(1.0_wp)) text = text//', "' &
+      //trim(merge('exclusiveMinimum', 'minimum         ', key%above))//'": '//to_text(key%least)
+    if (is_beyond(key, huge(1.0_wp))) text = text//', "maximum": '//to_text(key%greatest)
+  end function bounds_text
+
+end module battery_schema

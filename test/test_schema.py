@@ -1,0 +1,85 @@
+"""`battery --schema`: what it takes and refuses, next to what the program does."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from attack.fuzz_schema import fault_of, read, schema_of
+from support.program import ROOT, namelist, run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from jsonschema import Draft202012Validator
+
+# Each is given to all keys at once, as it stands in a namelist.
+VALUES = [
+    "0", "-1", "0.5", "1.5", "2147483648", "1000000000000000000", "'text'", "''", "' text'", "T",
+    "1, 2", "0, 1, 2", "3, 1, 1.5", "2147483648, 1, 1", "1, 2, 3, 4", "",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def schema(tmp_path_factory: pytest.TempPathFactory) -> Draft202012Validator:
+    """Give what the program says."""
+    return schema_of(tmp_path_factory.mktemp("schema"))
+
+
+def test_every_namelist_of_ours_is_valid(schema: Draft202012Validator) -> None:
+    """As f90nml reads them."""
+    paths = sorted((ROOT / "namelists").glob("*.nml"))
+    assert paths
+    for path in paths:
+        schema.validate(read(path.read_text()))
+
+
+@pytest.mark.parametrize("ranges", [False, True])
+@pytest.mark.parametrize("value", VALUES)
+def test_the_schema_refuses_the_keys_that_the_program_refuses(
+    tmp_path: Path, schema: Draft202012Validator, value: str, *, ranges: bool
+) -> None:
+    """For a type or a bound of their own; every key there is, and no other."""
+    groups = schema.schema["properties"]
+    names = {group: groups[group]["properties"] for group in groups}
+    # A list and its range do not go together.
+    left_out = {key if ranges else f"{key}_range" for key in names["scan"]
+                if f"{key}_range" in names["scan"]}
+    case: dict[str, Any] = {
+        group: dict.fromkeys(names[group].keys() - (left_out if group == "scan" else set()), value)
+        for group in groups
+    }
+    (tmp_path / "case.nml").write_text(namelist(**case))
+    ended = run("--check", "case.nml", folder=tmp_path)
+    assert "more; the last" not in ended.stderr
+    told = re.findall(r"&(\w+) (\w+) = .*: (?:is|has|how many|begins) .*; allowed", ended.stderr)
+    told += re.findall(r"&(\w+) (\w+) = .*; (?=allowed: numbers up to)", ended.stderr)
+    refused = {tuple(error.absolute_path)[:2]
+               for error in schema.iter_errors(read((tmp_path / "case.nml").read_text()))}
+    assert refused == set(told)
+
+
+def test_mutants_are_refused_by_both_or_by_none(
+    tmp_path: Path, schema: Draft202012Validator
+) -> None:
+    """Unless the reason is a rule between keys; `python test/attack/fuzz_schema.py` tries more."""
+    tried = [fault_of(number, schema, tmp_path) for number in range(1, 41)]
+    assert not [fault for _, fault in tried if fault]
+    assert {"taken", "refused"} <= {what for what, _ in tried}
+
+
+def test_descriptions_have_unit_and_default(schema: Draft202012Validator) -> None:
+    """And the meaning, what is allowed, and the paper's symbol."""
+    width = schema.schema["properties"]["table"]["properties"]["channel1_width"]
+    words = ["width of channel 1", "one number above 0", "unit: length", "paper: w", "default: 0.3"]
+    assert all(word in width["description"] for word in words)
+
+
+def test_the_schema_takes_no_file(tmp_path: Path) -> None:
+    """One message that names it, exit 2."""
+    ended = run("--schema", "case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert ended.stderr.count("battery: ") == 1
+    assert "case.nml: --schema takes no file" in ended.stderr
+    assert ended.stdout == ""
