@@ -66,7 +66,8 @@ contains
       call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
         error)
     else if (communicator%rank == 0) then
-      call print_outlook(plan, communicator%size, sharing, error)
+      call print_outlook(plan, communicator%size, sharing, &
+        command_line%overwrite, error)
     end if
     call share_error(communicator, error)
   end subroutine run

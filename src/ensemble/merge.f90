@@ -11,9 +11,10 @@ module battery_merge
   use battery_plan, only: plan_type, point_of
   use battery_quantities, only: unknown_real
   use battery_results, only: results_type, new_results, task_complete, task_failed
-  use battery_results_file, only: write_results
+  use battery_results_file, only: read_results, write_results
   use battery_task_result, only: task_result_type
-  use battery_tasks, only: task_type, task_count, task_of
+  use battery_tasks, only: task_type, task_count, task_of, roster_type, roster_of, number_in, &
+    kept_in_results
   use battery_text, only: string_type
   implicit none (type, external)
   private
@@ -21,7 +22,8 @@ module battery_merge
 
 contains
 
-  !> Writes the results file from all that the journal has, which comes back in `results`.
+  !> Writes the results file from all that the journal has, and what the file has already; it comes
+  !> back in `results`.
   subroutine merge_results(plan, journal, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
@@ -50,7 +52,8 @@ contains
     call write_results(plan%file, results, metadata, error)
   end subroutine merge_results
 
-  !> All results of the journal, in the arrays of the results file.
+  !> All results there are, in the arrays of the results file. A file that is there is read only
+  !> where the journal does not have all.
   subroutine collect_results(plan, journal, results, failures)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
@@ -58,9 +61,12 @@ contains
     !> Why a task failed, (task); not allocated where it did not.
     type(string_type), allocatable, intent(out) :: failures(:)
     type(task_result_type), allocatable :: found(:)
+    type(results_type) :: before
+    type(error_type), allocatable :: error
+    type(roster_type) :: roster
     type(task_type) :: task
     integer, allocatable :: files(:)
-    integer :: file, k
+    integer :: file, k, r, p
 
     allocate (failures(task_count(plan)))
     call new_results(results, plan%point_count, plan%replicas)
@@ -70,20 +76,76 @@ contains
       results%point(task%point)%urn_radius = task%setup%table%urn%radius
       results%seed(task%replica, task%point) = task%setup%seed
     end do
+    roster = roster_of(plan)
     files = rank_files_of(journal)
     do file = 1, size(files)
       call read_rank_file(journal, files(file), found)
       do k = 1, size(found)
-        if (found(k)%task < 1 .or. found(k)%task > task_count(plan)) cycle
-        task = task_of(plan, found(k)%task)
-        if (found(k)%kept /= task%kept) cycle
-        if (results%task_status(task%replica, task%point) == task_complete) cycle
-        call place(plan, found(k), task, results)
-        if (allocated(failures(found(k)%task)%text)) deallocate (failures(found(k)%task)%text)
-        if (found(k)%status == task_failed) failures(found(k)%task)%text = found(k)%message
+        call take(found(k))
       end do
     end do
+    if (all(results%task_status == task_complete)) return
+    call read_results(plan%file, .true., before, error)
+    if (allocated(error)) return
+    do p = 1, size(before%task_status, 2)
+      do r = 1, before%replicas
+        k = number_in(roster, kept_in_results(plan, before%seed(r, p)))
+        if (before%task_status(r, p) == task_complete .and. k > 0) &
+          call take(taken_from(before, task_of(plan, k), r, p))
+      end do
+    end do
+
+  contains
+
+    !> Takes a result if it is one of this plan, and there is none already.
+    subroutine take(one)
+      type(task_result_type), intent(in) :: one
+      integer :: number
+
+      number = number_in(roster, one%kept)
+      if (number == 0) return
+      task = task_of(plan, number)
+      if (results%task_status(task%replica, task%point) == task_complete) return
+      call place(plan, one, task, results)
+      if (allocated(failures(number)%text)) deallocate (failures(number)%text)
+      if (one%status == task_failed) failures(number)%text = one%message
+    end subroutine take
+
   end subroutine collect_results
+
+  !> The result of a task from the place (r, p) of its results file: `place` the other way round.
+  function taken_from(results, task, r, p) result(found)
+    type(results_type), intent(in) :: results
+    type(task_type), intent(in) :: task
+    integer, intent(in) :: r, p
+    type(task_result_type) :: found
+    integer :: n
+
+    found%kept = task%kept
+    found%status = task_complete
+    found%measured%average = results%average(r, p, :)
+    found%measured%error = results%error(r, p, :)
+    found%measured%counted = results%counted(r, p, :)
+    allocate (found%series_urn1_number(0), found%snapshots(0), found%final_state(0))
+    if (allocated(results%series_time)) then
+      n = count(results%series_urn1_number(:, r, p) >= 0)
+      found%series_urn1_number = results%series_urn1_number(:n, r, p)
+      found%series_flow = pack(transpose(results%series_flow(:n, r, p, :)), .true.)
+    end if
+    if (allocated(results%snapshots)) found%snapshots = flat(results%snapshots(:task%number, :, r, &
+      p, :))
+    if (allocated(results%final_state)) found%final_state = flat(results%final_state( &
+      :task%number, :, r, p, :))
+  end function taken_from
+
+  !> States (particle, time, which) as `place_states` takes them.
+  pure function flat(states) result(array)
+    real(dp), intent(in) :: states(:, :, :)
+    real(dp), allocatable :: array(:)
+    integer :: time
+
+    array = [(pack(states(:, time, :), .true.), time=1, size(states, 2))]
+  end function flat
 
   !> Puts one result into its place; runs of unequal length leave NaN behind the shorter.
   subroutine place(plan, found, task, results)

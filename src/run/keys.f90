@@ -27,6 +27,7 @@ contains
     keys = keys_before_scan()
     keys = [keys, &
       twins(keys, 'gate', 'threshold'), &
+      twins(keys, 'gate', 'threshold', 'gate 2'), &
       twins(keys, 'gate', 'threshold_fraction'), &
       twins(keys, 'particles', 'number'), &
       twins(keys, 'table', 'channel1_width'), &
@@ -34,6 +35,7 @@ contains
       twins(keys, 'table', 'channel1_length'), &
       twins(keys, 'table', 'channel2_length'), &
       twins(keys, 'table', 'urn_radius'), &
+      twins(keys, 'table', 'urn_radius', 'urn 2'), &
       twins(keys, 'particles', 'urn1_fraction'), &
       keys_behind_scan()]
   end function all_keys
@@ -111,20 +113,25 @@ contains
       'how often long tasks save their state', least=0.0_wp, unit='min', decides=.false.)]
   end function keys_behind_scan
 
-  !> The list and the range of a key that can be scanned, with the bounds and the unit of the key.
-  pure function twins(others, group, name) result(pair)
+  !> The list and the range of a key that can be scanned, with the bounds and the unit of the key;
+  !> or those of its second number alone, which `whose` it is.
+  pure function twins(others, group, name, whose) result(pair)
     type(key_type), intent(in) :: others(:)
     character(len=*), intent(in) :: group, name
+    character(len=*), intent(in), optional :: whose
     type(key_type) :: pair(2)
 
     pair = others(find_key(others, group, name))
     pair%group = 'scan'
     pair%default = ''
-    pair(2)%name = name//'_range'
+    if (present(whose)) pair%name = name//'2'
+    pair(2)%name = trim(pair(1)%name)//'_range'
     pair%most_values = [most_values, 3]
     pair(2)%is_range = .true.
     pair(2)%kind = real_key
     pair%meaning = [character(len=80) :: 'values of &'//group//' '//name, 'the same, evenly spaced']
+    if (present(whose)) pair(1)%meaning = 'those of '//whose//', in pairs with '//name &
+      //' if that is a list'
   end function twins
 
 end module battery_keys

@@ -86,12 +86,13 @@ contains
     call take(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_values
 
-  !> Lists of the scan, each from itself or from its range, in the order of the keys.
+  !> Lists of the scan, each from itself or from its range, in the order of the keys. A list of gate
+  !> 2 or urn 2 makes pairs with that of both, which stands before it.
   subroutine fill_scan(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
     type(scanned_type) :: one
-    integer :: at
+    integer :: at, last
 
     do at = 1, size(settings%all) - 1
       ! A list stands before its range.
@@ -111,7 +112,21 @@ contains
             cycle
           end if
         end if
-        if (list%known .or. range%known) plan%scanned = [plan%scanned, one]
+        if (.not. (list%known .or. range%known)) cycle
+        last = size(plan%scanned)
+        if (last > 0) then
+          if (plan%scanned(last)%key//'2' == one%key) then
+            if (size(one%values) == size(plan%scanned(last)%values)) then
+              plan%scanned(last)%second = one%values
+            else
+              call refuse(plan, one%key, 'has '//to_text(size(one%values))//' values', &
+                to_text(size(plan%scanned(last)%values))//', one for each of ' &
+                //plan%scanned(last)%key)
+            end if
+            cycle
+          end if
+        end if
+        plan%scanned = [plan%scanned, one]
       end associate
     end do
   end subroutine fill_scan

@@ -55,13 +55,13 @@ contains
     call write_attribute(file, '/', 'start_time', metadata%start_time, error)
   end subroutine write_metadata
 
-  !> From which input a results file was made, and whether it is complete, once its seal was found
-  !> right; else an error, as `check_seal` gives it.
-  subroutine read_metadata(name, input_text, status, initial_file_fingerprint, error)
+  !> By which version and from which input a results file was made, and whether it is complete,
+  !> once its seal was found right; else an error, as `check_seal` gives it.
+  subroutine read_metadata(name, version, input_text, status, initial_file_fingerprint, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> The namelist, and `complete` or `partial`.
-    character(len=:), allocatable, intent(out) :: input_text, status
+    !> Of the program; the namelist; `complete` or `partial`.
+    character(len=:), allocatable, intent(out) :: version, input_text, status
     !> In hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out) :: initial_file_fingerprint
     type(error_type), allocatable, intent(out) :: error
@@ -71,6 +71,7 @@ contains
     call check_seal(name, error)
     if (.not. allocated(error)) call open_file(file, name, error)
     if (allocated(error)) return
+    call read_text(file, '/', 'version', version, error)
     call read_text(file, '/', 'namelist', input_text, error)
     call read_text(file, '/', 'status', status, error)
     call read_text(file, '/', 'initial_file_fingerprint', initial_file_fingerprint, error)
