@@ -1,7 +1,7 @@
 !> The program `battery`: arguments, plan, ensemble, exit code.
 program battery
   use battery_error, only: error_type, exit_success, exit_failure
-  use battery_command_line, only: command_line_type, read_command_line, usage_text, version_text
+  use battery_command_line, only: command_line_type, read_command_line, usage_text
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node
   use battery_ensemble, only: run_ensemble, heed_time_limit
@@ -10,6 +10,7 @@ program battery
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
   use battery_plan_sharing, only: read_plan_once
+  use battery_provenance, only: version_text
   use battery_signals, only: watch_signals
   use battery_process, only: leave
   use battery_terminal, only: guard_streams, say, complain, all_was_printed

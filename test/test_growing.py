@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 import pytest
+from scipy.stats import norm
+from scipy.stats import t as student
 from support.program import assert_same, finish, listing, namelist, run, start, wait_for
 
 from postproc.reading.seal import seal_of
@@ -195,3 +197,117 @@ def test_growth_under_way_is_not_thrown_away(tmp_path: Path) -> None:
     assert ended.returncode == 2
     assert "&scan replicas: was 300, is 2" in ended.stderr
     assert (tmp_path / "out.h5.tasks/rank_0").exists()
+
+
+WIDTHS = {"channel2_width": "0.01, 0.1", "replicas": 16}
+ASKED = {"chi_replica_error": 0.003, "largest_replicas": 50}
+
+
+@pytest.fixture(scope="module")
+def precise(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the results of one run to a precision."""
+    folder = tmp_path_factory.mktemp("precise")
+    write(folder, scan=WIDTHS, precision=ASKED)
+    complete(folder)
+    return folder / "out.h5"
+
+
+def test_first_replicas_tell_how_many_there_are(precise: Path) -> None:
+    """The stated error has Student's factor; as many replicas as it needs, no more than allowed."""
+    with h5py.File(precise) as file:
+        chi, status = file["chi"][()], file["task_status"][()]
+        stated, points = file["chi_replica_error"][()], file["point_status"][()]
+    given = np.count_nonzero(status == 0, axis=1)
+    scatter = student.ppf(norm.cdf(1), 15) * np.std(chi[:, :16], axis=1, ddof=1)
+    needed = np.maximum(16, np.ceil((scatter / 0.003) ** 2))
+    np.testing.assert_array_equal(given, np.minimum(needed, 50))
+    np.testing.assert_array_equal(points, needed > 50)
+    np.testing.assert_allclose(stated, scatter / np.sqrt(given), rtol=1e-9)
+    assert set(np.unique(status)) == {0, 3}
+    assert np.isnan(chi[status == 3]).all()
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_precision_is_the_same_on_any_ranks(tmp_path: Path, precise: Path, ranks: int) -> None:
+    """It is decided from complete results alone."""
+    write(tmp_path, scan=WIDTHS, precision=ASKED)
+    complete(tmp_path, ranks)
+    assert_same(tmp_path / "out.h5", precise)
+
+
+def test_precision_may_be_asked_for_later(tmp_path: Path, precise: Path) -> None:
+    """From none over a coarser one to the finer: the bits of one run."""
+    write(tmp_path, scan=WIDTHS)
+    complete(tmp_path)
+    write(tmp_path, scan=WIDTHS, precision={"chi_replica_error": 0.004, "largest_replicas": 40})
+    complete(tmp_path, 2)
+    write(tmp_path, scan=WIDTHS, precision=ASKED)
+    complete(tmp_path)
+    assert_same(tmp_path / "out.h5", precise)
+
+
+def test_stopped_on_the_way_to_a_precision(tmp_path: Path, precise: Path) -> None:
+    """Signals at any moment leave the same replicas and the same bits."""
+    write(tmp_path, scan=WIDTHS, precision=ASKED)
+    for delay in (0.02, 0.04, 0.06, 0.08, 0.1):
+        process = start("case.nml", folder=tmp_path)
+        time.sleep(delay)
+        process.kill()
+        process.communicate()
+    complete(tmp_path)
+    assert_same(tmp_path / "out.h5", precise)
+
+
+def test_coarser_precision_is_refused(tmp_path: Path, precise: Path) -> None:
+    """As fewer replicas are."""
+    (tmp_path / "out.h5").write_bytes(precise.read_bytes())
+    for keys in ({"chi_replica_error": 0.004}, {"largest_replicas": 49}):
+        write(tmp_path, scan=WIDTHS, precision={**ASKED, **keys})
+        ended = run("case.nml", folder=tmp_path)
+        assert ended.returncode == 2
+        assert f"&precision {next(iter(keys))}: was " in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("replicas", "precision", "named"),
+    [
+        (16, {"chi_replica_error": 0}, "&precision chi_replica_error = 0"),
+        (16, {"polarised_current_replica_error": -1}, "polarised_current_replica_error = -1"),
+        (15, {"chi_replica_error": 0.1}, "&scan replicas = 15; allowed: from 16 up"),
+        (16, {"chi_replica_error": 0.1, "largest_replicas": 15}, "largest_replicas = 15; allowed"),
+        (16, {"largest_replicas": 20}, "largest_replicas is given without a precision"),
+    ],
+)
+def test_precision_that_makes_no_sense_is_refused(
+    tmp_path: Path, replicas: int, precision: dict[str, Any], named: str
+) -> None:
+    """One message that names the key."""
+    write(tmp_path, scan={"replicas": replicas}, precision=precision)
+    before = listing(tmp_path)
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert named in ended.stderr
+    assert listing(tmp_path) == before
+
+
+def test_tasks_say_when_and_where_they_ran(tmp_path: Path) -> None:
+    """So do those of before, after the file has grown; the program says what it was made of."""
+    write(tmp_path)
+    complete(tmp_path)
+    with h5py.File(tmp_path / "out.h5") as file:
+        before = file["provenance/ended"][()]
+        assert (file["provenance/begun"][()] <= before).all()
+    write(tmp_path, scan={"replicas": 3})
+    complete(tmp_path)
+    versioned = run("--version", folder=tmp_path).stdout
+    with h5py.File(tmp_path / "out.h5") as file:
+        np.testing.assert_array_equal(file["provenance/ended"][:, :2], before)
+        assert (file["provenance/ended"][:, 2] > before.max()).all()
+        about = file["provenance"].attrs
+        hosts = about["hosts"].splitlines()
+        assert about["command_line"].endswith("case.nml")
+        assert about["begun"] <= about["ended"] == file.attrs["created"]
+        assert (file["provenance/host"][()] < len(hosts)).all()
+        assert all("(" in host for host in hosts)
+        for name in ("compiler", "compiler_options", "mpi_library", "hdf5_library", "gsl_library"):
+            assert f"{name}: {file.attrs[name]}\n" in versioned

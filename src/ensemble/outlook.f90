@@ -96,6 +96,9 @@ contains
     end do
     call say('tasks:      '//to_text(task_count(plan))//' (' &
       //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)')
+    if (plan%first_replicas < plan%replicas) call say('precision:  the first ' &
+      //to_text(plan%first_replicas)//' replicas of a point tell how many it gets, up to ' &
+      //to_text(plan%replicas)//'; below, only those that are known to be needed count')
     call say('engine:     '//plan%engine)
     call say('shape:      '//plan%shape//', urn radius '//both(4))
     call say('channel 1:  w = '//range_text(6)//', l = '//range_text(7))

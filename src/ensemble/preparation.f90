@@ -1,23 +1,22 @@
 !> The start of an ensemble: what is there already, and which tasks are still to be done.
 module battery_preparation
-  use battery_kinds, only: int64
+  use battery_kinds, only: wp, int64
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_journal, only: journal_type, read_plan, kept_in, begin_journal, join_journal, &
-    read_rank_file, rank_files_of, rank_files_in
+    rank_files_in
   use battery_journal_folder, only: check_journal, remove_journal
+  use battery_merge, only: collect_results
   use battery_metadata, only: read_metadata
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_results, only: results_type, task_complete
-  use battery_results_file, only: read_results
-  use battery_task_result, only: task_result_type
   use battery_tasks, only: task_type, task_count, task_of, put_longest_first, roster_type, &
-    roster_of, number_in, kept_in_results
+    roster_of, number_in
   use battery_terminal, only: say
-  use battery_text, only: to_text, new_line_character
+  use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
   private
   public :: prepare, look_at_output
@@ -94,22 +93,26 @@ contains
     !> Code `exit_bad_input` where something else is in the way.
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: damage
+    type(journal_type) :: journal
     type(results_type) :: results
-    logical, allocatable :: finished(:)
+    type(string_type), allocatable :: failures(:)
+    integer, allocatable :: wanted(:)
     logical :: found
-    integer :: k
+    integer :: done, k
 
     allocate (pending(0))
     remark = ''
-    call look_at_results_file(plan, results, complete, damage, error)
+    call look_at_results_file(plan, complete, damage, error)
     if (.not. allocated(error)) call look_at_journal(plan, complete, found, error)
     if (allocated(error)) return
     if (complete) then
       remark = plan%file//' is complete; --overwrite runs it again'
       return
     end if
-    finished = finished_tasks(plan, results)
-    found = found .or. any(finished)
+    call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
+    call collect_results(plan, journal, .false., results, failures, wanted)
+    done = count(results%task_status == task_complete)
+    found = found .or. done > 0
     if (allocated(damage)) then
       if (.not. found) then
         call move_alloc(damage, error)
@@ -118,9 +121,10 @@ contains
       remark = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
         //new_line_character
     end if
-    pending = pack([(k, k=1, size(finished))], .not. finished)
-    if (found) remark = remark//'going on: '//to_text(count(finished))//' of ' &
-      //to_text(size(finished))//' tasks are finished'
+    pending = pack([(k, k=1, task_count(plan))], [(results%task_status(:wanted(k), k) &
+      /= task_complete, spread(.false., 1, plan%replicas - wanted(k)), k=1, plan%point_count)])
+    if (found) remark = remark//'going on: '//to_text(done)//' of '//to_text(done &
+      + size(pending))//' tasks are finished'
   end subroutine look_at_output
 
   !> Notes in the journal that so many ranks start, after so many rank files of earlier ones.
@@ -138,41 +142,6 @@ contains
     end if
   end subroutine open_journal
 
-  !> Which of the tasks of a plan its journal or results of before have as complete; failed ones
-  !> are tried again.
-  function finished_tasks(plan, before) result(finished)
-    type(plan_type), intent(in) :: plan
-    type(results_type), intent(in) :: before
-    logical, allocatable :: finished(:)
-    type(journal_type) :: journal
-    type(roster_type) :: roster
-    type(task_result_type), allocatable :: results(:)
-    integer, allocatable :: files(:)
-    integer :: file, k, p
-
-    ! Place 0 is for what is none of its tasks.
-    allocate (finished(0:task_count(plan)), source=.false.)
-    call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
-    files = rank_files_of(journal)
-    if (size(files) > 0 .or. allocated(before%seed)) roster = roster_of(plan)
-    do file = 1, size(files)
-      call read_rank_file(journal, files(file), results)
-      do k = 1, size(results)
-        if (results(k)%status == task_complete) &
-          finished(number_in(roster, results(k)%kept)) = .true.
-      end do
-    end do
-    if (allocated(before%seed)) then
-      do p = 1, size(before%seed, 2)
-        do k = 1, before%replicas
-          if (before%task_status(k, p) == task_complete) finished(number_in(roster, &
-            kept_in_results(plan, before%seed(k, p)))) = .true.
-        end do
-      end do
-    end if
-    finished = finished(1:)
-  end function finished_tasks
-
   !> Folder of the journal of a plan.
   pure function journal_folder(plan) result(folder)
     type(plan_type), intent(in) :: plan
@@ -182,10 +151,8 @@ contains
   end function journal_folder
 
   !> Results that are there must be of this input, or of one that it goes on with.
-  subroutine look_at_results_file(plan, results, complete, damage, error)
+  subroutine look_at_results_file(plan, complete, damage, error)
     type(plan_type), intent(in) :: plan
-    !> What is there, without series and states, unless it is complete.
-    type(results_type), intent(out) :: results
     !> Whether nothing is left to be done.
     logical, intent(out) :: complete
     !> What a results file cannot be read for.
@@ -206,17 +173,11 @@ contains
       if (unread /= 0) initial_fingerprint = 0
       call compare(plan, before, initial_fingerprint, same, error)
       complete = same .and. status == 'complete'
-      if (complete .or. allocated(error)) return
-      if (version /= program_version) then
+      if (.not. (complete .or. allocated(error)) .and. version /= program_version) &
         call fatal_error(error, plan%file//' was made by version '//version//', and this is ' &
-          //program_version//'; name another output file, or discard it with --overwrite', &
-          exit_bad_input)
-        return
-      end if
-      call read_results(plan%file, .false., results, error)
-      if (.not. allocated(error)) return
-    end if
-    if (error%code == exit_failure) then
+        //program_version//'; name another output file, or discard it with --overwrite', &
+        exit_bad_input)
+    else if (error%code == exit_failure) then
       error%message = error%message//'; there is no journal to write it anew from: ' &
         //'remove the file, or compute it again with --overwrite'
       call move_alloc(error, damage)
@@ -293,7 +254,8 @@ contains
 
     call parse_namelist(before, plan%file, old, error)
     yes = .not. allocated(error)
-    if (yes) yes = task_count(old) <= task_count(plan)
+    if (yes) yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
+      >= old%first_replicas .and. all(finer(plan%precision, old%precision))
     if (.not. yes) return
     old%initial_fingerprint = initial_fingerprint
     roster = roster_of(plan)
@@ -303,5 +265,12 @@ contains
       if (.not. yes) return
     end do
   end function has_all_of
+
+  !> Whether a precision is as fine as that of before, or finer; 0: any will do.
+  elemental logical function finer(precision, before) result(yes)
+    real(wp), intent(in) :: precision, before
+
+    yes = .not. before > 0.0_wp .or. (precision > 0.0_wp .and. precision <= before)
+  end function finer
 
 end module battery_preparation

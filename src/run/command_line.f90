@@ -1,13 +1,12 @@
 !> What the user asks for on the command line.
 module battery_command_line
-  use battery_build_information, only: program_version, git_commit
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: string_type, closest_word, join, new_line_character
   use battery_key, only: keys_text, different
   use battery_keys, only: all_keys
   implicit none (type, external)
   private
-  public :: command_line_type, read_command_line, parse_arguments, usage_text, version_text
+  public :: command_line_type, read_command_line, parse_arguments, usage_text
 
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
@@ -138,7 +137,7 @@ contains
       //'  --overwrite  discard results that are there'//nl &
       //'  --quiet      print nothing but problems'//nl &
       //'  --help       print this'//nl &
-      //'  --version    print the version'//nl//nl &
+      //'  --version    print version, commit, compiler and libraries'//nl//nl &
       //'Exit codes:'//nl &
       //'  0  every task is complete'//nl &
       //'  1  the run failed, or some tasks did; finished ones are kept'//nl &
@@ -149,12 +148,5 @@ contains
       //'Groups and keys of the namelist, with their defaults:'//nl//nl &
       //keys_text(all_keys())
   end function usage_text
-
-  !> Name, version, and the commit it was built from.
-  pure function version_text() result(text)
-    character(len=:), allocatable :: text
-
-    text = 'battery '//program_version//' ('//git_commit//')'
-  end function version_text
 
 end module battery_command_line

@@ -96,6 +96,12 @@ contains
     keys = [ &
       key_type('scan', 'replicas', whole_key, '1', 'runs of each point, with other seeds', &
       least=1.0_wp), &
+      key_type('precision', 'chi_replica_error', real_key, '', &
+      'standard error over replicas that chi is to have', least=0.0_wp, above=.true.), &
+      key_type('precision', 'polarised_current_replica_error', real_key, '', &
+      'that polarised_current is to have', least=0.0_wp, above=.true., unit='1/time'), &
+      key_type('precision', 'largest_replicas', whole_key, '64', &
+      'most replicas that a point is given for it', least=1.0_wp), &
       key_type('output', 'file', text_key, '''battery.h5''', 'where the results go', &
       decides=.false.), &
       key_type('output', 'series_interval', real_key, '0', 'time between series entries; 0: none', &

@@ -76,7 +76,12 @@ contains
     call take(settings, 'run', 'transient_duration', plan%transient_duration)
     call take(settings, 'run', 'start_time', plan%start_time)
     call take(settings, 'run', 'time_step', plan%time_step)
-    call take(settings, 'scan', 'replicas', plan%replicas)
+    call take(settings, 'scan', 'replicas', plan%first_replicas)
+    call take(settings, 'precision', 'chi_replica_error', plan%precision(1))
+    call take(settings, 'precision', 'polarised_current_replica_error', plan%precision(2))
+    plan%replicas = plan%first_replicas
+    if (any(plan%precision > 0.0_wp)) &
+      call take(settings, 'precision', 'largest_replicas', plan%replicas)
     call take_text(settings, 'output', 'file', plan%file)
     call take(settings, 'output', 'series_interval', plan%series_interval)
     call take_list(settings, 'output', 'snapshot_times', plan%snapshot_times)
@@ -153,11 +158,15 @@ contains
     end associate
   end function range_of
 
-  !> A run has one length: in collisions or in time.
+  !> A run has one length: in collisions or in time; replicas have a limit where there is a
+  !> precision.
   subroutine check_pairs(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
 
+    if (settings%all(find_setting(settings, 'precision', 'largest_replicas'))%given .and. &
+      .not. any(plan%precision > 0.0_wp)) call refuse(plan, 'largest_replicas', &
+      'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
     if (.not. plan%duration > 0.0_wp) return
     if (settings%all(find_setting(settings, 'run', 'collisions'))%given) &
       call refuse(plan, 'collisions', 'is given beside duration', 'one of the two')

@@ -60,7 +60,10 @@ module battery_plan
     type(point_type) :: base
     !> What is scanned, the slowest first.
     type(scanned_type), allocatable :: scanned(:)
-    integer :: replicas = 1
+    !> Replicas of a point: those that may be run, and those that are in any case.
+    integer :: replicas = 1, first_replicas = 1
+    !> Standard errors over replicas that chi and polarised_current are to have; 0: any.
+    real(wp) :: precision(2) = 0.0_wp
     integer(int64) :: seed = 1
     character(len=:), allocatable :: initial_file
     !> What the initial file says; without one, no arrays.

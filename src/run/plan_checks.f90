@@ -20,6 +20,7 @@ contains
     call check_given(plan)
     call check_length(plan)
     call check_output(plan)
+    call check_precision(plan)
     plan%point_count = 0
     if (task_total(plan) > most_tasks) then
       call refuse(plan, 'replicas', to_text(task_total(plan))//' tasks in all', &
@@ -100,6 +101,21 @@ contains
       call refuse(plan, 'time_step', 'is missing', &
       'one number above 0, since the engine is ''timestep''')
   end subroutine check_length
+
+  !> Few replicas do not tell how much they scatter.
+  pure subroutine check_precision(plan)
+    type(plan_type), intent(inout) :: plan
+    integer, parameter :: fewest = 16
+
+    if (.not. any(plan%precision > 0.0_wp)) return
+    if (plan%first_replicas < fewest) call refuse(plan, 'replicas', to_text(plan%first_replicas), &
+      'from '//to_text(fewest)//' up, since a precision is asked for')
+    if (plan%replicas < plan%first_replicas) call refuse(plan, 'largest_replicas', &
+      to_text(plan%replicas), 'from &scan replicas up, which is '//to_text(plan%first_replicas))
+    if (plan%precision(2) > 0.0_wp .and. plan%shape == 'urn') call refuse(plan, &
+      'polarised_current_replica_error', to_text(plan%precision(2)), &
+      'nothing, since the shape ''urn'' has no channel 2')
+  end subroutine check_precision
 
   pure subroutine check_output(plan)
     type(plan_type), intent(inout) :: plan

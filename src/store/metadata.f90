@@ -3,7 +3,7 @@ module battery_metadata
   use battery_kinds, only: dp, int32
   use battery_clocks, only: utc_now
   use battery_error, only: error_type, fatal_error
-  use battery_hdf5_file, only: hdf5_file_type, open_file, close_file
+  use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text, read_text
   use battery_seal, only: check_seal
   implicit none (type, external)
@@ -18,6 +18,9 @@ module battery_metadata
   !> Attributes that are texts, by their names, and those that are numbers.
   type :: metadata_type
     type(remark_type), allocatable :: texts(:)
+    !> How the run was started that wrote the file, when it began, and the hosts of all tasks, one a
+    !> line.
+    character(len=:), allocatable :: command_line, begun, hosts
     integer :: mpi_ranks = 0
     !> Time on the clock when the runs start; times in the file count from there.
     real(dp) :: start_time = 0.0_dp
@@ -51,6 +54,11 @@ contains
       call write_text(file, '/', metadata%texts(k)%name, metadata%texts(k)%text, error)
     end do
     call write_text(file, '/', 'created', utc_now(), error)
+    call make_group(file, '/provenance', error)
+    call write_text(file, '/provenance', 'command_line', metadata%command_line, error)
+    call write_text(file, '/provenance', 'begun', metadata%begun, error)
+    call write_text(file, '/provenance', 'ended', utc_now(), error)
+    call write_text(file, '/provenance', 'hosts', metadata%hosts, error)
     call write_attribute(file, '/', 'mpi_ranks', int(metadata%mpi_ranks, int32), error)
     call write_attribute(file, '/', 'start_time', metadata%start_time, error)
   end subroutine write_metadata

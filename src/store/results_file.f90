@@ -8,16 +8,18 @@ module battery_results_file
   use battery_error, only: error_type
   use battery_files, only: publish_file, remove_file
   use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, make_group
-  use battery_hdf5_attributes, only: write_attribute, write_text
+  use battery_hdf5_attributes, only: read_text, write_attribute, write_text
   use battery_hdf5_datasets, only: pass_dataset, write_dataset, write_scale, &
     write_dimension, extents_of
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
     flow_names, unknown_count
   use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
-    task_not_done
+    task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
+    point_undecided
   use battery_metadata, only: metadata_type, write_metadata
   use battery_seal, only: check_seal
   use battery_table, only: gated, ungated
+  use battery_text, only: lines_of
   implicit none (type, external)
   private
   public :: write_results, read_results
@@ -50,6 +52,7 @@ contains
     call write_metadata(file, metadata, error)
     call write_points(file, results, error)
     call pass_measured(file, results, error)
+    call write_precision(file, results, error)
     call pass_series(file, results, error)
     call pass_states(file, results, error)
     call write_events(file, results, error)
@@ -71,6 +74,7 @@ contains
     type(error_type), allocatable :: other
     type(hdf5_file_type) :: file
     integer(int64) :: two(2), three(3), four(4)
+    character(len=:), allocatable :: hosts
 
     call check_seal(name, error)
     if (.not. allocated(error)) call open_file(file, name, error)
@@ -78,6 +82,8 @@ contains
     two = max(0_int64, extents_of(file, '/seed', 2))
     call new_results(results, int(two(2)), int(two(1)))
     call pass_measured(file, results, error)
+    call read_text(file, '/provenance', 'hosts', hosts, error)
+    results%host = lines_of(hosts)
     if (whole) then
       three = extents_of(file, '/series/urn1_number', 3)
       if (three(1) > 0) then
@@ -141,8 +147,9 @@ contains
     call pass_dataset(file, '/task_status', results%task_status, '1', 'how the task ended', &
       error, by_task)
     call write_attribute(file, '/task_status', 'flag_values', [task_complete, task_failed, &
-      task_not_done], error)
-    call write_text(file, '/task_status', 'flag_meanings', 'complete failed not_done', error)
+      task_not_done, task_not_asked], error)
+    call write_text(file, '/task_status', 'flag_meanings', 'complete failed not_done not_asked', &
+      error)
     list = averaged_quantities()
     do q = 1, size(list)
       associate (path => '/'//list(q)%name, unit => list(q)%unit, meaning => list(q)%meaning)
@@ -161,6 +168,27 @@ contains
       call write_attribute(file, '/'//list(q)%name, '_FillValue', unknown_count, error)
     end do
   end subroutine pass_measured
+
+  !> What came of the precision that was asked for.
+  subroutine write_precision(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), parameter :: meaning = 'standard error over replicas, with Student''s ' &
+      //'factor of the first ones, of '
+
+    if (.not. allocated(results%point_status)) return
+    call write_dataset(file, '/chi_replica_error', results%replica_error(:, 1), '1', &
+      meaning//'chi', error, by_point)
+    call write_dataset(file, '/polarised_current_replica_error', results%replica_error(:, 2), &
+      '1/time', meaning//'polarised_current', error, by_point)
+    call write_dataset(file, '/point_status', results%point_status, '1', &
+      'whether the precision was reached', error, by_point)
+    call write_attribute(file, '/point_status', 'flag_values', [point_precise, point_not_precise, &
+      point_two_states, point_undecided], error)
+    call write_text(file, '/point_status', 'flag_meanings', &
+      'reached not_reached two_states undecided', error)
+  end subroutine write_precision
 
   !> The course of N1 and of the flows.
   subroutine pass_series(file, results, error)
