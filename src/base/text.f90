@@ -146,6 +146,7 @@ contains
 
   !> The lines of a text; the last may lack its end.
   pure function lines_of(text) result(lines)
+    !> Empty: none.
     character(len=*), intent(in) :: text
     type(string_type), allocatable :: lines(:)
     type(string_type) :: line

@@ -2,6 +2,7 @@
 module battery_merge
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type
+  use battery_files, only: file_exists
   use battery_fingerprint, only: fingerprint_text
   use battery_journal, only: journal_type, read_rank_file, rank_files_of
   use battery_metadata, only: metadata_type, add_text
@@ -59,7 +60,7 @@ contains
   subroutine collect_results(plan, journal, whole, results, failures, wanted)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    !> Whether series, states and events are collected as well.
+    !> Whether points, seeds, series, states and events are collected as well.
     logical, intent(in) :: whole
     type(results_type), intent(out) :: results
     !> Why a task failed, (task); not allocated where it did not.
@@ -76,14 +77,14 @@ contains
 
     allocate (failures(task_count(plan)))
     call new_results(results, plan%point_count, plan%replicas)
-    do k = 1, task_count(plan)
+    do k = 1, merge(task_count(plan), 0, whole)
       task = task_of(plan, k)
       results%point(task%point) = point_of(plan, task%point)
       results%point(task%point)%urn_radius = task%setup%table%urn%radius
       results%seed(task%replica, task%point) = task%setup%seed
     end do
-    roster = roster_of(plan)
     files = rank_files_of(journal)
+    if (size(files) > 0 .or. file_exists(plan%file)) roster = roster_of(plan)
     do file = 1, size(files)
       call read_rank_file(journal, files(file), found)
       do k = 1, size(found)

@@ -66,6 +66,7 @@ contains
   !> What a task is known by whose results file has its seed and was made from a plan.
   integer(int64) function kept_in_results(plan, seed) result(kept)
     type(plan_type), intent(in) :: plan
+    !> As in the file.
     integer(int64), intent(in) :: seed
 
     kept = kept_with(seed, plan, plan%final_state)

@@ -34,9 +34,10 @@ contains
     character(len=*), intent(in) :: path
     !> As `memory_of` takes them; read with the extents that they have in the file.
     type(*), intent(inout), target, contiguous :: values(..)
-    !> For a new file: attributes of the same names, and paths of the dimension scales.
+    !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
+    !> Paths of its dimension scales, in Fortran order.
     character(len=*), intent(in) :: scales(:)
     type(memory_type) :: memory
     integer(hid_t) :: dataset
@@ -62,7 +63,7 @@ contains
   function extents_of(file, path, rank) result(extents)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> From the root; how many dimensions are expected.
     character(len=*), intent(in) :: path
     integer, intent(in) :: rank
     integer(hsize_t) :: extents(rank), most(rank)
