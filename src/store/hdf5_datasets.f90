@@ -63,8 +63,9 @@ contains
   function extents_of(file, path, rank) result(extents)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root; how many dimensions are expected.
+    !> From the root.
     character(len=*), intent(in) :: path
+    !> Dimensions that are expected.
     integer, intent(in) :: rank
     integer(hsize_t) :: extents(rank), most(rank)
     integer(hid_t) :: dataset, space
