@@ -2,8 +2,8 @@
 
 Many runs with other seeds, each to the same precision, at a battery point, beside a transition and
 at a homogeneous point. The mean of all stands for the truth. By hand:
-`cd test; ../build/venv/bin/python -m attack.coverage --repeats 200`. It prints, for each point, how
-many replicas were run, and in how many of the repeats the truth was within one and two stated errors.
+`cd test; ../build/venv/bin/python -m attack.coverage --repeats 200`. It prints for each point how
+many replicas were run, and in how many repeats the truth was within one and two stated errors.
 """
 
 from __future__ import annotations
