@@ -10,6 +10,7 @@ program battery
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
   use battery_plan_sharing, only: read_plan_once
+  use battery_provenance, only: version_text
   use battery_signals, only: watch_signals
   use battery_process, only: leave
   use battery_terminal, only: guard_streams, say, complain, all_was_printed
@@ -27,9 +28,10 @@ program battery
   call open_communicator(communicator)
   call read_command_line(command_line, error)
   if (.not. allocated(error)) then
-    if (command_line%answer == '') then
+    if (command_line%answer == '' .and. .not. command_line%version) then
       call run()
     else if (communicator%rank == 0) then
+      if (command_line%version) command_line%answer = version_text()
       call say(command_line%answer)
     end if
   end if
@@ -61,7 +63,8 @@ contains
       call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
         error)
     else if (communicator%rank == 0) then
-      call print_outlook(plan, communicator%size, sharing, error)
+      call print_outlook(plan, communicator%size, sharing, &
+        command_line%overwrite, error)
     end if
     call share_error(communicator, error)
   end subroutine run

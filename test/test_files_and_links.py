@@ -289,14 +289,14 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "out.h5").rename(folder / "calm.h5")
     process = start("--quiet", "case.nml", folder=folder)
     tasks = folder / "out.h5.tasks"
-    assert wait_for(lambda: (tasks / "rank_0").exists() and any(tasks.glob("task_2*")), process)
+    assert wait_for(lambda: (tasks / "rank_0").exists() and any(tasks.glob("task_*")), process)
     send([process.pid], signal.SIGKILL)
     finish(process)
     return folder
 
 
-@pytest.mark.parametrize("source", ["task_2.a", "rank_0"])
-@pytest.mark.parametrize("target", ["plan", "rank_0", "task_2.a", "task_2.b"])
+@pytest.mark.parametrize("source", ["state", "rank_0"])
+@pytest.mark.parametrize("target", ["plan", "rank_0", ".a", ".b"])
 def test_swapped_files_are_found_out(
     tmp_path: Path, stopped: Path, source: str, target: str
 ) -> None:
@@ -304,9 +304,10 @@ def test_swapped_files_are_found_out(
     folder = tmp_path / "case"
     shutil.copytree(stopped, folder)
     tasks = folder / "out.h5.tasks"
-    there = next(tasks.glob("task_2*")) if source.startswith("task") else tasks / source
-    shutil.copy(there, tasks / "copy")
-    (tasks / "copy").rename(tasks / target)
+    state = next(tasks.glob("task_*.[ab]"))
+    shutil.copy(state if source == "state" else tasks / source, tasks / "copy")
+    there = state.with_suffix(target) if target.startswith(".") else tasks / target
+    (tasks / "copy").rename(there)
     ended = run("case.nml", folder=folder)
     assert ended.returncode == 0, (ended.stdout, ended.stderr)
     assert_same(folder / "out.h5", folder / "calm.h5")

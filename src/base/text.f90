@@ -3,7 +3,7 @@ module battery_text
   use, intrinsic :: iso_fortran_env, only: int32, int64, real32, real64, real128
   implicit none (type, external)
   private
-  public :: string_type, to_text, lower_case, join, closest_word, is_one_of
+  public :: string_type, to_text, lower_case, join, lines_of, closest_word, is_one_of
   public :: new_line_character
 
   character(len=1), parameter :: new_line_character = achar(10)
@@ -143,6 +143,25 @@ contains
       lower(at:at) = achar(iachar(text(at:at)) + 32)
     end do
   end function lower_case
+
+  !> The lines of a text; the last may lack its end.
+  pure function lines_of(text) result(lines)
+    !> Empty: none.
+    character(len=*), intent(in) :: text
+    type(string_type), allocatable :: lines(:)
+    type(string_type) :: line
+    integer :: at, last
+
+    allocate (lines(0))
+    at = 1
+    do while (at <= len(text))
+      last = index(text(at:)//new_line_character, new_line_character) + at - 2
+      line%text = text(at:last)
+      lines = [lines, line]
+      at = last + 2
+    end do
+  end function lines_of
+
 
   !> All texts of a list, with a separator between them.
   pure function join(list, separator) result(text)

@@ -5,8 +5,8 @@
 !> at once, and in the end rank 0 merges the journal into the results file. A run that is stopped or
 !> killed goes on from its journal; results depend on the plan alone, not on ranks, order or stops.
 module battery_ensemble
-  use battery_kinds, only: dp
-  use battery_clocks, only: wall_seconds
+  use battery_kinds, only: wp, dp, int64
+  use battery_clocks, only: wall_seconds, utc_now
   use battery_communicator, only: communicator_type, board_type, open_board, close_board, &
     read_board, share_error, share_text, summary_of, tasks_finished, tasks_failed, collisions_done
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
@@ -16,7 +16,7 @@ module battery_ensemble
   use battery_ownership, only: ownership_type, take_ownership, give_up_ownership
   use battery_plan, only: plan_type
   use battery_preparation, only: prepare
-  use battery_results, only: results_type, task_complete
+  use battery_results, only: results_type, all_complete
   use battery_signals, only: stop_after
   use battery_summary, only: print_summary
   use battery_text, only: string_type
@@ -42,7 +42,9 @@ contains
     type(board_type) :: board
     type(watch_type) :: watch
     real(dp) :: began
-    logical :: complete
+    integer(int64) :: collisions
+    character(len=20) :: begun
+    logical :: complete, goes_on
 
     exit_code = exit_failure
     if (communicator%rank == 0) call take_ownership(ownership, plan%file, error)
@@ -51,33 +53,46 @@ contains
     call share_text(communicator, ownership%path, 0)
     call share_text(communicator, ownership%text, 0)
     began = wall_seconds()
-    call prepare(plan, communicator, overwrite, quiet, journal, pending, complete, error)
-    if (allocated(error)) then
-      continue
-    else if (complete) then
-      exit_code = exit_success
-    else
+    begun = utc_now()
+    if (plan%checkpoint_minutes > 0.0_dp) &
+      watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
+    ! Results may ask for more replicas, until nothing is pending.
+    goes_on = .false.
+    collisions = 0
+    do
+      call prepare(plan, communicator, overwrite .and. .not. goes_on, quiet .or. goes_on, journal, &
+        pending, complete, error)
+      if (complete .and. .not. allocated(error)) exit_code = exit_success
+      if (complete .or. allocated(error)) exit
       journal%ownership = ownership
-      if (plan%checkpoint_minutes > 0.0_dp) &
-        watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
       call open_board(board, communicator, pending)
       call work(plan, journal, board, watch, quiet, error)
       call share_error(communicator, error)
-      if (.not. allocated(error)) &
-        call finish(plan, journal, board, watch%busy, began, quiet, exit_code, error)
+      goes_on = .not. allocated(error) .and. any(plan%precision > 0.0_wp) .and. board%tasks > 0 &
+        .and. read_board(board, tasks_finished) >= board%tasks &
+        .and. read_board(board, tasks_failed) == 0
+      if (.not. allocated(error)) collisions = collisions + read_board(board, collisions_done)
+      if (.not. (goes_on .or. allocated(error))) call finish(plan, journal, board, collisions, &
+        watch%busy, began, begun, quiet, exit_code, error)
       call close_board(board)
-    end if
+      if (.not. goes_on) exit
+    end do
     call give_up_ownership(ownership)
   end subroutine run_ensemble
 
   !> Rank 0 merges the journal into the results file and says how it went. The journal is removed
   !> once all that it should have is in the results file.
-  subroutine finish(plan, journal, board, busy_seconds, began, quiet, exit_code, error)
+  subroutine finish(plan, journal, board, collisions, busy_seconds, began, begun, quiet, &
+      exit_code, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     type(board_type), intent(in) :: board
+    !> Of this start, on all ranks.
+    integer(int64), intent(in) :: collisions
     !> What this rank spent in tasks, and when it began on the clock of `wall_seconds`.
     real(dp), intent(in) :: busy_seconds, began
+    !> The same by the time of day.
+    character(len=*), intent(in) :: begun
     !> Whether only failures are told.
     logical, intent(in) :: quiet
     !> What the program should end with; the same on all ranks.
@@ -95,11 +110,12 @@ contains
     if (.not. all_done) exit_code = exit_stopped_early
     if (board%communicator%rank == 0) then
       call check_ownership(journal, error)
-      if (.not. allocated(error)) call merge_results(plan, journal, results, failures, error)
+      if (.not. allocated(error)) call merge_results(plan, journal, begun, results, failures, &
+        error)
       if (.not. allocated(error)) call print_summary(plan, results, failures, journal%ranks, busy, &
-        wall_seconds() - began, read_board(board, collisions_done), all_done, quiet)
+        wall_seconds() - began, collisions, all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then
-        if (all(results%task_status == task_complete)) then
+        if (all_complete(results)) then
           call remove_journal(journal%folder, error)
         else
           call fatal_error(error, 'some results in '//journal%folder//' cannot be read back; ' &

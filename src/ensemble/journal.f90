@@ -2,7 +2,8 @@
 !>
 !> - `plan`: the namelist, and the fingerprint of the initial file;
 !> - `rank_N`: results of finished tasks, appended one by one; each rank of each start has its own;
-!> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole.
+!> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole;
+!>   N is what the task is known by, since its number changes as a scan grows.
 !>
 !> All are record files with checksums: what is cut short or damaged is found out and done again.
 !> Every record carries what its task is known by (`battery_identity`): what others have left is
@@ -11,6 +12,7 @@
 module battery_journal
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
+  use battery_fingerprint, only: fingerprint_text
   use battery_text, only: string_type, to_text
   use battery_background_sync, only: sync_type, begin_sync, end_sync
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
@@ -27,7 +29,7 @@ module battery_journal
   private
   public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
   public :: rank_files_in, rank_files_of, kept_in, check_ownership
-  public :: write_finished, write_state, read_state, remove_states
+  public :: write_finished, write_state, read_state
 
   !> The journal as one rank has it.
   type :: journal_type
@@ -50,15 +52,24 @@ module battery_journal
 
 contains
 
-  !> Name of the file `kind`_`number`.
-  pure function file_of(journal, kind, number) result(name)
+  !> Name of the rank file of a number.
+  pure function rank_file(journal, number) result(name)
     type(journal_type), intent(in) :: journal
-    character(len=*), intent(in) :: kind
     integer, intent(in) :: number
     character(len=:), allocatable :: name
 
-    name = journal%folder//'/'//kind//'_'//to_text(number)
-  end function file_of
+    name = journal%folder//'/rank_'//to_text(number)
+  end function rank_file
+
+  !> Name of the state of a task, but for its generation.
+  pure function state_file(journal, kept) result(name)
+    type(journal_type), intent(in) :: journal
+    !> `task_type%kept`.
+    integer(int64), intent(in) :: kept
+    character(len=:), allocatable :: name
+
+    name = journal%folder//'/task_'//fingerprint_text(kept)
+  end function state_file
 
   !> Looks for the journal of an earlier start: its namelist, and the fingerprint of its initial
   !> file. `found` is false where there is none that can be read.
@@ -126,12 +137,12 @@ contains
       journal%ranks - 1)]
   end function rank_files_of
 
-  !> The numbers of tasks, and what they are known by, of the first good record of every file but
-  !> the plan, (2, file): what else can tell whose journal this is.
+  !> What the tasks are known by of the first good record of every file but the plan: what else can
+  !> tell whose journal this is.
   function kept_in(folder) result(kept)
     !> Of the journal.
     character(len=*), intent(in) :: folder
-    integer(int64), allocatable :: kept(:, :)
+    integer(int64), allocatable :: kept(:)
     type(string_type), allocatable :: names(:)
     type(record_type) :: record
     logical :: found
@@ -139,15 +150,15 @@ contains
 
     names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
       files_like(folder, 'task_*.b')]
-    allocate (kept(2, size(names)))
+    allocate (kept(size(names)))
     good = 0
     do k = 1, size(names)
       call read_single(folder//'/'//names(k)%text, record, found)
       if (.not. found) cycle
       good = good + 1
-      kept(:, good) = [record%tag, record%owner]
+      kept(good) = record%owner
     end do
-    kept = kept(:, :good)
+    kept = kept(:good)
   end function kept_in
 
   !> Rank 0 writes the plan before any rank writes anything else.
@@ -201,7 +212,7 @@ contains
     logical :: is_one
     integer :: k, good
 
-    call read_records(file_of(journal, 'rank', file), records, good_size)
+    call read_records(rank_file(journal, file), records, good_size)
     allocate (results(size(records)))
     good = 0
     do k = 1, size(records)
@@ -224,15 +235,15 @@ contains
 
     call check_ownership(journal, error)
     if (allocated(error)) return
-    name = file_of(journal, 'rank', journal%mine)
+    name = rank_file(journal, journal%mine)
     call append_record(name, to_record(found), journal%written, error)
     if (allocated(error)) return
     call begin_sync(journal%sync, name, error)
     if (allocated(error)) return
-    name = file_of(journal, 'task', found%task)
+    name = state_file(journal, found%kept)
     if (.not. (file_exists(name//generations(1)) .or. file_exists(name//generations(2)))) return
     call end_sync(journal%sync, error)
-    if (.not. allocated(error)) call remove_states(journal, found%task, error)
+    if (.not. allocated(error)) call remove_states(name, error)
   end subroutine write_finished
 
   !> A rank whose run has lost the output writes nothing.
@@ -246,15 +257,13 @@ contains
   end subroutine check_ownership
 
   !> Removes both generations of the state of a task.
-  subroutine remove_states(journal, task, error)
-    type(journal_type), intent(in) :: journal
-    !> Its number.
-    integer, intent(in) :: task
+  subroutine remove_states(name, error)
+    !> That of its files, but for the generation.
+    character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
 
-    call remove_file(file_of(journal, 'task', task)//generations(1), error)
-    if (.not. allocated(error)) call remove_file(file_of(journal, 'task', task)//generations(2), &
-      error)
+    call remove_file(name//generations(1), error)
+    if (.not. allocated(error)) call remove_file(name//generations(2), error)
   end subroutine remove_states
 
   !> Saves a simulation, over the older of its two generations.
@@ -285,7 +294,7 @@ contains
     journal%generation = journal%generation + 1
     record%generation = journal%generation
     call move_alloc(stream%word, record%word)
-    name = file_of(journal, 'task', task%task)//generations(2 - mod(journal%generation, 2_int64))
+    name = state_file(journal, task%kept)//generations(2 - mod(journal%generation, 2_int64))
     call write_single(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
@@ -318,8 +327,8 @@ contains
 
     cpu_seconds = 0.0_dp
     do k = 1, 2
-      call read_single(file_of(journal, 'task', task%task)//generations(k), state(k), found)
-      if (state(k)%tag /= task%task .or. state(k)%owner /= task%kept) state(k) = record_type()
+      call read_single(state_file(journal, task%kept)//generations(k), state(k), found)
+      if (state(k)%owner /= task%kept) state(k) = record_type()
     end do
     ! Where there is none, or the result of a task, the generation is 0.
     newer = maxloc(state%generation, 1)

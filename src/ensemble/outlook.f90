@@ -7,6 +7,7 @@ module battery_outlook
   use battery_error, only: error_type
   use battery_limits, only: memory_type, memory_left
   use battery_needs, only: needs_type, needs_of
+  use battery_preparation, only: look_at_output
   use battery_plan, only: plan_type, point_type, point_of
   use battery_room, only: base_bytes, size_text
   use battery_screen, only: duration_text, rate_text
@@ -27,22 +28,36 @@ module battery_outlook
 contains
 
   !> Prints the plan and what it will cost on `ranks` ranks, `sharing` of them on one machine.
-  subroutine print_outlook(plan, ranks, sharing, error)
+  subroutine print_outlook(plan, ranks, sharing, overwrite, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks, sharing
+    !> Whether what is there would be discarded.
+    logical, intent(in) :: overwrite
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
     type(needs_type) :: needs
+    integer, allocatable :: pending(:)
+    character(len=:), allocatable :: remark
     real(dp) :: seconds, rate
+    logical :: complete
+    integer :: k
 
+    pending = [(k, k=1, task_count(plan))]
+    remark = ''
+    if (.not. overwrite) call look_at_output(plan, complete, pending, remark, error)
+    if (allocated(error)) return
+    if (remark /= '') call say(remark)
     left = memory_left(sharing)
     needs = needs_of(plan, left)
     call print_parameters(plan)
-    call calibrate(plan, needs%number, seconds, rate, error)
+    call say('finished:   '//counted(task_count(plan) - size(pending), 'task')//'; to be done: ' &
+      //to_text(size(pending)))
+    call calibrate(plan, pending, needs%number, seconds, rate, error)
     if (allocated(error)) return
-    call say('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
-    call say('time:       about '//duration_text(seconds*max(1.0_dp, &
-      real(ceiling(real(task_count(plan), dp)/ranks), dp)))//' on '//counted(ranks, 'rank'))
+    if (rate > 0.0_dp) &
+      call say('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
+    call say('time:       about '//duration_text(seconds &
+      *real(ceiling(real(size(pending), dp)/ranks), dp))//' on '//counted(ranks, 'rank'))
     call print_memory(needs, left)
     call say('results:    '//plan%file)
     call say('nothing was written')
@@ -81,6 +96,9 @@ contains
     end do
     call say('tasks:      '//to_text(task_count(plan))//' (' &
       //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)')
+    if (plan%first_replicas < plan%replicas) call say('precision:  the first ' &
+      //to_text(plan%first_replicas)//' replicas of a point tell how many it gets, up to ' &
+      //to_text(plan%replicas)//'; below, only those that are known to be needed count')
     call say('engine:     '//plan%engine)
     call say('shape:      '//plan%shape//', urn radius '//both(4))
     call say('channel 1:  w = '//range_text(6)//', l = '//range_text(7))
@@ -138,11 +156,13 @@ contains
     if (number /= 1) text = text//'s'
   end function counted
 
-  !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the plan
-  !> that are run for a short while. Time is that of a processor, so that other work on the machine
-  !> does not count.
-  subroutine calibrate(plan, most, seconds, rate, error)
+  !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the
+  !> plan that are run for a short while. Time is that of a processor, so that other work on the
+  !> machine does not count.
+  subroutine calibrate(plan, pending, most, seconds, rate, error)
     type(plan_type), intent(in) :: plan
+    !> Numbers of the tasks that are to be done.
+    integer, intent(in) :: pending(:)
     !> Particles of the largest task that there is memory for; larger ones are passed over.
     integer, intent(in) :: most
     !> Of a processor a task; collisions a second.
@@ -155,12 +175,13 @@ contains
     integer(int64) :: before
     real(dp) :: began, spent, elapsed, one_rate
 
-    tries = min(most_tries, task_count(plan))
+    tries = min(most_tries, size(pending))
     tried = 0
     seconds = 0.0_dp
     rate = 0.0_dp
     do k = 1, tries
-      task = task_of(plan, 1 + int(int(task_count(plan) - 1, int64)*(k - 1)/max(tries - 1, 1)))
+      task = task_of(plan, pending(1 + int(int(size(pending) - 1, int64)*(k - 1) &
+        /max(tries - 1, 1))))
       if (task%number > most) cycle
       call place_particles(task, plan%start, particles, error)
       if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)

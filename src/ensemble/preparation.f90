@@ -1,24 +1,25 @@
 !> The start of an ensemble: what is there already, and which tasks are still to be done.
 module battery_preparation
-  use battery_kinds, only: int64
+  use battery_kinds, only: wp, int64
+  use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
-  use battery_fingerprint, only: fingerprint_text
   use battery_journal, only: journal_type, read_plan, kept_in, begin_journal, join_journal, &
-    read_rank_file, rank_files_of, rank_files_in
+    rank_files_in
   use battery_journal_folder, only: check_journal, remove_journal
+  use battery_merge, only: collect_results
   use battery_metadata, only: read_metadata
-  use battery_namelist_input, only: differing_keys
+  use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
-  use battery_results, only: task_complete
-  use battery_task_result, only: task_result_type
-  use battery_tasks, only: task_count, is_task_of, put_longest_first
+  use battery_results, only: results_type, task_complete
+  use battery_tasks, only: task_type, task_count, task_of, put_longest_first, roster_type, &
+    roster_of, number_in
   use battery_terminal, only: say
-  use battery_text, only: to_text
+  use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
   private
-  public :: prepare
+  public :: prepare, look_at_output
 
 contains
 
@@ -40,8 +41,7 @@ contains
 
     allocate (pending(0))
     if (communicator%rank == 0) then
-      call look_at_output(plan, communicator%size, overwrite, quiet, complete, rank_files, &
-        pending, error)
+      call begin(plan, communicator%size, overwrite, quiet, complete, rank_files, pending, error)
       shared = [merge(1, 0, complete), rank_files]
     end if
     call share_error(communicator, error)
@@ -54,7 +54,7 @@ contains
 
   !> Which tasks are pending, and how many rank files earlier starts have; begins the journal of a
   !> start with so many ranks if there is something to do.
-  subroutine look_at_output(plan, ranks, overwrite, quiet, complete, rank_files, pending, error)
+  subroutine begin(plan, ranks, overwrite, quiet, complete, rank_files, pending, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks
     logical, intent(in) :: overwrite, quiet
@@ -62,42 +62,69 @@ contains
     integer, intent(out) :: rank_files
     integer, allocatable, intent(inout) :: pending(:)
     type(error_type), allocatable, intent(out) :: error
-    type(error_type), allocatable :: damage
-    logical, allocatable :: finished(:)
-    logical :: found
-    integer :: k
+    character(len=:), allocatable :: remark
 
     complete = .false.
     rank_files = 0
     call check_journal(journal_folder(plan), error)
     if (.not. allocated(error) .and. overwrite) call remove_file(plan%file, error)
     if (.not. allocated(error) .and. overwrite) call remove_journal(journal_folder(plan), error)
-    if (.not. allocated(error)) call look_at_results_file(plan, complete, damage, error)
+    if (.not. allocated(error)) call look_at_output(plan, complete, pending, remark, error)
+    if (allocated(error)) return
+    if (remark /= '' .and. .not. quiet) call say(remark)
+    if (complete) then
+      call remove_journal(journal_folder(plan), error)
+    else
+      rank_files = rank_files_in(journal_folder(plan))
+      call open_journal(plan, ranks, rank_files, error)
+      call put_longest_first(plan, pending)
+    end if
+  end subroutine begin
+
+  !> Which tasks are still to be done, by what is there; writes nothing.
+  subroutine look_at_output(plan, complete, pending, remark, error)
+    type(plan_type), intent(in) :: plan
+    !> Whether the results file is as it should be.
+    logical, intent(out) :: complete
+    !> Their numbers.
+    integer, allocatable, intent(out) :: pending(:)
+    !> What a user should know of it; may be empty.
+    character(len=:), allocatable, intent(out) :: remark
+    !> Code `exit_bad_input` where something else is in the way.
+    type(error_type), allocatable, intent(out) :: error
+    type(error_type), allocatable :: damage
+    type(journal_type) :: journal
+    type(results_type) :: results
+    type(string_type), allocatable :: failures(:)
+    integer, allocatable :: wanted(:)
+    logical :: found
+    integer :: done, k
+
+    allocate (pending(0))
+    remark = ''
+    call look_at_results_file(plan, complete, damage, error)
+    if (.not. allocated(error)) call look_at_journal(plan, complete, found, error)
     if (allocated(error)) return
     if (complete) then
-      if (.not. quiet) call say(plan%file//' is complete; --overwrite runs it again')
-      call remove_journal(journal_folder(plan), error)
+      remark = plan%file//' is complete; --overwrite runs it again'
       return
     end if
-    call look_at_journal(plan, found, error)
-    if (allocated(error)) return
-    rank_files = rank_files_in(journal_folder(plan))
-    finished = finished_tasks(plan, rank_files)
-    found = found .or. any(finished)
+    call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
+    call collect_results(plan, journal, .false., results, failures, wanted)
+    done = count(results%task_status == task_complete)
+    found = found .or. done > 0
     if (allocated(damage)) then
       if (.not. found) then
         call move_alloc(damage, error)
         return
       end if
-      if (.not. quiet) call say(plan%file//' is damaged, and is written anew from ' &
-        //journal_folder(plan))
+      remark = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
+        //new_line_character
     end if
-    call open_journal(plan, ranks, rank_files, error)
-    if (allocated(error)) return
-    pending = pack([(k, k=1, size(finished))], .not. finished)
-    call put_longest_first(plan, pending)
-    if (found .and. .not. quiet) call say('going on: ' &
-      //to_text(count(finished))//' of '//to_text(size(finished))//' tasks are finished')
+    pending = pack([(k, k=1, task_count(plan))], [(results%task_status(:wanted(k), k) &
+      /= task_complete, spread(.false., 1, plan%replicas - wanted(k)), k=1, plan%point_count)])
+    if (found) remark = remark//'going on: '//to_text(done)//' of '//to_text(done &
+      + size(pending))//' tasks are finished'
   end subroutine look_at_output
 
   !> Notes in the journal that so many ranks start, after so many rank files of earlier ones.
@@ -115,29 +142,6 @@ contains
     end if
   end subroutine open_journal
 
-  !> Which of the tasks of a plan its journal has as complete; failed ones are tried again.
-  function finished_tasks(plan, rank_files) result(finished)
-    type(plan_type), intent(in) :: plan
-    integer, intent(in) :: rank_files
-    logical, allocatable :: finished(:)
-    type(journal_type) :: journal
-    type(task_result_type), allocatable :: results(:)
-    integer, allocatable :: files(:)
-    integer :: file, k
-
-    allocate (finished(task_count(plan)), source=.false.)
-    call join_journal(journal, journal_folder(plan), rank_files, 0, 0)
-    files = rank_files_of(journal)
-    do file = 1, size(files)
-      call read_rank_file(journal, files(file), results)
-      do k = 1, size(results)
-        if (results(k)%status /= task_complete) cycle
-        if (is_task_of(plan, int(results(k)%task, int64), results(k)%kept)) &
-          finished(results(k)%task) = .true.
-      end do
-    end do
-  end function finished_tasks
-
   !> Folder of the journal of a plan.
   pure function journal_folder(plan) result(folder)
     type(plan_type), intent(in) :: plan
@@ -146,7 +150,7 @@ contains
     folder = plan%file//'.tasks'
   end function journal_folder
 
-  !> Results that are there must be of this input.
+  !> Results that are there must be of this input, or of one that it goes on with.
   subroutine look_at_results_file(plan, complete, damage, error)
     type(plan_type), intent(in) :: plan
     !> Whether nothing is left to be done.
@@ -155,14 +159,24 @@ contains
     type(error_type), allocatable, intent(out) :: damage
     !> Code `exit_bad_input`: they are of another input, or what is there is no results file.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: before, status, initial_fingerprint
+    character(len=:), allocatable :: version, before, status, fingerprint
+    integer(int64) :: initial_fingerprint
+    logical :: same
+    integer :: unread
 
     complete = .false.
     if (.not. file_exists(plan%file)) return
-    call read_metadata(plan%file, before, status, initial_fingerprint, error)
+    call read_metadata(plan%file, version, before, status, fingerprint, error)
     if (.not. allocated(error)) then
-      complete = status == 'complete'
-      call compare(plan, before, initial_fingerprint, error)
+      ! Without an initial file the text is empty.
+      read (fingerprint, '(z16)', iostat=unread) initial_fingerprint
+      if (unread /= 0) initial_fingerprint = 0
+      call compare(plan, before, initial_fingerprint, same, error)
+      complete = same .and. status == 'complete'
+      if (.not. (complete .or. allocated(error)) .and. version /= program_version) &
+        call fatal_error(error, plan%file//' was made by version '//version//', and this is ' &
+        //program_version//'; name another output file, or discard it with --overwrite', &
+        exit_bad_input)
     else if (error%code == exit_failure) then
       error%message = error%message//'; there is no journal to write it anew from: ' &
         //'remove the file, or compute it again with --overwrite'
@@ -173,53 +187,90 @@ contains
     end if
   end subroutine look_at_results_file
 
-  !> A journal must be of this input; if its plan is damaged, its other files must not say that
-  !> they are of another.
-  subroutine look_at_journal(plan, found, error)
+  !> A journal must be of this input, or of one that it goes on with; if its plan is damaged, its
+  !> other files must not say that they are of another.
+  subroutine look_at_journal(plan, complete, found, error)
     type(plan_type), intent(in) :: plan
+    !> Whether there are complete results, so that the journal is left over.
+    logical, intent(in) :: complete
     !> Whether there is a journal with a plan.
     logical, intent(out) :: found
     !> Code `exit_bad_input`: it is of another input.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: before
     integer(int64) :: initial_fingerprint
+    integer(int64), allocatable :: kept(:)
+    type(roster_type) :: roster
+    logical :: same
+    integer :: k
 
     call read_plan(journal_folder(plan), before, initial_fingerprint, found)
     if (found) then
-      call compare(plan, before, fingerprint_text(initial_fingerprint), error)
-    else if (belongs_to_another(plan)) then
-      call fatal_error(error, journal_folder(plan)//' holds parts of another input, and the ' &
-        //'plan in it is damaged; name another output file, or discard it with --overwrite', &
-        exit_bad_input)
+      call compare(plan, before, initial_fingerprint, same, error)
+    else if (.not. complete) then
+      kept = kept_in(journal_folder(plan))
+      if (size(kept) == 0) return
+      roster = roster_of(plan)
+      if (any([(number_in(roster, kept(k)) == 0, k=1, size(kept))])) call fatal_error(error, &
+        journal_folder(plan)//' holds parts of another input, and the plan in it is damaged; ' &
+        //'name another output file, or discard it with --overwrite', exit_bad_input)
     end if
   end subroutine look_at_journal
 
-  !> Whether the journal has anything that is of another input, where its plan cannot tell.
-  function belongs_to_another(plan) result(another)
+  !> A run goes on with what was made before if all tasks of that input are its own; not with one of
+  !> another input, nor of an initial file that has changed.
+  subroutine compare(plan, before, initial_fingerprint, same, error)
     type(plan_type), intent(in) :: plan
-    logical :: another
-    integer(int64), allocatable :: kept(:, :)
-    integer :: k
-
-    kept = kept_in(journal_folder(plan))
-    another = .not. all([(is_task_of(plan, kept(1, k), kept(2, k)), k=1, size(kept, 2))])
-  end function belongs_to_another
-
-  !> Results of another input are not gone on with, nor those of an initial file that has changed.
-  subroutine compare(plan, before, initial_fingerprint, error)
-    type(plan_type), intent(in) :: plan
-    character(len=*), intent(in) :: before, initial_fingerprint
+    character(len=*), intent(in) :: before
+    integer(int64), intent(in) :: initial_fingerprint
+    !> Whether it has no other tasks.
+    logical, intent(out) :: same
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: keys
 
     keys = differing_keys(before, plan%text)
-    if (keys == '' .and. plan%initial_file /= '' &
-      .and. initial_fingerprint /= fingerprint_text(plan%initial_fingerprint)) &
+    same = keys == '' .and. initial_fingerprint == plan%initial_fingerprint
+    if (same) return
+    if (keys == '') then
       keys = '&particles initial_file: '''//plan%initial_file//''' has other contents now'
-    if (keys /= '') call fatal_error(error, plan%file &
-      //' was made from another input; these differ:' &
-      //new_line('a')//keys//new_line('a') &
+    else if (has_all_of(plan, before, initial_fingerprint)) then
+      return
+    end if
+    call fatal_error(error, plan%file//' was made from another input; these differ:' &
+      //new_line_character//keys//new_line_character &
       //'name another output file, or discard it with --overwrite', exit_bad_input)
   end subroutine compare
+
+  !> Whether a plan has all tasks of an input.
+  logical function has_all_of(plan, before, initial_fingerprint) result(yes)
+    type(plan_type), intent(in) :: plan
+    character(len=*), intent(in) :: before
+    integer(int64), intent(in) :: initial_fingerprint
+    type(plan_type) :: old
+    type(roster_type) :: roster
+    type(task_type) :: task
+    type(error_type), allocatable :: error
+    integer :: k
+
+    call parse_namelist(before, plan%file, old, error)
+    yes = .not. allocated(error)
+    if (yes) yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
+      >= old%first_replicas .and. all(finer(plan%precision, old%precision))
+    if (.not. yes) return
+    old%initial_fingerprint = initial_fingerprint
+    roster = roster_of(plan)
+    do k = 1, task_count(old)
+      task = task_of(old, k)
+      yes = number_in(roster, task%kept) > 0
+      if (.not. yes) return
+    end do
+  end function has_all_of
+
+  !> Whether a precision is as fine as that of before, or finer; 0: any will do.
+  elemental logical function finer(precision, before) result(yes)
+    real(wp), intent(in) :: precision, before
+
+    yes = .not. before > 0.0_wp .or. (precision > 0.0_wp .and. precision <= before)
+  end function finer
 
 end module battery_preparation

@@ -5,7 +5,8 @@ module battery_summary
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_count
   use battery_quantities, only: averaged_quantities, counted_quantities, place_of
-  use battery_results, only: results_type, scatter_of, task_complete
+  use battery_results, only: results_type, scatter_of, task_complete, task_not_asked, &
+    point_two_states, point_not_precise
   use battery_screen, only: duration_text, rate_text
   use battery_terminal, only: say
   use battery_command_line, only: ways_to_stop
@@ -54,7 +55,10 @@ contains
       end do
     end if
     if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results)
-    call say(to_text(done)//' of '//to_text(task_count(plan))//' tasks are complete')
+    call say(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
+      //' tasks are complete')
+    call list_points(results, point_two_states, 'replicas fall into two states')
+    call list_points(results, point_not_precise, 'the precision was not reached')
     call say('ranks '//to_text(ranks)//', busy '//to_text(nint(100.0_dp*busy(1)))//' / ' &
       //to_text(nint(100.0_dp*busy(2)))//' / '//to_text(nint(100.0_dp*busy(3))) &
       //' % (least, mean, greatest)')
@@ -67,6 +71,22 @@ contains
       //new_line_character//ways_to_stop)
     call say('results: '//plan%file)
   end subroutine print_summary
+
+  !> Numbers of the points that stand as `status` says, with what that means.
+  subroutine list_points(results, status, meaning)
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: status
+    character(len=*), intent(in) :: meaning
+    character(len=:), allocatable :: text
+    integer :: p
+
+    if (.not. allocated(results%point_status)) return
+    text = ''
+    do p = 1, size(results%point)
+      if (results%point_status(p) == status) text = text//' '//to_text(p - 1)
+    end do
+    if (text /= '') call say(meaning//', points (from 0):'//text)
+  end subroutine list_points
 
   !> The task that took the most time of a processor.
   subroutine print_slowest(results)

@@ -1,7 +1,9 @@
 !> What one task of an ensemble brings home, as a value and as a record for the disk.
 module battery_task_result
   use battery_kinds, only: dp, int32, int64
+  use battery_clocks, only: utc_seconds
   use battery_engine, only: particles_type
+  use battery_machine, only: machine_text
   use battery_observer, only: measure
   use battery_quantities, only: measured_type, new_measured, set_average, set_count, &
     unknown_real, fingerprint_of_quantities
@@ -21,8 +23,8 @@ module battery_task_result
     integer :: status = task_not_done
     !> `task_type%kept` of the task.
     integer(int64) :: kept = 0
-    !> Why it failed.
-    character(len=:), allocatable :: message
+    !> Why it failed, and on which machine it ran.
+    character(len=:), allocatable :: message, host
     type(measured_type) :: measured
     !> Arrays are empty or not allocated where there is nothing; those read back are allocated.
     !> Series: N1, and flows as (4, entry).
@@ -38,11 +40,11 @@ module battery_task_result
 contains
 
   !> The result of a simulation that is done.
-  function result_of(task, simulation, cpu_seconds) result(found)
+  function result_of(task, simulation, cpu_seconds, begun) result(found)
     type(task_type), intent(in) :: task
     type(simulation_type), intent(in) :: simulation
-    !> Of a processor, spent on the task.
-    real(dp), intent(in) :: cpu_seconds
+    !> Of a processor, spent on the task; on the clock of `utc_seconds`, when it began here.
+    real(dp), intent(in) :: cpu_seconds, begun
     type(task_result_type) :: found
     type(particles_type) :: particles
     integer(int64) :: n
@@ -59,6 +61,9 @@ contains
     call set_average(found%measured, 'time', real(simulation%elapsed, dp))
     call set_average(found%measured, 'transient_time', real(simulation%transient_time, dp))
     call set_average(found%measured, 'cpu_seconds', cpu_seconds)
+    call set_average(found%measured, 'provenance/begun', begun)
+    call set_average(found%measured, 'provenance/ended', utc_seconds())
+    found%host = machine_text()
     associate (observer => simulation%observer, events => simulation%events)
       found%series_urn1_number = int(observer%series_urn1_number(:observer%entries), int32)
       found%series_flow = reshape(real(observer%series_flow(:, :observer%entries), dp), &
@@ -100,6 +105,7 @@ contains
     failed%kept = task%kept
     failed%status = task_failed
     failed%message = message
+    failed%host = machine_text()
     failed%measured = new_measured()
   end function failed_result
 
@@ -146,6 +152,7 @@ contains
 
     call stream%pass('status', found%status)
     call stream%pass_text('message', found%message)
+    call stream%pass_text('host', found%host)
     quantities = fingerprint_of_quantities()
     call stream%pass('quantities', quantities)
     if (stream%failed()) return

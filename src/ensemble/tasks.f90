@@ -13,7 +13,8 @@ module battery_tasks
   use battery_table, only: table_type
   implicit none (type, external)
   private
-  public :: task_type, task_count, task_of, is_task_of, put_longest_first, place_particles
+  public :: task_type, task_count, task_of, put_longest_first, place_particles
+  public :: roster_type, roster_of, number_in, kept_in_results
 
   !> One task: a point of the scan, one of its replicas.
   type :: task_type
@@ -25,6 +26,14 @@ module battery_tasks
     integer(int64) :: kept = 0
     logical :: final_state = .false.
   end type task_type
+
+  !> The tasks of a plan by what they are known by: a hash table with room to spare.
+  type :: roster_type
+    private
+    integer(int64), allocatable :: kept(:)
+    !> Numbers of the tasks; 0 where there is none.
+    integer, allocatable :: number(:)
+  end type roster_type
 
 contains
 
@@ -54,21 +63,54 @@ contains
     task%kept = kept_with(task%setup%seed, task%setup, task%final_state)
   end function task_of
 
-  !> Whether what was kept under the number of a task is of this plan's task.
-  function is_task_of(plan, number, kept) result(yes)
+  !> What a task is known by whose results file has its seed and was made from a plan.
+  integer(int64) function kept_in_results(plan, seed) result(kept)
     type(plan_type), intent(in) :: plan
-    !> Whatever number was kept.
-    integer(int64), intent(in) :: number
+    !> As in the file.
+    integer(int64), intent(in) :: seed
+
+    kept = kept_with(seed, plan, plan%final_state)
+  end function kept_in_results
+
+  !> All tasks of a plan.
+  function roster_of(plan) result(roster)
+    type(plan_type), intent(in) :: plan
+    type(roster_type) :: roster
+    type(task_type) :: task
+    integer :: k, at
+
+    allocate (roster%number(0:2**(bit_size(k) - leadz(task_count(plan)) + 1) - 1), source=0)
+    allocate (roster%kept(0:ubound(roster%number, 1)))
+    do k = 1, task_count(plan)
+      task = task_of(plan, k)
+      at = place_in(roster, task%kept)
+      roster%kept(at) = task%kept
+      roster%number(at) = k
+    end do
+  end function roster_of
+
+  !> Number of the task of which something was kept; 0 if it is none of the plan.
+  pure integer function number_in(roster, kept) result(number)
+    type(roster_type), intent(in) :: roster
     !> `task_type%kept` of the task that it was kept of.
     integer(int64), intent(in) :: kept
-    logical :: yes
-    type(task_type) :: task
 
-    yes = number >= 1 .and. number <= task_count(plan)
-    if (.not. yes) return
-    task = task_of(plan, int(number))
-    yes = task%kept == kept
-  end function is_task_of
+    number = roster%number(place_in(roster, kept))
+  end function number_in
+
+  !> Where a task is in the table, or would be.
+  pure integer function place_in(roster, kept) result(at)
+    type(roster_type), intent(in) :: roster
+    integer(int64), intent(in) :: kept
+    integer :: last
+
+    last = ubound(roster%number, 1)
+    at = int(iand(kept, int(last, int64)))
+    do while (roster%number(at) > 0)
+      if (roster%kept(at) == kept) exit
+      at = iand(at + 1, last)
+    end do
+  end function place_in
 
   !> What a task is expected to cost, in units of a wall collision. A visit to an urn costs as much
   !> as so many collisions besides its own (measured: 70 ns against 2 ns); how many visits there are

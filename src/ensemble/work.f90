@@ -2,7 +2,7 @@
 module battery_work
   use battery_kinds, only: dp, int64
   use battery_background_sync, only: end_sync
-  use battery_clocks, only: wall_seconds, cpu_seconds, rest
+  use battery_clocks, only: wall_seconds, cpu_seconds, utc_seconds, rest
   use battery_communicator, only: board_type, take_task, add_to_board, read_board, help_board, &
     help_interval, tasks_finished, tasks_failed, collisions_done, stop_wanted
   use battery_engine, only: particles_type
@@ -138,11 +138,12 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(simulation_type) :: simulation
     type(error_type), allocatable :: trouble
-    real(dp) :: cpu_before, cpu_began, began, now
+    real(dp) :: cpu_before, cpu_began, began, begun, now
     integer(int64) :: told
 
     stopped = .false.
     began = wall_seconds()
+    begun = utc_seconds()
     cpu_began = cpu_seconds()
     call resume_or_begin(task, start, journal, simulation, cpu_before, trouble)
     told = 0
@@ -176,7 +177,7 @@ contains
       found = failed_result(task, trouble%message)
     else
       call add_to_board(board, collisions_done, simulation%observer%collisions - told)
-      found = result_of(task, simulation, cpu_before + cpu_seconds() - cpu_began)
+      found = result_of(task, simulation, cpu_before + cpu_seconds() - cpu_began, begun)
     end if
 
   contains

@@ -19,7 +19,7 @@ module battery_key
 
   !> One key of a namelist: where it stands, what it means, what may be its value.
   type :: key_type
-    character(len=24) :: group = '', name = ''
+    character(len=32) :: group = '', name = ''
     integer :: kind = whole_key
     !> As it would be written; empty if there is none.
     character(len=16) :: default = ''

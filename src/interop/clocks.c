@@ -1,4 +1,4 @@
-/* The time of day as text. */
+/* The time of day, as text and as a number. */
 
 #include <time.h>
 
@@ -9,4 +9,13 @@ int battery_utc(char *text, int room)
     struct tm parts;
 
     return (int)strftime(text, (size_t)room, "%Y-%m-%dT%H:%M:%SZ", gmtime_r(&now, &parts));
+}
+
+/* Seconds since 1970 */
+double battery_utc_seconds(void)
+{
+    struct timespec now;
+
+    clock_gettime(CLOCK_REALTIME, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }

@@ -1,14 +1,22 @@
 !> Clocks, and waiting.
 module battery_clocks
-  use, intrinsic :: iso_c_binding, only: c_int
+  use, intrinsic :: iso_c_binding, only: c_double, c_int
   use battery_c_shapes, only: number_of_number, number_of_text
   use battery_kinds, only: dp, int64
   implicit none (type, external)
   private
-  public :: wall_seconds, cpu_seconds, utc_now, rest
+  public :: wall_seconds, cpu_seconds, utc_seconds, utc_now, rest
 
   procedure(number_of_number), bind(c, name='usleep') :: c_usleep
   procedure(number_of_text), bind(c, name='battery_utc') :: c_utc
+
+  interface
+    !> The time of day, UTC: seconds since the beginning of 1970.
+    real(c_double) function utc_seconds() bind(c, name='battery_utc_seconds')
+      import :: c_double
+      implicit none (type, external)
+    end function utc_seconds
+  end interface
 
 contains
 

@@ -7,6 +7,10 @@
 #include <stdlib.h>
 #include <gsl/gsl_errno.h>
 #include <gsl/gsl_rng.h>
+#include <gsl/gsl_version.h>
+
+/* Version of the library that is there at run time. */
+const char *battery_gsl_version(void) { return gsl_version; }
 
 /* Two generators of different kind: one shifts bits, the other multiplies modulo primes. */
 typedef struct {

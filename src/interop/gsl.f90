@@ -7,12 +7,14 @@
 module battery_gsl
   use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_double, c_int64_t, c_size_t, &
     c_associated
-  use battery_c_shapes, only: action_on_address
+  use battery_c_shapes, only: action_on_address, address_known
+  use battery_paths, only: text_at
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
   implicit none (type, external)
   private
-  public :: generator_type, new_generator, free_generator, uniform, sort_order
+  public :: generator_type, new_generator, free_generator, uniform
+  public :: sort_order, student_quantile, gsl_library
 
   !> One stream of random numbers; copies share the stream.
   type :: generator_type
@@ -21,6 +23,7 @@ module battery_gsl
   end type generator_type
 
   procedure(action_on_address), bind(c, name='battery_generator_free') :: c_free
+  procedure(address_known), bind(c, name='battery_gsl_version') :: c_version
 
   interface
     type(c_ptr) function c_new(seed) bind(c, name='battery_generator_new')
@@ -28,6 +31,13 @@ module battery_gsl
       implicit none (type, external)
       integer(c_int64_t), value, intent(in) :: seed
     end function c_new
+
+    !> Below this lies a share of Student's distribution with so many degrees of freedom.
+    real(c_double) function student_quantile(share, freedom) bind(c, name='gsl_cdf_tdist_Pinv')
+      import :: c_double
+      implicit none (type, external)
+      real(c_double), value, intent(in) :: share, freedom
+    end function student_quantile
 
     real(c_double) function c_uniform(handle) bind(c, name='battery_generator_uniform')
       import :: c_ptr, c_double
@@ -47,6 +57,13 @@ module battery_gsl
   end interface
 
 contains
+
+  !> Version of the library.
+  function gsl_library() result(version)
+    character(len=:), allocatable :: version
+
+    version = text_at(c_version())
+  end function gsl_library
 
   !> A generator, to be given back with `free_generator`; an error if there is no memory.
   subroutine new_generator(generator, seed, error)

@@ -20,6 +20,7 @@ module battery_ownership
   use battery_paths, only: system_message
   use battery_clocks, only: wall_seconds, rest
   use battery_signals, only: stop_requested
+  use battery_machine, only: host_name
   use battery_process, only: process_number
   use battery_text, only: to_text
   implicit none (type, external)
@@ -31,7 +32,7 @@ module battery_ownership
   integer(c_int), parameter :: taken = 0, held = 1, doubtful = 2, again = 3, not_a_file = 5
 
   !> Bytes of the longest text of an owner, and of the name of a machine in it.
-  integer, parameter :: longest_text = 256, longest_host = 128
+  integer, parameter :: longest_text = 256
 
   !> Beats that a dead owner missed, and seconds between two attempts.
   real(dp), parameter :: missed_beats = 3.0_dp, pause = 0.05_dp
@@ -64,7 +65,6 @@ module battery_ownership
   procedure(number_of_address), bind(c, name='battery_still_owns') :: c_still_owns
   procedure(action_on_address), bind(c, name='battery_disown') :: c_disown
   procedure(number_of_path_and_text), bind(c, name='battery_read_owner') :: c_read_owner
-  procedure(number_of_text), bind(c, name='battery_host_name') :: c_host_name
 
   interface
     integer(c_int) function c_own(path, text, interval, with_locks, insist, beat, holder, room, &
@@ -202,14 +202,11 @@ contains
   !> What the file of an owner says: machine, process, time.
   function owner_text() result(text)
     character(len=:), allocatable :: text
-    character(len=longest_host) :: host
     character(len=8) :: date
     character(len=10) :: time
-    integer :: length
 
-    length = c_host_name(host, longest_host)
     call date_and_time(date, time)
-    text = host(:length)//' '//to_text(process_number())//' '//date(:4)//'-'//date(5:6)//'-' &
+    text = host_name()//' '//to_text(process_number())//' '//date(:4)//'-'//date(5:6)//'-' &
       //date(7:)//' '//time(:2)//':'//time(3:4)//':'//time(5:)
   end function owner_text
 

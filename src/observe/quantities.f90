@@ -29,6 +29,9 @@ module battery_quantities
   !> Names of the flows, in the order of crossings (`battery_history`).
   character(len=*), parameter :: flow_names(4) = ['flow1_12', 'flow1_21', 'flow2_12', 'flow2_21']
 
+  !> Unit of the time of day.
+  character(len=*), parameter :: since_1970 = 'seconds since 1970-01-01T00:00:00Z'
+
   !> Stands for a count that is not known.
   integer(int64), parameter :: unknown_count = -1
 
@@ -58,7 +61,9 @@ contains
       'crossings of the periodic line of channel 2 from urn 2 to urn 1'), &
       quantity_type('time', 'time', 'time of the run, the transient included'), &
       quantity_type('transient_time', 'time', 'time of the transient, which no average has'), &
-      quantity_type('cpu_seconds', 's', 'time of the processor')]
+      quantity_type('cpu_seconds', 's', 'time of the processor'), &
+      quantity_type('provenance/begun', since_1970, 'when the task began or last went on'), &
+      quantity_type('provenance/ended', since_1970, 'when the task ended')]
   end function averaged_quantities
 
   !> All quantities that are whole numbers.
@@ -69,7 +74,8 @@ contains
       quantity_type('collisions', '1', 'wall collisions, those of the transient included'), &
       quantity_type('bounce_backs', '1', 'particles turned back by a gate'), &
       quantity_type('reversals', '1', 'reversals of a gate'), &
-      quantity_type('trapped', '1', 'particles in the urns that never reach a channel')]
+      quantity_type('trapped', '1', 'particles in the urns that never reach a channel'), &
+      quantity_type('provenance/host', '1', 'line of the attribute hosts of /provenance, from 0')]
   end function counted_quantities
 
   !> Place of a quantity in a list; 0 if it is not there.

@@ -1,6 +1,5 @@
 !> What the user asks for on the command line.
 module battery_command_line
-  use battery_build_information, only: program_version, git_commit
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: string_type, closest_word, is_one_of, join, new_line_character
   use battery_key, only: keys_text, different
@@ -31,8 +30,10 @@ module battery_command_line
   type :: command_line_type
     !> The namelist file; empty if there is an answer.
     character(len=:), allocatable :: file
-    !> What is printed instead of a run: help, schema or version.
+    !> What is printed instead of a run: help or schema; empty if neither.
     character(len=:), allocatable :: answer
+    !> Print the version instead.
+    logical :: version = .false.
     !> Only check the input and show the plan.
     logical :: check = .false.
     !> Discard results that are there.
@@ -89,7 +90,8 @@ contains
         command%file = words(at)%text
       end if
     end do
-    if (command%answer == '' .and. command%file == '' .and. problems == '') &
+    if (command%answer == '' .and. .not. command%version .and. command%file == '' &
+      .and. problems == '') &
       call add(problems, 'the namelist file is missing')
     if (command%answer /= '' .and. command%file /= '' .and. is_one_of('--schema', words)) &
       call add(problems, command%file//': --schema takes no file; it is the same for all')
@@ -114,7 +116,7 @@ contains
     case ('--help', '-h')
       command%answer = usage_text()
     case ('--version')
-      command%answer = 'battery '//program_version//' (commit '//git_commit()//')'
+      command%version = .true.
     case ('--schema')
       command%answer = schema_text(all_keys())
     case default
@@ -146,7 +148,7 @@ contains
       //'  --quiet      print nothing but problems'//nl &
       //'  --help       print this'//nl &
       //'  --schema     print a JSON Schema of FILE.nml as f90nml turns it into JSON'//nl &
-      //'  --version    print the version'//nl//nl &
+      //'  --version    print version, commit, compiler and libraries'//nl//nl &
       //'Exit codes:'//nl &
       //'  0  every task is complete'//nl &
       //'  1  the run failed, or some tasks did; finished ones are kept'//nl &

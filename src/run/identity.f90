@@ -9,7 +9,7 @@ module battery_identity
   use battery_engines, only: has_step
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
   use battery_random, only: mixed
-  use battery_simulation, only: setup_type
+  use battery_simulation, only: run_type, setup_type
   implicit none (type, external)
   private
   public :: identity_of, kept_with, twelve_digits
@@ -63,21 +63,21 @@ contains
   end function identity_of
 
   !> The identity of what is kept of a task: the task, and which series, snapshots and so on.
-  integer(int64) function kept_with(identity, setup, final_state) result(kept)
+  integer(int64) function kept_with(identity, run, final_state) result(kept)
     !> Of the task, as `identity_of` gives it.
     integer(int64), intent(in) :: identity
-    type(setup_type), intent(in) :: setup
+    class(run_type), intent(in) :: run
     !> Whether the final state is kept.
     logical, intent(in) :: final_state
     integer :: k
 
     kept = identity
-    call mix_real(kept, setup%series_interval)
-    call mix_word(kept, size(setup%snapshot_times, kind=int64))
-    do k = 1, size(setup%snapshot_times)
-      call mix_real(kept, setup%snapshot_times(k))
+    call mix_real(kept, run%series_interval)
+    call mix_word(kept, size(run%snapshot_times, kind=int64))
+    do k = 1, size(run%snapshot_times)
+      call mix_real(kept, run%snapshot_times(k))
     end do
-    call mix_word(kept, merge(1_int64, 0_int64, setup%event_log))
+    call mix_word(kept, merge(1_int64, 0_int64, run%event_log))
     call mix_word(kept, merge(1_int64, 0_int64, final_state))
     kept = mixed(kept)
   end function kept_with

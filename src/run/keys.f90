@@ -28,6 +28,7 @@ contains
     keys = keys_before_scan()
     keys = [keys, &
       twins(keys, 'gate', 'threshold'), &
+      twins(keys, 'gate', 'threshold', 'gate 2'), &
       twins(keys, 'gate', 'threshold_fraction'), &
       twins(keys, 'particles', 'number'), &
       twins(keys, 'table', 'channel1_width'), &
@@ -35,6 +36,7 @@ contains
       twins(keys, 'table', 'channel1_length'), &
       twins(keys, 'table', 'channel2_length'), &
       twins(keys, 'table', 'urn_radius'), &
+      twins(keys, 'table', 'urn_radius', 'urn 2'), &
       twins(keys, 'particles', 'urn1_fraction'), &
       keys_behind_scan()]
   end function all_keys
@@ -95,6 +97,12 @@ contains
     keys = [ &
       key_type('scan', 'replicas', whole_key, '1', 'runs of each point, with other seeds', &
       least=1.0_wp), &
+      key_type('precision', 'chi_replica_error', real_key, '', &
+      'standard error over replicas that chi is to have', least=0.0_wp, above=.true.), &
+      key_type('precision', 'polarised_current_replica_error', real_key, '', &
+      'that polarised_current is to have', least=0.0_wp, above=.true., unit='1/time'), &
+      key_type('precision', 'largest_replicas', whole_key, '64', &
+      'most replicas that a point is given for it', least=1.0_wp), &
       key_type('output', 'file', text_key, '''battery.h5''', 'where the results go', &
       decides=.false.), &
       key_type('output', 'series_interval', real_key, '0', 'time between series entries; 0: none', &
@@ -112,20 +120,25 @@ contains
       'how often long tasks save their state', least=0.0_wp, unit='min', decides=.false.)]
   end function keys_behind_scan
 
-  !> The list and the range of a key that can be scanned, with the bounds and the unit of the key.
-  pure function twins(others, group, name) result(pair)
+  !> The list and the range of a key that can be scanned, with the bounds and the unit of the key;
+  !> or those of its second number alone, which `whose` it is.
+  pure function twins(others, group, name, whose) result(pair)
     type(key_type), intent(in) :: others(:)
     character(len=*), intent(in) :: group, name
+    character(len=*), intent(in), optional :: whose
     type(key_type) :: pair(2)
 
     pair = others(find_key(others, group, name))
     pair%group = 'scan'
     pair%default = ''
-    pair(2)%name = name//'_range'
+    if (present(whose)) pair%name = name//'2'
+    pair(2)%name = trim(pair(1)%name)//'_range'
     pair%most_values = [most_values, 3]
     pair(2)%is_range = .true.
     pair(2)%kind = real_key
     pair%meaning = [character(len=80) :: 'values of &'//group//' '//name, 'the same, evenly spaced']
+    if (present(whose)) pair(1)%meaning = 'those of '//whose//', in pairs with '//name &
+      //' if that is a list'
   end function twins
 
 end module battery_keys

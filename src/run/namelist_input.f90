@@ -76,7 +76,12 @@ contains
     call take(settings, 'run', 'transient_duration', plan%transient_duration)
     call take(settings, 'run', 'start_time', plan%start_time)
     call take(settings, 'run', 'time_step', plan%time_step)
-    call take(settings, 'scan', 'replicas', plan%replicas)
+    call take(settings, 'scan', 'replicas', plan%first_replicas)
+    call take(settings, 'precision', 'chi_replica_error', plan%precision(1))
+    call take(settings, 'precision', 'polarised_current_replica_error', plan%precision(2))
+    plan%replicas = plan%first_replicas
+    if (any(plan%precision > 0.0_wp)) &
+      call take(settings, 'precision', 'largest_replicas', plan%replicas)
     call take_text(settings, 'output', 'file', plan%file)
     call take(settings, 'output', 'series_interval', plan%series_interval)
     call take_list(settings, 'output', 'snapshot_times', plan%snapshot_times)
@@ -86,12 +91,13 @@ contains
     call take(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_values
 
-  !> Lists of the scan, each from itself or from its range, in the order of the keys.
+  !> Lists of the scan, each from itself or from its range, in the order of the keys. A list of gate
+  !> 2 or urn 2 makes pairs with that of both, which stands before it.
   subroutine fill_scan(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
     type(scanned_type) :: one
-    integer :: at
+    integer :: at, last
 
     do at = 1, size(settings%all) - 1
       ! A list stands before its range.
@@ -111,7 +117,21 @@ contains
             cycle
           end if
         end if
-        if (list%known .or. range%known) plan%scanned = [plan%scanned, one]
+        if (.not. (list%known .or. range%known)) cycle
+        last = size(plan%scanned)
+        if (last > 0) then
+          if (plan%scanned(last)%key//'2' == one%key) then
+            if (size(one%values) == size(plan%scanned(last)%values)) then
+              plan%scanned(last)%second = one%values
+            else
+              call refuse(plan, one%key, 'has '//to_text(size(one%values))//' values', &
+                to_text(size(plan%scanned(last)%values))//', one for each of ' &
+                //plan%scanned(last)%key)
+            end if
+            cycle
+          end if
+        end if
+        plan%scanned = [plan%scanned, one]
       end associate
     end do
   end subroutine fill_scan
@@ -138,11 +158,15 @@ contains
     end associate
   end function range_of
 
-  !> A run has one length: in collisions or in time.
+  !> A run has one length: in collisions or in time; replicas have a limit where there is a
+  !> precision.
   subroutine check_pairs(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
 
+    if (settings%all(find_setting(settings, 'precision', 'largest_replicas'))%given .and. &
+      .not. any(plan%precision > 0.0_wp)) call refuse(plan, 'largest_replicas', &
+      'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
     if (.not. plan%duration > 0.0_wp) return
     if (settings%all(find_setting(settings, 'run', 'collisions'))%given) &
       call refuse(plan, 'collisions', 'is given beside duration', 'one of the two')

@@ -40,6 +40,8 @@ module battery_plan
   type :: scanned_type
     character(len=:), allocatable :: key
     real(wp), allocatable :: values(:)
+    !> Those of gate 2 or urn 2 in their pairs; not allocated: the same.
+    real(wp), allocatable :: second(:)
   end type scanned_type
 
   !> Something wrong with a plan: the key, its value, and what is allowed instead.
@@ -58,7 +60,10 @@ module battery_plan
     type(point_type) :: base
     !> What is scanned, the slowest first.
     type(scanned_type), allocatable :: scanned(:)
-    integer :: replicas = 1
+    !> Replicas of a point: those that may be run, and those that are in any case.
+    integer :: replicas = 1, first_replicas = 1
+    !> Standard errors over replicas that chi and polarised_current are to have; 0: any.
+    real(wp) :: precision(2) = 0.0_wp
     integer(int64) :: seed = 1
     character(len=:), allocatable :: initial_file
     !> What the initial file says; without one, no arrays.
@@ -115,6 +120,8 @@ contains
     allocate (values(0))
     do at = 1, size(plan%scanned)
       if (plan%scanned(at)%key == key) values = plan%scanned(at)%values
+      if (plan%scanned(at)%key//'2' == key .and. allocated(plan%scanned(at)%second)) &
+        values = plan%scanned(at)%second
     end do
   end function values_of
 
@@ -128,9 +135,12 @@ contains
     point = plan%base
     left = number - 1
     do list = size(plan%scanned), 1, -1
-      values = size(plan%scanned(list)%values)
-      call set_value(point, plan%scanned(list)%key, &
-        plan%scanned(list)%values(1 + mod(left, values)))
+      associate (scanned => plan%scanned(list))
+        values = size(scanned%values)
+        call set_value(point, scanned%key, scanned%values(1 + mod(left, values)))
+        if (allocated(scanned%second)) call set_value(point, scanned%key//'2', &
+          scanned%second(1 + mod(left, values)))
+      end associate
       left = left/values
     end do
     if (any(point%threshold_fraction >= 0.0_wp)) &
@@ -154,6 +164,8 @@ contains
     select case (key)
     case ('threshold')
       point%threshold = nint(value)
+    case ('threshold2')
+      point%threshold(2) = nint(value)
     case ('threshold_fraction')
       point%threshold_fraction = value
     case ('number')
@@ -162,6 +174,8 @@ contains
       point%urn1_fraction = value
     case ('urn_radius')
       point%urn_radius = value
+    case ('urn_radius2')
+      point%urn_radius(2) = value
     case ('channel1_width')
       point%channel(gated)%width = value
     case ('channel1_length')

@@ -25,6 +25,7 @@ contains
     call check_given(plan)
     call check_length(plan)
     call check_output(plan)
+    call check_precision(plan)
     plan%point_count = 0
     if (task_total(plan) > most_tasks) then
       call refuse(plan, 'replicas', to_text(task_total(plan))//' tasks in all', &
@@ -46,16 +47,17 @@ contains
   !> What must be given, and what must not be given twice.
   subroutine check_given(plan)
     type(plan_type), intent(inout) :: plan
-    logical :: as_number, as_fraction
+    logical :: as_number, as_second, as_fraction
 
     associate (base => plan%base)
       if (base%number == not_given .and. .not. is_scanned(plan, 'number')) &
         call refuse(plan, 'number', 'is missing', 'one whole number from 1 up')
       as_number = base%threshold(1) /= not_given .or. is_scanned(plan, 'threshold')
+      as_second = is_scanned(plan, 'threshold2')
       as_fraction = base%threshold_fraction(1) >= 0.0_wp .or. is_scanned(plan, 'threshold_fraction')
       if (.not. (as_number .or. as_fraction)) call refuse(plan, 'threshold', 'is missing', &
         'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan')
-      if (as_number .and. as_fraction) call refuse(plan, 'threshold_fraction', &
+      if ((as_number .or. as_second) .and. as_fraction) call refuse(plan, 'threshold_fraction', &
         'is given beside threshold', 'one of the two')
       if (base%urn1_number /= not_given .and. (base%urn1_fraction >= 0.0_wp &
         .or. is_scanned(plan, 'urn1_fraction'))) call refuse(plan, 'urn1_number', &
@@ -65,6 +67,8 @@ contains
       call refuse_scan('channel2_width', 'the shape ''urn'' has no channel 2')
       call refuse_scan('channel2_length', 'the shape ''urn'' has no channel 2')
       call refuse_scan('urn1_fraction', 'the shape ''urn'' has one urn')
+      call refuse_scan('urn_radius2', 'the shape ''urn'' has one urn')
+      call refuse_scan('threshold2', 'the shape ''urn'' has one gate')
     end if
     if (plan%initial_file /= '') then
       call refuse_scan('urn1_fraction', '&particles initial_file is given')
@@ -105,6 +109,21 @@ contains
       call refuse(plan, 'time_step', 'is missing', &
       'one number above 0, since the engine is '''//plan%engine//'''')
   end subroutine check_length
+
+  !> Few replicas do not tell how much they scatter.
+  pure subroutine check_precision(plan)
+    type(plan_type), intent(inout) :: plan
+    integer, parameter :: fewest = 16
+
+    if (.not. any(plan%precision > 0.0_wp)) return
+    if (plan%first_replicas < fewest) call refuse(plan, 'replicas', to_text(plan%first_replicas), &
+      'from '//to_text(fewest)//' up, since a precision is asked for')
+    if (plan%replicas < plan%first_replicas) call refuse(plan, 'largest_replicas', &
+      to_text(plan%replicas), 'from &scan replicas up, which is '//to_text(plan%first_replicas))
+    if (plan%precision(2) > 0.0_wp .and. plan%shape == 'urn') call refuse(plan, &
+      'polarised_current_replica_error', to_text(plan%precision(2)), &
+      'nothing, since the shape ''urn'' has no channel 2')
+  end subroutine check_precision
 
   pure subroutine check_output(plan)
     type(plan_type), intent(inout) :: plan
@@ -151,7 +170,7 @@ contains
     if (size(widths) == 0) widths = [plan%base%channel(ungated)%width]
     do at = 1, size(plan%scanned)
       values = plan%scanned(at)%values
-      again = first_repeat(values)
+      again = first_repeat(values, plan%scanned(at)%second)
       if (index(plan%scanned(at)%key, '_fraction') > 0 .and. again == 0) then
         do k = 1, size(numbers)
           again = first_repeat(real(rounded(values*numbers(k)), wp))
@@ -165,23 +184,42 @@ contains
     end do
   end subroutine check_repeats
 
-  !> Place of the first value that stands in a list before; 0 if there is none. Numbers are equal
-  !> where those of tasks are (`battery_identity`).
-  integer function first_repeat(values) result(place)
+  !> Place of the first value, or pair of values, that stands in a list before; 0 if there is none.
+  integer function first_repeat(values, second) result(place)
     real(wp), intent(in) :: values(:)
+    !> The other of the pairs.
+    real(wp), allocatable, intent(in), optional :: second(:)
+    integer :: rank(size(values))
+    logical :: seen(size(values))
+
+    rank = ranks_of(values)
+    if (present(second)) then
+      if (allocated(second)) rank = ranks_of(real(rank, wp)*size(values) + ranks_of(second))
+    end if
+    seen = .false.
+    do place = 1, size(values)
+      if (seen(rank(place))) return
+      seen(rank(place)) = .true.
+    end do
+    place = 0
+  end function first_repeat
+
+  !> The place of each value among the different ones in the order of size. Numbers are equal where
+  !> those of tasks are (`battery_identity`).
+  function ranks_of(values) result(rank)
+    real(wp), intent(in) :: values(:)
+    integer :: rank(size(values))
     real(wp) :: known(size(values))
     integer(c_size_t) :: order(size(values)), k
 
     known = twelve_digits(values)
     call sort_order(order, real(known, dp), 1_c_size_t, size(order, kind=c_size_t))
     order = order + 1
-    place = huge(1)
+    if (size(order) > 0) rank(order(1)) = 1
     do k = 2, size(order)
-      if (known(order(k)) <= known(order(k - 1))) &
-        place = min(place, int(max(order(k), order(k - 1))))
+      rank(order(k)) = rank(order(k - 1)) + merge(1, 0, known(order(k)) > known(order(k - 1)))
     end do
-    if (place == huge(1)) place = 0
-  end function first_repeat
+  end function ranks_of
 
   !> What is wrong with one point: lengths, times, numbers of particles.
   subroutine check_point(plan, point)

@@ -41,7 +41,8 @@ contains
     memory%extents = shape(values, hsize_t)
   end function memory_of
 
-  !> Adds an attribute that is a number or an array of them; does nothing after an error.
+  !> Adds an attribute that is a number or an array of them; does nothing after an error, or to a
+  !> file that is read.
   subroutine write_attribute(file, path, name, values, error)
     !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
@@ -51,10 +52,11 @@ contains
     type(*), intent(in), target, contiguous :: values(..)
     type(error_type), allocatable, intent(inout) :: error
 
-    if (.not. allocated(error)) call add_attribute(file, path, name, memory_of(values), error)
+    if (file%is_new .and. .not. allocated(error)) &
+      call add_attribute(file, path, name, memory_of(values), error)
   end subroutine write_attribute
 
-  !> Adds an attribute that is a text; does nothing after an error.
+  !> Adds an attribute that is a text; does nothing after an error, or to a file that is read.
   subroutine write_text(file, path, name, text, error)
     !> Open, to be written.
     type(hdf5_file_type), intent(in) :: file
@@ -66,7 +68,7 @@ contains
     type(memory_type) :: memory
     integer :: status
 
-    if (allocated(error)) return
+    if (allocated(error) .or. .not. file%is_new) return
     letters = text//c_null_char
     address = c_loc(letters)
     memory%address = c_loc(address)

@@ -5,7 +5,8 @@
 !> order; readers in C or Python see them reversed.
 module battery_hdf5_datasets
   use, intrinsic :: iso_c_binding, only: c_associated
-  use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dwrite_f, h5pcreate_f, &
+  use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dread_f, h5dwrite_f, &
+    h5dget_space_f, h5sget_simple_extent_dims_f, h5sget_simple_extent_ndims_f, h5pcreate_f, &
     h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5screate_simple_f, h5tget_size_f, &
     h5zfilter_avail_f, h5kind_to_type
   use hdf5, only: h5p_dataset_create_f, h5z_filter_deflate_f, h5_integer_kind
@@ -16,13 +17,71 @@ module battery_hdf5_datasets
   use battery_hdf5_attributes, only: memory_type, memory_of, write_text
   implicit none (type, external)
   private
-  public :: write_dataset, write_scale, write_dimension
+  public :: pass_dataset, write_dataset, write_scale, write_dimension, extents_of
 
   !> Datasets above so many bytes are compressed, in pieces of at most as many.
   integer(int64), parameter :: large = 1024_int64**2
   integer, parameter :: deflate_level = 4
 
 contains
+
+  !> A dataset, into a new file or out of one that is read, so that one procedure says what is in
+  !> both. Does nothing after an error.
+  subroutine pass_dataset(file, path, values, units, long_name, error, scales)
+    !> Open.
+    type(hdf5_file_type), intent(in) :: file
+    !> From the root.
+    character(len=*), intent(in) :: path
+    !> As `memory_of` takes them; read with the extents that they have in the file.
+    type(*), intent(inout), target, contiguous :: values(..)
+    !> Attributes of the same names, of a new file.
+    character(len=*), intent(in) :: units, long_name
+    type(error_type), allocatable, intent(inout) :: error
+    !> Paths of its dimension scales, in Fortran order.
+    character(len=*), intent(in) :: scales(:)
+    type(memory_type) :: memory
+    integer(hid_t) :: dataset
+    integer :: status
+
+    memory = memory_of(values)
+    if (allocated(error)) then
+      return
+    else if (file%is_new) then
+      call write_memory(file, path, memory, units, long_name, error, scales)
+    else if (product(memory%extents) > 0) then
+      status = -1
+      dataset = no_handle
+      if (all(extents_of(file, path, size(memory%extents)) == memory%extents)) &
+        call h5dopen_f(file%id, path, dataset, status)
+      if (status == 0) call h5dread_f(dataset, memory%value_type, memory%address, status)
+      call release(dataset, status)
+      call check(file, path, 'cannot be read', status, error)
+    end if
+  end subroutine pass_dataset
+
+  !> Extents of a dataset in Fortran order; -1 where it is not there, or of another rank.
+  function extents_of(file, path, rank) result(extents)
+    !> Open.
+    type(hdf5_file_type), intent(in) :: file
+    !> From the root.
+    character(len=*), intent(in) :: path
+    !> Dimensions that are expected.
+    integer, intent(in) :: rank
+    integer(hsize_t) :: extents(rank), most(rank)
+    integer(hid_t) :: dataset, space
+    integer :: status, found
+
+    extents = -1
+    dataset = no_handle
+    space = no_handle
+    call h5dopen_f(file%id, path, dataset, status)
+    if (status == 0) call h5dget_space_f(dataset, space, status)
+    if (status == 0) call h5sget_simple_extent_ndims_f(space, found, status)
+    if (status == 0 .and. found == rank) &
+      call h5sget_simple_extent_dims_f(space, extents, most, status)
+    call release(space, status)
+    call release(dataset, status)
+  end function extents_of
 
   !> Writes a new dataset; large ones are compressed. Does nothing after an error.
   subroutine write_dataset(file, path, values, units, long_name, error, scales)

@@ -8,8 +8,8 @@
 !> Behind it comes its seal.
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
-  use hdf5, only: hid_t, size_t, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
-    h5fflush_f, h5fget_file_image_f, h5gcreate_f, h5pcreate_f, &
+  use hdf5, only: hid_t, size_t, h5get_libversion_f, h5open_f, h5eset_auto_f, h5fcreate_f, &
+    h5fopen_f, h5fflush_f, h5fget_file_image_f, h5gcreate_f, h5pcreate_f, &
     h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
     h5p_file_access_f
@@ -22,7 +22,7 @@ module battery_hdf5_file
   implicit none (type, external)
   private
   public :: hdf5_file_type, create_file, open_file, close_file, make_group
-  public :: release, check, no_handle
+  public :: release, check, no_handle, hdf5_library
 
   !> What a handle is before HDF5 gives one.
   integer(hid_t), parameter :: no_handle = -1_hid_t
@@ -39,6 +39,15 @@ module battery_hdf5_file
   logical :: is_started = .false.
 
 contains
+
+  !> Version of the library.
+  function hdf5_library() result(version)
+    character(len=:), allocatable :: version
+    integer :: major, minor, release_number, status
+
+    call h5get_libversion_f(major, minor, release_number, status)
+    version = to_text(major)//'.'//to_text(minor)//'.'//to_text(release_number)
+  end function hdf5_library
 
   !> Creates a file in memory; `close_file` writes it to the disk, over one of the same name.
   subroutine create_file(file, name, error)

@@ -3,7 +3,7 @@ module battery_metadata
   use battery_kinds, only: dp, int32
   use battery_clocks, only: utc_now
   use battery_error, only: error_type, fatal_error
-  use battery_hdf5_file, only: hdf5_file_type, open_file, close_file
+  use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text, read_text
   use battery_seal, only: check_seal
   implicit none (type, external)
@@ -18,6 +18,9 @@ module battery_metadata
   !> Attributes that are texts, by their names, and those that are numbers.
   type :: metadata_type
     type(remark_type), allocatable :: texts(:)
+    !> How the run was started that wrote the file, when it began, and the hosts of all tasks, one a
+    !> line.
+    character(len=:), allocatable :: command_line, begun, hosts
     integer :: mpi_ranks = 0
     !> Time on the clock when the runs start; times in the file count from there.
     real(dp) :: start_time = 0.0_dp
@@ -51,17 +54,22 @@ contains
       call write_text(file, '/', metadata%texts(k)%name, metadata%texts(k)%text, error)
     end do
     call write_text(file, '/', 'created', utc_now(), error)
+    call make_group(file, '/provenance', error)
+    call write_text(file, '/provenance', 'command_line', metadata%command_line, error)
+    call write_text(file, '/provenance', 'begun', metadata%begun, error)
+    call write_text(file, '/provenance', 'ended', utc_now(), error)
+    call write_text(file, '/provenance', 'hosts', metadata%hosts, error)
     call write_attribute(file, '/', 'mpi_ranks', int(metadata%mpi_ranks, int32), error)
     call write_attribute(file, '/', 'start_time', metadata%start_time, error)
   end subroutine write_metadata
 
-  !> From which input a results file was made, and whether it is complete, once its seal was found
-  !> right; else an error, as `check_seal` gives it.
-  subroutine read_metadata(name, input_text, status, initial_file_fingerprint, error)
+  !> By which version and from which input a results file was made, and whether it is complete,
+  !> once its seal was found right; else an error, as `check_seal` gives it.
+  subroutine read_metadata(name, version, input_text, status, initial_file_fingerprint, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> The namelist, and `complete` or `partial`.
-    character(len=:), allocatable, intent(out) :: input_text, status
+    !> Of the program; the namelist; `complete` or `partial`.
+    character(len=:), allocatable, intent(out) :: version, input_text, status
     !> In hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out) :: initial_file_fingerprint
     type(error_type), allocatable, intent(out) :: error
@@ -71,6 +79,7 @@ contains
     call check_seal(name, error)
     if (.not. allocated(error)) call open_file(file, name, error)
     if (allocated(error)) return
+    call read_text(file, '/', 'version', version, error)
     call read_text(file, '/', 'namelist', input_text, error)
     call read_text(file, '/', 'status', status, error)
     call read_text(file, '/', 'initial_file_fingerprint', initial_file_fingerprint, error)

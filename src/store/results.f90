@@ -4,15 +4,22 @@
 module battery_results
   use battery_kinds, only: dp, int32, int64
   use battery_plan, only: point_type, scanned_type
+  use battery_text, only: string_type
   use battery_quantities, only: averaged_quantities, counted_quantities, unknown_real, &
     unknown_count
   implicit none (type, external)
   private
   public :: results_type, new_results, scatter_of
-  public :: task_complete, task_failed, task_not_done
+  public :: task_complete, task_failed, task_not_done, task_not_asked, all_complete
+  public :: point_precise, point_not_precise, point_two_states, point_undecided
 
-  !> Values of `task_status`.
-  integer(int32), parameter :: task_complete = 0, task_failed = 1, task_not_done = 2
+  !> Values of `task_status`; nobody asks for replicas beyond those that a precision needs.
+  integer(int32), parameter :: task_complete = 0, task_failed = 1, task_not_done = 2, &
+    task_not_asked = 3
+
+  !> Values of `point_status`.
+  integer(int32), parameter :: point_precise = 0, point_not_precise = 1, point_two_states = 2, &
+    point_undecided = 3
 
   !> Reals that are not known are NaN, integers -1. Lengths are in units of the namelist, times in
   !> lengths over the speed.
@@ -27,7 +34,13 @@ module battery_results
     !> From here on (replica, point), and the place of the quantity in its list.
     real(dp), allocatable :: average(:, :, :), error(:, :, :)
     integer(int64), allocatable :: counted(:, :, :)
+    !> Machines that tasks ran on; `provenance/host` counts them from 0.
+    type(string_type), allocatable :: host(:)
     integer(int32), allocatable :: task_status(:, :)
+    !> If a precision is asked for: how each point stands, and the standard errors over its
+    !> replicas of chi and polarised_current, (point, which).
+    integer(int32), allocatable :: point_status(:)
+    real(dp), allocatable :: replica_error(:, :)
 
     !> Series, if asked for: times since the start; N1 as (time, replica, point); crossings per unit
     !> time since the entry before as (time, replica, point, which), which is 1_12, 1_21, 2_12,
@@ -58,13 +71,20 @@ contains
     averaged = size(averaged_quantities())
     counted = size(counted_quantities())
     results%replicas = replicas
-    allocate (results%scanned(0), results%point(points))
+    allocate (results%scanned(0), results%point(points), results%host(0))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)
     allocate (results%average(replicas, points, averaged), source=unknown_real())
     allocate (results%error(replicas, points, averaged), source=unknown_real())
     allocate (results%counted(replicas, points, counted), source=unknown_count)
   end subroutine new_results
+
+  !> Whether all tasks are complete that anybody asks for.
+  pure logical function all_complete(results) result(yes)
+    type(results_type), intent(in) :: results
+
+    yes = all(results%task_status == task_complete .or. results%task_status == task_not_asked)
+  end function all_complete
 
   !> Standard error of the mean of the replicas of each point, from their scatter over the complete
   !> tasks; NaN where fewer than two are complete.

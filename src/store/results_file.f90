@@ -4,23 +4,27 @@
 !> so that there is always either the old file or the new one. Not known are NaN and, where an
 !> attribute `_FillValue` says so, -1.
 module battery_results_file
-  use battery_kinds, only: dp, int32
+  use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
   use battery_files, only: publish_file, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_hdf5_file, only: hdf5_file_type, create_file, close_file, make_group
-  use battery_hdf5_attributes, only: write_attribute, write_text
-  use battery_hdf5_datasets, only: write_dataset, write_scale, write_dimension
+  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, make_group
+  use battery_hdf5_attributes, only: read_text, write_attribute, write_text
+  use battery_hdf5_datasets, only: pass_dataset, write_dataset, write_scale, &
+    write_dimension, extents_of
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
     flow_names, unknown_count
-  use battery_results, only: results_type, scatter_of, task_complete, task_failed, task_not_done
+  use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
+    task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
+    point_undecided
   use battery_metadata, only: metadata_type, write_metadata
   use battery_seal, only: check_seal
   use battery_table, only: gated, ungated
+  use battery_text, only: lines_of
   implicit none (type, external)
   private
-  public :: write_results
+  public :: write_results, read_results
 
   !> Paths of the dimension scales, in Fortran order.
   character(len=*), parameter :: by_point(*) = ['/point']
@@ -37,7 +41,7 @@ contains
   !> Writes the file `name`, replacing what is there; on an error that stays as it was.
   subroutine write_results(name, results, metadata, error)
     character(len=*), intent(in) :: name
-    type(results_type), intent(in) :: results
+    type(results_type), intent(inout) :: results
     type(metadata_type), intent(in) :: metadata
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: other
@@ -50,9 +54,10 @@ contains
     call write_metadata(file, metadata, error)
     call write_scan(file, results, error)
     call write_points(file, results, error)
-    call write_measured(file, results, error)
-    call write_series(file, results, error)
-    call write_states(file, results, error)
+    call pass_measured(file, results, error)
+    call write_precision(file, results, error)
+    call pass_series(file, results, error)
+    call pass_states(file, results, error)
     call write_events(file, results, error)
     call close_file(file, other)
     if (.not. allocated(error)) call move_alloc(other, error)
@@ -84,7 +89,45 @@ contains
     call write_text(file, '/', 'scan', names(2:), error)
   end subroutine write_scan
 
-  !> Dimensions, points of the scan, seeds.
+  !> Reads what `write_results` wrote but for points and events, once its seal was found right.
+  subroutine read_results(name, whole, results, error)
+    !> Path of the file.
+    character(len=*), intent(in) :: name
+    !> Whether series and states are read as well.
+    logical, intent(in) :: whole
+    type(results_type), intent(out) :: results
+    type(error_type), allocatable, intent(out) :: error
+    type(error_type), allocatable :: other
+    type(hdf5_file_type) :: file
+    integer(int64) :: two(2), three(3), four(4)
+    character(len=:), allocatable :: hosts
+
+    call check_seal(name, error)
+    if (.not. allocated(error)) call open_file(file, name, error)
+    if (allocated(error)) return
+    two = max(0_int64, extents_of(file, '/seed', 2))
+    call new_results(results, int(two(2)), int(two(1)))
+    call pass_measured(file, results, error)
+    call read_text(file, '/provenance', 'hosts', hosts, error)
+    results%host = lines_of(hosts)
+    if (whole) then
+      three = extents_of(file, '/series/urn1_number', 3)
+      if (three(1) > 0) then
+        allocate (results%series_time(three(1)), results%series_flow(three(1), two(1), two(2), 4))
+        allocate (results%series_urn1_number(three(1), two(1), two(2)))
+      end if
+      four = extents_of(file, '/snapshots/x', 4)
+      if (four(1) > 0) allocate (results%snapshots(four(1), four(2), two(1), two(2), 4))
+      three = extents_of(file, '/final/x', 3)
+      if (three(1) > 0) allocate (results%final_state(three(1), 1, two(1), two(2), 4))
+      call pass_series(file, results, error)
+      call pass_states(file, results, error)
+    end if
+    call close_file(file, other)
+    if (.not. allocated(error)) call move_alloc(other, error)
+  end subroutine read_results
+
+  !> Dimensions, points of the scan.
   subroutine write_points(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
@@ -114,72 +157,96 @@ contains
       call write_dataset(file, '/channel2_length', p%channel(ungated)%length, 'length', &
         'length l'' of channel 2', error, by_point)
     end associate
-    call write_dataset(file, '/seed', results%seed, '1', 'seed of the random start', error, by_task)
   end subroutine write_points
 
   !> What was measured by every task, and how it scatters over the replicas of a point.
-  subroutine write_measured(file, results, error)
+  subroutine pass_measured(file, results, error)
     type(hdf5_file_type), intent(in) :: file
-    type(results_type), intent(in) :: results
+    type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: blocks = ', standard error from blocks of the run'
     character(len=*), parameter :: scatter = ', standard error from the scatter of the replicas'
     type(quantity_type), allocatable :: list(:)
     integer :: q
 
+    call pass_dataset(file, '/seed', results%seed, '1', 'seed of the random start', error, by_task)
+    call pass_dataset(file, '/task_status', results%task_status, '1', 'how the task ended', &
+      error, by_task)
+    call write_attribute(file, '/task_status', 'flag_values', [task_complete, task_failed, &
+      task_not_done, task_not_asked], error)
+    call write_text(file, '/task_status', 'flag_meanings', 'complete failed not_done not_asked', &
+      error)
     list = averaged_quantities()
     do q = 1, size(list)
       associate (path => '/'//list(q)%name, unit => list(q)%unit, meaning => list(q)%meaning)
-        call write_dataset(file, path, results%average(:, :, q), unit, meaning, error, by_task)
+        call pass_dataset(file, path, results%average(:, :, q), unit, meaning, error, by_task)
         if (.not. list(q)%has_error) cycle
-        call write_dataset(file, path//'_error', results%error(:, :, q), unit, meaning//blocks, &
+        call pass_dataset(file, path//'_error', results%error(:, :, q), unit, meaning//blocks, &
           error, by_task)
-        call write_dataset(file, path//'_spread', scatter_of(results%average(:, :, q), &
-          results%task_status), unit, meaning//scatter, error, by_point)
+        if (file%is_new) call write_dataset(file, path//'_spread', scatter_of(results%average(:, &
+          :, q), results%task_status), unit, meaning//scatter, error, by_point)
       end associate
     end do
     list = counted_quantities()
     do q = 1, size(list)
-      call write_dataset(file, '/'//list(q)%name, results%counted(:, :, q), list(q)%unit, &
+      call pass_dataset(file, '/'//list(q)%name, results%counted(:, :, q), list(q)%unit, &
         list(q)%meaning, error, by_task)
       call write_attribute(file, '/'//list(q)%name, '_FillValue', unknown_count, error)
     end do
-    call write_dataset(file, '/task_status', results%task_status, '1', 'how the task ended', &
-      error, by_task)
-    call write_attribute(file, '/task_status', 'flag_values', [task_complete, task_failed, &
-      task_not_done], error)
-    call write_text(file, '/task_status', 'flag_meanings', 'complete failed not_done', error)
-  end subroutine write_measured
+  end subroutine pass_measured
 
-  !> The course of N1 and of the flows.
-  subroutine write_series(file, results, error)
+  !> What came of the precision that was asked for.
+  subroutine write_precision(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), parameter :: meaning = 'standard error over replicas, with Student''s ' &
+      //'factor of the first ones, of '
+
+    if (.not. allocated(results%point_status)) return
+    call write_dataset(file, '/chi_replica_error', results%replica_error(:, 1), '1', &
+      meaning//'chi', error, by_point)
+    call write_dataset(file, '/polarised_current_replica_error', results%replica_error(:, 2), &
+      '1/time', meaning//'polarised_current', error, by_point)
+    call write_dataset(file, '/point_status', results%point_status, '1', &
+      'whether the precision was reached', error, by_point)
+    call write_attribute(file, '/point_status', 'flag_values', [point_precise, point_not_precise, &
+      point_two_states, point_undecided], error)
+    call write_text(file, '/point_status', 'flag_meanings', &
+      'reached not_reached two_states undecided', error)
+  end subroutine write_precision
+
+  !> The course of N1 and of the flows.
+  subroutine pass_series(file, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', by_task]
     type(quantity_type), allocatable :: list(:)
     integer :: which
 
     if (.not. allocated(results%series_time)) return
-    call make_group(file, '/series', error)
-    call write_scale(file, '/series/time', results%series_time, 'time', since_start, error)
-    call write_dataset(file, '/series/urn1_number', results%series_urn1_number, '1', &
+    if (file%is_new) then
+      call make_group(file, '/series', error)
+      call write_scale(file, '/series/time', results%series_time, 'time', since_start, error)
+    end if
+    call pass_dataset(file, '/series/urn1_number', results%series_urn1_number, '1', &
       'particles at x < 0', error, by_time)
     call write_attribute(file, '/series/urn1_number', '_FillValue', int(unknown_count, int32), &
       error)
     list = averaged_quantities()
     do which = 1, 4
       associate (flow => list(place_of(flow_names(which), list)))
-        call write_dataset(file, '/series/'//flow%name, results%series_flow(:, :, :, which), &
+        call pass_dataset(file, '/series/'//flow%name, results%series_flow(:, :, :, which), &
           flow%unit, flow%meaning//', since the entry before', error, by_time)
       end associate
     end do
-  end subroutine write_series
+  end subroutine pass_series
 
   !> Positions and velocities at chosen times, and at the end.
-  subroutine write_states(file, results, error)
+  subroutine pass_states(file, results, error)
     type(hdf5_file_type), intent(in) :: file
-    type(results_type), intent(in) :: results
+    type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: names(4) = [character(len=2) :: 'x', 'y', 'ux', 'uy']
     character(len=*), parameter :: units(4) = [character(len=6) :: 'length', 'length', '1', '1']
@@ -190,23 +257,23 @@ contains
     character(len=*), parameter :: by_last(*) = [character(len=15) :: '/final/particle', by_task]
     integer :: which
 
-    if (allocated(results%snapshots)) then
+    if (allocated(results%snapshots) .and. file%is_new) then
       call make_group(file, '/snapshots', error)
       call write_scale(file, '/snapshots/time', results%snapshot_time, 'time', since_start, error)
       call write_count(file, '/snapshots/particle', 1, size(results%snapshots, 1), in_order, error)
     end if
-    if (allocated(results%final_state)) then
+    if (allocated(results%final_state) .and. file%is_new) then
       call make_group(file, '/final', error)
       call write_count(file, '/final/particle', 1, size(results%final_state, 1), in_order, error)
     end if
     do which = 1, 4
-      if (allocated(results%snapshots)) call write_dataset(file, &
+      if (allocated(results%snapshots)) call pass_dataset(file, &
         '/snapshots/'//trim(names(which)), results%snapshots(:, :, :, :, which), &
         trim(units(which)), meanings(which), error, by_particle)
-      if (allocated(results%final_state)) call write_dataset(file, '/final/'//trim(names(which)), &
+      if (allocated(results%final_state)) call pass_dataset(file, '/final/'//trim(names(which)), &
         results%final_state(:, 1, :, :, which), trim(units(which)), meanings(which), error, by_last)
     end do
-  end subroutine write_states
+  end subroutine pass_states
 
   !> The event log.
   subroutine write_events(file, results, error)

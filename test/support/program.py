@@ -35,8 +35,8 @@ UNDER_MPIRUN = {"OMPI_MCA_orte_create_session_dirs": "1"}
 # Long enough for a busy machine; what hangs is found out all the same.
 PATIENCE = 60.0
 # What may differ between two runs of the same input.
-VARIABLE_DATASETS = {"cpu_seconds"}
-VARIABLE_ATTRIBUTES = {"created", "mpi_ranks"}
+VARIABLE_DATASETS = {"cpu_seconds", "provenance/begun", "provenance/ended", "provenance/host"}
+VARIABLE_ATTRIBUTES = {"created", "mpi_ranks", "command_line", "begun", "ended", "hosts"}
 
 
 def namelist(**groups: dict[str, Any]) -> str:

@@ -1,0 +1,96 @@
+!> Replicas until a precision is reached, in two stages (C. Stein, Ann. Math. Stat. 16, 243 (1945),
+!> doi:10.1214/aoms/1177731088): the first replicas of a point alone say how many it gets.
+!>
+!> With s from the n first ones, N in all and t of Student's distribution with n - 1 degrees of
+!> freedom, the mean of all lies within t s/sqrt(N) of the true one in 68 %: N depends on s and not
+!> on the mean. A rule that looked at every replica would stop when s is small by chance.
+module battery_precision
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
+  use battery_kinds, only: wp, dp
+  use battery_gsl, only: student_quantile
+  use battery_plan, only: plan_type
+  use battery_quantities, only: averaged_quantities, place_of, unknown_real
+  use battery_results, only: results_type, task_complete, point_precise, point_not_precise, &
+    point_two_states, point_undecided
+  implicit none (type, external)
+  private
+  public :: decide, two_states
+
+  !> Share of the normal distribution below one standard deviation.
+  real(dp), parameter :: below_one = 0.841344746068543_dp
+
+  !> Two groups are two states if what is left of the variance within them is less than this share:
+  !> groups of equal size are more than six of their standard deviations apart. Of one normal
+  !> distribution 36 % are left, of a uniform one 25 %.
+  real(dp), parameter :: within = 0.1_dp
+
+contains
+
+  !> How many replicas each point gets, from its first ones if all of them are complete.
+  subroutine decide(plan, results, wanted)
+    type(plan_type), intent(in) :: plan
+    !> Takes how the points stand.
+    type(results_type), intent(inout) :: results
+    !> (point).
+    integer, allocatable, intent(out) :: wanted(:)
+    real(dp) :: factor, scatter(2), needed
+    integer :: place(2), n, p, k
+    logical :: asked(2)
+
+    n = plan%first_replicas
+    allocate (wanted(plan%point_count), source=n)
+    asked = plan%precision > 0.0_wp
+    if (.not. any(asked)) return
+    allocate (results%point_status(plan%point_count), source=point_undecided)
+    allocate (results%replica_error(plan%point_count, 2), source=unknown_real())
+    place = [place_of('chi', averaged_quantities()), &
+      place_of('polarised_current', averaged_quantities())]
+    factor = student_quantile(below_one, real(n - 1, dp))
+    do p = 1, plan%point_count
+      if (any(results%task_status(:n, p) /= task_complete)) cycle
+      results%point_status(p) = point_two_states
+      if (two_states(results%average(:n, p, place(1)))) cycle
+      do k = 1, 2
+        associate (values => results%average(:n, p, place(k)))
+          scatter(k) = factor*sqrt(sum((values - sum(values)/n)**2)/(n - 1))
+        end associate
+      end do
+      results%point_status(p) = point_not_precise
+      ! Where there is no channel 2 its current is NaN, and no more replicas help.
+      if (.not. any(asked .and. ieee_is_nan(scatter))) then
+        needed = maxval((scatter/merge(real(plan%precision, dp), 1.0_dp, asked))**2, asked)
+        if (needed <= plan%replicas) results%point_status(p) = point_precise
+        wanted(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
+      end if
+      if (any(results%task_status(:wanted(p), p) /= task_complete)) cycle
+      if (two_states(results%average(:wanted(p), p, place(1)))) then
+        results%point_status(p) = point_two_states
+      else
+        results%replica_error(p, :) = scatter/sqrt(real(wanted(p), dp))
+      end if
+    end do
+  end subroutine decide
+
+  !> Whether values fall into two groups, each of one or more.
+  pure logical function two_states(values) result(yes)
+    !> Finite.
+    real(dp), intent(in) :: values(:)
+    real(dp) :: left
+    integer :: k
+
+    left = huge(left)
+    do k = 1, size(values)
+      left = min(left, squares(pack(values, values <= values(k))) &
+        + squares(pack(values, values > values(k))))
+    end do
+    yes = left < within*squares(values)
+  end function two_states
+
+  !> Sum of the squared distances from the mean.
+  pure real(dp) function squares(values)
+    real(dp), intent(in) :: values(:)
+
+    squares = sum((values - sum(values)/max(size(values), 1))**2)
+  end function squares
+
+end module battery_precision

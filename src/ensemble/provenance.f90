@@ -1,0 +1,57 @@
+!> What a program was made of and how it was called: for `--version`, and for results files.
+module battery_provenance
+  use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
+  use battery_build_information, only: program_version, git_commit
+  use battery_communicator, only: mpi_library
+  use battery_gsl, only: gsl_library
+  use battery_hdf5_file, only: hdf5_library
+  use battery_metadata, only: metadata_type, add_text
+  use battery_text, only: new_line_character
+  implicit none (type, external)
+  private
+  public :: add_origin, version_text, command_text
+
+contains
+
+  !> Adds attributes that say what the program was made of.
+  subroutine add_origin(metadata)
+    type(metadata_type), intent(inout) :: metadata
+
+    call add_text(metadata, 'program', 'battery')
+    call add_text(metadata, 'version', program_version)
+    call add_text(metadata, 'git_commit', git_commit())
+    call add_text(metadata, 'compiler', compiler_version())
+    call add_text(metadata, 'compiler_options', compiler_options())
+    call add_text(metadata, 'mpi_library', mpi_library())
+    call add_text(metadata, 'hdf5_library', hdf5_library())
+    call add_text(metadata, 'gsl_library', gsl_library())
+  end subroutine add_origin
+
+  !> Name, version and commit, and below them the same attributes, one a line.
+  function version_text() result(text)
+    character(len=:), allocatable :: text
+    type(metadata_type) :: metadata
+    integer :: k
+
+    text = 'battery '//program_version//' (commit '//git_commit()//')'
+    call add_origin(metadata)
+    do k = 4, size(metadata%texts)
+      text = text//new_line_character//metadata%texts(k)%name//': '//metadata%texts(k)%text
+    end do
+    text = text//new_line_character//'sources: ' &
+      //merge('changed since the commit', 'as in the commit        ', &
+      index(git_commit(), '-dirty') > 0)
+    text = trim(text)
+  end function version_text
+
+  !> The command line of this process.
+  function command_text() result(text)
+    character(len=:), allocatable :: text
+    integer :: length
+
+    call get_command(length=length)
+    allocate (character(len=length) :: text)
+    call get_command(text)
+  end function command_text
+
+end module battery_provenance

@@ -1,0 +1,18 @@
+/* What a machine is called, and what it computes with. */
+#include <stdio.h>
+#include <string.h>
+
+/* Model of the processor, and its length, 0 where the system does not say; `model` has `room` bytes. */
+int battery_processor(char *model, int room) {
+  FILE *file = fopen("/proc/cpuinfo", "r");
+  int length = 0;
+  if (file == NULL) return 0;
+  char line[256];
+  while (length == 0 && fgets(line, sizeof line, file) != NULL) {
+    char *value = strstr(line, ": ");
+    if (value == NULL || strncmp(line, "model name", 10) != 0) continue;
+    length = snprintf(model, (size_t)room, "%.*s", (int)strcspn(value + 2, "\n"), value + 2);
+  }
+  fclose(file);
+  return length < room ? length : room - 1;
+}

@@ -1,0 +1,313 @@
+"""Ensembles that grow: a namelist that only adds goes on, to the bits of one run of the whole."""
+
+from __future__ import annotations
+
+import hashlib
+import signal
+import time
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+import pytest
+from scipy.stats import norm
+from scipy.stats import t as student
+from support.program import assert_same, finish, listing, namelist, run, start, wait_for
+
+from postproc.reading.seal import seal_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CASE: dict[str, dict[str, Any]] = {
+    "particles": {"number": 100},
+    "gate": {"threshold": 2},
+    "run": {"duration": 200},
+    "scan": {"channel2_width": "0.01, 0.1", "replicas": 2},
+    "output": {"file": "'out.h5'"},
+}
+# In the middle of what was there, with other numbers of particles.
+WHOLE = {"number": "50, 100", "channel2_width": "0.01, 0.03, 0.1", "replicas": 3}
+KEPT = {"series_interval": 10, "snapshot_times": "0, 20", "final_state": ".true."}
+
+
+def write(folder: Path, **groups: dict[str, Any]) -> None:
+    """Write the namelist, some keys changed; keys that are None are left out."""
+    folder.mkdir(exist_ok=True)
+    case = {name: {**CASE.get(name, {}), **groups.get(name, {})} for name in {**CASE, **groups}}
+    case = {name: {k: v for k, v in keys.items() if v is not None} for name, keys in case.items()}
+    (folder / "case.nml").write_text(namelist(**case))
+
+
+def complete(folder: Path, ranks: int = 0) -> str:
+    """Run to the end; nothing is left but the results."""
+    ended = run("case.nml", folder=folder, ranks=ranks)
+    assert ended.returncode == 0, (ended.stdout, ended.stderr)
+    assert sorted(path.name for path in folder.iterdir()) == ["case.nml", "out.h5"]
+    return ended.stdout
+
+
+@pytest.mark.parametrize("output", [{}, KEPT])
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_grown_results_are_those_of_the_whole(
+    tmp_path: Path, output: dict[str, Any], ranks: int
+) -> None:
+    """More replicas, more values of a list, and a list that was one value: the same bits."""
+    write(tmp_path / "grown", output=output)
+    complete(tmp_path / "grown")
+    write(tmp_path / "grown", scan=WHOLE, output=output)
+    said = complete(tmp_path / "grown", ranks)
+    assert "going on: 4 of 18 tasks are finished" in said
+    write(tmp_path / "whole", scan=WHOLE, output=output)
+    complete(tmp_path / "whole", ranks)
+    assert_same(tmp_path / "grown/out.h5", tmp_path / "whole/out.h5")
+
+
+def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:
+    """What a task took of a processor is still what it took then."""
+    write(tmp_path)
+    complete(tmp_path)
+    with h5py.File(tmp_path / "out.h5") as file:
+        before = file["cpu_seconds"][()]
+    write(tmp_path, scan={"replicas": 5})
+    complete(tmp_path)
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert file["chi"].shape == (2, 5)
+        np.testing.assert_array_equal(file["cpu_seconds"][:, :2], before)
+
+
+def test_run_under_way_grows(tmp_path: Path) -> None:
+    """A run that is stopped in the middle of tasks goes on with a larger namelist."""
+    longer = {"duration": 1_000_000}
+    folder = tmp_path / "grown"
+    write(folder, run=longer)
+    process = start("case.nml", folder=folder)
+    assert wait_for((folder / "out.h5.tasks/rank_0").exists, process)
+    time.sleep(0.1)
+    process.send_signal(signal.SIGTERM)
+    assert finish(process).returncode == 3
+    assert list((folder / "out.h5.tasks").glob("task_*"))
+    more = {"replicas": 3, "channel2_width": "0.001, 0.01, 0.1"}
+    write(folder, run=longer, scan=more)
+    # The state of the task that was under way is found, though its number is another now.
+    complete(folder)
+    write(tmp_path / "whole", run=longer, scan=more)
+    complete(tmp_path / "whole")
+    assert_same(folder / "out.h5", tmp_path / "whole/out.h5")
+
+
+def test_growing_run_that_is_stopped_keeps_what_was_there(tmp_path: Path) -> None:
+    """The file of a growing run that is stopped has the tasks of before."""
+    write(tmp_path)
+    complete(tmp_path)
+    write(tmp_path, scan={"replicas": 300})
+    process = start("case.nml", folder=tmp_path)
+    assert wait_for((tmp_path / "out.h5.tasks/rank_0").exists, process)
+    process.send_signal(signal.SIGTERM)
+    assert finish(process).returncode == 3
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert file["task_status"].shape == (2, 300)
+        assert not file["task_status"][:, :2].any()
+        done = np.count_nonzero(file["task_status"][()] == 0)
+    said = run("--check", "case.nml", folder=tmp_path).stdout
+    assert f"finished:   {done} tasks; to be done: {600 - done}" in said
+
+
+def test_check_says_how_many_tasks_are_to_be_done(tmp_path: Path) -> None:
+    """It looks at the results that are there, and writes nothing."""
+
+    def said(*words: str) -> str:
+        return run("--check", *words, "case.nml", folder=tmp_path).stdout
+
+    write(tmp_path)
+    assert "finished:   0 tasks; to be done: 4" in said()
+    complete(tmp_path)
+    assert "finished:   4 tasks; to be done: 0" in said()
+    write(tmp_path, scan={"replicas": 7})
+    before = listing(tmp_path)
+    assert "finished:   4 tasks; to be done: 10" in said()
+    assert "finished:   0 tasks; to be done: 14" in said("--overwrite")
+    assert listing(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("scan", "named"),
+    [
+        ({"replicas": 1}, "&scan replicas: was 2, is 1"),
+        ({"channel2_width": "0.01", "replicas": 3}, "&scan channel2_width: was 0.01 0.1, is 0.01"),
+        ({"channel2_width": "0.01, 0.1, 0.2", "replicas": 1}, "&scan replicas: was 2, is 1"),
+        ({"channel2_width": "0.01, 0.2, 0.3"}, "&scan channel2_width"),
+    ],
+)
+@pytest.mark.parametrize("words", [("case.nml",), ("--check", "case.nml")])
+def test_what_shrinks_is_refused(
+    tmp_path: Path, scan: dict[str, Any], named: str, words: tuple[str, ...]
+) -> None:
+    """A namelist that lacks a task of before: one message with the keys, and nothing changes."""
+    write(tmp_path)
+    complete(tmp_path)
+    write(tmp_path, scan=scan)
+    before = listing(tmp_path)
+    ended = run(*words, folder=tmp_path)
+    assert ended.returncode == 2
+    assert named in ended.stderr
+    assert listing(tmp_path) == before
+
+
+def test_other_output_is_refused(tmp_path: Path) -> None:
+    """What is kept beside the averages cannot be had of tasks that are finished."""
+    write(tmp_path)
+    complete(tmp_path)
+    write(tmp_path, scan={"replicas": 3}, output={"series_interval": 10})
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert "&output series_interval: was 0, is 10" in ended.stderr
+
+
+def test_results_of_another_version_do_not_grow(tmp_path: Path) -> None:
+    """One message that names the version; nothing changes."""
+    write(tmp_path)
+    complete(tmp_path)
+    with h5py.File(tmp_path / "out.h5", "r+") as file:
+        file.attrs["version"] = "0.0.9"
+    content = (tmp_path / "out.h5").read_bytes().split(b"battery results 1")[0]
+    seal = seal_of(len(content), hashlib.sha256(content).hexdigest())
+    (tmp_path / "out.h5").write_bytes(content + seal)
+    write(tmp_path, scan={"replicas": 3})
+    before = listing(tmp_path)
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert "version 0.0.9" in ended.stderr
+    assert listing(tmp_path) == before
+
+
+def test_growth_under_way_is_not_thrown_away(tmp_path: Path) -> None:
+    """The smaller namelist, whose results are there, does not discard a journal of the larger."""
+    write(tmp_path)
+    complete(tmp_path)
+    results = (tmp_path / "out.h5").read_bytes()
+    write(tmp_path, scan={"replicas": 300})
+    process = start("case.nml", folder=tmp_path)
+    assert wait_for((tmp_path / "out.h5.tasks/rank_0").exists, process)
+    process.kill()
+    process.communicate()
+    assert (tmp_path / "out.h5").read_bytes() == results
+    write(tmp_path)
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert "&scan replicas: was 300, is 2" in ended.stderr
+    assert (tmp_path / "out.h5.tasks/rank_0").exists()
+
+
+WIDTHS = {"channel2_width": "0.01, 0.1", "replicas": 16}
+ASKED = {"chi_replica_error": 0.003, "largest_replicas": 50}
+
+
+@pytest.fixture(scope="module")
+def precise(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the results of one run to a precision."""
+    folder = tmp_path_factory.mktemp("precise")
+    write(folder, scan=WIDTHS, precision=ASKED)
+    complete(folder)
+    return folder / "out.h5"
+
+
+def test_first_replicas_tell_how_many_there_are(precise: Path) -> None:
+    """The stated error has Student's factor; as many replicas as it needs, no more than allowed."""
+    with h5py.File(precise) as file:
+        chi, status = file["chi"][()], file["task_status"][()]
+        stated, points = file["chi_replica_error"][()], file["point_status"][()]
+    given = np.count_nonzero(status == 0, axis=1)
+    scatter = student.ppf(norm.cdf(1), 15) * np.std(chi[:, :16], axis=1, ddof=1)
+    needed = np.maximum(16, np.ceil((scatter / 0.003) ** 2))
+    np.testing.assert_array_equal(given, np.minimum(needed, 50))
+    np.testing.assert_array_equal(points, needed > 50)
+    np.testing.assert_allclose(stated, scatter / np.sqrt(given), rtol=1e-9)
+    assert set(np.unique(status)) == {0, 3}
+    assert np.isnan(chi[status == 3]).all()
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_precision_is_the_same_on_any_ranks(tmp_path: Path, precise: Path, ranks: int) -> None:
+    """It is decided from complete results alone."""
+    write(tmp_path, scan=WIDTHS, precision=ASKED)
+    complete(tmp_path, ranks)
+    assert_same(tmp_path / "out.h5", precise)
+
+
+def test_precision_may_be_asked_for_later(tmp_path: Path, precise: Path) -> None:
+    """From none over a coarser one to the finer: the bits of one run."""
+    write(tmp_path, scan=WIDTHS)
+    complete(tmp_path)
+    write(tmp_path, scan=WIDTHS, precision={"chi_replica_error": 0.004, "largest_replicas": 40})
+    complete(tmp_path, 2)
+    write(tmp_path, scan=WIDTHS, precision=ASKED)
+    complete(tmp_path)
+    assert_same(tmp_path / "out.h5", precise)
+
+
+def test_stopped_on_the_way_to_a_precision(tmp_path: Path, precise: Path) -> None:
+    """Signals at any moment leave the same replicas and the same bits."""
+    write(tmp_path, scan=WIDTHS, precision=ASKED)
+    for delay in (0.02, 0.04, 0.06, 0.08, 0.1):
+        process = start("case.nml", folder=tmp_path)
+        time.sleep(delay)
+        process.kill()
+        process.communicate()
+    complete(tmp_path)
+    assert_same(tmp_path / "out.h5", precise)
+
+
+def test_coarser_precision_is_refused(tmp_path: Path, precise: Path) -> None:
+    """As fewer replicas are."""
+    (tmp_path / "out.h5").write_bytes(precise.read_bytes())
+    for keys in ({"chi_replica_error": 0.004}, {"largest_replicas": 49}):
+        write(tmp_path, scan=WIDTHS, precision={**ASKED, **keys})
+        ended = run("case.nml", folder=tmp_path)
+        assert ended.returncode == 2
+        assert f"&precision {next(iter(keys))}: was " in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("replicas", "precision", "named"),
+    [
+        (16, {"chi_replica_error": 0}, "&precision chi_replica_error = 0"),
+        (16, {"polarised_current_replica_error": -1}, "polarised_current_replica_error = -1"),
+        (15, {"chi_replica_error": 0.1}, "&scan replicas = 15; allowed: from 16 up"),
+        (16, {"chi_replica_error": 0.1, "largest_replicas": 15}, "largest_replicas = 15; allowed"),
+        (16, {"largest_replicas": 20}, "largest_replicas is given without a precision"),
+    ],
+)
+def test_precision_that_makes_no_sense_is_refused(
+    tmp_path: Path, replicas: int, precision: dict[str, Any], named: str
+) -> None:
+    """One message that names the key."""
+    write(tmp_path, scan={"replicas": replicas}, precision=precision)
+    before = listing(tmp_path)
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert named in ended.stderr
+    assert listing(tmp_path) == before
+
+
+def test_tasks_say_when_and_where_they_ran(tmp_path: Path) -> None:
+    """So do those of before, after the file has grown; the program says what it was made of."""
+    write(tmp_path)
+    complete(tmp_path)
+    with h5py.File(tmp_path / "out.h5") as file:
+        before = file["provenance/ended"][()]
+        assert (file["provenance/begun"][()] <= before).all()
+    write(tmp_path, scan={"replicas": 3})
+    complete(tmp_path)
+    versioned = run("--version", folder=tmp_path).stdout
+    with h5py.File(tmp_path / "out.h5") as file:
+        np.testing.assert_array_equal(file["provenance/ended"][:, :2], before)
+        assert (file["provenance/ended"][:, 2] > before.max()).all()
+        about = file["provenance"].attrs
+        hosts = about["hosts"].splitlines()
+        assert about["command_line"].endswith("case.nml")
+        assert about["begun"] <= about["ended"] == file.attrs["created"]
+        assert (file["provenance/host"][()] < len(hosts)).all()
+        assert all("(" in host for host in hosts)
+        for name in ("compiler", "compiler_options", "mpi_library", "hdf5_library", "gsl_library"):
+            assert f"{name}: {file.attrs[name]}\n" in versioned
