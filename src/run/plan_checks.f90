@@ -196,7 +196,7 @@ contains
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(gated)%length, open_length(point))
     call check_lengths(plan, point, radii, longest)
-    if (size(plan%problems) == before) call check_times(plan, point, radii(1), max(radii(2), &
+    if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
     if (point%urn1_fraction > 1.0_wp) call refuse(plan, 'urn1_fraction', &
       to_text(point%urn1_fraction), 'numbers from 0 to 1')
@@ -273,9 +273,8 @@ contains
   end subroutine check_lengths
 
   !> The clock must resolve the table, and the table the times.
-  subroutine check_times(plan, point, radius, longest)
+  subroutine check_times(plan, radius, longest)
     type(plan_type), intent(inout) :: plan
-    type(point_type), intent(in) :: point
     !> The least radius, and the longest length of the table.
     real(wp), intent(in) :: radius, longest
     type(bounds_type) :: clock
