@@ -1,4 +1,4 @@
-"""The same bits on other processors: builds for x86-64-v3 and for AVX-512, of one compiler."""
+"""The same bits on other processors: builds for x86-64-v3, for AVX-512 and for this processor."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import h5py
 import pytest
-from support.program import ENVIRONMENT, PATIENCE, ROOT, contents, namelist
+from support.program import ENVIRONMENT, PATIENCE, PROGRAM, ROOT, contents, namelist
 
 PROCESSORS = ("x86-64-v3", "x86-64-v4")
 NEEDED = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
@@ -42,8 +42,8 @@ def flags_of_processor() -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def builds() -> tuple[Path, Path]:
-    """Build the program for both processors, in the folders where `make bench` finds them."""
+def builds() -> list[Path]:
+    """Build the program for both processors; the third is the one for this processor."""
     missing = NEEDED - flags_of_processor()
     if missing:
         pytest.skip(f"this processor has no AVX-512 ({', '.join(sorted(missing))})")
@@ -52,8 +52,7 @@ def builds() -> tuple[Path, Path]:
     made = subprocess.run(["make", *targets], cwd=ROOT, env=clean, capture_output=True, text=True,
                           check=False)
     assert made.returncode == 0, made.stdout[-2000:] + made.stderr[-2000:]
-    first, second = (ROOT / "build" / name / "bin/battery" for name in PROCESSORS)
-    return first, second
+    return [*(ROOT / "build" / name / "bin/battery" for name in PROCESSORS), PROGRAM]
 
 
 def run_by(program: Path, folder: Path, text: str) -> int:
@@ -74,6 +73,16 @@ def assert_same_but_for_the_build(one: Path, other: Path) -> None:
     assert differing <= OF_THE_BUILD, f"these differ: {sorted(differing - OF_THE_BUILD)}"
 
 
+def assert_all_the_same(folder: Path, builds: list[Path], text: str) -> Path:
+    """All builds make the same of a case; give the results of the first."""
+    results = []
+    for number, program in enumerate(builds):
+        assert run_by(program, folder / str(number), text) == 0
+        results.append(folder / str(number) / "out.h5")
+        assert_same_but_for_the_build(results[0], results[-1])
+    return results[0]
+
+
 def case_of(engine: str, run: dict[str, object], limits: dict[str, object] | None = None,
             table: str = "paper", **output: object) -> str:
     """Write the namelist of a case."""
@@ -87,23 +96,19 @@ def case_of(engine: str, run: dict[str, object], limits: dict[str, object] | Non
 @pytest.mark.parametrize("table", TABLES)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_events_and_final_states_are_the_same(
-    tmp_path: Path, builds: tuple[Path, Path], engine: str, table: str
+    tmp_path: Path, builds: list[Path], engine: str, table: str
 ) -> None:
     """Event log, series, snapshots, final state and all results, to the last bit."""
     duration = 1000 if table == "narrow" else 100
     text = case_of(engine, {"duration": duration, "start_time": 1000}, table=table,
                    event_log=".true.", snapshot_times="1, 50", series_interval=5)
-    for program, name in zip(builds, PROCESSORS, strict=True):
-        assert run_by(program, tmp_path / name, text) == 0
-    one, other = (tmp_path / name / "out.h5" for name in PROCESSORS)
-    with h5py.File(one) as file:
+    with h5py.File(assert_all_the_same(tmp_path, builds, text)) as file:
         assert len(file["events/time"]) > 20
-    assert_same_but_for_the_build(one, other)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_results_of_a_scan_are_the_same(
-    tmp_path: Path, builds: tuple[Path, Path], engine: str
+    tmp_path: Path, builds: list[Path], engine: str
 ) -> None:
     """Averages and errors of many tasks: what differs in the last bit once in a hundred shows."""
     run: dict[str, object] = {"engine": f"'{engine}'", "collisions": 4000}
@@ -112,19 +117,18 @@ def test_results_of_a_scan_are_the_same(
     text = namelist(particles={"number": 30}, run=run,
                     scan={"threshold": "1, 3", "channel1_width": "0.3, 0.7", "replicas": 12},
                     output={"file": "'out.h5'", "final_state": ".true."})
-    for program, name in zip(builds, PROCESSORS, strict=True):
-        assert run_by(program, tmp_path / name, text) == 0
-    assert_same_but_for_the_build(*(tmp_path / name / "out.h5" for name in PROCESSORS))
+    assert_all_the_same(tmp_path, builds, text)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_run_goes_on_with_the_other_build(
-    tmp_path: Path, builds: tuple[Path, Path], engine: str
+    tmp_path: Path, builds: list[Path], engine: str
 ) -> None:
     """What one build stopped in the middle the other ends, and it is as if never stopped."""
     length = {"collisions": LONG[engine]}
     whole, changed = tmp_path / "whole", tmp_path / "changed"
     assert run_by(builds[0], whole, case_of(engine, length)) == 0
-    assert run_by(builds[0], changed, case_of(engine, length, {"wall_minutes": 0.005})) == 3
+    for program in (builds[0], builds[2]):
+        assert run_by(program, changed, case_of(engine, length, {"wall_minutes": 0.005})) == 3
     assert run_by(builds[1], changed, case_of(engine, length)) == 0
     assert_same_but_for_the_build(whole / "out.h5", changed / "out.h5")
