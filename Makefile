@@ -80,19 +80,42 @@ test: build ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: 
 build: packages information ## only builds: the program is build/bin/battery; MPI=mpich: build/mpich/bin/battery
 	@flock build/.lock $(VENV)/bin/fpm $(FPM_INSTALL) --prefix $(BUILT)
 
-bench: build ## the speed tables, and what must be reached; JSON in build/bench
-	@if command -v valgrind > /dev/null; then $(MAKE) build/counted/bin/bench; fi
+bench: build ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
+	@if [[ -n "$(BASE)" ]]; then
+	  commit=$$(git rev-parse --quiet --verify --short=10 "$(BASE)^{commit}") || {
+	    echo "BASE=$(BASE): no such commit of this repository" >&2
+	    exit 2
+	  }
+	  $(MAKE) build/base-$$commit/build/bin/bench
+	  exec $(PYTHON) -m postproc.benchmarks ratios build/base-$$commit/build/bin/bench
+	fi
+	if command -v valgrind > /dev/null; then $(MAKE) build/x86-64-v3/bin/bench; fi
 	$(PYTHON) -m postproc.benchmarks run
 
-# For callgrind, which knows no AVX-512: fpm keeps a build for each set of flags.
-.PHONY: build/counted/bin/bench
-build/counted/bin/bench: packages information
-	@export FPM_FFLAGS="$(subst -march=native,-march=x86-64-v3,$(RELEASE_FLAGS))"
+# An earlier commit, in a clone of its own, built with the present switches.
+build/base-%/build/bin/bench: FORCE | packages
+	@[[ -d build/base-$* ]] || git clone --quiet --shared --no-checkout . build/base-$*
+	cd build/base-$*
+	git checkout --quiet $*
+	mkdir -p build/bin
+	$(MAKE) information
+	echo "Building commit $*"
+	export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
+	../venv/bin/fpm install --prefix build > build/log 2>&1 || { cat build/log; exit 1; }
+
+FORCE:
+
+# For processors that are named: callgrind knows no AVX-512, and there are promises about both.
+PROCESSORS := x86-64-v3 x86-64-v4
+
+.PHONY: $(PROCESSORS:%=build/%/bin/bench)
+$(PROCESSORS:%=build/%/bin/bench): build/%/bin/bench: packages information
+	@mkdir -p build/$*
+	export FPM_FFLAGS="$(subst -march=native,-march=$*,$(RELEASE_FLAGS))"
 	export FPM_LDFLAGS="$(RELEASE_LINK)"
-	mkdir -p build/counted
-	echo "Building for x86-64-v3, to count instructions"
-	flock build/.lock $(VENV)/bin/fpm install --prefix build/counted > build/counted/log 2>&1 || \
-	  { cat build/counted/log; exit 1; }
+	echo "Building for $*"
+	flock build/.lock $(VENV)/bin/fpm install --prefix build/$* > build/$*/log 2>&1 || \
+	  { cat build/$*/log; exit 1; }
 
 # The physics in single, double and quadruple precision, and the program that asks it questions: a
 # package of its own, of the same sources. fpm keeps a build for each set of flags.

@@ -136,11 +136,13 @@ contains
     three = [sorted(1), sorted((size(values) + 1)/2), sorted(size(values))]
   end function spread_of
 
-  !> Name of the processor, as Linux gives it.
+  !> Name, family and model of the processor, as Linux gives them: names are often those of many.
   function processor() result(name)
     character(len=:), allocatable :: name
+    character(len=*), parameter :: file = '/proc/cpuinfo'
 
-    name = line_of('/proc/cpuinfo', 'model name')
+    name = line_of(file, 'model name')//', family '//line_of(file, 'cpu family')//' model '// &
+      line_of(file, 'model'//achar(9))
   end function processor
 
   !> Most memory this process had, in kB, as Linux gives it; 0 if it does not.

@@ -197,6 +197,7 @@ contains
     end if
     write (unit, '(a)') 'processor: '//processor(), 'compiler:  '//compiler_version(), &
       'Medians of rounds in which the rows of a table run in turn; +- half of least to most.'
+    flush (unit)
     call table(unit, file, 'engines', 'Engines, N = 1000, T = 7, w = 0.3, w'' = 0.01', &
       cost_of_collision, [case_type('excursion'), case_type('collision'), &
       case_type('synchronous'), case_type('reservoir'), case_type('timestep')])

@@ -1,12 +1,16 @@
-"""Benchmarks: the speed tables, what must be reached, and what changed between two runs.
+"""Benchmarks: the speed tables, what must be reached, and what changed since.
 
 `run` (`make bench`) lets build/bin/bench print its tables, takes the peak memory of a run of 1e7
 particles, counts instructions where valgrind is installed, prints the figures beside their bounds
-and writes everything as JSON. All times are taken by the Fortran program itself.
+and writes everything as JSON in build/bench. All times are taken by the Fortran program itself.
 `compare OLD.json NEW.json` prints the ratio of each figure of two such files with its spread: from
 the least of one file's rounds over the greatest of the other's to the reverse. What is wholly off 1
 is marked. Rounds of one run share the state of the machine: between two runs of the same program on
 a shared machine all rates may differ alike, costs relative to a row of the same run do not.
+`compare` of no file or of more than two prints the history: medians of all of build/bench, or of
+these files, side by side.
+`ratios BASE` (`make bench BASE=COMMIT`) runs another build of `bench` and the present one in turn,
+and prints how many times as fast the present one is, in processor time.
 """
 
 from __future__ import annotations
@@ -20,38 +24,64 @@ from rich.console import Console
 from postproc import cli
 from postproc.speed.benchmarks import ROOT, run, said
 from postproc.speed.changes import changes, load, table_of
+from postproc.speed.history import history, kept
+from postproc.speed.ratios import POINTS, ROUNDS, ratio
+from postproc.speed.ratios import table_of as table_of_ratios
+
+BENCH = ROOT / "build/bench"
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the benchmarks, or compare two runs."""
-    options = cli.parser("benchmarks", __doc__)
-    parts = options.add_subparsers(dest="part", required=True, metavar="run|compare")
-    runs = parts.add_parser("run", help="run all benchmarks")
-    runs.add_argument("--program", type=Path, default=ROOT / "build/bin/bench")
-    runs.add_argument(
-        "--counted", type=Path, default=ROOT / "build/counted/bin/bench",
-        help="the same program built for x86-64-v3, for callgrind",
-    )  # fmt: skip
-    runs.add_argument(
-        "--output", metavar="FILE.json", type=Path, help="default: build/bench/DATE-TIME.json"
-    )
-    both = parts.add_parser("compare", help="compare two files of run")
-    both.add_argument("old", metavar="OLD.json", type=Path)
-    both.add_argument("new", metavar="NEW.json", type=Path)
-    given = options.parse_args(arguments)
-    console = Console(width=None if sys.stdout.isatty() else 100)
-    if given.part == "run":
-        now = f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d-%H%M%S}.json"
-        run(given.program, given.counted, given.output or ROOT / "build/bench" / now, console)
-        return 0
-    old, new = load(given.old), load(given.new)
-    found = changes(old, new)
-    for name, one in (("old", old), ("new", new)):
+def compare(old: Path, new: Path, console: Console) -> None:
+    """Print what changed between two files."""
+    before, after = load(old), load(new)
+    found = changes(before, after)
+    for name, one in (("old", before), ("new", after)):
         console.print(said(name, one), soft_wrap=True, highlight=False, markup=False)
     for title, part in found:
         console.print(table_of(title, part))
     marked = sum(bool(one.mark) for _, part in found for one in part)
     console.print(f"{marked} of {sum(len(part) for _, part in found)} changed beyond the spread.")
+
+
+def show_history(files: list[Path], console: Console) -> None:
+    """Print the medians of several files."""
+    about, table = history([load(one) for one in files] or kept(BENCH))
+    for line in about:
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
+    console.print(table)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmarks, or compare some runs."""
+    options = cli.parser("benchmarks", __doc__)
+    parts = options.add_subparsers(dest="part", required=True, metavar="run|compare|ratios")
+    runs = parts.add_parser("run", help="run all benchmarks")
+    runs.add_argument("--program", type=Path, default=ROOT / "build/bin/bench")
+    runs.add_argument(
+        "--counted", type=Path, default=ROOT / "build/x86-64-v3/bin/bench",
+        help="the same program built for x86-64-v3, for callgrind",
+    )  # fmt: skip
+    runs.add_argument(
+        "--output", metavar="FILE.json", type=Path, help="default: build/bench/DATE-TIME.json"
+    )
+    some = parts.add_parser("compare", help="compare two files of run, or show the history")
+    some.add_argument("files", metavar="FILE.json", type=Path, nargs="*")
+    pairs = parts.add_parser("ratios", help="run another build and the present one in turn")
+    pairs.add_argument("base", metavar="BASE", type=Path, help="the other program `bench`")
+    pairs.add_argument("--program", type=Path, default=ROOT / "build/bin/bench")
+    pairs.add_argument("--rounds", type=cli.integer(1), default=ROUNDS, help="pairs of runs")
+    given = options.parse_args(arguments)
+    console = Console(width=None if sys.stdout.isatty() else 100)
+    if given.part == "run":
+        now = f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d-%H%M%S}.json"
+        run(given.program, given.counted, given.output or BENCH / now, console)
+    elif given.part == "ratios":
+        found = [ratio(name, given.base, given.program, given.rounds) for name in POINTS]
+        console.print(table_of_ratios(found))
+    elif len(given.files) == 2:
+        compare(*given.files, console)
+    else:
+        show_history(given.files, console)
     return 0
 
 

@@ -156,7 +156,8 @@ def figures(
     ]  # fmt: skip
 
 
-def _text(value: float) -> str:
+def value_text(value: float) -> str:
+    """Return a figure as the tables show it."""
     return f"{value:.2e}".replace("e+0", "e") if abs(value) >= 1e4 else f"{value:.4g}"
 
 
@@ -174,9 +175,9 @@ def summary(found: Sequence[Figure]) -> Table:
     for one in found:
         seen = ["", "", ""]
         if one.values:
-            seen = [_text(of(one.values)) for of in (statistics.median, min, max)]
-        bound = f"{'>=' if one.at_least else '<='} {_text(one.bound)}"
-        aim = "" if one.aim is None else _text(one.aim)
+            seen = [value_text(of(one.values)) for of in (statistics.median, min, max)]
+        bound = f"{'>=' if one.at_least else '<='} {value_text(one.bound)}"
+        aim = "" if one.aim is None else value_text(one.aim)
         table.add_row(one.name, *seen, bound, aim, verdicts[one.reached])
     table.caption = "\n".join(f"{one.name}: {one.note}" for one in found if one.note)
     return table

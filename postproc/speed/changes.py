@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from postproc.speed.bounds import Key
+
 
 def parsed(path: Path) -> dict[str, Any]:
     """Read JSON with the rows of a benchmark."""
@@ -97,6 +99,11 @@ def change(
     return Change(name, ratio, min(new) / max(old), max(new) / min(old), more_is_better)
 
 
+def name_of(key: Key) -> str:
+    """Return a row's table and case in words."""
+    return "{:9s} {:11s} N={:<7d} T={:<4d} w={:<5.2g} w'={:.2g}".format(*key)
+
+
 def changes(old: Run, new: Run) -> list[tuple[str, list[Change]]]:
     """Return what changed: the figures, the rate of each row, its cost over the table's first."""
     pairs = [
@@ -113,7 +120,7 @@ def changes(old: Run, new: Run) -> list[tuple[str, list[Change]]]:
         if key not in new.rows:
             continue
         rate = SUBJECTS.get(key[0], "collisions")
-        name = "{:9s} {:11s} N={:<7d} T={:<4d} w={:<5.2g} w'={:.2g}".format(*key)
+        name = name_of(key)
         both = (old.rows.rates(key, rate), new.rows.rates(key, rate))
         rates.append(change(name, *both, more_is_better=True))
         if not old.rows.is_first(key) and not new.rows.is_first(key):

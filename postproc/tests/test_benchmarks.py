@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 import stat
-from typing import TYPE_CHECKING, Any
+import subprocess
+from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
 
 from postproc import cli
-from postproc.speed import benchmarks
+from postproc.speed import benchmarks, ratios
 from postproc.speed.bounds import FORMAT, Figure, Rows, figures, summary
 from postproc.speed.changes import change, load
+from postproc.speed.history import SHOWN, history, kept, lines_of
 from postproc.tests.commands import call
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 # rounds of a machine whose speed drifts
 DRIFT = (1.0, 0.8, 0.9, 1.1, 0.7)
@@ -214,3 +214,107 @@ def test_a_written_file_is_read_as_it_was(tmp_path: Path) -> None:
     one = load(_file(tmp_path / "one.json"))
     assert one.figures["ratio to collision"].values == pytest.approx([16.0] * 5)
     assert len(list(one.rows)) == len(_rows())
+
+
+def _medians(runs: list[Any]) -> dict[str, list[str]]:
+    console = Console(width=100, record=True, quiet=False)
+    console.print(history(runs)[1])
+    lines = console.export_text().splitlines()
+    assert max(map(len, lines)) <= 100
+    parts = [[part.strip() for part in line.split("  ") if part.strip()] for line in lines]
+    return {part[0]: part[1:] for part in parts if part}
+
+
+def test_history_has_the_medians_of_all_runs_oldest_first(tmp_path: Path) -> None:
+    for day, faster in (("11", 2.0), ("09", 1.0), ("10", 4.0)):
+        _file(tmp_path / f"{day}.json", faster, date=f"2026-11-{day}", processor=f"made {day}")
+    runs = kept(tmp_path)
+    said = history(runs)[0]
+    assert [line.split(",")[1].strip() for line in said] == ["made 09", "made 10", "made 11"]
+    assert [line.split(":")[0] for line in said] == ["1", "2", "3"]
+    found = _medians(runs)
+    # Round 0.9 of the drift is the median.
+    assert found["wall collisions a second, excursion"] == ["1.80e8", "7.20e8", "3.60e8"]
+    assert found["bytes a particle, N = 1e7"] == ["95", "95", "95"]
+    rows = [values for name, values in lines_of(runs) if name.startswith("engines   excursion")]
+    assert rows == [pytest.approx([1.8e8, 7.2e8, 3.6e8])]
+
+
+def test_history_leaves_blank_what_a_run_has_not(tmp_path: Path) -> None:
+    one = load(_file(tmp_path / "one.json"))
+    rows = _rows()[:1]
+    other = load(_file(tmp_path / "other.json", rows=rows, figures=[]))
+    found = _medians([one, other])
+    assert found["bytes a particle, N = 1e7"] == ["95"]
+    assert len(_medians([other])) < len(found)
+
+
+def test_history_shows_the_last_runs_that_fit(tmp_path: Path) -> None:
+    runs = [load(_file(tmp_path / "one.json", 1.0 + number)) for number in range(SHOWN + 3)]
+    found = _medians(runs)
+    values = found["wall collisions a second, excursion"]
+    assert len(values) == SHOWN
+    assert values[-1] == "1.44e9"
+    assert len(history(runs)[0]) == SHOWN + 3
+
+
+def test_compare_of_three_files_is_their_history(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(_file(tmp_path / f"{name}.json", processor=name)) for name in "abc"]
+    assert call("benchmarks", ["compare", *files]) == 0
+    text = capsys.readouterr().out
+    assert [line for line in text.splitlines() if line.startswith("2:")] == [
+        "2: unknown, b, unknown"
+    ]
+    assert "Medians" in text
+
+
+def test_a_folder_without_a_run_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(cli.InputError, match="no files of a benchmark"):
+        kept(tmp_path)
+
+
+def test_ratios_are_of_pairs_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    spent = {"old": iter((6.0, 8.0, 3.0)), "new": iter((3.0, 2.0, 1.0))}
+
+    def seconds(program: Path, words: tuple[str, ...]) -> float:
+        asked.append(program.name)
+        assert words == ratios.POINTS["T = 18"]
+        return next(spent[program.name])
+
+    monkeypatch.setattr(ratios, "processor_seconds", seconds)
+    found = ratios.ratio("T = 18", Path("old"), Path("new"), 3)
+    assert found.values == (2.0, 4.0, 3.0)
+    assert asked == ["old", "new", "new", "old", "old", "new"]
+    console = Console(width=100, record=True, quiet=False)
+    console.print(ratios.table_of([found]))
+    assert "T = 18 3.00 2.00 4.00" in " ".join(console.export_text().split())
+
+
+def test_a_run_of_a_pair_is_asked_for_in_whole_collisions(tmp_path: Path) -> None:
+    asked = 'test "$*" = "single excursion 10 1 0.3 0.01 400"'
+    program = _program(tmp_path / "bench", f"{asked} && echo 400")
+    words = ("excursion", "10", "1", "0.3", "0.01", "4e2")
+    assert ratios.processor_seconds(program, words) >= 0.0
+    for bad in (_program(tmp_path / "other", "echo six words >&2; exit 1"), tmp_path / "none"):
+        with pytest.raises(cli.InputError, match=bad.name):
+            ratios.processor_seconds(bad, words)
+
+
+def test_the_processor_is_named_by_family_and_model() -> None:
+    command = [str(benchmarks.ROOT / "build/bin/bench")]
+    bench = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert bench.stdout is not None
+        said = bench.stdout.readline()
+    finally:
+        bench.kill()
+        bench.communicate()
+    seen = dict.fromkeys(("model name", "cpu family", "model"), "unknown")
+    for line in reversed(Path("/proc/cpuinfo").read_text().splitlines()):
+        name, _, value = line.partition(":")
+        if name.strip() in seen:
+            seen[name.strip()] = value.strip()
+    assert said == "processor: {}, family {} model {}\n".format(*seen.values())

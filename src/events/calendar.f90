@@ -246,7 +246,9 @@ contains
 
   !> How many of the sorted events are due before `instant`.
   pure function due_before(sorted, due_time, instant) result(due)
+    !> How many there are.
     integer, intent(in) :: sorted
+    !> When each is due, in order; on the same clock.
     real(wp), intent(in) :: due_time(sorted), instant
     integer :: due
     integer(int64) :: found

@@ -156,11 +156,16 @@ contains
 
   !> Puts an event in its place among `sorted` ones: by time, then by number.
   pure subroutine insert(room, time, number, sorted, at, whose)
+    !> More than `sorted`.
     integer, intent(in) :: room
+    !> When each is due, in order,
     real(wp), intent(inout) :: time(room)
+    !> and whose it is.
     integer, intent(inout) :: number(room)
     integer, intent(inout) :: sorted
+    !> When the new one is due, and whose it is.
     real(wp), intent(in) :: at
+    !> No event of this number is due at that time already.
     integer, intent(in) :: whose
     integer :: place
 

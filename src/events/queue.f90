@@ -57,6 +57,7 @@ contains
     type(queue_type), intent(inout) :: queue
     !> How many.
     integer, intent(in) :: count
+    !> When each is due, in no order.
     real(wp), intent(in) :: time(count)
     integer, intent(in) :: who(count)
     integer :: before, k
@@ -126,9 +127,11 @@ contains
   pure subroutine take_due(queue, until, taken, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: until
-    !> How many were taken; when each is due, and who it is.
+    !> How many were taken.
     integer, intent(out) :: taken
+    !> When each is due,
     real(wp), intent(inout) :: time(:)
+    !> and who it is.
     integer, intent(inout) :: who(:)
 
     taken = 0

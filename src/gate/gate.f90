@@ -152,6 +152,7 @@ contains
   !> Makes room for so many: entries, and those counted before them.
   subroutine reserve_stretch(stretch, number)
     type(stretch_type), intent(inout) :: stretch
+    !> How many there will be at most.
     integer, intent(in) :: number
     integer :: room
 
@@ -170,19 +171,25 @@ contains
     leaving, leaver, turned_at, crossed, crosser, crossed_at)
     type(gate_type), intent(inout) :: gate
     type(stretch_type), intent(inout) :: stretch
-    !> When each enters, in order, when it would reach the middle line, which is later, and who it
-    !> is; on the clock of the engine, as all times here.
+    !> How many enter.
     integer, intent(in) :: entries
+    !> When each enters, in order, and when it would reach the middle line, which is later; on the
+    !> clock of the engine, as all times here.
     real(wp), intent(in) :: entry_time(entries), crossing_time(entries)
+    !> Who it is.
     integer, intent(in) :: entrant(entries)
     real(wp), intent(in) :: until
-    !> Those turned back, and when; added to the first `leaving` of the list.
+    !> So many are in the list; those turned back are added.
     integer, intent(inout) :: leaving
+    !> Who was turned back,
     integer, intent(inout), contiguous :: leaver(:)
+    !> and when.
     real(wp), intent(inout), contiguous :: turned_at(:)
-    !> Those who cross, and when; added to the first `crossed` of the list.
+    !> So many are in the list; those who cross are added.
     integer, intent(inout) :: crossed
+    !> Who crossed,
     integer, intent(inout), contiguous :: crosser(:)
+    !> and when.
     real(wp), intent(inout), contiguous :: crossed_at(:)
     integer :: held, rest
 

@@ -5,12 +5,13 @@
 !> there at the end, and their scatter gives the error as long as they are longer than the memory of
 !> the process; where they are not, replicas tell.
 module battery_blocks
-  use battery_kinds, only: wp
+  use battery_kinds, only: wp, dp
   use battery_quantities, only: unknown_real
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: blocks_type, most_blocks, add_block, standard_error, pass_blocks
+  public :: blocks_type, most_blocks, add_block, standard_error, error_of_mean, &
+    pass_blocks
 
   integer, parameter :: most_blocks = 64
 
@@ -46,15 +47,26 @@ contains
   pure function standard_error(blocks) result(error)
     type(blocks_type), intent(in) :: blocks
     real(wp) :: error
-    real(wp) :: mean
 
-    error = real(unknown_real(), wp)
-    if (blocks%count < 2) return
-    associate (average => blocks%average(:blocks%count))
-      mean = sum(average)/real(blocks%count, wp)
-      error = sqrt(sum((average - mean)**2)/(real(blocks%count, wp)*real(blocks%count - 1, wp)))
-    end associate
+    error = real(error_of_mean(real(blocks%average(:blocks%count), dp)), wp)
   end function standard_error
+
+  !> Standard error of the mean of independent values, from their scatter; NaN of fewer than two.
+  pure function error_of_mean(values) result(error)
+    !> Any number of them, in the unit of the quantity, as the error is.
+    real(dp), intent(in) :: values(:)
+    real(dp) :: error
+    real(dp), allocatable :: squares(:)
+    integer :: n
+
+    error = unknown_real()
+    n = size(values)
+    if (n < 2) return
+    ! Kept before they are summed: whether a sum of products is of fused ones, and which, would
+    ! depend on the length of the processor's vectors, and so would the last bit.
+    squares = (values - sum(values)/n)**2
+    error = sqrt(sum(squares)/(real(n, dp)*real(n - 1, dp)))
+  end function error_of_mean
 
   !> Through a stream.
   pure subroutine pass_blocks(blocks, stream)

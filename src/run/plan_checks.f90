@@ -233,7 +233,7 @@ contains
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(gated)%length, open_length(point))
     call check_lengths(plan, point, radii, longest)
-    if (size(plan%problems) == before) call check_times(plan, point, radii(1), max(radii(2), &
+    if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
     if (point%number == not_given .or. size(plan%problems) > before) return
     if (point%urn1_number > point%number) then
@@ -308,9 +308,8 @@ contains
   end subroutine check_lengths
 
   !> The clock must resolve the table, and the table the times.
-  subroutine check_times(plan, point, radius, longest)
+  subroutine check_times(plan, radius, longest)
     type(plan_type), intent(inout) :: plan
-    type(point_type), intent(in) :: point
     !> The least radius, and the longest length of the table.
     real(wp), intent(in) :: radius, longest
     type(bounds_type) :: clock

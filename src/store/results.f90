@@ -3,6 +3,7 @@
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
   use battery_kinds, only: dp, int32, int64
+  use battery_blocks, only: error_of_mean
   use battery_plan, only: point_type, scanned_type
   use battery_text, only: string_type
   use battery_quantities, only: averaged_quantities, counted_quantities, unknown_real, &
@@ -95,16 +96,10 @@ contains
     integer(int32), intent(in) :: task_status(:, :)
     !> (point).
     real(dp) :: error(size(values, 2))
-    real(dp), allocatable :: known(:)
-    integer :: point, n
+    integer :: point
 
-    error = unknown_real()
     do point = 1, size(values, 2)
-      known = pack(values(:, point), task_status(:, point) == task_complete)
-      n = size(known)
-      if (n < 2) cycle
-      known = known - sum(known)/n
-      error(point) = sqrt(sum(known**2)/(real(n, dp)*real(n - 1, dp)))
+      error(point) = error_of_mean(pack(values(:, point), task_status(:, point) == task_complete))
     end do
   end function scatter_of
 

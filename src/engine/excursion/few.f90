@@ -27,8 +27,9 @@ contains
     !> How many particles and events there are.
     integer, intent(in) :: number, events
     type(flight_type), intent(inout) :: flight(number)
-    !> Events in the order of time.
+    !> Events in the order of time: when each is due,
     real(wp), intent(in) :: due_time(events)
+    !> and whose it is.
     integer, intent(in) :: particle(events)
     !> The window.
     real(wp), intent(in) :: began, ends

@@ -16,6 +16,7 @@ module battery_window
   !> Where events are dealt out to: the gates of urn 1 and 2, and the periodic line.
   integer, parameter, public :: periodic_line = 3
 
+  !> What happens in a window, dealt out.
   type :: window_type
     !> How many were dealt out to each; when each is due, when it would cross the middle line, whose
     !> it is: (place, gate 1, gate 2, periodic line).
@@ -36,6 +37,7 @@ contains
   !> Makes room for so many events, and for those that gates count.
   subroutine reserve_window(window, events, counted)
     type(window_type), intent(inout) :: window
+    !> How many there will be.
     integer, intent(in) :: events
     !> By gate 1 and by gate 2.
     integer, intent(in) :: counted(2)
@@ -62,13 +64,17 @@ contains
     !> How many particles and events there are.
     integer, intent(in) :: number, events
     type(flight_type), intent(inout) :: flight(number)
-    !> Events in the order of time: when each is due, and whose it is.
+    !> Events in the order of time: when each is due,
     real(wp), intent(in) :: due_time(events)
+    !> and whose it is.
     integer, intent(in) :: who(events)
-    !> As in `window_type`.
+    !> As in `window_type`, where `dealt`, `due`, `middle` and `particle` are explained.
     integer, intent(in) :: room
+    !> How many went where.
     integer, intent(out) :: dealt(3)
+    !> When each is due, and when it is at the middle line.
     real(wp), intent(inout) :: due(room, 3), middle(room, 3)
+    !> Who it is.
     integer, intent(inout) :: particle(room, 3)
     integer :: k, i, place, line
     logical :: enters
@@ -107,10 +113,12 @@ contains
 
   !> Who crosses which line, from which side.
   pure subroutine line_of(number, flight, crosser, particle, urn, channel)
+    !> Of all particles.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
     !> As in `window_type`.
     integer, intent(in) :: crosser
+    !> Who; the urn it comes from, and the channel.
     integer, intent(out) :: particle, urn, channel
     integer :: line
 
@@ -123,6 +131,7 @@ contains
   !> Tells a history of the crossings; there is room for them.
   pure subroutine record_crossings(window, number, flight, began, history)
     type(window_type), intent(in) :: window
+    !> Of all particles.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
     !> When the window began.
@@ -141,12 +150,14 @@ contains
   !> Tells a history what happened, with the event log.
   subroutine write_log(window, number, flight, began, events, due_time, who, history)
     type(window_type), intent(in) :: window
+    !> Of all particles, and of the events.
     integer, intent(in) :: number, events
     type(flight_type), intent(in) :: flight(number)
     !> When the window began.
     real(wp), intent(in) :: began
-    !> As they were dealt out.
+    !> As they were dealt out: when each is due,
     real(wp), intent(in) :: due_time(events)
+    !> and whose it is.
     integer, intent(in) :: who(events)
     type(history_type), intent(inout) :: history
     integer :: k, next, urn, entered(2), turned(2)
