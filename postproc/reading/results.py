@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from postproc.theory.gates import Gate
 
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
+CHUNKS = 2**26  # bytes of decompressed chunks that are kept: a chunk has many tasks
 COMPLETE = 0  # value of `task_status`
 POLARISED = 0.15  # chi from which on a state is taken to be polarised
 LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
@@ -67,7 +68,7 @@ class Results:
         """Open `path`; raise `InputError` unless it holds results of this program."""
         self.path = path
         check_seal(existing_file(path))
-        self._file = h5py.File(path, "r")
+        self._file = h5py.File(path, "r", rdcc_nbytes=CHUNKS)
         missing = [name for name in NEEDED if name not in self._file]
         if missing or "namelist" not in self._file.attrs:
             self._file.close()
