@@ -146,7 +146,7 @@ def map_lines(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
     Over T and w' they are the theory's own; over other keys they run between points of the scan.
     """
     rows: list[dict[str, object]] = []
-    for chosen, there in scan.slices() if results.shape == "circuit" else ():
+    for chosen, there in scan.slices() if results.shape == "circuit" and scan.up else ():
         for model in models.values():
             find = _transition if _own_axes(scan) else _between
             for across, up in find(results, scan, model, there):

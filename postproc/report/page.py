@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from bokeh.core.templates import FILE
 from bokeh.document import Document
 from bokeh.embed import file_html
 from bokeh.models import (
@@ -27,7 +26,7 @@ from bokeh.models import (
     Whisker,
 )
 from bokeh.plotting import figure
-from bokeh.resources import INLINE
+from bokeh.resources import Resources
 
 from postproc.figures.style import CYCLE
 from postproc.report import data
@@ -35,10 +34,13 @@ from postproc.report.warn import explanations, warnings
 
 if TYPE_CHECKING:
     from bokeh.model import Model as BokehModel
+    from numpy.typing import NDArray
 
     from postproc.figures.models import Model
     from postproc.reading.results import Results
     from postproc.report.data import Columns, Scan
+
+    Floats = NDArray[np.float64]
 
 HERE = Path(__file__).parent
 IDLE = "Put the mouse on a point; click one to see its replicas."
@@ -111,7 +113,7 @@ class Page:
                 other.y_range = made[0].y_range
         return made
 
-    def _figure(self, name: str, title: str) -> figure:
+    def _figure(self, name: str, title: str, **ranges: object) -> figure:
         made = figure(
             name=name,
             title=title,
@@ -120,6 +122,7 @@ class Page:
             sizing_mode="stretch_width",
             tools="box_zoom,wheel_zoom,reset,save",
             x_axis_label=data.label(self.scan.across),
+            **ranges,
         )
         made.toolbar.logo = None
         made.grid.visible = False
@@ -133,7 +136,12 @@ class Page:
         made.add_tools(TapTool(renderers=[marks]))
 
     def _map(self, name: str, error: str) -> figure:
-        made = self._figure(f"{name}{error}", f"{data.MEASURED[name]}{error.replace('_', ', ')}")
+        made = self._figure(
+            f"{name}{error}",
+            f"{data.MEASURED[name]}{error.replace('_', ', ')}",
+            x_range=(self.columns["left"].min(), self.columns["right"].max()),
+            y_range=(self.columns["bottom"].min(), self.columns["top"].max()),
+        )
         values = self.columns[f"{name}{error}"]
         finite = values[np.isfinite(values)]
         top = 1.0 if name == "chi" and not error else max(finite.max(initial=0.0), 1e-12)
@@ -156,8 +164,6 @@ class Page:
             )  # fmt: skip
         made.add_layout(ColorBar(color_mapper=mapper, width=10, padding=4), "right")
         made.yaxis.axis_label = data.label(self.scan.up)
-        for axis, low, high in ((made.x_range, "left", "right"), (made.y_range, "bottom", "top")):
-            axis.start, axis.end = self.columns[low].min(), self.columns[high].max()
         self._mouse(made, cells)
         return made
 
@@ -179,9 +185,8 @@ class Page:
     def choices(self) -> list[Select]:
         """Return what chooses the values of the keys that are on no axis."""
         made = []
-        for name, values in self.scan.others.items():
+        for name in self.scan.others:
             options = [str(one) for one in np.unique(self.columns[name])]
-            assert values.size
             made.append(
                 Select(title=data.label(name), value=options[0], options=options,
                        name=f"choice_{name}")
@@ -223,13 +228,19 @@ class Page:
             code=CLICKED,
         )  # fmt: skip
         self.points.selected.js_on_change("indices", self.click)
-        self.series = [] if time.size == 0 else [self._series(shown, one) for one in SERIES]
+        self.series = [self._series(shown, one, time, values) for one, values in columns.items()]
         return [name, table, *self.series, namelist]
 
-    def _series(self, shown: ColumnDataSource, name: str) -> figure:
-        made = self._figure(f"series_{name}", SERIES[name])
+    def _series(self, shown: ColumnDataSource, name: str, time: Floats, values: Floats) -> figure:
+        known = values[np.isfinite(values)]
+        made = self._figure(
+            f"series_{name}",
+            SERIES[name],
+            x_range=(0.0, time[-1]),
+            y_range=(known.min(initial=-1.0), known.max(initial=1.0)),
+        )
         made.height, made.xaxis.axis_label = 240, "time"
-        made.multi_line("time", name, source=shown, line_color="colour", legend_group="replica")
+        made.multi_line("time", name, source=shown, line_color="colour", legend_field="replica")
         made.legend.visible = self.results.replicas > 1
         made.legend.label_text_font_size = "8pt"
         made.legend.background_fill_alpha = 0.6
@@ -247,6 +258,7 @@ def _table(
         source=source,
         columns=[TableColumn(field=key, title=title) for key, title in heads.items()],
         index_position=None,
+        reorderable=False,
         height=28 * (rows + 1) + 16,
         min_width=95 * len(heads),
         sizing_mode="stretch_width",
@@ -290,11 +302,10 @@ def page(results: Results, models: dict[str, Model]) -> str:
     }
     return file_html(
         document,
-        INLINE,
+        Resources(mode="inline", log_level="warn"),
         results.path.name,
         template=(HERE / "page.html").read_text(encoding="utf-8"),
         template_variables={
-            "base": FILE,
             "remarks": {heading: items for heading, items in remarks.items() if items},
             "lines": _lines(scan, models),
             "panels": [one.name for one in panels],
