@@ -262,7 +262,7 @@ def namelist_of_point(results: Results, scan: Scan) -> str:
     text = results.attributes["namelist"]
     try:
         groups = f90nml.reads(text)
-    except Exception:  # noqa: BLE001  the program reads more than this reader: then all of it
+    except Exception:  # the program reads more than this reader: then all of it
         return text
     group = groups.get("scan", {})
     for key in list(group):
