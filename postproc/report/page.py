@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 HERE = Path(__file__).parent
+# The library says on the console that it will be silent; so said, it does not.
+SILENT = ('Bokeh.set_log_level("warn")', 'Bokeh.logger.set_level("warn")')
 IDLE = "Put the mouse on a point; click one to see its replicas."
 PALETTES = {"chi": "Viridis256", "current": "Inferno256"}
 ERRORS = "Cividis256"
@@ -300,7 +302,7 @@ def page(results: Results, models: dict[str, Model]) -> str:
         "Warnings": warnings(results),
         "What looks strange, and is not": explanations(results),
     }
-    return file_html(
+    made = file_html(
         document,
         Resources(mode="inline", log_level="warn"),
         results.path.name,
@@ -315,3 +317,4 @@ def page(results: Results, models: dict[str, Model]) -> str:
             "namelist": results.attributes["namelist"],
         },
     )
+    return made.replace(*SILENT)
