@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from postproc.theory.gates import Gate
 
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
+#: Arrays up to so many bytes are read once, and whole.
+KEPT = 1 << 28
 COMPLETE = 0  # value of `task_status`
 POLARISED = 0.15  # chi from which on a state is taken to be polarised
 LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
@@ -68,6 +70,7 @@ class Results:
         self.path = path
         check_seal(existing_file(path))
         self._file = h5py.File(path, "r")
+        self._kept: dict[str, NDArray[np.generic]] = {}
         missing = [name for name in NEEDED if name not in self._file]
         if missing or "namelist" not in self._file.attrs:
             self._file.close()
@@ -99,9 +102,7 @@ class Results:
 
     def value(self, name: str) -> NDArray[np.float64]:
         """Return a dataset whole, as floats, e.g. chi of shape (point, replica)."""
-        if name not in self._file:
-            raise InputError(f"{self.path}: has no {name}")
-        return np.asarray(self._file[name][()], float)
+        return np.array(self._array(name), float)
 
     def unit(self, name: str) -> str:
         """Return the unit of a dataset."""
@@ -110,12 +111,12 @@ class Results:
     @property
     def points(self) -> int:
         """How many parameter points there are."""
-        return self._file["number"].shape[0]
+        return self._array("number").shape[0]
 
     @property
     def replicas(self) -> int:
         """How many replicas each point has."""
-        return self._file["current1"].shape[1]
+        return self._array("current1").shape[1]
 
     def axes(self) -> dict[str, tuple[NDArray[np.generic], dict[str, str]]] | None:
         """Return the values of each key that was scanned, the slowest first, and their attributes.
@@ -226,9 +227,18 @@ class Results:
 
     def _of_point(self, name: str, point: int) -> object:
         """Return what a point has of its own."""
-        if name not in self._file:
-            raise InputError(f"{self.path}: has no {name}")
-        return self._file[name][point]
+        return self._array(name)[point]
+
+    def _array(self, name: str) -> h5py.Dataset | NDArray[np.generic]:
+        """Return a dataset: read whole, and once, unless it is large."""
+        if name not in self._kept:
+            if name not in self._file:
+                raise InputError(f"{self.path}: has no {name}")
+            dataset = self._file[name]
+            if dataset.nbytes > KEPT:
+                return dataset
+            self._kept[name] = dataset[()]
+        return self._kept[name]
 
     def replica_mean(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return mean and standard error over the replicas of each point, shape (point,).
@@ -269,9 +279,11 @@ class Results:
             raise InputError(f"{self.path}: has no series (set series_interval in &output)")
         self._check_task(point, replica)
         self._need("series", ("urn1_number", *FLOWS))
-        group = self._file["series"]
-        time, number = np.asarray(group["time"][()], float), group["urn1_number"][point, replica]
-        flows = {name: np.asarray(group[name][point, replica], float) for name in FLOWS}
+        time = np.asarray(self._array("series/time"), float)
+        number = self._array("series/urn1_number")[point, replica]
+        flows = {
+            name: np.asarray(self._array(f"series/{name}")[point, replica], float) for name in FLOWS
+        }
         number = np.asarray(number, float)
         there = np.isfinite(number) & np.isfinite(flows["flow1_12"]) & (number >= 0)
         there &= time > 0.0  # the entry at the start has no interval before it

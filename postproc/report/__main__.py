@@ -1,6 +1,7 @@
-"""Writes one self-contained HTML page about a run: what, where, how fast, pictures, map, warnings.
+"""Writes one self-contained HTML page about a run: warnings, maps, replicas, series, table.
 
-The page needs no network. Its map shows the values of a cell under the mouse.
+The page needs no network. Maps and curves show what is under the mouse in all of them at once; a
+click shows the replicas of that point, their series and its namelist; the table sorts.
 """
 
 from __future__ import annotations
@@ -8,21 +9,24 @@ from __future__ import annotations
 from pathlib import Path
 
 from postproc import cli
-from postproc.figures import style
+from postproc.figures.models import MODELS, add_models
 from postproc.reading.results import Results
 from postproc.report.page import page
+
+DEFAULT = ("window", "renewal")  # the paper's, and the gate's own rule
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Write FILE.html."""
     options = cli.parser("report", __doc__)
     options.add_argument("file", metavar="FILE.h5", type=Path)
+    add_models(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
-    style.figure()  # sets the look
+    models = {name: MODELS[name] for name in given.model or DEFAULT}
     with Results(given.file) as results:
         results.say_if_partial()
-        text = page(results)
+        text = page(results, models)
     path = cli.output_folder(given.output) / f"{given.file.stem}.html"
     try:
         path.write_text(text, encoding="utf-8")

@@ -63,7 +63,7 @@ class Comparison:
     sparse2: float = math.nan
 
 
-def _expected(circuit: Circuit, chi: float) -> tuple[float, float]:
+def expected_state(circuit: Circuit, chi: float) -> tuple[float, float]:
     """Return chi and net current of the stable state nearest to the measured chi."""
     choices = [
         (state.mass_spread, state.net_current)
@@ -111,7 +111,7 @@ def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, obje
         replace(files[file].circuit(int(point)), **changes)
         for file, point in zip(known.file, known.point, strict=True)
     ]
-    expected = [_expected(one, chi) for one, chi in zip(circuits, known.chi, strict=True)]
+    expected = [expected_state(one, chi) for one, chi in zip(circuits, known.chi, strict=True)]
     chi, current = np.array(expected).T
     apart, both = np.abs(known.chi - chi), polarised & (current > 0.0)
     return Comparison(

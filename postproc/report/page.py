@@ -1,251 +1,320 @@
-"""One self-contained HTML page about a run."""
+"""One self-contained HTML page about a run, made with Bokeh, which is in the page itself."""
 
 from __future__ import annotations
 
-import base64
-import html
-import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import to_hex
+from bokeh.document import Document
+from bokeh.embed import file_html
+from bokeh.models import (
+    CDSView,
+    ColorBar,
+    ColumnDataSource,
+    CustomJS,
+    DataTable,
+    Div,
+    HoverTool,
+    IndexFilter,
+    LinearColorMapper,
+    PreText,
+    Select,
+    TableColumn,
+    TapTool,
+    Whisker,
+)
+from bokeh.plotting import figure
+from bokeh.resources import Resources
 
-from postproc import cli
-from postproc.figures import maps
-from postproc.figures.currents import figure_currents
-from postproc.figures.scene import figure_scene
-from postproc.reading.points import gather
-from postproc.reading.results import Results
+from postproc.figures.style import CYCLE
+from postproc.report import data
 from postproc.report.warn import explanations, warnings
-from postproc.theory.circuit import homogeneous_kind, single_urn_current
-from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
+    from bokeh.model import Model as BokehModel
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Points
-    from postproc.theory.gates import Gate
+    from postproc.figures.models import Model
+    from postproc.reading.results import Results
+    from postproc.report.data import Columns, Scan
 
     Floats = NDArray[np.float64]
 
-PICTURES = 6  # most points of which pictures are put on the page
-WARNINGS = 12  # that are shown at once
-CELLS = (18, 44)  # least and greatest size of the map's cells, CSS pixels
-BROAD = 430  # width that a map should have if its cells may, CSS pixels
-BAR = (20, 100)  # steps of the bar of colours beside a map, and its height in CSS pixels
 HERE = Path(__file__).parent
+# The library says on the console that it will be silent; so said, it does not.
+SILENT = ('Bokeh.set_log_level("warn")', 'Bokeh.logger.set_level("warn")')
+IDLE = "Put the mouse on a point; click one to see its replicas."
+PALETTES = {"chi": "Viridis256", "current": "Inferno256"}
+ERRORS = "Cividis256"
+KEPT = ("version", "git_commit", "created", "status", "mpi_ranks", "mpi_library", "compiler")
+HOVERED = """
+const [at] = cb_data.index.indices
+reading.text = at === undefined ? idle : points.data.told[at]
+"""
+CHOSEN = """
+for (const [source, shown] of [[points, cells], [lines, drawn]]) {
+  const fits = (_, at) => keys.every((key, k) => source.data[key][at] === +choices[k].value)
+  shown.indices = Array.from({length: source.get_length() ?? 0}, (_, at) => at).filter(
+    (at) => fits(null, at))
+}
+"""
+CLICKED = """
+const [at] = points.selected.indices
+if (at === undefined) return
+name.text = `Point ${at + 1}. ${points.data.told[at]}`
+const tasks = Array.from({length: count}, (_, replica) => at * count + replica)
+rows.indices = tasks
+namelist.text = text.replace(/'@(\\w+)@'/g, (_, key) => String(points.data[key][at]))
+if (time.length === 0) return
+const kept = tasks.filter((task) => tasks_with_series[task])
+const cut = (values) => kept.map(
+  (task) => Array.from(values.slice(task * time.length, (task + 1) * time.length)))
+shown.data = {
+  time: kept.map(() => time),
+  spread: cut(series.data.spread),
+  current: cut(series.data.current),
+  colour: kept.map((task) => colours[(task % count) % colours.length]),
+  replica: kept.map((task) => `replica ${task % count + 1}`),
+}
+"""
 
 
-def embedded(made: Figure, text: str) -> str:
-    """Return a figure as an HTML image that carries its own data."""
-    buffer = io.BytesIO()
-    made.savefig(buffer, dpi=130, metadata={"Software": None})
-    data = base64.b64encode(buffer.getvalue()).decode()
-    return f'<img alt="{html.escape(text)}" src="data:image/png;base64,{data}">'
+@dataclass
+class Page:
+    """The parts of a page, which share their points."""
+
+    results: Results
+    scan: Scan
+    models: dict[str, Model]
+    columns: Columns
+
+    def __post_init__(self) -> None:
+        """Put the columns into sources of the library."""
+        self.points = ColumnDataSource(self.columns)
+        done = np.flatnonzero(self.results.done.any(axis=1))
+        self.points.selected.indices = [int(done[0])]
+        self.cells = IndexFilter(list(range(self.results.points)))
+        self.lines = ColumnDataSource(data.map_lines(self.results, self.scan, self.models))
+        self.drawn = IndexFilter(list(range(len(self.lines.data["xs"]))))
+        self.reading = Div(text=IDLE, name="reading")
+        self.measured = [name for name in data.MEASURED if np.isfinite(self.columns[name]).any()]
+
+    def panels(self) -> list[figure]:
+        """Return the maps of a scan, or its curves; none of a single point."""
+        if self.scan.up:
+            made = [self._map(name, error) for error in ("", "_error") for name in self.measured]
+        elif self.scan.across:
+            made = [self._curve(name) for name in self.measured]
+        else:
+            made = []
+        for other in made[1:]:
+            other.x_range = made[0].x_range
+            if self.scan.up:
+                other.y_range = made[0].y_range
+        return made
+
+    def _figure(self, name: str, title: str, **ranges: object) -> figure:
+        made = figure(
+            name=name,
+            title=title,
+            height=360,
+            min_width=280,
+            sizing_mode="stretch_width",
+            tools="box_zoom,wheel_zoom,reset,save",
+            x_axis_label=data.label(self.scan.across),
+            **ranges,
+        )
+        made.toolbar.logo = None
+        made.grid.visible = False
+        return made
+
+    def _mouse(self, made: figure, marks: BokehModel) -> None:
+        callback = CustomJS(
+            args={"reading": self.reading, "points": self.points, "idle": IDLE}, code=HOVERED
+        )
+        made.add_tools(HoverTool(renderers=[marks], tooltips=None, callback=callback))
+        made.add_tools(TapTool(renderers=[marks]))
+
+    def _map(self, name: str, error: str) -> figure:
+        made = self._figure(
+            f"{name}{error}",
+            f"{data.MEASURED[name]}{error.replace('_', ', ')}",
+            x_range=(self.columns["left"].min(), self.columns["right"].max()),
+            y_range=(self.columns["bottom"].min(), self.columns["top"].max()),
+        )
+        values = self.columns[f"{name}{error}"]
+        finite = values[np.isfinite(values)]
+        top = 1.0 if name == "chi" and not error else max(finite.max(initial=0.0), 1e-12)
+        mapper = LinearColorMapper(
+            palette=ERRORS if error else PALETTES[name], low=0.0, high=top, nan_color="#d0d0d0"
+        )
+        outline = {"line_color": "white", "line_width": 3}
+        cells = made.quad(
+            left="left", right="right", bottom="bottom", top="top", source=self.points,
+            view=CDSView(filter=self.cells), line_color=None,
+            fill_color={"field": f"{name}{error}", "transform": mapper},
+        )  # fmt: skip
+        cells.nonselection_glyph = None
+        cells.selection_glyph = cells.glyph.clone(line_color="#ff3030", line_width=3)
+        cells.hover_glyph = cells.glyph.clone(**outline)
+        for colour, width in (("black", 3.0), ("white", 1.6)):
+            made.multi_line(
+                "xs", "ys", source=self.lines, view=CDSView(filter=self.drawn),
+                line_color=colour, line_width=width, line_dash="dash",
+            )  # fmt: skip
+        made.add_layout(ColorBar(color_mapper=mapper, width=10, padding=4), "right")
+        made.yaxis.axis_label = data.label(self.scan.up)
+        self._mouse(made, cells)
+        return made
+
+    def _curve(self, name: str) -> figure:
+        made = self._figure(name, f"{data.MEASURED[name]}, standard errors")
+        for curve in data.curves(self.columns, self.scan, self.models, name):
+            made.line(**curve, line_color="#333333", line_width=1.5)
+        made.add_layout(
+            Whisker(base=self.scan.across, lower=f"{name}_low", upper=f"{name}_high",
+                    source=self.points)
+        )  # fmt: skip
+        marks = made.scatter(self.scan.across, name, source=self.points, size=9, color=CYCLE[0])
+        marks.nonselection_glyph = None
+        marks.selection_glyph = marks.glyph.clone(fill_color=CYCLE[1], line_color=CYCLE[1], size=12)
+        marks.hover_glyph = marks.glyph.clone(fill_color=CYCLE[4], line_color="black", size=13)
+        self._mouse(made, marks)
+        return made
+
+    def choices(self) -> list[Select]:
+        """Return what chooses the values of the keys that are on no axis."""
+        made = []
+        for name in self.scan.others:
+            options = [str(one) for one in np.unique(self.columns[name])]
+            made.append(
+                Select(title=data.label(name), value=options[0], options=options,
+                       name=f"choice_{name}")
+            )  # fmt: skip
+        self.choose = CustomJS(
+            args={"points": self.points, "cells": self.cells, "lines": self.lines,
+                  "drawn": self.drawn, "keys": list(self.scan.others), "choices": made},
+            code=CHOSEN,
+        )  # fmt: skip
+        for one in made:
+            one.js_on_change("value", self.choose)
+        return made
+
+    def table(self) -> DataTable:
+        """Return the table of all points, which sorts."""
+        heads = {name: data.label(name) for name in self.scan.keys}
+        heads["start"] = "start chi"
+        for name in self.measured:
+            heads |= {name: name, f"{name}_error": f"{name} error"}
+            heads |= {f"{key}_{name}": f"{name}, {one.label}" for key, one in self.models.items()}
+        heads["tasks"] = "tasks"
+        return _table("points", self.points, heads, rows=min(self.results.points, 16))
+
+    def detail(self) -> list[BokehModel]:
+        """Return what a click fills: a line, a table of the replicas, their series, a namelist."""
+        tasks = ColumnDataSource(data.replicas_of(self.results))
+        time, columns = data.series_of(self.results)
+        rows, count = IndexFilter([]), self.results.replicas
+        heads = {name: name.replace("_", " ") for name in tasks.data}
+        table = _table("replicas", tasks, heads, rows=min(count, 8), view=CDSView(filter=rows))
+        shown = ColumnDataSource({key: [] for key in (*SERIES, "time", "colour", "replica")})
+        name, namelist = Div(name="name"), PreText(name="namelist")
+        there = np.isfinite(columns.get("spread", np.empty(0)).reshape(-1, max(time.size, 1)))
+        self.click = CustomJS(
+            args={"points": self.points, "name": name, "rows": rows, "count": count,
+                  "namelist": namelist, "text": data.namelist_of_point(self.results, self.scan),
+                  "time": time.tolist(), "series": ColumnDataSource(columns), "shown": shown,
+                  "tasks_with_series": there.any(axis=1).tolist(), "colours": list(CYCLE)},
+            code=CLICKED,
+        )  # fmt: skip
+        self.points.selected.js_on_change("indices", self.click)
+        self.series = [self._series(shown, one, time, values) for one, values in columns.items()]
+        return [name, table, *self.series, namelist]
+
+    def _series(self, shown: ColumnDataSource, name: str, time: Floats, values: Floats) -> figure:
+        known = values[np.isfinite(values)]
+        made = self._figure(
+            f"series_{name}",
+            SERIES[name],
+            x_range=(0.0, time[-1]),
+            y_range=(known.min(initial=-1.0), known.max(initial=1.0)),
+        )
+        made.height, made.xaxis.axis_label = 240, "time"
+        made.multi_line("time", name, source=shown, line_color="colour", legend_field="replica")
+        made.legend.visible = self.results.replicas > 1
+        made.legend.label_text_font_size = "8pt"
+        made.legend.background_fill_alpha = 0.6
+        return made
 
 
-def _rows(cells: Sequence[Sequence[str]], head: Sequence[str]) -> str:
-    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in cells
+SERIES = {"spread": "(N1 - N2)/N", "current": "net current of channel 1"}
+
+
+def _table(
+    name: str, source: ColumnDataSource, heads: dict[str, str], rows: int, **more: object
+) -> DataTable:
+    return DataTable(
+        name=name,
+        source=source,
+        columns=[TableColumn(field=key, title=title) for key, title in heads.items()],
+        index_position=None,
+        reorderable=False,
+        height=28 * (rows + 1) + 16,
+        min_width=95 * len(heads),
+        sizing_mode="stretch_width",
+        **more,
     )
-    return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _run_section(results: Results) -> str:
-    known = results.attributes
-    kept = ("version", "git_commit", "created", "status", "mpi_ranks", "mpi_library", "compiler")
-    cells = [(name.replace("_", " "), known[name]) for name in kept if name in known]
-    done = results.done
-    cells.append(("tasks", f"{np.count_nonzero(done)} of {done.size} complete"))
+def _run(results: Results) -> dict[str, str]:
+    known, done = results.attributes, results.done
     collisions = np.nansum(np.where(done, results.value("collisions"), 0.0))
     seconds = np.nansum(np.where(done, results.value("cpu_seconds"), 0.0))
-    cells.append(("wall collisions", f"{collisions:.4g}"))
-    cells.append(("processor time", f"{seconds:.4g} s"))
+    told = {name.replace("_", " "): known[name] for name in KEPT if name in known}
+    told["tasks"] = f"{np.count_nonzero(done)} of {done.size} complete"
+    told["wall collisions"] = f"{collisions:.4g}"
+    told["processor time"] = f"{seconds:.4g} s"
     if seconds > 0.0:
-        cells.append(("speed", f"{collisions / seconds:.3g} collisions a second, one core"))
-    namelist = html.escape(known.get("namelist", ""))
-    return (
-        _rows(cells, ("", ""))
-        + f"<details><summary>Namelist</summary><pre>{namelist}</pre></details>"
-    )
+        told["speed"] = f"{collisions / seconds:.3g} collisions a second, one core"
+    return told
 
 
-def _listed(found: Sequence[str]) -> str:
-    if not found:
-        return '<p class="good">None.</p>'
-    items = [f"<li>{html.escape(text)}</li>" for text in found]
-    shown = f"<ul>{''.join(items[:WARNINGS])}</ul>"
-    if len(items) > WARNINGS:
-        summary = f"<summary>{len(items) - WARNINGS} more</summary>"
-        shown += f"<details>{summary}<ul>{''.join(items[WARNINGS:])}</ul></details>"
-    return shown
+def _lines(scan: Scan, models: dict[str, Model]) -> str:
+    named = ", ".join(f"{one.label} ({data.dash(one)})" for one in models.values())
+    what = "where the homogeneous state turns stable" if scan.up else "theory"
+    return f"Lines, {what}: {named}."
 
 
-def _pair(mean: float, error: float) -> str:
-    return "-" if not np.isfinite(mean) else f"{mean:.4g} ± {error:.1g}"
-
-
-def _table_section(results: Results, points: Points) -> str:
-    head = ("T", "w'", "w", "N", "start chi", "chi", "net current")
-    head += ("paper's chi", "current", "renewal gate's chi", "current")
-    cells = []
-    for at in range(points.number.size):
-        expected = [
-            text
-            for gate in (WINDOW, RENEWAL)
-            for text in _expected(results, at, points.chi[at], gate)
-        ]
-        cells.append(
-            (
-                f"{points.threshold[at]:.0f}",
-                f"{points.channel2_width[at]:.4g}",
-                f"{points.channel1_width[at]:.4g}",
-                f"{points.number[at]:.0f}",
-                f"{points.start[at]:.3g}",
-                _pair(points.chi[at], points.chi_error[at]),
-                _pair(points.current[at], points.current_error[at]),
-                *expected,
-            )
-        )
-    return _rows(cells, head)
-
-
-def _expected(results: Results, point: int, chi: float, gate: Gate) -> tuple[str, str]:
-    """Return chi and net current of a theory's stable state nearer to the measured chi."""
-    circuit = results.circuit(point, gate)
-    if results.shape != "circuit":
-        current = single_urn_current(circuit)
-        return "-", f"{float(current):.4g}"
-    state = stable_state(circuit)
-    homogeneous = homogeneous_kind(circuit) != "unstable"
-    if state is None or (homogeneous and not chi > 0.5 * state.mass_spread):
-        return "0", "0"
-    return f"{state.mass_spread:.4g}", f"{state.net_current:.4g}"
-
-
-def svg_map(points: Points, values: Floats, errors: Floats, name: str, colours: str) -> str:
-    """Return a map over T and w' as SVG; cells carry their text for the mouse in `data-text`."""
-    thresholds, widths, filled = maps.grid(points, values)
-    _, _, spread = maps.grid(points, errors)
-    top = np.nanmax(filled) if np.isfinite(filled).any() else 1.0
-    most = max(float(top), 1.0 if name == "chi" else 1e-12)
-    cell = int(np.clip(BROAD // thresholds.size, *CELLS))
-    left, bottom = 64, 40
-    width, height = left + cell * thresholds.size + 84, max(cell * widths.size, 110) + bottom + 8
-    parts = [f'<svg width="{width}" height="{height}" role="img" aria-label="map of {name}">']
-    for row, column in np.ndindex(filled.shape):
-        value, x = filled[row, column], left + cell * column
-        y = 4 + cell * (widths.size - 1 - row)
-        colour = to_hex(mpl.colormaps[colours](value / most)) if np.isfinite(value) else "#d0d0d0"
-        text = (
-            f"T = {thresholds[column]:.0f}, w' = {widths[row]:.4g}: {name} "
-            f"{_pair(value, spread[row, column])}"
-        )
-        parts.append(
-            f'<rect x="{x}" y="{y}" width="{cell}" height="{cell}" fill="{colour}" '
-            f'data-text="{html.escape(text)}"/>'
-        )
-    base = 4 + cell * widths.size
-    every = max(1, -(-thresholds.size // 12))
-    for column in range(0, thresholds.size, every):
-        x = left + cell * (column + 0.5)
-        parts.append(f'<text x="{x}" y="{base + 15}" class="mid">{thresholds[column]:.0f}</text>')
-    every = max(1, -(-widths.size // 16))
-    for row in range(0, widths.size, every):
-        y = 8 + cell * (widths.size - 0.5 - row)
-        parts.append(f'<text x="{left - 5}" y="{y}" class="end">{widths[row]:.3g}</text>')
-    middle = left + 0.5 * cell * thresholds.size
-    parts.append(f'<text x="{middle}" y="{base + 33}" class="mid">T</text>')
-    parts.append(f'<text x="4" y="{4 + 0.5 * cell * widths.size}">w\'</text>')
-    parts.append(_colour_bar(left + cell * thresholds.size + 18, most, colours))
-    return "".join(parts) + "</svg>"
-
-
-def _colour_bar(x: float, most: float, colours: str) -> str:
-    """Return the bar beside a map, from 0 at the bottom to `most` at the top."""
-    steps, height = BAR
-    step = height / steps
-    parts = [
-        f'<rect x="{x}" y="{4 + step * (steps - 1 - at):.2f}" width="12" height="{step + 0.5}" '
-        f'fill="{to_hex(mpl.colormaps[colours]((at + 0.5) / steps))}"/>'
-        for at in range(steps)
-    ]
-    for share in (0.0, 0.5, 1.0):
-        y = 8 + height * (1.0 - share)
-        parts.append(f'<text x="{x + 16}" y="{y}">{share * most:.3g}</text>')
-    return "".join(parts)
-
-
-def _captioned(picture: str, caption: str) -> str:
-    return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
-
-
-def _map_section(points: Points) -> str:
-    sections = []
-    for name, part in maps.by_start(points):
-        for number in np.unique(part.number):
-            for width in np.unique(part.channel1_width):
-                chosen = part.where((part.number == number) & (part.channel1_width == width))
-                if chosen.number.size == 0:
-                    continue
-                start = name.replace("$", "").replace(r"\chi", "chi")
-                title = f"N = {number:.0f}, w = {width:g}"
-                if np.isfinite(chosen.chi).any():
-                    title += f", {start}"
-                sections.append(f'<h3>{html.escape(title)}</h3><div class="maps">')
-                if np.isfinite(chosen.chi).any():
-                    chi = svg_map(chosen, chosen.chi, chosen.chi_error, "chi", "viridis")
-                    sections.append(_captioned(chi, "mass spread chi"))
-                current = svg_map(
-                    chosen, chosen.current, chosen.current_error, "net current", "magma"
-                )
-                sections.append(_captioned(current, "net current, per unit time") + "</div>")
-    return "".join(sections)
-
-
-def _pictures(results: Results) -> str:
-    parts = []
-    for point in np.flatnonzero(results.done.any(axis=1))[:PICTURES]:
-        replica = int(np.flatnonzero(results.done[point])[0])
-        for draw in (_picture_currents, _picture_scene):
-            try:
-                made = draw(results, int(point), replica)
-            except cli.InputError:
-                continue  # that run kept no series, or no snapshots
-            parts.append(f"<figure>{embedded(made, 'picture of a point')}</figure>")
-    return "".join(parts) or "<p>The run kept neither series nor snapshots.</p>"
-
-
-def _picture_currents(results: Results, point: int, replica: int) -> Figure:
-    return figure_currents(results, point, replica)
-
-
-def _picture_scene(results: Results, point: int, replica: int) -> Figure:
-    return figure_scene(results.circuit(point), results.snapshot(point, replica, -1))
-
-
-def page(results: Results) -> str:
-    """Return the whole page."""
+def page(results: Results, models: dict[str, Model]) -> str:
+    """Return the whole page, with theories by name."""
     results.need_tasks()
-    points = gather([results])
-    found, explained = warnings(results), explanations(results)
-    sections = {
-        "What was run": _run_section(results),
-        f"Warnings ({len(found)})": _listed(found),
-        **({"What looks strange, and is not": _listed(explained)} if explained else {}),
-        "Map": '<p id="reading">Put the mouse on a cell of a map.</p>' + _map_section(points),
-        "Pictures": _pictures(results),
-        "Averages": _table_section(results, points),
+    scan = data.scanned(results)
+    parts = Page(results, scan, models, data.points_of(results, scan, models))
+    panels, choices, detail = parts.panels(), parts.choices(), parts.detail()
+    document = Document(title=results.path.name)
+    roots = [parts.reading] if panels else []
+    for one in (*roots, *choices, *panels, *detail, parts.table()):
+        document.add_root(one)
+    document.js_on_event("document_ready", parts.choose, parts.click)
+    remarks = {
+        "Warnings": warnings(results),
+        "What looks strange, and is not": explanations(results),
     }
-    body = "".join(f"<section><h2>{title}</h2>{text}</section>" for title, text in sections.items())
-    template = (HERE / "page.html").read_text()
-    name = html.escape(results.path.name)
-    return template.replace("@TITLE@", name).replace("@BODY@", body)
+    made = file_html(
+        document,
+        Resources(mode="inline", log_level="warn"),
+        results.path.name,
+        template=(HERE / "page.html").read_text(encoding="utf-8"),
+        template_variables={
+            "remarks": {heading: items for heading, items in remarks.items() if items},
+            "lines": _lines(scan, models),
+            "panels": [one.name for one in panels],
+            "choices": [one.name for one in choices],
+            "series": [one.name for one in parts.series],
+            "run": _run(results),
+            "namelist": results.attributes["namelist"],
+        },
+    )
+    return made.replace(*SILENT)

@@ -1,0 +1,273 @@
+"""What the page about a run shows, as columns: points of the scan, theory, replicas, series."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import contourpy
+import f90nml
+import numpy as np
+
+from postproc.figures.maps import edges
+from postproc.reading.points import gather
+from postproc.report.compare import expected_state
+from postproc.theory.circuit import homogeneous_kind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from postproc.figures.models import Model
+    from postproc.reading.results import Results
+
+    Floats = NDArray[np.float64]
+    Columns = dict[str, NDArray[np.generic]]
+
+# The keys of points where a file does not say what was scanned.
+KEYS = (
+    "number", "threshold", "channel1_width", "channel1_length", "channel2_width", "channel2_length",
+)  # fmt: skip
+SYMBOLS = {"number": "N", "threshold": "T", "channel1_width": "w", "channel2_width": "w'"}
+THRESHOLDS = ("threshold", "threshold_fraction")
+WIDTH = "channel2_width"
+MEASURED = {"chi": "mass spread chi", "current": "polarised current"}
+SAMPLES = (20, 300)  # least and most samples of a series on the page
+ROOM = 250_000  # samples of all series together
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What was scanned.
+
+    Attributes
+    ----------
+    keys : values at each point, by the name of the key, of those that have more than one.
+    across, up : the keys along the axes of the maps, "" for what is not there.
+    """
+
+    keys: Columns
+    across: str
+    up: str
+
+    @property
+    def others(self) -> Columns:
+        """The keys that choose which map is shown."""
+        return {name: at for name, at in self.keys.items() if name not in (self.across, self.up)}
+
+    def slices(self) -> Iterator[tuple[dict[str, object], NDArray[np.int_]]]:
+        """Iterate over the values of `others`, and the points that have them."""
+        others = self.others
+        for chosen in product(*(np.unique(values) for values in others.values())):
+            there = np.ones(next(iter(self.keys.values())).size, bool)
+            for values, one in zip(others.values(), chosen, strict=True):
+                there &= values == one
+            if there.any():
+                yield dict(zip(others, chosen, strict=True)), np.flatnonzero(there)
+
+
+def scanned(results: Results) -> Scan:
+    """Return what was scanned; T goes across the maps and w' up, where they are in the scan."""
+    axes = results.axes()
+    if axes is None:
+        keys = {name: results.value(name) for name in KEYS}
+    else:
+        mesh = np.meshgrid(*(values for values, _ in axes.values()), indexing="ij")
+        keys = {name: values.ravel() for name, values in zip(axes, mesh, strict=True)}
+    keys = {name: values for name, values in keys.items() if np.unique(values).size > 1}
+    names = sorted(keys, key=lambda name: (name not in THRESHOLDS, name == WIDTH))
+    across = names[0] if names else ""
+    up = WIDTH if WIDTH in names[1:] else "".join(names[1:2])
+    return Scan(keys, across, up)
+
+
+def label(name: str) -> str:
+    """Return what axes and heads of columns call a key."""
+    return f"{name} {SYMBOLS[name]}" if name in SYMBOLS else name
+
+
+def rounded(values: Floats) -> Floats:
+    """Return values to five digits: what is read from the page, and fewer bytes of it."""
+    return np.array([float(f"{value:.5g}") for value in np.ravel(values)])
+
+
+def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns:
+    """Return the columns of the points: keys, measured values and errors, theory, their text."""
+    points = gather([results])
+    done, replicas = results.done.sum(axis=1), results.replicas
+    columns = {name: values if values.dtype.kind == "i" else rounded(values)
+               for name, values in scan.keys.items()}  # fmt: skip
+    columns |= {name: rounded(getattr(points, name))
+                for name in ("start", "chi", "chi_error", "current", "current_error")}  # fmt: skip
+    for name, model in models.items():
+        found = [_expected(results, model, at, chi) for at, chi in enumerate(points.chi)]
+        spread, current = np.array(found).T
+        columns[f"{name}_chi"], columns[f"{name}_current"] = rounded(spread), rounded(current)
+    columns["told"] = np.array([_told(scan, columns, at) for at in range(points.chi.size)])
+    columns["tasks"] = np.array([f"{count} of {replicas}" for count in done])
+    for low, high, key in (("left", "right", scan.across), ("bottom", "top", scan.up)):
+        if key:
+            values, at = np.unique(scan.keys[key], return_inverse=True)
+            borders = edges(values.astype(float))
+            columns[low], columns[high] = borders[at], borders[at + 1]
+    for name in MEASURED:
+        columns[f"{name}_low"] = columns[name] - columns[f"{name}_error"]
+        columns[f"{name}_high"] = columns[name] + columns[f"{name}_error"]
+    return columns
+
+
+def _expected(results: Results, model: Model, point: int, chi: float) -> tuple[float, float]:
+    """Return chi and net current of the theory's stable state nearest to the measured chi."""
+    circuit = results.circuit(point)
+    if results.shape != "circuit":
+        return math.nan, float(model.urn_current(circuit))
+    return expected_state(model.of(circuit), chi) if math.isfinite(chi) else (math.nan, math.nan)
+
+
+def _told(scan: Scan, columns: Columns, at: int) -> str:
+    """Return the line about a point: its keys and what was measured."""
+    place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}" for name in scan.keys]
+    found = [
+        f"{name} {columns[name][at]:.4g} ± {columns[f'{name}_error'][at]:.1g}"
+        for name in MEASURED
+        if math.isfinite(columns[name][at])
+    ]
+    return ": ".join(
+        part for part in (", ".join(place), ", ".join(found) or "no results yet") if part
+    )
+
+
+def map_lines(results: Results, scan: Scan, models: dict[str, Model]) -> Columns:
+    """Return lines between a stable and an unstable homogeneous state, one row a line.
+
+    Over T and w' they are the theory's own; over other keys they run between points of the scan.
+    """
+    rows: list[dict[str, object]] = []
+    for chosen, there in scan.slices() if results.shape == "circuit" and scan.up else ():
+        for model in models.values():
+            find = _transition if _own_axes(scan) else _between
+            for across, up in find(results, scan, model, there):
+                rows.append({"xs": across, "ys": up, "dash": dash(model), **chosen})
+    names = ("xs", "ys", "dash", *scan.others)
+    return {name: [row[name] for row in rows] for name in names}
+
+
+def dash(model: Model) -> str:
+    """Return the library's name of a model's dashes."""
+    return {"--": "dashed", ":": "dotted"}.get(model.dashes, "solid")
+
+
+def _own_axes(scan: Scan) -> bool:
+    return scan.across in THRESHOLDS and scan.up == WIDTH
+
+
+def _transition(
+    results: Results, scan: Scan, model: Model, there: NDArray[np.int_]
+) -> list[tuple[Floats, Floats]]:
+    circuits = [results.circuit(int(at)) for at in there]
+    last = max(int(one.threshold) for one in circuits) + 1
+    thresholds, widths = model.transition_line(circuits[0], 1, last)
+    if scan.across != "threshold":
+        thresholds = thresholds / float(circuits[0].number)
+    good = np.isfinite(widths)
+    return [(rounded(thresholds[good]), rounded(widths[good]))]
+
+
+def _between(
+    results: Results, scan: Scan, model: Model, there: NDArray[np.int_]
+) -> list[tuple[Floats, Floats]]:
+    values, at = zip(
+        *(np.unique(scan.keys[key][there], return_inverse=True) for key in (scan.across, scan.up)),
+        strict=True,
+    )
+    if min(one.size for one in values) < 2:
+        return []
+    unstable = np.full((values[1].size, values[0].size), math.nan)
+    kinds = [homogeneous_kind(model.of(results.circuit(int(point)))) for point in there]
+    unstable[at[1], at[0]] = [kind == "unstable" for kind in kinds]
+    made = contourpy.contour_generator(*values, np.ma.masked_invalid(unstable))
+    return [(line[:, 0], line[:, 1]) for line in made.lines(0.5)]
+
+
+def curves(columns: Columns, scan: Scan, models: dict[str, Model], name: str) -> list[dict]:
+    """Return theory beside a scan of one key: x, y and dashes of each model."""
+    order = np.argsort(columns[scan.across])
+    return [
+        {
+            "x": columns[scan.across][order],
+            "y": columns[f"{key}_{name}"][order],
+            "line_dash": dash(model),
+        }
+        for key, model in models.items()
+    ]
+
+
+def replicas_of(results: Results) -> Columns:
+    """Return the columns of the tasks, replica by replica of each point."""
+    done = results.done
+    current = "polarised_current" if results.has("polarised_current") else "current1"
+    columns: Columns = {
+        "replica": np.tile(np.arange(1, results.replicas + 1), results.points),
+        "state": np.where(done, "complete", "no results").ravel(),
+    }
+    taken = {"chi": "chi", "chi_error": "chi_error", "current": current,
+             "current_error": f"{current}_error", "collisions": "collisions",
+             "seconds": "cpu_seconds"}  # fmt: skip
+    for name, source in taken.items():
+        if results.has(source):
+            columns[name] = rounded(np.where(done, results.value(source), math.nan))
+    return columns
+
+
+def series_of(results: Results) -> tuple[Floats, Columns]:
+    """Return times, and (N1 - N2)/N and net current of all tasks one after the other, thinned.
+
+    Nothing if the run kept no series. Where they are too many, the first replicas have theirs.
+    """
+    if not results.has("series/time"):
+        return np.empty(0), {}
+    time = results.value("series/time")
+    tasks = results.points * results.replicas
+    samples = min(int(np.clip(ROOM // tasks, *SAMPLES)), time.size)
+    kept = np.unique(np.linspace(0, time.size - 1, samples).round().astype(int))
+    spread = np.full((results.points, results.replicas, kept.size), np.nan, np.float32)
+    current = spread.copy()
+    for point, replica in np.argwhere(results.done)[: ROOM // samples]:
+        one, number = results.series(int(point), int(replica)), results.circuit(int(point)).number
+        flows = one.flows["flow1_12"] - one.flows["flow1_21"]
+        past = np.searchsorted(one.time, time[kept], side="left")
+        past = np.minimum(past, one.time.size - 1)
+        reached = time[kept] <= one.time[-1]
+        spread[point, replica] = np.where(
+            reached, 2.0 * one.urn1_number[past] / number - 1.0, np.nan
+        )
+        means = _block_means(flows, past)
+        current[point, replica] = np.where(reached, means, np.nan)
+    return rounded(time[kept]), {"spread": spread.ravel(), "current": current.ravel()}
+
+
+def _block_means(values: Floats, ends: Sequence[int]) -> Floats:
+    """Return means over the entries after one end up to the next."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    last = np.asarray(ends) + 1
+    first = np.minimum(np.concatenate([[0], last[:-1]]), last - 1)
+    return (sums[last] - sums[first]) / (last - first)
+
+
+def namelist_of_point(results: Results, scan: Scan) -> str:
+    """Return the run's namelist with one value for each key scanned, `@KEY@` in its place."""
+    text = results.attributes["namelist"]
+    try:
+        groups = f90nml.reads(text)
+    except Exception:  # the program reads more than this reader: then all of it
+        return text
+    group = groups.get("scan", {})
+    for key in list(group):
+        name = key.removesuffix("_range")
+        if name in scan.keys:
+            del group[key]
+            group[name] = f"@{name}@"
+    return str(groups)
