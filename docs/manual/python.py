@@ -70,4 +70,4 @@ def _said(node: Named | ast.Module) -> str:
     for title, body in zip(parts[1::2], parts[2::2], strict=True):
         listed = re.sub(r"^(\S.*?) : ", r"- `\1`: ", body, flags=re.MULTILINE)
         found += [f"**{title}**", "", listed.strip("\n"), ""]
-    return "\n".join(found)
+    return "\n".join(found).replace("![", "!\\[")
