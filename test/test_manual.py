@@ -97,7 +97,7 @@ def test_public_names_are_explained() -> None:
 
 
 def test_a_public_name_without_a_word_is_found(tmp_path: Path) -> None:
-    bare = "!> M.\nmodule m\n  public :: f\ncontains\n  subroutine f()\n  end subroutine f\nend module m\n"
+    bare = "!> M.\nmodule m\n  public :: f\ncontains\n  subroutine f()\n  end subroutine f\n"
     (tmp_path / "m.f90").write_text(bare)
     assert fortran.unexplained(fortran.read_module(tmp_path / "m.f90"))
     (tmp_path / "m.f90").write_text(bare.replace("  subroutine", "  !> Does.\n  subroutine"))

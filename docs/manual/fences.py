@@ -183,20 +183,23 @@ class Fences:
                 if "=" not in one and not re.search(rf"^{one}:", makefile, re.MULTILINE)]
 
     def _module(self, words: list[str], folder: Path) -> list[str]:
-        """Ask a module for its help: it must exist, and know the options."""
-        module, *rest = words
-        if module not in self.helps:
-            place = folder if folder != self.root else self.root
+        """Ask a module, or what it calls a subcommand, for its help: it must know the options."""
+        at = 2 if words[1:2] and re.fullmatch(r"[a-z]\w*", words[1]) else 1
+        told = self._help(words[:at], folder) or self._help(words[:1], folder)
+        if not told:
+            return [f"{words[0]} cannot be called"]
+        if words[0] == "pytest":
+            return self._missing(words[1:], folder)
+        options = [one.split("=")[0] for one in words[1:] if re.match(r"--\w", one)]
+        return [f"{words[0]} has no {one}" for one in options if one not in told]
+
+    def _help(self, words: list[str], folder: Path) -> str:
+        """Return what a module says to --help; nothing if it cannot be called."""
+        name = " ".join(words)
+        if name not in self.helps:
             done = subprocess.run(
-                [sys.executable, "-m", module, "--help"], check=False, cwd=place, text=True,
+                [sys.executable, "-m", *words, "--help"], check=False, cwd=folder, text=True,
                 env=ENVIRONMENT, stdin=subprocess.DEVNULL, capture_output=True,
             )
-            self.helps[module] = done.stdout if done.returncode == 0 else ""
-        told = self.helps[module]
-        if not told:
-            return [f"{module} cannot be called"]
-        if "Usage" in told or module == "pytest":
-            return self._missing(rest, folder)
-        options = [one.split("=")[0] for one in rest if re.match(r"--\w", one)]
-        subcommand = not any(one in told for one in options)
-        return [f"{module} has no {one}" for one in options if one not in told and not subcommand]
+            self.helps[name] = done.stdout if done.returncode == 0 else ""
+        return self.helps[name]
