@@ -146,5 +146,5 @@ def test_the_site_is_made_and_the_browser_has_nothing_to_say(tmp_path: Path) -> 
             check=True, capture_output=True, text=True, timeout=120,
         )
         assert "CONSOLE" not in done.stderr, name
-    assert 'href="input.html' in done.stdout
+    assert 'href="input.html#' in done.stdout
     assert "<math" in (site / "theory.html").read_text()

@@ -26,6 +26,7 @@ html_show_sphinx = False
 # Summaries of search results are fetched: a browser forbids that for pages from disk.
 html_show_search_summary = False
 html_math_renderer = "mathml"
+smartquotes = False  # w' is a width, 'urn' is a value
 pygments_style = "friendly"
 suppress_warnings = ["misc.highlighting_failure"]
 
