@@ -57,7 +57,7 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 
-.PHONY: help demo test build bench probes accuracy experiments figures lint clean install prefix \
+.PHONY: help demo test build bench probes accuracy experiments figures docs lint clean install prefix \
         packages information
 
 help: ## lists the targets
@@ -172,6 +172,14 @@ figures: build ## every figure of the paper, quick; FULL=1: at the paper's own l
 	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
 	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate}.h5
 	echo "The figures are in $(FIGURES)"
+
+docs: build build/stamps/docs ## the manual: build/site/index.html opens from disk, with search and formulas
+	@PYTHONPATH=docs:. PATH="$(CURDIR)/$(VENV)/bin:$$PATH" nice $(PYTHON) -m manual
+
+build/stamps/docs: docs/requirements.txt build/stamps/python
+	@echo "Installing the Python packages of docs/requirements.txt in $(VENV)"
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r docs/requirements.txt
+	touch $@
 
 lint: packages ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs

@@ -10,51 +10,60 @@ module battery_c_shapes
   public :: number_of_text, number_of_path_and_text, address_known, address_of_path
 
   abstract interface
+    !> Does something.
     subroutine action() bind(c)
       implicit none (type, external)
     end subroutine action
 
+    !> Does something with a number.
     subroutine action_on_number(number) bind(c)
       import :: c_int
       implicit none (type, external)
       integer(c_int), value, intent(in) :: number
     end subroutine action_on_number
 
+    !> Does something with what stands at an address.
     subroutine action_on_address(address) bind(c)
       import :: c_ptr
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: address
     end subroutine action_on_address
 
+    !> A number that C knows.
     integer(c_int) function number_known() bind(c)
       import :: c_int
       implicit none (type, external)
     end function number_known
 
+    !> A number that belongs to another.
     integer(c_int) function number_of_number(number) bind(c)
       import :: c_int
       implicit none (type, external)
       integer(c_int), value, intent(in) :: number
     end function number_of_number
 
+    !> A number that belongs to what stands at an address.
     integer(c_int) function number_of_address(address) bind(c)
       import :: c_int, c_ptr
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: address
     end function number_of_address
 
+    !> A number that belongs to a path.
     integer(c_int) function number_of_path(path) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
     end function number_of_path
 
+    !> A number that belongs to two paths.
     integer(c_int) function number_of_paths(one, other) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: one(*), other(*)
     end function number_of_paths
 
+    !> Writes a text; gives its length or an error.
     integer(c_int) function number_of_text(text, room) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
@@ -62,6 +71,7 @@ module battery_c_shapes
       character(kind=c_char), intent(inout) :: text(room)
     end function number_of_text
 
+    !> Reads or writes the text of a path; gives a number.
     integer(c_int) function number_of_path_and_text(path, text, room) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
@@ -70,11 +80,13 @@ module battery_c_shapes
       character(kind=c_char), intent(inout) :: text(room)
     end function number_of_path_and_text
 
+    !> An address that C knows.
     type(c_ptr) function address_known() bind(c)
       import :: c_ptr
       implicit none (type, external)
     end function address_known
 
+    !> An address of what stands at a path.
     type(c_ptr) function address_of_path(path) bind(c)
       import :: c_char, c_ptr
       implicit none (type, external)

@@ -1,0 +1,150 @@
+"""Makes the site: `make docs` calls it. Whatever is wrong is listed, and there is no site then.
+
+With `--dry` nothing of the pages is tried: to see how they look.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from manual import fortran, pages, python, reference
+from manual.fences import Fences
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = ROOT / "build/manual/source"
+WORK = ROOT / "build/manual/work"
+SITE = ROOT / "build/site"
+# All that a results file may hold, of a few particles.
+EVERYTHING = """&particles
+  number = 100
+/
+&gate
+  threshold = 3
+/
+&run
+  duration = 30
+  transient_duration = 10
+/
+&scan
+  threshold = 3
+/
+&output
+  file = 'everything.h5'
+  series_interval = 10
+  snapshot_times = 0, 10
+  event_log = .true.
+  final_state = .true.
+/
+"""
+
+
+def main() -> int:
+    """Make all pages, then the site; return 1 if anything is wrong."""
+    begin = time.monotonic()
+    for folder in (SOURCE, WORK, SITE):
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+    api, problems = write_api()
+    there = pages.pages(ROOT)
+    made, wrong = generated()
+    problems += wrong
+    for name, file in there.items():
+        text = (ROOT / file).read_text(encoding="utf-8")
+        for marker, part in made.items():
+            text = text.replace(f"<!-- {marker} -->", part)
+        dry = "--dry" in sys.argv[1:]
+        fences = Fences(ROOT, WORK / name, SOURCE / f"drawn_{name}", dry)
+        text, wrong = pages.linked(ROOT, SOURCE, file, text)
+        text = fences.shown(file, text)
+        problems += wrong + fences.problems
+        if name == "index":
+            text += pages.contents(api, there)
+        (SOURCE / f"{name}.md").write_text(text, encoding="utf-8")
+    for one in problems:
+        print(one, file=sys.stderr)
+    if problems:
+        print(f"{len(problems)} problem(s): no site was made", file=sys.stderr)
+        return 1
+    if code := sphinx():
+        return code
+    size = sum(path.stat().st_size for path in SITE.rglob("*") if path.is_file())
+    print(f"build/site/index.html: {size / 1e6:.1f} MB, {time.monotonic() - begin:.0f} s")
+    return 0
+
+
+def sphinx() -> int:
+    """Make the site of the pages; a warning is an error."""
+    for name in ("conf.py", "manual.css"):
+        shutil.copyfile(Path(__file__).with_name(name), SOURCE / name)
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    done = subprocess.run(
+        [*command, "-d", str(WORK / "doctrees"), str(SOURCE), str(SITE)], check=False
+    )
+    if done.returncode:
+        shutil.rmtree(SITE)
+    else:
+        (SITE / ".buildinfo").unlink(missing_ok=True)
+        (SITE / "objects.inv").unlink(missing_ok=True)
+    return done.returncode
+
+
+def generated() -> tuple[dict[str, str], list[str]]:
+    """Return the parts that are made of lists of the program, and what is wrong with them."""
+    program = ROOT / "build/bin/battery"
+    keys = reference.all_keys(program, ROOT / "src/run/keys.f90")
+    (WORK / "everything.nml").write_text(EVERYTHING)
+    subprocess.run([program, "--quiet", "everything.nml"], cwd=WORK, check=True)
+    results = WORK / "everything.h5"
+    told = reference.said(program, "--help").split("\nGroups and keys")[0].rstrip()
+    parts = {
+        "keys": reference.input_table(keys),
+        "observables": reference.output_table(results),
+        "help": f"```text\n{told}\n```",
+    }
+    return parts, reference.unexplained(results)
+
+
+def rooms() -> dict[str, dict[str, str]]:
+    """Return the rooms of src and postproc with their meanings (docs/rooms.txt)."""
+    found: dict[str, dict[str, str]] = {}
+    house = ""
+    for line in (ROOT / "docs/rooms.txt").read_text().splitlines():
+        if re.fullmatch(r"\w+", line):
+            house = line
+            found[house] = {}
+        elif match := re.match(r"  (\w+) +(.*)", line):
+            found[house][match[1]] = match[2]
+    return found
+
+
+def write_api() -> tuple[dict[str, list[str]], list[str]]:
+    """Write the pages of all rooms; return their names, and what is not explained."""
+    names: dict[str, list[str]] = {"Fortran": [], "Python": []}
+    problems = []
+    for room, meaning in rooms()["src"].items():
+        files = sorted((ROOT / "src" / room).rglob("*.[fF]90"))
+        modules = [one for path in files if (one := fortran.read_module(path.relative_to(ROOT)))]
+        problems += [one for module in modules for one in fortran.unexplained(module)]
+        names["Fortran"].append(f"fortran_{room}")
+        text = fortran.page(room, meaning, modules)
+        (SOURCE / f"fortran_{room}.md").write_text(text, encoding="utf-8")
+    for room, meaning in rooms()["postproc"].items():
+        files = sorted((ROOT / "postproc" / room).rglob("*.py"))
+        files = files or [ROOT / f"postproc/{room}.py"]
+        if room == "commands":
+            files = [path for path in sorted((ROOT / "postproc").glob("*.py"))
+                     if path.stem not in rooms()["postproc"]]
+        problems += [one for path in files for one in python.unexplained(path)]
+        names["Python"].append(f"python_{room}")
+        text = python.page(room, meaning, files, ROOT)
+        (SOURCE / f"python_{room}.md").write_text(text, encoding="utf-8")
+    return names, problems
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,99 @@
+"""The pages of the site: which there are, and where their links lead."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path, PurePosixPath
+
+# Captions of the side bar, and their pages: the name in the site, and the file it is made of.
+PAGES = {
+    "Start": {
+        "install": "docs/install.md",
+        "tutorial_phase_diagram": "docs/tutorial_phase_diagram.md",
+        "tutorial_python": "docs/tutorial_python.md",
+    },
+    "Reference": {
+        "input": "docs/input.md",
+        "output": "docs/output.md",
+        "command_line": "docs/command_line.md",
+        "python": "docs/python.md",
+        "commands": "postproc/README.md",
+        "ensembles": "docs/ensembles.md",
+    },
+    "What is found": {
+        "theory": "docs/theory.md",
+        "figures": "docs/figures.md",
+        "experiments": "docs/experiments.md",
+        "accuracy": "docs/accuracy.md",
+    },
+    "How it is built": {
+        "method": "docs/method.md",
+        "speed": "docs/speed.md",
+        "reliability": "docs/reliability.md",
+        "development": "docs/development.md",
+        "changes": "CHANGELOG.md",
+    },
+}
+LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s]+)(\))")
+CODE = re.compile(r"```.*?^ *``` *$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
+PATH = re.compile(r"`((?:src|app|postproc|test|docs|namelists)/[\w./-]+\w)(?::\d+)?`")
+
+
+def pages(root: Path) -> dict[str, str]:
+    """Return the name of each page, and the file it is made of; those that are not there not."""
+    found = {"index": "README.md"}
+    for part in PAGES.values():
+        found |= {name: file for name, file in part.items() if (root / file).exists()}
+    return found
+
+
+def contents(api: dict[str, list[str]], there: dict[str, str]) -> str:
+    """Return the lists of the side bar."""
+    parts = {caption: [name for name in part if name in there] for caption, part in PAGES.items()}
+    lines = []
+    for caption, names in (parts | api).items():
+        lines += ["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *names, "```"]
+    return "\n".join(lines) + "\n"
+
+
+def linked(root: Path, source: Path, file: str, text: str) -> tuple[str, list[str]]:
+    """Return a page whose links lead within the site, and what leads nowhere.
+
+    A link to a file of the checkout that is no page leads to a copy of it.
+    """
+    names = {place: name for name, place in pages(root).items()}
+    problems = []
+
+    def moved(match: re.Match[str]) -> str:
+        target, _, anchor = match[2].partition("#")
+        if not target or re.match(r"https?:|mailto:", target):
+            return match[0]
+        place = os.path.normpath(PurePosixPath(file).parent / target)
+        if place in names:
+            return f"{match[1]}{names[place]}.md{'#' + anchor if anchor else ''}{match[3]}"
+        if not (root / place).is_file():
+            problems.append(f"{file}: the link to {match[2]} leads nowhere")
+            return match[0]
+        name = PurePosixPath("files" if not match[1].startswith("!") else "pictures") / place
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(root / place, source / name)
+        return f"{match[1]}{name}{match[3]}"
+
+    problems += [f"{file}: there is no {match[1]}" for match in PATH.finditer(_prose(text))
+                 if not (root / match[1]).exists()]
+    return _outside_code(text, lambda part: LINK.sub(moved, part)), problems
+
+
+def _prose(text: str) -> str:
+    return re.sub(r"^ *```.*?^ *``` *$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def _outside_code(text: str, change: object) -> str:
+    """Change what is not code."""
+    found, end = [], 0
+    for match in CODE.finditer(text):
+        found += [change(text[end : match.start()]), match[0]]
+        end = match.end()
+    return "".join([*found, change(text[end:])])

@@ -1,0 +1,235 @@
+"""Input and output references: made from the program's keys and from a results file."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import f90nml
+import h5py
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# What stands in the snippet of a key: a value, or whole groups where a key needs others.
+EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
+    "table/urn_radius": "1, 0.8",
+    "particles/number": "1000",
+    "particles/urn1_number": "900",
+    "particles/urn1_fraction": "0.9",
+    "particles/seed": "42",
+    "particles/initial_file": {"particles": {"number": "2", "initial_file": "'start.txt'"}},
+    "gate/threshold": "7",
+    "gate/threshold_fraction": "0.007",
+    "run/transient_collisions": "20000000",
+    "run/duration": "5000",
+    "run/transient_duration": {"run": {"duration": "5000", "transient_duration": "2000"}},
+    "run/start_time": "100",
+    "run/time_step": {"run": {"engine": "'timestep'", "time_step": "0.001"}},
+    "scan/threshold": "5, 7, 9",
+    "scan/threshold_range": "1, 25, 25",
+    "scan/threshold_fraction": "0.005, 0.007",
+    "scan/threshold_fraction_range": "0.001, 0.025, 25",
+    "scan/number": "500, 1000",
+    "scan/number_range": "100, 1000, 10",
+    "scan/channel1_width": "0.2, 0.3",
+    "scan/channel1_width_range": "0.1, 0.3, 3",
+    "scan/channel2_width": "0.01, 0.03",
+    "scan/channel2_width_range": "0.002, 0.1, 25",
+    "scan/channel1_length": "1, 2",
+    "scan/channel1_length_range": "1, 4, 4",
+    "scan/channel2_length": "0.5, 1",
+    "scan/channel2_length_range": "0.5, 2, 4",
+    "scan/urn_radius": "1, 2",
+    "scan/urn_radius_range": "1, 2, 3",
+    "scan/urn1_fraction": "0.5, 1",
+    "scan/urn1_fraction_range": "0.5, 1, 6",
+    "scan/replicas": "4",
+    "output/series_interval": "10",
+    "output/snapshot_times": "0, 1000, 2000",
+    "output/event_log": {"run": {"duration": "50"}, "output": {"event_log": ".true."}},
+    "output/final_state": ".true.",
+    "limits/wall_minutes": "115",
+}
+BASE = {"particles": {"number": "1000"}, "gate": {"threshold": "7"}}
+# A file with the start of two particles, for the snippet that names one.
+START = "-2 0.5 1 0\n2 -0.5 0 1\n"
+# What is allowed begins with one of these; before it stands what the key means.
+TOLD = re.compile(
+    r"(.*?); ((?:one (?:whole number|number|text)|whole numbers|numbers|first, last|'|\.true).*)"
+)
+# A key and what takes its place.
+EITHER = {"threshold_fraction": ("gate", "threshold")}
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of the namelist, as the program says it."""
+
+    group: str
+    name: str
+    default: str
+    meaning: str
+    allowed: str
+    unit: str
+    symbol: str
+
+    @property
+    def example(self) -> str:
+        """The key in its group, with a value."""
+        told = EXAMPLES.get(f"{self.group}/{self.name}", self.default)
+        groups = told if isinstance(told, dict) else {self.group: {self.name: told}}
+        return written(groups)
+
+
+def written(groups: dict[str, dict[str, str]]) -> str:
+    """Return groups as a namelist."""
+    lines = []
+    for group, keys in groups.items():
+        lines += [f"&{group}", *(f"  {name} = {value}" for name, value in keys.items()), "/"]
+    return "\n".join(lines)
+
+
+def completed(text: str) -> str:
+    """Return a namelist with what it needs to be whole and short enough to be looked at."""
+    groups = f90nml.Parser().reads(text).todict()
+    for group, keys in BASE.items():
+        for name, value in keys.items():
+            there = groups.get(group, {})
+            instead = [other for other, place in EITHER.items() if place == (group, name)]
+            if not any(one in there for one in (name, *instead)):
+                groups.setdefault(group, {})[name] = int(value)
+    scanned = groups.get("scan", {})
+    if any(name.startswith("threshold_fraction") for name in scanned):
+        groups["gate"] = {"threshold_fraction": 0.007}
+    return str(f90nml.Namelist(groups)) + "\n"
+
+
+def all_keys(program: Path, source: Path) -> list[Key]:
+    """Return all keys in their order: from `--schema`, or `--help` and the list in the source."""
+    schema = said(program, "--schema")
+    if not schema.lstrip().startswith("{"):
+        return _from_help(said(program, "--help"), source.read_text(encoding="utf-8"))
+    found = []
+    for group, keys in json.loads(schema)["properties"].items():
+        for name, told in keys["properties"].items():
+            parts = re.split("; (unit|in the paper|default): ", told["description"])
+            of = dict(zip(parts[1::2], parts[2::2], strict=True))
+            place = (of.get("default", ""), *_told(parts[0]))
+            found.append(Key(group, name, *place, of.get("unit", ""), of.get("in the paper", "")))
+    return found
+
+
+def _told(text: str) -> tuple[str, str]:
+    match = TOLD.fullmatch(text)
+    if match is None:
+        raise ValueError(f"not told what a key means, and what is allowed: {text}")
+    return match[1], match[2]
+
+
+def said(program: Path, option: str) -> str:
+    """Return what the program prints."""
+    return subprocess.run(
+        [program, option], check=False, text=True, stdin=subprocess.DEVNULL, capture_output=True
+    ).stdout
+
+
+def _from_help(help_text: str, source: str) -> list[Key]:
+    text = re.sub(r" *&\n *", " ", source)
+    found, group = [], ""
+    for line in help_text.splitlines():
+        if match := re.match(r"&(\w+)$", line):
+            group = match[1]
+        elif match := re.match(r"  (\w+) +(\S+) +! (.*)$", line):
+            name, default = match[1], "" if match[2] == "none" else match[2]
+            own = re.search(rf"key_type\('\w+', '{name.removesuffix('_range')}', .*?\)[,\]]", text)
+            unit, symbol = (_argument(own[0] if own else "", word) for word in ("unit", "symbol"))
+            found.append(Key(group, name, default, *_told(match[3]), unit, symbol))
+    return found
+
+
+def _argument(call: str, word: str) -> str:
+    match = re.search(rf"{word}='((?:[^']|'')*)'", call)
+    return match[1].replace("''", "'") if match else ""
+
+
+def input_table(keys: list[Key]) -> str:
+    """Return the reference of all keys, a heading a group and a key."""
+    lines, group = [], ""
+    for key in keys:
+        if key.group != group:
+            group = key.group
+            lines += [f"### &{group}", ""]
+        lines += [f"#### {key.name}", "", f"{sentence(key.meaning)}", ""]
+        lines += ["| default | allowed | unit | in the paper |", "| --- | --- | --- | --- |"]
+        default = f"`{key.default}`" if key.default else "none"
+        lines += [f"| {default} | {key.allowed} | {key.unit or '-'} | {key.symbol or '-'} |", ""]
+        lines += ["```fortran", key.example, "```", ""]
+    return "\n".join(lines)
+
+
+def sentence(text: str) -> str:
+    """Return a text as a sentence."""
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def output_table(path: Path) -> str:
+    """Return the reference of what is in a results file: of all datasets and attributes."""
+    lines = []
+    with h5py.File(path, "r") as file:
+        groups: dict[str, list[h5py.Dataset]] = {}
+
+        def keep(_: str, item: object) -> None:
+            if isinstance(item, h5py.Dataset) and not _is_axis(item):
+                groups.setdefault(item.parent.name.strip("/"), []).append(item)
+
+        file.visititems(keep)
+        for group, datasets in groups.items():
+            lines += [f"### {f'Group {group}' if group else 'Datasets'}", ""]
+            lines += ["| name | unit | of each | what |", "| --- | --- | --- | --- |"]
+            lines += [_row(one) for one in datasets] + [""]
+        lines += ["### Attributes of the file", "", "| name | here |", "| --- | --- |"]
+        for name, value in file.attrs.items():
+            text = value.decode() if isinstance(value, bytes) else str(value)
+            first = text.strip().splitlines()[0] if text.strip() else ""
+            if not name.startswith("_NC"):
+                lines.append(f"| `{name}` | `{first[:60]}` |")
+    return "\n".join(lines) + "\n"
+
+
+def unexplained(path: Path) -> list[str]:
+    """Return the datasets of a results file that say no unit or no meaning."""
+    missing = []
+    with h5py.File(path, "r") as file:
+
+        def look(name: str, item: object) -> None:
+            if isinstance(item, h5py.Dataset) and not _is_axis(item):
+                lacks = [one for one in ("units", "long_name") if one not in item.attrs]
+                missing.extend(f"results file: {name} has no {one}" for one in lacks)
+
+        file.visititems(look)
+    return missing
+
+
+def _is_axis(item: h5py.Dataset) -> bool:
+    return "without corresponding variable" in _text(item.attrs.get("NAME", ""))
+
+
+def _row(item: h5py.Dataset) -> str:
+    axes = []
+    for axis in item.dims:
+        scale = axis[0].name.rsplit("/", 1)[-1] if len(axis) else axis.label
+        axes.append(scale)
+    name = item.name.rsplit("/", 1)[-1]
+    unit, meaning = (_text(item.attrs.get(one, "")) for one in ("units", "long_name"))
+    meaning = meaning.replace("|", "\\|")
+    return f"| `{name}` | {unit} | {', '.join(axes) or '-'} | {meaning} |"
+
+
+def _text(value: object) -> str:
+    if hasattr(value, "ravel"):
+        value = value.ravel()[0] if value.size else ""
+    return value.decode().strip() if isinstance(value, bytes) else str(value).strip()

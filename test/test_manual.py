@@ -1,0 +1,150 @@
+"""The manual: what is wrong with a page, or not explained, is found; README keeps its measure."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import h5py
+import pytest
+from support.program import ENVIRONMENT, ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+sys.path.insert(0, str(ROOT / "docs"))
+
+from manual import fortran, pages, python, reference
+from manual.fences import Fences
+
+BROWSER = shutil.which("chromium")
+
+
+def tried(folder: Path, text: str) -> list[str]:
+    fences = Fences(ROOT, folder / "work", folder / "drawn")
+    fences.shown("page.md", text)
+    return fences.problems
+
+
+GOOD = [
+    "```fortran\n&run\n  collisions = 1000\n/\n```",
+    "```fortran\n&scan\n  threshold = 1, 2\n/\n```",
+    "```\nmake test FULL=1\n```",
+    "```sh\nbuild/bin/battery FILE.nml\n```",
+    "```sh\npython -m postproc.theory --number 10 --threshold 1\n```",
+    "```python run\nx = 1\n```\n\n```python run\nprint(x)\n```",
+    "```\nprinted, not typed\n```",
+]
+BAD = [
+    ("```fortran\n&run\n  colisions = 1000\n/\n```", "colisions"),
+    ("```fortran\n&gate\n  threshold = -1\n/\n```", "threshold"),
+    ("```\nmake coffee\n```", "make has no coffee"),
+    ("```sh\nbuild/bin/no_such FILE.nml\n```", "there is no build/bin/no_such"),
+    ("```sh\npython -m postproc.theory --numbr 10\n```", "postproc.theory has no --numbr"),
+    ("```sh\npython -m postproc.alchemy\n```", "postproc.alchemy cannot be called"),
+    ("```sh\npython3 test/no_such.py\n```", "there is no test/no_such.py"),
+    ("```sh run\nbuild/bin/battery no_such.nml\n```", "exit code 2"),
+    ("```python run\nunknown\n```", "NameError"),
+]
+
+
+@pytest.mark.parametrize("text", GOOD)
+def test_a_block_that_works_is_no_problem(tmp_path: Path, text: str) -> None:
+    assert tried(tmp_path, text) == []
+
+
+@pytest.mark.parametrize(("text", "said"), BAD)
+def test_a_block_that_does_not_work_is_a_problem(tmp_path: Path, text: str, said: str) -> None:
+    """It is named with its page and line."""
+    (problem,) = tried(tmp_path, "one line\n\n" + text)
+    assert problem.startswith("page.md:3: ")
+    assert said in problem
+
+
+@pytest.mark.parametrize(
+    "text", ["[x](no_such.md)", "[x](../no_such.txt)", "![x](none.png)", "`src/gate/none.f90`"]
+)
+def test_a_link_that_leads_nowhere_is_a_problem(tmp_path: Path, text: str) -> None:
+    _, (problem,) = pages.linked(ROOT, tmp_path, "docs/theory.md", f"See {text}.")
+    assert "docs/theory.md" in problem
+
+
+def test_links_lead_within_the_site(tmp_path: Path) -> None:
+    """Pages to pages, files to copies of them; code stays as it is."""
+    text = "[a](accuracy.md#b) [c](../CITATION.cff) `[d](e.md)` [f](https://example.org)"
+    changed, problems = pages.linked(ROOT, tmp_path, "docs/theory.md", text)
+    assert problems == []
+    expected = "[a](accuracy.md#b) [c](files/CITATION.cff) `[d](e.md)` [f](https://example.org)"
+    assert changed == expected
+    assert (tmp_path / "files/CITATION.cff").is_file()
+
+
+def test_every_page_is_in_the_site() -> None:
+    """A page in docs that no list has would be found by nobody."""
+    listed = set(pages.pages(ROOT).values())
+    assert {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")} - listed == set()
+
+
+def test_public_names_are_explained() -> None:
+    """Of all modules, Fortran and Python."""
+    modules = [fortran.read_module(path) for path in sorted((ROOT / "src").rglob("*.[fF]90"))]
+    assert [one for module in modules if module for one in fortran.unexplained(module)] == []
+    files = [path for path in (ROOT / "postproc").rglob("*.py") if "tests" not in path.parts]
+    assert [one for path in files for one in python.unexplained(path)] == []
+
+
+def test_a_public_name_without_a_word_is_found(tmp_path: Path) -> None:
+    bare = "!> M.\nmodule m\n  public :: f\ncontains\n  subroutine f()\n  end subroutine f\n"
+    (tmp_path / "m.f90").write_text(bare)
+    assert fortran.unexplained(fortran.read_module(tmp_path / "m.f90"))
+    (tmp_path / "m.f90").write_text(bare.replace("  subroutine", "  !> Does.\n  subroutine"))
+    assert fortran.unexplained(fortran.read_module(tmp_path / "m.f90")) == []
+    (tmp_path / "m.py").write_text('"""M."""\n\ndef f(): ...\n')
+    assert python.unexplained(tmp_path / "m.py")
+
+
+def test_every_key_has_a_snippet_that_the_program_takes(tmp_path: Path) -> None:
+    keys = reference.all_keys(ROOT / "build/bin/battery", ROOT / "src/run/keys.f90")
+    assert len(keys) > 40
+    text = reference.input_table(keys)
+    assert text.count("```fortran") == len(keys)
+    assert all(f"#### {key.name}\n" in text and key.meaning and key.allowed for key in keys)
+    width = next(key for key in keys if key.name == "channel2_width")
+    assert (width.unit, width.symbol) == ("length", "w'")
+    assert tried(tmp_path, text) == []
+
+
+def test_a_dataset_that_says_nothing_is_found(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "bare.h5", "w") as file:
+        file["chi"] = 1.0
+        file["chi"].attrs["units"] = "1"
+    assert reference.unexplained(tmp_path / "bare.h5") == ["results file: chi has no long_name"]
+
+
+def test_readme_keeps_its_measure() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert 900 <= len(text.split()) <= 1100
+    assert max(map(len, text.splitlines())) <= 120
+
+
+@pytest.mark.full
+@pytest.mark.skipif(BROWSER is None, reason="no chromium here")
+def test_the_site_is_made_and_the_browser_has_nothing_to_say(tmp_path: Path) -> None:
+    """No message on the console; nothing comes from a network; a search finds a key."""
+    subprocess.run(["make", "docs"], cwd=ROOT, check=True, env=ENVIRONMENT, capture_output=True)
+    site = ROOT / "build/site"
+    loaded = re.compile(r"<(?:script|link|img)[^>]*(?:src|href)=\"(?:https?:)?//")
+    assert [path.name for path in site.rglob("*.html") if loaded.search(path.read_text())] == []
+    for name in ("index.html", "theory.html", "input.html", "search.html?q=channel2_width"):
+        done = subprocess.run(
+            [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
+             "--virtual-time-budget=8000", f"--user-data-dir={tmp_path / 'profile'}",
+             "--dump-dom", f"{site.as_uri()}/{name}"],
+            check=True, capture_output=True, text=True, timeout=120,
+        )
+        assert "CONSOLE" not in done.stderr, name
+    assert 'href="input.html#' in done.stdout
+    assert "<math" in (site / "theory.html").read_text()
