@@ -45,11 +45,11 @@ module battery_excursion
     type(calendar_type) :: calendar
     !> The events of a window.
     type(window_type) :: events
-    !> The visits to the urn of each side. Urns that are alike share the first batch; then the second
-    !> has those foreseen, if it pays to look ahead.
+    !> The visits to the urn of each side. Urns that are alike share the first batch; the second has
+    !> those foreseen then, if it pays to look ahead.
     type(visits_type) :: visits(2)
     integer :: batches = 1
-    logical :: looks_ahead = .false.
+    logical, public :: looks_ahead = .false.
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
