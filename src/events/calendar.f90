@@ -23,6 +23,8 @@ module battery_calendar
     real(wp) :: due
     !> Heading, and the urn it leaves, 1 or 2.
     integer(int16) :: heading, urn
+    !> Where the visit that follows was foreseen, or 0.
+    integer(int32) :: foreseen
     !> When it enters the channel (entered it, for those that are inside), at which height, with
     !> |u_x| and u_y.
     real(wp) :: time, y, along, across
@@ -32,8 +34,8 @@ module battery_calendar
 
   !> One without an event. Not by default, since the program must be able to say where a great array
   !> is to lie before it is written to.
-  type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int16, 0_int16, 0.0_wp, 0.0_wp, &
-    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
+  type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int16, 0_int16, 0_int32, 0.0_wp, &
+    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
 
   !> Events of a block, a power of two. A block is a line of the cache: with few buckets all lines
   !> that are written to are at hand, however many particles there are.

@@ -16,6 +16,9 @@ submodule (battery_disc) battery_disc_visits
   integer, parameter :: march_rounds = 12
   !> In the first rounds so many still bounce that ranks are closed after every second march only.
   integer, parameter :: early_rounds = 2
+  !> So few do not close ranks: all of them wait for the chain of one, and a vector of what was just
+  !> stored one by one would have to wait for that, too.
+  integer, parameter :: few = together
   !> Incidences with a smaller cosine are computed anew, to all their digits.
   real(wp), parameter :: grazing_cosine = 1.0e-3_wp
 contains
@@ -182,7 +185,7 @@ contains
     integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), steps(n)
     real(wp), intent(in) :: zx(n), zy(n)
-    real(wp) :: h1, h2, c, s, taken
+    real(wp) :: h1, h2, c, s, c2, s2, taken
     real(wp) :: x0, x1, x2, x3, x4, x5, x6, x7, x8, y0, y1, y2, y3, y4, y5, y6, y7, y8
     integer :: j
 
@@ -195,14 +198,17 @@ contains
       y0 = py(j)
       c = zx(j)
       s = zy(j)
+      ! Two impacts at a time: half as many wait for each other.
+      c2 = (c - s)*(c + s)
+      s2 = 2.0_wp*c*s
       call rotate(c, s, x0, y0, x1, y1)
-      call rotate(c, s, x1, y1, x2, y2)
-      call rotate(c, s, x2, y2, x3, y3)
-      call rotate(c, s, x3, y3, x4, y4)
-      call rotate(c, s, x4, y4, x5, y5)
-      call rotate(c, s, x5, y5, x6, y6)
-      call rotate(c, s, x6, y6, x7, y7)
-      call rotate(c, s, x7, y7, x8, y8)
+      call rotate(c2, s2, x0, y0, x2, y2)
+      call rotate(c2, s2, x1, y1, x3, y3)
+      call rotate(c2, s2, x2, y2, x4, y4)
+      call rotate(c2, s2, x3, y3, x5, y5)
+      call rotate(c2, s2, x4, y4, x6, y6)
+      call rotate(c2, s2, x5, y5, x7, y7)
+      call rotate(c2, s2, x6, y6, x8, y8)
       taken = real(march_steps, wp)
       call choose(h1, h2, 7.0_wp, x7, y7, x8, y8, taken)
       call choose(h1, h2, 6.0_wp, x6, y6, x8, y8, taken)
@@ -238,6 +244,22 @@ contains
     first_y = merge(y, first_y, open)
     taken = merge(before, taken, open)
   end subroutine choose
+
+  !> Whether any particle stands outside the openings.
+  pure function some_bounce(n, half1, half2, px, py)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: half1, half2, px(n), py(n)
+    logical :: some_bounce
+    integer(int64) :: bouncing
+    integer :: j
+
+    bouncing = 0
+    do j = 1, n
+      bouncing = bouncing + merge(1_int64, 0_int64, abs(py(j)) >= merge(half1, half2, &
+        px(j) > 0.0_wp))
+    end do
+    some_bounce = bouncing > 0
+  end function some_bounce
 
   !> Writes down where every particle stands and keeps those that still bounce, without branches.
   pure subroutine close_ranks(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &

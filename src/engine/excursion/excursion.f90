@@ -16,6 +16,7 @@ module battery_excursion
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
   use battery_few, only: walk_few, few
+  use battery_foresight, only: pays, recall
   use battery_chamber, only: leave_channels
   use battery_urn, only: cross
   use battery_visits, only: visits_type, reserve_visits, part_visits
@@ -44,9 +45,11 @@ module battery_excursion
     type(calendar_type) :: calendar
     !> The events of a window.
     type(window_type) :: events
-    !> The visits to the urn of each side. Urns that are alike share the first batch.
+    !> The visits to the urn of each side. Urns that are alike share the first batch; the second has
+    !> those foreseen then, if it pays to look ahead.
     type(visits_type) :: visits(2)
     integer :: batches = 1
+    logical, public :: looks_ahead = .false.
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
@@ -67,6 +70,8 @@ contains
       + 0.25_wp*pi*self%table%channel(gated)%length
     self%lookahead = shortest_excursion(self%table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
+    self%looks_ahead = self%batches == 1 .and. pays(real(self%number, wp)*self%lookahead &
+      /self%interval, self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
     call lay_out(self%flight, self%number)
     self%known_hits = 0
@@ -142,10 +147,20 @@ contains
     associate (v => self%visits(b))
       call cross(self%table%urn(b), v)
       self%known_hits = self%known_hits + v%all_hits
+    end associate
+    call go_on(self, b)
+  end subroutine finish_visits
+
+  !> Writes down how the particles of a batch go on.
+  subroutine go_on(self, b)
+    type(excursion_type), intent(inout) :: self
+    integer, intent(in) :: b
+
+    associate (v => self%visits(b))
       call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
         v%y, v%along, v%across, v%through)
     end associate
-  end subroutine finish_visits
+  end subroutine go_on
 
   !> One window of at most the time `duration`: its events, then the visits that they begin.
   subroutine live(self, duration, history)
@@ -177,10 +192,16 @@ contains
     if (self%batches == 2) call part_visits(self%visits(1), self%visits(2))
     do b = 1, self%batches
       associate (v => self%visits(b))
-        call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
-          v%y, v%along, v%across)
-        call leave_channels(self%table%urn(b), v)
-        call finish_visits(self, b)
+        if (self%looks_ahead) then
+          call recall(self%table%urn(1), self%number, self%flight, self%calendar%sorted, &
+            self%calendar%particle, v, self%visits(2), self%known_hits)
+          call go_on(self, b)
+        else
+          call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
+            v%y, v%along, v%across)
+          call leave_channels(self%table%urn(b), v)
+          call finish_visits(self, b)
+        end if
         call schedule_all(self%calendar, self%flight, v%count, v%particle, v%time)
       end associate
     end do
@@ -195,6 +216,7 @@ contains
     class(excursion_type), intent(inout) :: self
 
     call turn_calendar(self%calendar, self%flight)
+    if (self%looks_ahead) self%visits(2)%count = 0
     self%flight%time = self%flight%time - self%page
     call turn_clock(self)
   end subroutine turn_page
