@@ -215,9 +215,9 @@ def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Flo
     return at.in_half[1], sent
 
 
-def conductance(circuit: Circuit) -> float:
+def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:
     """Return G of equal urns: the net current is G times the difference of the urns' numbers."""
-    one = ports.disc(circuit)
+    one = memory(circuit)
     k = one.across / (1.0 + one.return_chance - 2.0 * one.across)
     return k / (one.stay1 + k * (2.0 * one.stay1 - one.stay2))
 
