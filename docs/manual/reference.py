@@ -31,6 +31,8 @@ EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
     "run/time_step": {"run": {"engine": "'timestep'", "time_step": "0.001"}},
     "scan/threshold": "5, 7, 9",
     "scan/threshold_range": "1, 25, 25",
+    "scan/threshold2": {"scan": {"threshold": "5, 7", "threshold2": "7, 9"}},
+    "scan/threshold2_range": "5, 9, 5",
     "scan/threshold_fraction": "0.005, 0.007",
     "scan/threshold_fraction_range": "0.001, 0.025, 25",
     "scan/number": "500, 1000",
@@ -45,9 +47,19 @@ EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
     "scan/channel2_length_range": "0.5, 2, 4",
     "scan/urn_radius": "1, 2",
     "scan/urn_radius_range": "1, 2, 3",
+    "scan/urn_radius2": {"scan": {"urn_radius": "1, 2", "urn_radius2": "2, 1"}},
+    "scan/urn_radius2_range": "1, 2, 3",
     "scan/urn1_fraction": "0.5, 1",
     "scan/urn1_fraction_range": "0.5, 1, 6",
     "scan/replicas": "4",
+    **{
+        f"precision/{key}": {"scan": {"replicas": "16"}, "precision": {key: value, **beside}}
+        for key, value, beside in (
+            ("chi_replica_error", "0.001", {}),
+            ("polarised_current_replica_error", "0.01", {}),
+            ("largest_replicas", "128", {"chi_replica_error": "0.001"}),
+        )
+    },
     "output/series_interval": "10",
     "output/snapshot_times": "0, 1000, 2000",
     "output/event_log": {"run": {"duration": "50"}, "output": {"event_log": ".true."}},

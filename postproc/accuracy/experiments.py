@@ -19,6 +19,7 @@ from scipy import optimize
 from postproc.accuracy import ladder, predictions, tail
 from postproc.accuracy.events import CROSSING1, CROSSING2, ENTRY, read_log, stories
 from postproc.reading.results import Results
+from postproc.theory import ports, two_port
 from postproc.theory.circuit import Circuit, flow1, held_in_channels
 from postproc.theory.renewal import RENEWAL
 
@@ -171,7 +172,7 @@ def two_ports(job: Job) -> list[Row]:
     }  # fmt: skip
     with Results(job.battery("events", "ports", changes, alone=True)) as results:
         circuit, told = results.circuit(0), stories(read_log(results))
-    found, ratio = predictions.ports(circuit), float(circuit.channel2_width)
+    found, ratio = ports.disc(circuit), float(circuit.channel2_width)
     mixed = ratio / (ratio + float(circuit.channel1_width))
     stay = math.pi * float(circuit.urn_area) / (ratio + float(circuit.channel1_width))
     share, time = (mean_of_groups(one) for one in after_channel2(told, circuit))
@@ -217,7 +218,7 @@ def sizes(job: Job) -> list[Row]:
                 inside, apart = of_halves(circuit, float(chi.mean()))
                 scale = predictions.mixed_conductance(circuit)
                 share = (inside[1] - inside[0]) / apart
-                predicted = share * predictions.conductance(circuit) / scale
+                predicted = share * two_port.conductance(circuit) / scale
                 name = f"r = {radius:g}, N = {number}, T = {threshold}"
                 rows.append(
                     Row(3, f"conductance over w'/(pi A), {name}", share, predicted,

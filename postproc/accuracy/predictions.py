@@ -1,14 +1,14 @@
 """What memory in the urns predicts for the deciding experiments, by formulas without a fit.
 
-An urn remembers by which opening one came (two ports), who flies along the axis goes on doing so
-(circulation), and the angle to the channel diffuses from visit to visit (directions). Lengths over
-the speed v = 1; an urn has radius r, openings w and w', area A.
+Who flies along the axis goes on doing so (circulation), and the angle to the channel diffuses from
+visit to visit (directions). What an urn remembers of the opening by which one came is in
+`theory.ports` and `theory.two_port`. Lengths over the speed v = 1; an urn has radius r, openings w
+and w', area A.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -22,106 +22,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-DRAWN = 2**18  # visits, spread evenly
-BOUNCES = 20000  # after which a visit is taken as it is
-PLASTIC = 1.32471795724474602596  # of the sequence that spreads points evenly over a square
 DIFFUSION = 0.065  # D of sin(theta) a visit, over (w/r)^2: of drawn visits, not of runs
 DEGREES = 40  # even Legendre polynomials of cos(theta) over sin(theta)
-
-
-@dataclass(frozen=True)
-class Ports:
-    """How an urn answers an entrant through either opening.
-
-    Attributes
-    ----------
-    return_chance : a, in through channel 2 and out through channel 2.
-    stay1, stay2 : mean time in the urn, in through channel 1 and 2, from chord to chord.
-    """
-
-    return_chance: float
-    stay1: float
-    stay2: float
-
-
-def polygons(circuit: Circuit) -> float:
-    """Return a for small w': only orbits that close as polygons of odd sides find opening 2 again.
-
-    a = (w'/4r) sum over odd n >= 3, pi/n > asin(w/2r), of (1/n) sum over k coprime to n of
-    sin(pi k/n).
-    """
-    radius, half = float(circuit.urn_radius), 0.5 * float(circuit.channel1_width)
-    most = math.pi / math.asin(half / radius)
-    total = 0.0
-    for sides in range(3, math.ceil(most), 2):
-        turns = [k for k in range(1, sides) if math.gcd(k, sides) == 1]
-        total += sum(math.sin(math.pi * k / sides) for k in turns) / sides
-    return 0.25 * float(circuit.channel2_width) / radius * total
-
-
-def ports(circuit: Circuit) -> Ports:
-    """Return the ports of the disc: visits through opening 2 integrated, w t1 + w' t2 = pi A."""
-    radius, one, two = (
-        float(value)
-        for value in (circuit.urn_radius, circuit.channel1_width, circuit.channel2_width)
-    )
-    chance, stay2 = _visits(radius, two, one)
-    stay1 = (math.pi * float(circuit.urn_area) - two * stay2) / one
-    return Ports(chance, stay1, stay2)
-
-
-@lru_cache
-def _visits(radius: float, own: float, other: float) -> tuple[float, float]:
-    """Return chance to leave by the own opening, and mean stay, of visits through it.
-
-    Entries have the measure ds dy, s = sin(theta). From bounce to bounce the place on the circle
-    turns by the same angle.
-    """
-    count = np.arange(1, DRAWN + 1)
-    y = own * ((0.5 + count / PLASTIC) % 1.0 - 0.5)
-    sine = 2.0 * ((0.5 + count / PLASTIC**2) % 1.0) - 1.0
-    cosine = np.sqrt(1.0 - sine**2)
-    chord = {name: math.sqrt(radius**2 - 0.25 * name**2) for name in (own, other)}
-    arcs = np.array([math.asin(0.5 * own / radius), math.asin(0.5 * other / radius)])
-    # in at x = chord, flying to the left
-    along = chord[own] * cosine - y * sine
-    flight = along + np.sqrt(along**2 + 0.25 * own**2 - y**2)
-    place = np.arctan2(y + sine * flight, chord[own] - cosine * flight)
-    heading = math.pi - np.arcsin(sine)
-    incidence = np.angle(np.exp(1j * (heading - place)))
-    turn = math.pi - 2.0 * incidence
-    step = 2.0 * radius * np.cos(incidence)
-    stay, returned = np.zeros(DRAWN), np.zeros(DRAWN, bool)
-    inside = np.arange(DRAWN)
-    time = flight
-    for _ in range(BOUNCES):
-        angle = np.abs(np.angle(np.exp(1j * place)))
-        home, away = angle < arcs[0], math.pi - angle < arcs[1]
-        out = home | away
-        if out.any():
-            depth = np.where(home, radius * np.cos(angle) - chord[own], 0.0)
-            depth += np.where(away, -radius * np.cos(angle) - chord[other], 0.0)
-            slant = np.abs(np.cos(place + incidence))
-            stay[inside[out]] = (time - depth / slant)[out]
-            returned[inside[out]] = home[out]
-            left = ~out
-            inside, place, turn, step, time, incidence = (
-                part[left] for part in (inside, place, turn, step, time, incidence)
-            )
-        if inside.size == 0:
-            break
-        place, time = place + turn, time + step
-    stay[inside] = time
-    return float(returned.mean()), float(stay.mean())
-
-
-def conductance(circuit: Circuit, found: Ports | None = None) -> float:
-    """Return G of I = G (n2 - n1), n inside the urns, of two ports: k/(t1 + k (2 t1 - t2))."""
-    one = found or ports(circuit)
-    ratio = float(circuit.channel2_width) / float(circuit.channel1_width)
-    across = ratio * (1.0 - one.return_chance)
-    k = across / (1.0 + one.return_chance - 2.0 * across)
-    return k / (one.stay1 + k * (2.0 * one.stay1 - one.stay2))
 
 
 def mixed_conductance(circuit: Circuit) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 from postproc.cli import InputError
+from postproc.theory import ports, two_port
 from postproc.theory.circuit import flow2
 
 if TYPE_CHECKING:
@@ -69,18 +70,13 @@ def axial(circuit: Circuit, snapshot: Snapshot) -> int:
 def memory_factor(circuit: Circuit) -> float:
     """Return by how much memory of the urns raises the net current at a spread, at most.
 
-    An urn remembers by which of two opposite openings one came: who came by channel 2 leaves by it
-    with the chance a = (4/pi^2) w'/w for narrow channels, less than well mixed. With that, and the
-    mean stay pi A/(w + w') for all, the conductance is k (1 + w'/w)/((1 + k) w'/w) times w'/(pi A),
-    k = (w'/w)(1 - a)/(1 + a - 2 (w'/w)(1 - a)). For wide channels that is too much; circulation
-    along the axis adds `CIRCULATION`.
+    What two ports conduct over what well mixed urns do; circulation along the axis adds
+    `CIRCULATION`.
     """
-    ratio = float(circuit.channel2_width) / float(circuit.channel1_width)
-    chance = min(4.0 / np.pi**2 * ratio, ratio / (1.0 + ratio))
-    k = ratio * (1.0 - chance) / (1.0 + chance - 2.0 * ratio * (1.0 - chance))
-    if not 0.0 < k < 1.0:  # channel 2 is not the narrow one
-        return 2.0
-    return max(k * (1.0 + ratio) / ((1.0 + k) * ratio), 1.0) + CIRCULATION
+    if float(circuit.channel2_width) == 0.0:
+        return 1.0
+    mixed = two_port.conductance(circuit, ports.well_mixed)
+    return max(two_port.conductance(circuit) / mixed, 1.0) + CIRCULATION
 
 
 def warnings(results: Results) -> list[str]:

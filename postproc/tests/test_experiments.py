@@ -35,24 +35,6 @@ def told(*events: tuple[float, int, int, int]) -> experiments.Stories:
     return stories(Log(time, *(one.astype(int) for one in (kind, where, particle))))
 
 
-def test_only_odd_polygons_return_to_an_opening_of_two_opposite_ones() -> None:
-    found = predictions.ports(CIRCUIT)
-    assert found.return_chance == pytest.approx(predictions.polygons(CIRCUIT), rel=0.01)
-    assert found.return_chance == pytest.approx(0.01284, rel=0.005)
-    assert found.stay2 == pytest.approx(33.9, rel=0.01)
-    narrow = Circuit(1, 1, channel1_width=1e-3, channel2_width=1e-5)
-    assert predictions.polygons(narrow) == pytest.approx(4.0 / math.pi**2 * 0.01, rel=0.01)
-
-
-def test_conductance_of_urns_without_memory_is_the_papers() -> None:
-    width, other = 0.3, 0.01
-    stay = math.pi * float(CIRCUIT.urn_area) / (width + other)
-    mixed = predictions.Ports(other / (width + other), stay, stay)
-    expected = predictions.mixed_conductance(CIRCUIT)
-    assert predictions.conductance(CIRCUIT, mixed) == pytest.approx(expected, rel=1e-12)
-    assert predictions.conductance(CIRCUIT) == pytest.approx(1.045 * expected, rel=0.003)
-
-
 def test_directions_forget_as_legendre_modes_do() -> None:
     assert predictions.autocorrelation(0.1, 0.0) == pytest.approx(1.0)
     values = predictions.autocorrelation(0.065 * 0.09, [1, 5, 10, 20, 40])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,9 @@ import pytest
 import xarray as xr
 
 from postproc.cli import InputError
+from postproc.tests.commands import call
 from postproc.tests.runs import BARE, results_of
-from postproc.theory import programs
+from postproc.theory import one_particle, programs
 from postproc.theory.circuit import Circuit, gate_load
 from postproc.theory.one_particle import (
     MOST_VISITS,
@@ -169,6 +171,24 @@ def test_effort_is_bounded(number: int, width: float) -> None:
     assert effort.batches * effort.copies * number * time / mean_visit < 1.01 * MOST_VISITS
     assert effort.copies >= 4
     assert effort.transient <= effort.duration <= 2.0 * effort.transient
+
+
+def test_command_line_prints_errors_where_walkers_draw(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """JSON as of every theory, with standard errors; nothing that walkers do not tell."""
+    short = replace(QUICK, copies=4, transient=300.0, duration=300.0)
+    monkeypatch.setattr(one_particle, "effort_for", lambda _: short)
+    assert call("theory", ["--number", "1000", "--threshold", "7", "--model", "one_particle"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert list(told) == ["homogeneous", "roots", "transition_width", "urn_area"]
+    assert told["homogeneous"] == "unstable"
+    (root,) = told["roots"]
+    errors = ["mass_spread_error", "net_current_error"]
+    assert list(root) == ["urn2_number", "kind", "mass_spread", "net_current", *errors]
+    assert root["mass_spread"] == pytest.approx(0.929, abs=0.01)
+    assert root["net_current"] == pytest.approx(1.02, abs=0.1)
+    assert 0.0 < root["mass_spread_error"] < 0.003 < root["net_current_error"] < 0.1
 
 
 def test_a_program_that_is_not_there_is_told(

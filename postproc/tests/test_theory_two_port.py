@@ -170,9 +170,7 @@ def test_in_a_state_the_gates_send_what_channel_2_returns() -> None:
 
 
 def test_well_mixed_conductance_is_the_papers() -> None:
-    mixed = ports.well_mixed(PAPER)
-    k = mixed.across / (1.0 + mixed.return_chance - 2.0 * mixed.across)
-    found = k / (mixed.stay1 + k * (2.0 * mixed.stay1 - mixed.stay2))
+    found = two_port.conductance(PAPER, ports.well_mixed)
     assert found == pytest.approx(0.01 / (math.pi * float(PAPER.urn_area)), rel=1e-12)
 
 

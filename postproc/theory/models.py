@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from postproc.cli import InputError, finite
-from postproc.theory import direction, ports, two_port
+from postproc.cli import finite
+from postproc.theory import direction, one_particle, ports, two_port
 from postproc.theory.circuit import transition_width
 from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from postproc.theory.circuit import Circuit
-    from postproc.theory.states import State
 
 
 def _no_extras(_: Circuit) -> dict[str, object]:
@@ -67,13 +65,11 @@ def _of_ports(circuit: Circuit) -> dict[str, object]:
     return {name: [getattr(one, field) for one in found] for name, field in names.items()}
 
 
-def _walked(circuit: Circuit) -> list[State]:
-    """Return the states of walkers between gates that are made of all the others."""
-    try:
-        walkers = importlib.import_module("postproc.theory.one_particle")
-    except ModuleNotFoundError as problem:
-        raise InputError("one_particle: this version is without it") from problem
-    return walkers.stationary_states(circuit)
+def _walked_kind(circuit: Circuit) -> str:
+    """Return what becomes of equal shares: walkers tell, of equal urns that are open to each."""
+    if circuit.alike and float(circuit.channel2_width) > 0.0 and float(circuit.threshold) > 0.0:
+        return one_particle.homogeneous_kind(circuit)
+    return two_port.homogeneous_kind(circuit)
 
 
 _MIXED_UNLIKE = Theory(
@@ -88,7 +84,9 @@ _PORTS = Theory(
 _DIRECTIONS = Theory(
     direction.stationary_states, direction.homogeneous_kind, _no_line, direction.outflows
 )
-_WALKERS = replace(_PORTS, states=_walked, transition_width=_no_line)
+_WALKERS = Theory(
+    one_particle.stationary_states, _walked_kind, _no_line, two_port.outflows
+)
 _COUNTED = {"gate": RENEWAL, "occupation": True}
 
 MODELS = {

@@ -41,14 +41,6 @@ APART = 4.0  # errors between states that are not the same
 
 
 @dataclass(frozen=True)
-class DrawnState(State):
-    """A stationary state that walkers found, with the standard errors of the mean of batches."""
-
-    mass_spread_error: float
-    net_current_error: float
-
-
-@dataclass(frozen=True)
 class Effort:
     """How many walkers go how long.
 
@@ -153,7 +145,7 @@ def transition_width(circuit: Circuit, effort: Effort | None = None) -> float:
     return math.sqrt(below * above)
 
 
-def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[DrawnState]:
+def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[State]:
     """Return the stable states that walkers reach, by increasing N2.
 
     Of equal urns with equal gates that with N2 > N/2, if there is one: its mirror image is a state
@@ -166,12 +158,21 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Dr
         least = max(2.0 * BIAS, APART * state.mass_spread_error)
         return [state] if state.mass_spread > least else []
     one, two = (float(side.urn_area) for side in circuit.sides)
-    found: list[DrawnState] = []
+    found: list[State] = []
     for share in (EMPTIER, two / (one + two), 1.0 - EMPTIER):
         state = _state(walk(circuit, share, given), number)
         if not any(_same(state, other, number) for other in found):
             found.append(state)
     return sorted(found, key=lambda state: state.urn2_number)
+
+
+def flows(circuit: Circuit, number2: float, effort: Effort | None = None) -> Floats:
+    """Return what channels 1 and 2 carry from urn 1 to 2 and back, shape (channel, way).
+
+    Per unit time, where walkers come to that begin with N2 = `number2`; shape (2, 2).
+    """
+    walked = walk(circuit, number2 / float(circuit.number), effort or effort_for(circuit))
+    return np.stack([walked.flow1.mean(axis=0), walked.flow2.mean(axis=0)])
 
 
 def _polarised_share(circuit: Circuit) -> float:
@@ -195,20 +196,20 @@ def _shorter(effort: Effort) -> Effort:
     return replace(effort, batches=4, duration=effort.transient / 3.0)
 
 
-def _state(walked: Walked, number: float) -> DrawnState:
+def _state(walked: Walked, number: float) -> State:
     second, current = walked.half2_number, walked.net_current
     spread, batches = 2.0 * second / number - 1.0, np.sqrt(second.size)
-    return DrawnState(
+    return State(
         float(second.mean()),
         "stable",
         float(abs(spread.mean())),
         float(current.mean()),
-        float(spread.std(ddof=1) / batches),
-        float(current.std(ddof=1) / batches),
+        mass_spread_error=float(spread.std(ddof=1) / batches),
+        net_current_error=float(current.std(ddof=1) / batches),
     )
 
 
-def _same(one: DrawnState, other: DrawnState, number: float) -> bool:
+def _same(one: State, other: State, number: float) -> bool:
     """Whether two states are the same but for their errors."""
     errors = np.hypot(one.mass_spread_error, other.mass_spread_error)
     apart = 2.0 * abs(one.urn2_number - other.urn2_number) / number
