@@ -16,15 +16,13 @@ submodule (battery_disc) battery_disc_visits
   integer, parameter :: march_rounds = 12
   !> In the first rounds so many still bounce that ranks are closed after every second march only.
   integer, parameter :: early_rounds = 2
-  !> So few do not close ranks: all of them wait for the chain of one, and a vector of what was just
-  !> stored one by one would have to wait for that, too.
+  !> So few do not close ranks: a vector of what was just stored one by one would have to wait.
   integer, parameter :: few = together
   !> Incidences with a smaller cosine are computed anew, to all their digits.
   real(wp), parameter :: grazing_cosine = 1.0e-3_wp
 contains
 
-  !> From the point (x, y) with velocity (along, across) in the local frame through the urn. `hits`
-  !> grows by the wall hits; `all_hits` is their sum.
+  !> From (x, y) with velocity (along, across) through the urn; `hits` grows, `all_hits` is its sum.
   module procedure cross_urns
     integer :: n, n_active, j, active, round
     logical :: grazing
