@@ -142,6 +142,8 @@ def test_a_power_of_two_in_all_lengths_and_times_changes_no_bit_but_the_factor(
         other = scaled(tmp_path, engine, power)
         assert other.keys() == one.keys()
         for name in one.keys() - {"cpu_seconds", "seed"}:
+            if name.startswith("provenance/"):
+                continue
             expected = one[name]
             if expected.dtype.kind == "f":
                 expected = expected * factor(name, power)
