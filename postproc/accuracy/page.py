@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from postproc.accuracy.job import ROOT
 from postproc.accuracy.ladder import QUANTITIES, SCANNED
 from postproc.accuracy.sections import SECTIONS
-from postproc.accuracy.text import measured, number, percent, seconds, table
+from postproc.accuracy.text import measured, number, percent, seconds, table, wrapped
 from postproc.cli import InputError, output_folder
 
 if TYPE_CHECKING:
@@ -265,7 +265,7 @@ def page(job: Job) -> str:
     lacking = names_of(template) - fields.keys()
     if lacking:
         raise InputError(f"{TEMPLATE.name}: nothing to fill {sorted(lacking)[0]} with")
-    return template.format(**fields)
+    return wrapped(template.format(**fields))
 
 
 def figures_of(text: str) -> list[str]:

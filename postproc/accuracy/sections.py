@@ -40,16 +40,24 @@ def trajectories(numbers: dict) -> str:
         for precision, time in numbers["predicted_horizon"].items()
     )
     growth = measured(numbers["lyapunov"], numbers["lyapunov_error"])
-    return f"""{numbers["number"]} particles fly from one file; their places and the times of their events are held against `collision` in quadruple precision.
+    return f"""{numbers["number"]} particles fly from one file; their places and the times of their events are held
+against `collision` in quadruple precision.
 
 ![Error of places and of event times against cost](accuracy_trajectory_cost.png)
 
 {table(head, lines)}
 
-- **A fixed step** is of first order: {number(order["place"], 3)} in places, {number(order["event_time"], 3)} in event times. Halving it costs twice as much and gains one bit; `excursion` has all bits for less than its coarsest step. Some particles it sends astray
-  altogether, past a corner on the wrong side; their share falls as the step to the power {number(order["worst"], 2)}. In single precision small steps make it worse: their rounding adds up.
-- **Errors grow** as exp(lambda t). The tangent map of the free billiard gives lambda = {growth} directly ({number(numbers["lyapunov_same_start"], 3)} over the time that these particles fly); the column lambda is fitted to the errors themselves.
-- **The horizon** of a precision is where the median error reaches the size of the table; predicted are {predicted}. With gates it is nearer, since one particle that goes astray makes a gate fire, or not, for all the others.
+- **A fixed step** is of first order: {number(order["place"], 3)} in places, {number(order["event_time"], 3)} in
+event times. Halving it costs twice as much and gains one bit; `excursion` has all bits for less than its coarsest
+step. Some particles it sends astray
+  altogether, past a corner on the wrong side; their share falls as the step to the power
+{number(order["worst"], 2)}. In single precision small steps make it worse: their rounding adds up.
+- **Errors grow** as exp(lambda t). The tangent map of the free billiard gives lambda = {growth} directly
+({number(numbers["lyapunov_same_start"], 3)} over the time that these particles fly); the column lambda is fitted
+to the errors themselves.
+- **The horizon** of a precision is where the median error reaches the size of the table; predicted are
+{predicted}. With gates it is nearer, since one particle that goes astray makes a gate fire, or not, for all the
+others.
 
 ![Growth of errors, and order of the fixed step](accuracy_trajectory_growth.png)
 """  # noqa: E501 (a paragraph is a line)
@@ -80,11 +88,17 @@ def verdict(numbers: dict) -> str:
 
     return f"""**Verdict**, in five lines:
 
-1. Lost or not a number, in all odd cases and {number(hits, 2)} hits of long runs: {lost} in double and quadruple precision, {single} in single.
-2. Corner shots in double precision are wrong within {cell("beside a corner").split("within ")[-1]} of the corner (`excursion`), which is the rounding of a place; `timestep` is wrong within {cell("beside a corner", "timestep").split("within ")[-1]}.
-3. Grazing orbits, error of the exit time down to the smallest angle that was got: `excursion` {cell("whispering")}, `collision` {cell("whispering", "collision")}.
-4. Orders in memory that matter, of 96: {cell("four entries")}. Events move by {cell("clock")} where the clock shows 1e12.
-5. Given up are grazing orbits by `collision` and `synchronous`, which are too slow for them (in single precision their angle sticks), and digits by `timestep`, which has its step's error in all of it."""  # noqa: E501
+1. Lost or not a number, in all odd cases and {number(hits, 2)} hits of long runs: {lost} in double and quadruple
+precision, {single} in single.
+2. Corner shots in double precision are wrong within {cell("beside a corner").split("within ")[-1]} of the corner
+(`excursion`), which is the rounding of a place; `timestep` is wrong within
+{cell("beside a corner", "timestep").split("within ")[-1]}.
+3. Grazing orbits, error of the exit time down to the smallest angle that was got: `excursion`
+{cell("whispering")}, `collision` {cell("whispering", "collision")}.
+4. Orders in memory that matter, of 96: {cell("four entries")}. Events move by {cell("clock")} where the clock
+shows 1e12.
+5. Given up are grazing orbits by `collision` and `synchronous`, which are too slow for them (in single precision
+their angle sticks), and digits by `timestep`, which has its step's error in all of it."""  # noqa: E501
 
 
 def stability(numbers: dict) -> str:
@@ -104,16 +118,21 @@ def stability(numbers: dict) -> str:
             for row in numbers["visits"]
         ],
     )  # fmt: skip
-    return f"""One particle or a few are sent where methods fail. In double and quadruple precision {lost} particles were lost and {odd} were not a number ({lost_single} lost in single precision); {trapped} orbits that never end were counted as trapped, in place of hanging the run.
+    return f"""One particle or a few are sent where methods fail. In double and quadruple precision {lost}
+particles were lost and {odd} were not a number ({lost_single} lost in single precision); {trapped} orbits that
+never end were counted as trapped, in place of hanging the run.
 
 {verdict(numbers)}
 
-"Too slow" or "stopped" is an engine that ran out of the time the table gives it, "stick" one whose angle is rounded to zero, so that it takes the orbit for endless.
+"Too slow" or "stopped" is an engine that ran out of the time the table gives it, "stick" one whose angle is
+rounded to zero, so that it takes the orbit for endless.
 
 {numbers["markdown"].strip()}
 
-Single visits to an urn, against quadruple precision from the same way in; the error of place, direction and time is divided by the visit's own condition number. Where the opening is as
-small as the rounding of a place on the wall, some visits end on the other side of a corner: no precision of that size could tell.
+Single visits to an urn, against quadruple precision from the same way in; the error of place, direction and time
+is divided by the visit's own condition number. Where the opening is as
+small as the rounding of a place on the wall, some visits end on the other side of a corner: no precision of that
+size could tell.
 
 {visits}
 
@@ -130,8 +149,10 @@ def reversal(numbers: dict) -> str:
             numbers["predicted_horizon"][precision], 3
         )  # fmt: skip
         lines.append([f"`{engine}`", precision, predicted, number(time, 3)])
-    return f"""Run for a time t, turn all velocities, run as long again: without gates everyone arrives where he began, until rounding, grown by exp(lambda t), has become as large as the table
-(predicted from the tangent map's lambda = {number(numbers["lyapunov"], 3)}: the time in which half a unit in the last place grows to 1). A fixed step is lost much sooner, since its errors are not rounding.
+    return f"""Run for a time t, turn all velocities, run as long again: without gates everyone arrives where he
+began, until rounding, grown by exp(lambda t), has become as large as the table
+(predicted from the tangent map's lambda = {number(numbers["lyapunov"], 3)}: the time in which half a unit in the
+last place grows to 1). A fixed step is lost much sooner, since its errors are not rounding.
 
 {table(["engine", "precision", "predicted", "half are astray after"], lines)}
 

@@ -109,3 +109,20 @@ def test_papers_average_stands_beside_that_over_time(job: Job) -> None:
     assert "**The paper's average.**" in text
     for one in averages:
         assert page.measured(one["less"], one["less_error"]) in text
+
+
+def test_prose_is_wrapped_and_nothing_else() -> None:
+    """Words, tables and code stay; a second time changes nothing; no line becomes an item."""
+    words = "many words of prose, at 5. of them a minus - like this + that " * 6
+    row = "| " + "a cell " * 30 + "|"
+    items = f"- {words}\n  {words}\n2. {words}"
+    text = f"# {words}\n\n{items}\n\n{row}\n\n```\n{words}\n```\n\n{words}\n"
+    told = page.wrapped(text)
+    assert told.split() == text.split()
+    assert page.wrapped(told) == told
+    assert row in told
+    assert f"```\n{words}\n```" in told
+    prose = [line for line in told.splitlines() if not line.startswith(("|", "#", "many words"))]
+    assert max(map(len, prose[:-1])) <= 118
+    marks = re.findall(r"^ *(?:[-+*]|\d+\.) ", told, re.MULTILINE)
+    assert marks == ["- ", "2. "]

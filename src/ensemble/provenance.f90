@@ -38,10 +38,9 @@ contains
     do k = 4, size(metadata%texts)
       text = text//new_line_character//metadata%texts(k)%name//': '//metadata%texts(k)%text
     end do
-    text = text//new_line_character//'sources: ' &
-      //merge('changed since the commit', 'as in the commit        ', &
-      index(git_commit(), '-dirty') > 0)
-    text = trim(text)
+    if (git_commit() == 'unknown') return
+    text = trim(text//new_line_character//'sources: '//merge('changed since the commit', &
+      'as in the commit        ', index(git_commit(), '-dirty') > 0))
   end function version_text
 
   !> The command line of this process.
