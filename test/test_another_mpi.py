@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
-from support.program import ROOT, contents, namelist, run
+from support.program import ROOT, contents, make, namelist, run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,7 +44,7 @@ def ended_well(*command: str) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def _built() -> None:
     """Build the program with MPICH, in a folder of its own."""
-    ended_well("make", "build", "MPI=mpich")
+    make("build", "MPI=mpich", FPM_FC="mpifort.mpich")
 
 
 def test_the_tests_of_ranks_pass() -> None:

@@ -12,7 +12,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from support.program import ENVIRONMENT, PROGRAM, ROOT
+from support.program import ENVIRONMENT, PROGRAM, ROOT, make
 
 from postproc import __main__ as command
 
@@ -111,8 +111,7 @@ def test_the_man_page_has_every_key_and_option(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_an_installed_battery_needs_no_checkout(tmp_path: Path) -> None:
     prefix = tmp_path / "a prefix"
-    done = call("make", "install", f"PREFIX={prefix}")
-    assert done.returncode == 0, done.stderr
+    make("install", f"PREFIX={prefix}")
     assert call(prefix / "bin/battery", "--version", folder=tmp_path).returncode == 0
     assert ".TH BATTERY 1" in (prefix / "share/man/man1/battery.1").read_text(encoding="utf-8")
     postproc = prefix / "bin/battery-postproc"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import h5py
 import pytest
-from support.program import ENVIRONMENT, ROOT
+from support.program import ROOT, make
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -134,7 +134,7 @@ def test_readme_keeps_its_measure() -> None:
 @pytest.mark.skipif(BROWSER is None, reason="no chromium here")
 def test_the_site_is_made_and_the_browser_has_nothing_to_say(tmp_path: Path) -> None:
     """No message on the console; nothing comes from a network; a search finds a key."""
-    subprocess.run(["make", "docs"], cwd=ROOT, check=True, env=ENVIRONMENT, capture_output=True)
+    make("docs")
     site = ROOT / "build/site"
     loaded = re.compile(r"<(?:script|link|img)[^>]*(?:src|href)=\"(?:https?:)?//")
     assert [path.name for path in site.rglob("*.html") if loaded.search(path.read_text())] == []

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from pathlib import Path
 
 import h5py
 import pytest
-from support.program import ENVIRONMENT, PATIENCE, PROGRAM, ROOT, contents, namelist
+from support.program import ENVIRONMENT, PATIENCE, PROGRAM, ROOT, contents, make, namelist
 
 PROCESSORS = ("x86-64-v3", "x86-64-v4")
 NEEDED = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
@@ -47,11 +46,7 @@ def builds() -> list[Path]:
     missing = NEEDED - flags_of_processor()
     if missing:
         pytest.skip(f"this processor has no AVX-512 ({', '.join(sorted(missing))})")
-    targets = [f"build/{name}/bin/bench" for name in PROCESSORS]
-    clean = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
-    made = subprocess.run(["make", *targets], cwd=ROOT, env=clean, capture_output=True, text=True,
-                          check=False)
-    assert made.returncode == 0, made.stdout[-2000:] + made.stderr[-2000:]
+    make(*(f"build/{name}/bin/bench" for name in PROCESSORS))
     return [*(ROOT / "build" / name / "bin/battery" for name in PROCESSORS), PROGRAM]
 
 

@@ -53,6 +53,19 @@ def command_of(*arguments: str, ranks: int = 0) -> list[str]:
     return [*launcher, str(PROGRAM), *arguments]
 
 
+def make(*words: str, **more: str) -> None:
+    """Run make outside of any other; what it printed is shown if it fails.
+
+    One at a time: tests run side by side, and share what make builds. `more`: environment.
+    """
+    outside = {key: value for key, value in ENVIRONMENT.items() if not key.startswith("MAKE")}
+    ended = subprocess.run(
+        ["flock", "build/.tests", "make", *words], cwd=ROOT, env=outside | more,
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 0, (ended.stdout + ended.stderr)[-4000:]
+
+
 def start(
     *arguments: str,
     folder: Path,
