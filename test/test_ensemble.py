@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 from support.program import (
-    ENVIRONMENT,
+    ALONE,
     PATIENCE,
     PROGRAM,
     assert_same,
@@ -558,7 +558,7 @@ def test_full_disk(tmp_path: Path, undisturbed: Path, size: str) -> None:
     subprocess.run(
         ["unshare", "-rm", "sh", "-c", script],
         cwd=tmp_path,
-        env=ENVIRONMENT,
+        env=ALONE,
         timeout=PATIENCE,
         check=False,
     )
@@ -580,7 +580,7 @@ def test_full_disk_with_room_for_a_results_file(tmp_path: Path) -> None:
     subprocess.run(
         ["unshare", "-rm", "sh", "-c", script],
         cwd=tmp_path,
-        env=ENVIRONMENT,
+        env=ALONE,
         timeout=PATIENCE,
         check=False,
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from support.program import (
-    ENVIRONMENT,
+    ALONE,
     PATIENCE,
     assert_same,
     command_of,
@@ -182,7 +182,7 @@ def piped(folder: Path, *shell: str) -> CompletedProcess[str]:
     return subprocess.run(
         ["bash", "-c", *shell],
         cwd=folder,
-        env=ENVIRONMENT,
+        env=ALONE,
         timeout=PATIENCE,
         check=False,
         capture_output=True,

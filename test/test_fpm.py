@@ -10,11 +10,11 @@ from pathlib import Path
 
 import h5py
 import pytest
-from support.program import ENVIRONMENT, ROOT, namelist
+from support.program import ALONE, ROOT, namelist
 from support.program import run as run_program
 
 SECTION = re.compile(r"^@(\w+)\noptions (\w+) (.*)\n((?:options .*\n)*)", re.MULTILINE)
-WITHOUT_MAKE = {name: value for name, value in ENVIRONMENT.items() if not name.startswith("FPM_")}
+WITHOUT_MAKE = {name: value for name, value in ALONE.items() if not name.startswith("FPM_")}
 
 
 def sections() -> dict[str, tuple[str, str, str]]:
@@ -92,7 +92,7 @@ def test_a_clean_checkout_builds_runs_and_installs(tmp_path: Path) -> None:
     fpm("@install", "--prefix", str(tmp_path / "there"), folder=place)
     done = subprocess.run(
         [tmp_path / "there/bin/battery", "--version"],
-        env=ENVIRONMENT, check=True, text=True, capture_output=True,
+        env=ALONE, check=True, text=True, capture_output=True,
     )  # fmt: skip
     assert " (commit unknown)\n" in done.stdout
 

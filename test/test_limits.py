@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from support.program import (
-    ENVIRONMENT,
+    ALONE,
     PATIENCE,
     PROGRAM,
     finish,
@@ -174,7 +174,7 @@ def test_what_cannot_be_printed(tmp_path: Path, arguments: str, output: str) -> 
         ended = subprocess.run(
             [str(PROGRAM), *arguments.split()],
             cwd=tmp_path,
-            env=ENVIRONMENT,
+            env=ALONE,
             stdin=subprocess.DEVNULL,
             stdout=full,
             stderr=subprocess.PIPE,
@@ -199,7 +199,7 @@ def test_errors_that_cannot_be_printed(tmp_path: Path) -> None:
             ended = subprocess.run(
                 [str(PROGRAM), *arguments],
                 cwd=tmp_path,
-                env=ENVIRONMENT,
+                env=ALONE,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=full,

@@ -294,7 +294,7 @@ def test_folder_without_rights(tmp_path: Path) -> None:
         program.subprocess.Popen(
             [*humble, *program.command_of("bad.nml")],
             cwd=tmp_path,
-            env=program.ENVIRONMENT,
+            env=program.ALONE,
             stdout=program.subprocess.PIPE,
             stderr=program.subprocess.PIPE,
             text=True,

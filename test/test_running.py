@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from support.program import ENVIRONMENT, PROGRAM, UNDER_MPIRUN, assert_same
+from support.program import ALONE, ENVIRONMENT, PROGRAM, assert_same
 from support.program import run as run_program
 
 import postproc
@@ -30,7 +30,7 @@ CASE = {
 
 @pytest.fixture(autouse=True)
 def environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {**ENVIRONMENT, "BATTERY_PROGRAM": str(PROGRAM)}.items():
+    for name, value in {**ALONE, "BATTERY_PROGRAM": str(PROGRAM)}.items():
         monkeypatch.setenv(name, value)
 
 
@@ -48,8 +48,8 @@ def test_a_run_of_values_is_the_run_of_its_namelist(
     assert "snapshot_times" not in text
     assert run_program("in.nml", folder=tmp_path).returncode == 0
     assert_same(there, tmp_path / "it's.h5")
-    for name, value in UNDER_MPIRUN.items():
-        monkeypatch.setenv(name, value)
+    for name in ALONE.keys() - ENVIRONMENT.keys():
+        monkeypatch.delenv(name)
     shared = postproc.run(tmp_path / "in.nml", ranks=2, folder=tmp_path / "ranks", quiet=True)
     assert_same(there, shared)
     assert postproc.open_results(shared)["chi"].sizes["channel2_width"] == 2

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import h5py
 import pytest
-from support.program import ENVIRONMENT, PATIENCE, PROGRAM, ROOT, contents, make, namelist
+from support.program import ALONE, PATIENCE, PROGRAM, ROOT, contents, make, namelist
 
 PROCESSORS = ("x86-64-v3", "x86-64-v4")
 NEEDED = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
@@ -54,7 +54,7 @@ def run_by(program: Path, folder: Path, text: str) -> int:
     """Run one of the builds in a folder; give its exit code."""
     folder.mkdir(exist_ok=True)
     (folder / "case.nml").write_text(text, encoding="utf-8")
-    ended = subprocess.run([str(program), "--quiet", "case.nml"], cwd=folder, env=ENVIRONMENT,
+    ended = subprocess.run([str(program), "--quiet", "case.nml"], cwd=folder, env=ALONE,
                            capture_output=True, text=True, check=False, timeout=10 * PATIENCE)
     assert ended.returncode in (0, 3), ended.stderr
     return ended.returncode

@@ -24,14 +24,16 @@ ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    # Without mpirun: a daemon of Open MPI beside it would double the time of a start, and without
-    # one, starts side by side would remove the folder that another is about to use.
-    "OMPI_MCA_ess_singleton_isolated": "1",
-    "OMPI_MCA_orte_create_session_dirs": "0",
     "LC_ALL": "C.UTF-8",
 }
-# What mpirun cannot do without.
-UNDER_MPIRUN = {"OMPI_MCA_orte_create_session_dirs": "1"}
+# For the program without mpirun: a daemon of Open MPI beside it would double the time of a start,
+# and without one, starts side by side would remove the folder that another is about to use. No
+# mpirun may see these: it cannot do without its folders.
+ALONE = {
+    **ENVIRONMENT,
+    "OMPI_MCA_ess_singleton_isolated": "1",
+    "OMPI_MCA_orte_create_session_dirs": "0",
+}
 # Long enough for a busy machine; what hangs is found out all the same.
 PATIENCE = 60.0
 # What may differ between two runs of the same input.
@@ -77,7 +79,7 @@ def start(
     return subprocess.Popen(
         command_of(*arguments, ranks=ranks),
         cwd=folder,
-        env={**ENVIRONMENT, **(UNDER_MPIRUN if ranks else {}), **(environment or {})},
+        env={**(ENVIRONMENT if ranks else ALONE), **(environment or {})},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
