@@ -119,17 +119,27 @@ def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_an_interrupted_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
     long = changed(run={"duration": 40000.0}, scan={"replicas": 8})
     whole = postproc.run(long, folder=tmp_path / "whole", quiet=True)
-    journal = tmp_path / "it's.h5.tasks"
-    alarm = threading.Thread(target=interrupt_when_there_is, args=[journal])
-    with pytest.raises(KeyboardInterrupt):  # noqa: PT012 (the alarm belongs to the run)
-        alarm.start()
-        postproc.run(long, folder=tmp_path, quiet=True)
-        alarm.join()
-    alarm.join()
-    assert postproc.open_results(tmp_path / "it's.h5").attrs["status"] == "partial"
-    path = postproc.run(long, folder=tmp_path, quiet=True)
+    # On a busy machine a run may be over before its interrupt comes.
+    tried = (tmp_path / f"{number}" for number in range(20))
+    folder = next(folder for folder in tried if is_interrupted(long, folder))
+    assert postproc.open_results(folder / "it's.h5").attrs["status"] == "partial"
+    path = postproc.run(long, folder=folder, quiet=True)
     assert_same(path, whole)
-    assert not journal.exists()
+    assert not (folder / "it's.h5.tasks").exists()
+
+
+def is_interrupted(case: dict[str, dict[str, Any]], folder: Path) -> bool:
+    journal = folder / "it's.h5.tasks"
+    alarm = threading.Thread(target=interrupt_when_there_is, args=[journal])
+    alarm.start()
+    try:
+        try:
+            postproc.run(case, folder=folder, quiet=True)
+        finally:
+            alarm.join()
+    except KeyboardInterrupt:
+        return journal.exists()
+    return False
 
 
 def interrupt_when_there_is(path: Path) -> None:

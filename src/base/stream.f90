@@ -38,11 +38,13 @@ module battery_stream
     !> Passes a text of any length.
     procedure :: pass_text
     !> Passes a number, `value`, or an array, `values`, that is as long on reading as it was on
-    !> writing. By the `name` a stream of something else is found out.
+    !> writing. By the `name` a stream of something else is found out. Arrays of real numbers may
+    !> stand in a row, up to five with their names.
     generic :: pass => pass_logical, pass_int32, pass_int64, pass_real, pass_int8s, pass_int16s, &
       pass_int32s, pass_int64s, pass_reals
     !> Passes an allocatable array, `values`; on reading it becomes as long as what was written. By
-    !> the `name` a stream of something else is found out.
+    !> the `name` a stream of something else is found out. Lists of real numbers may stand in a row,
+    !> up to four with their names.
     generic :: pass_list => pass_int32_list, pass_real_list
     !> Whether something did not fit.
     procedure :: failed
@@ -263,16 +265,21 @@ contains
     if (self%reading) values = transfer(words, values, size(values))
   end subroutine pass_int64s
 
-  !> Real numbers of the program's precision, to all their bits.
-  pure subroutine pass_reals(self, name, values)
+  !> Real numbers of the program's precision, to all their bits; then those that follow.
+  pure recursive subroutine pass_reals(self, name, values, name2, values2, name3, values3, &
+      name4, values4, name5, values5)
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), intent(inout) :: values(:)
+    character(len=*), intent(in), optional :: name2, name3, name4, name5
+    real(wp), intent(inout), optional :: values2(:), values3(:), values4(:), values5(:)
     integer(int64), allocatable :: words(:)
 
     words = transfer(values, [0_int64])
     call self%pass_words(name, 'real', storage_size(1.0_wp)/8, size(values), words)
     if (self%reading) values = transfer(words, values, size(values))
+    if (present(values2)) call self%pass_reals(name2, values2, name3, values3, name4, values4, &
+      name5, values5)
   end subroutine pass_reals
 
   pure subroutine pass_int32_list(self, name, values)
@@ -289,10 +296,13 @@ contains
     call self%pass_int32s(name, values)
   end subroutine pass_int32_list
 
-  pure subroutine pass_real_list(self, name, values)
+  pure recursive subroutine pass_real_list(self, name, values, name2, values2, name3, values3, &
+      name4, values4)
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), allocatable, intent(inout) :: values(:)
+    character(len=*), intent(in), optional :: name2, name3, name4
+    real(wp), allocatable, intent(inout), optional :: values2(:), values3(:), values4(:)
     integer :: items
 
     if (.not. allocated(values)) allocate (values(0))
@@ -301,6 +311,8 @@ contains
     if (self%failed()) return
     if (size(values) /= items) values = spread(0.0_wp, 1, items)
     call self%pass_reals(name, values)
+    ! Given, and not whether it is allocated: that is what `name2` tells.
+    if (present(name2)) call self%pass_real_list(name2, values2, name3, values3, name4, values4)
   end subroutine pass_real_list
 
   !> A text of any length and of any bytes.

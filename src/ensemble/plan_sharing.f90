@@ -59,10 +59,8 @@ contains
     call stream%pass_text('file', plan%file)
     call stream%pass('initial_fingerprint', plan%initial_fingerprint)
     if (plan%initial_fingerprint == 0) return
-    call stream%pass_list('x', plan%start%x)
-    call stream%pass_list('y', plan%start%y)
-    call stream%pass_list('ux', plan%start%ux)
-    call stream%pass_list('uy', plan%start%uy)
+    call stream%pass_list('x', plan%start%x, 'y', plan%start%y, 'ux', plan%start%ux, &
+      'uy', plan%start%uy)
   end subroutine pass_input
 
 end module battery_plan_sharing

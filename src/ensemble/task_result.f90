@@ -165,11 +165,9 @@ contains
     call stream%pass('error', found%measured%error)
     call stream%pass('counted', found%measured%counted)
     call stream%pass_list('series_urn1_number', found%series_urn1_number)
-    call stream%pass_list('series_flow', found%series_flow)
-    call stream%pass_list('snapshots', found%snapshots)
-    call stream%pass_list('final_state', found%final_state)
+    call stream%pass_list('series_flow', found%series_flow, 'snapshots', found%snapshots, &
+      'final_state', found%final_state, 'event_times', found%event_times)
     call stream%pass_list('events', found%events)
-    call stream%pass_list('event_times', found%event_times)
   end subroutine pass_result
 
 end module battery_task_result

@@ -253,14 +253,8 @@ contains
     !> When each is due, in order; on the same clock.
     real(wp), intent(in) :: due_time(sorted), instant
     integer :: due
-    integer(int64) :: found
-    integer :: k
 
-    found = 0
-    do k = 1, sorted
-      found = found + merge(1_int64, 0_int64, due_time(k) < instant)
-    end do
-    due = int(found)
+    due = int(count(due_time < instant, kind=int64))
   end function due_before
 
   !> The first `done` of the sorted events are over.

@@ -250,7 +250,6 @@ contains
     type(stream_type), intent(inout) :: stream
 
     call stream%pass('count', queue%count)
-    call stream%pass('next', queue%next)
     call stream%pass('in_order', queue%in_order)
     if (stream%failed()) return
     do while (queue%room < max(queue%count, 1))
@@ -258,6 +257,7 @@ contains
     end do
     call stream%pass('time', queue%time(:queue%count))
     call stream%pass('who', queue%who(:queue%count))
+    queue%next = minval(queue%time(:queue%count))
   end subroutine pass_queue
 
 end module battery_queue

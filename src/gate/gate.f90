@@ -277,14 +277,8 @@ contains
     integer, intent(in) :: n
     real(wp), intent(in) :: time(n), instant
     integer :: after
-    integer(int64) :: found
-    integer :: k
 
-    found = 0
-    do k = 1, n
-      found = found + merge(1_int64, 0_int64, time(k) > instant)
-    end do
-    after = int(found)
+    after = int(count(time > instant, kind=int64))
   end function count_after
 
   !> The gate turns at this `instant`: who has crossed by then, and who is turned back.

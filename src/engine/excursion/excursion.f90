@@ -330,13 +330,9 @@ contains
     call stream%pass('told_hits', self%told_hits)
     call stream%pass('heading', self%flight%heading)
     call stream%pass('urn', self%flight%urn)
-    call stream%pass('due', self%flight%due)
-    call stream%pass('time', self%flight%time)
-    call stream%pass('y', self%flight%y)
-    call stream%pass('along', self%flight%along)
-    call stream%pass('across', self%flight%across)
-    call stream%pass('length', self%flight%length)
-    call stream%pass('through', self%flight%through)
+    call stream%pass('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
+    call stream%pass('along', self%flight%along, 'across', self%flight%across, &
+      'length', self%flight%length, 'through', self%flight%through)
     if (.not. stream%reading .or. stream%failed()) return
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number

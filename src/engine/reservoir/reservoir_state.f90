@@ -67,14 +67,11 @@ contains
 
   !> The stays, those that tick, the numbers drawn ahead and the counts, through a stream.
   module procedure pass_own
-    call stream%pass('time', self%stay%time)
-    call stream%pass('y', self%stay%y)
-    call stream%pass('along', self%stay%along)
-    call stream%pass('across', self%stay%across)
+    call stream%pass('time', self%stay%time, 'y', self%stay%y, 'along', self%stay%along, &
+      'across', self%stay%across, 'entered', self%entered)
     call stream%pass('hits', self%stay%hits)
     call stream%pass('heading', self%stay%heading)
     call stream%pass('urn', self%stay%urn)
-    call stream%pass('entered', self%entered)
     call stream%pass('members', self%members)
     call stream%pass('member', self%member(:self%members))
     call stream%pass('next_tick', self%next_tick)

@@ -226,12 +226,9 @@ contains
     end do
     call stream%pass('next_tick', draws%next_tick)
     call stream%pass('next_exit', draws%next_exit)
-    call stream%pass('wait', draws%wait)
+    call stream%pass('wait', draws%wait, 'y', draws%y, 'along', draws%along, &
+      'inverse', draws%inverse, 'across', draws%across)
     call stream%pass('who', draws%who)
-    call stream%pass('y', draws%y)
-    call stream%pass('along', draws%along)
-    call stream%pass('inverse', draws%inverse)
-    call stream%pass('across', draws%across)
     call stream%pass('hits', draws%hits)
     call stream%pass('channel', draws%channel)
   end subroutine pass_draws

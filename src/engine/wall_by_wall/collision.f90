@@ -197,11 +197,8 @@ contains
     integer :: i
 
     call pass_counts(self, stream)
-    call stream%pass('x', self%motion%x)
-    call stream%pass('y', self%motion%y)
-    call stream%pass('ux', self%motion%ux)
-    call stream%pass('uy', self%motion%uy)
-    call stream%pass('time', self%motion%time)
+    call stream%pass('x', self%motion%x, 'y', self%motion%y, 'ux', self%motion%ux, &
+      'uy', self%motion%uy, 'time', self%motion%time)
     call stream%pass('side', self%motion%side)
     call stream%pass('chamber', self%motion%chamber)
     call stream%pass('next', self%motion%next)

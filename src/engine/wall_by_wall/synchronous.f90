@@ -289,9 +289,7 @@ contains
     call stream%pass('side', self%side)
     call stream%pass('chamber', self%chamber)
     call stream%pass('next', self%next)
-    call stream%pass('kept_ux', self%kept_ux)
-    call stream%pass('kept_uy', self%kept_uy)
-    call stream%pass('least', self%least)
+    call stream%pass('kept_ux', self%kept_ux, 'kept_uy', self%kept_uy, 'least', self%least)
     call stream%pass('backwards', self%backwards)
   end subroutine pass_own
 

@@ -330,10 +330,7 @@ contains
 
     call pass_counts(self, stream)
     call stream%pass('slips', self%slips)
-    call stream%pass('x', self%x)
-    call stream%pass('y', self%y)
-    call stream%pass('ux', self%ux)
-    call stream%pass('uy', self%uy)
+    call stream%pass('x', self%x, 'y', self%y, 'ux', self%ux, 'uy', self%uy)
     call stream%pass('side', self%side)
     call stream%pass('chamber', self%chamber)
   end subroutine pass_own
