@@ -108,14 +108,14 @@ contains
     integer, intent(in) :: particle
     real(wp), intent(in) :: time
 
-    call schedule_all(calendar, flight, 1, [particle], [time])
+    flight(particle)%due = time
+    call schedule_all(calendar, 1, [particle], [time])
   end subroutine schedule
 
   !> Writes down many events at once: of `particle(:count)` at `time(:count)`; one whose time is
   !> huge never comes.
-  pure subroutine schedule_all(calendar, flight, count, particle, time)
+  pure subroutine schedule_all(calendar, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
-    type(flight_type), intent(inout) :: flight(:)
     !> How many.
     integer, intent(in) :: count
     !> Whose, each at most once.
@@ -125,9 +125,9 @@ contains
     integer :: k
     logical :: some_at_once
 
-    call fill_buckets(size(flight), count, particle, time, calendar%per_width, &
+    call fill_buckets(count, particle, time, calendar%per_width, &
       calendar%opened_until, calendar%page, calendar%next_place, calendar%whose, &
-      calendar%block_before, calendar%free_blocks, calendar%free_block, flight, some_at_once)
+      calendar%block_before, calendar%free_blocks, calendar%free_block, some_at_once)
     if (.not. some_at_once) return
     do k = 1, count
       if (time(k) < calendar%opened_until) call insert(size(calendar%particle), &
@@ -136,21 +136,19 @@ contains
   end subroutine schedule_all
 
   !> The part of it that is not due before `opened_until`; tells whether there are others.
-  pure subroutine fill_buckets(number, count, particle, time, per_width, opened_until, page, &
-    next_place, whose, block_before, free_blocks, free_block, flight, some_at_once)
-    integer, intent(in) :: number, count, particle(count)
+  pure subroutine fill_buckets(count, particle, time, per_width, opened_until, page, &
+    next_place, whose, block_before, free_blocks, free_block, some_at_once)
+    integer, intent(in) :: count, particle(count)
     real(wp), intent(in) :: time(count), per_width, opened_until, page
     integer(int32), intent(inout), contiguous :: next_place(:), whose(0:), block_before(0:)
     integer, intent(inout) :: free_blocks
     integer(int32), intent(in), contiguous :: free_block(:)
-    type(flight_type), intent(inout) :: flight(number)
     logical, intent(out) :: some_at_once
     integer :: k, bucket
     integer(int32) :: at, before
 
     some_at_once = .false.
     do k = 1, count
-      flight(particle(k))%due = time(k)
       if (time(k) >= page) cycle
       if (time(k) < opened_until) then
         some_at_once = .true.

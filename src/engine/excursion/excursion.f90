@@ -202,7 +202,7 @@ contains
           call leave_channels(self%table%urn(b), v)
           call finish_visits(self, b)
         end if
-        call schedule_all(self%calendar, self%flight, v%count, v%particle, v%time)
+        call schedule_all(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
     self%now = ends

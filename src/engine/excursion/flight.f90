@@ -90,6 +90,7 @@ contains
         flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
         time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
       end if
+      flight(i)%due = time(j)
     end do
   end subroutine land
 
