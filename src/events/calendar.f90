@@ -112,8 +112,8 @@ contains
     call schedule_all(calendar, 1, [particle], [time])
   end subroutine schedule
 
-  !> Writes down many events at once: of `particle(:count)` at `time(:count)`; one whose time is
-  !> huge never comes.
+  !> Writes down many events at once: of `particle(:count)` at `time(:count)`, which their flights
+  !> have as `due` already; one whose time is huge never comes.
   pure subroutine schedule_all(calendar, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
     !> How many.
@@ -125,9 +125,9 @@ contains
     integer :: k
     logical :: some_at_once
 
-    call fill_buckets(count, particle, time, calendar%per_width, &
-      calendar%opened_until, calendar%page, calendar%next_place, calendar%whose, &
-      calendar%block_before, calendar%free_blocks, calendar%free_block, some_at_once)
+    call fill_buckets(count, particle, time, calendar%per_width, calendar%opened_until, &
+      calendar%page, calendar%next_place, calendar%whose, calendar%block_before, &
+      calendar%free_blocks, calendar%free_block, some_at_once)
     if (.not. some_at_once) return
     do k = 1, count
       if (time(k) < calendar%opened_until) call insert(size(calendar%particle), &
