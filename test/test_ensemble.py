@@ -173,7 +173,8 @@ def test_signal_to_mpirun(tmp_path: Path, undisturbed: Path, what: signal.Signal
     time.sleep(0.2)
     send([process.pid], what)
     ended = finish(process)
-    assert ended.returncode != 0
+    # After SIGTERM MPICH's mpirun says 0 now and then, though its ranks said 3.
+    assert ended.returncode != 0 or "stopped early" in ended.stdout
     if what == signal.SIGUSR1:
         assert ended.returncode == 3
     complete(tmp_path, undisturbed, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import signal
 import time
 from typing import TYPE_CHECKING, Any
@@ -256,6 +257,27 @@ def test_stopped_on_the_way_to_a_precision(tmp_path: Path, precise: Path) -> Non
         process.communicate()
     complete(tmp_path)
     assert_same(tmp_path / "out.h5", precise)
+
+
+def test_check_says_what_a_precision_may_cost(tmp_path: Path, precise: Path) -> None:
+    """What is known to be needed, what may come, and what will if points are alike."""
+    ask = {"scan": WIDTHS, "precision": ASKED}
+
+    def said(*words: str) -> str:
+        return run("--check", *words, "case.nml", folder=tmp_path).stdout
+
+    fresh = "finished:   0 tasks; to be done: 32, and up to 68 more as the first replicas tell"
+    write(tmp_path, **ask)
+    assert fresh in said()
+    assert re.search(r"time: +about \S+ s on 1 rank; at most \S+ s\n", said())
+    (tmp_path / "out.h5").write_bytes(precise.read_bytes())
+    with h5py.File(precise) as file:
+        done = np.count_nonzero(file["task_status"][()] == 0)
+    assert f"finished:   {done} tasks; to be done: 0\n" in said()
+    assert fresh in said("--overwrite")
+    write(tmp_path, scan={**WIDTHS, "channel2_width": "0.01, 0.03, 0.1"}, precision=ASKED)
+    assert f"finished:   {done} tasks; to be done: 16, and up to 34 more" in said()
+    assert re.search(r" rank; \S+ s if the other points get as many replicas as .*; at most", said())
 
 
 def test_coarser_precision_is_refused(tmp_path: Path, precise: Path) -> None:

@@ -13,6 +13,7 @@ from support.program import namelist, run
 import postproc
 from postproc.cli import InputError
 from postproc.reading.grid import PARAMETERS
+from postproc.reading.seal import LENGTH
 from postproc.tests.runs import edited, leave_out
 from postproc.theory.circuit import Circuit, single_urn_current
 from postproc.theory.models import MODELS, describe
@@ -26,6 +27,9 @@ SCANS = {
     "widths": {"threshold": "7, 3", "channel1_width": "0.3, 0.2", "channel2_width": "0.1, 0.02"},
     "lengths": {"channel1_length": "2, 1, 0.5", "channel2_length_range": "1, 3, 2"},
     "radii": {"urn_radius": "1.5, 1.0"},
+    "pairs": {"threshold": "3, 7, 5", "threshold2": "4, 8, 6", "channel2_width": "0.1, 0.02"},
+    "pairs_of_radii": {"threshold": "3, 7", "urn_radius": "1.5, 1.0", "urn_radius2": "1.2, 1.4"},
+    "second_alone": {"threshold2": "4, 8", "urn_radius2": "1.2, 1.4, 1.1"},
     "fractions": FRACTIONS,
     "single": {},
     "list_of_one": {"threshold": "4"},
@@ -52,7 +56,9 @@ def test_a_cell_of_the_grid_is_the_point_that_it_says(tmp_path: Path, scan: dict
     path = results_of(tmp_path, scan, output={"series_interval": 0.5})
     data = postproc.open_results(path)
     series = postproc.open_results(path, group="series")
-    keys = [key.removesuffix("_range") for key in scan]
+    # The second list of a pair goes with the first.
+    keys = [key.removesuffix("_range") for key in scan
+            if not (key.endswith("2") and key[:-1] in scan)]  # fmt: skip
     assert data["chi"].dims == (*keys, "replica")
     assert series["urn1_number"].dims == (*keys, "replica", "time")
     with h5py.File(path) as file:
@@ -61,6 +67,8 @@ def test_a_cell_of_the_grid_is_the_point_that_it_says(tmp_path: Path, scan: dict
             for name in (*PARAMETERS, "chi", "seed"):
                 expected = file[name][point]  # urn_radius: both, where the scan has one
                 found = np.broadcast_to(there[name], expected.shape)
+                if name in keys and f"{name}2" in there.coords:
+                    found = np.array([found[0], there[f"{name}2"]])
                 assert np.array_equal(found, expected, equal_nan=True), (name, point)
             for share, whole in SHARES.items():
                 if share in keys:
@@ -154,9 +162,23 @@ def test_a_file_without_its_grid_comes_by_points(tmp_path: Path) -> None:
     assert data["threshold"].dims == ("point",)
 
 
+def test_files_of_the_version_before_are_read(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"threshold": "3, 7"})
+    before = postproc.open_results(path)
+    with edited(path) as file:
+        file.attrs["version"] = np.bytes_("0.1.0")
+    after = postproc.open_results(path)
+    assert after.attrs["version"] == "0.1.0"
+    assert after.equals(before)
+
+
 def other_version(path: Path) -> None:
     with edited(path) as file:
         file.attrs["version"] = np.bytes_("3.0.0")
+
+
+def without_a_seal(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-LENGTH])
 
 
 def another_grid(path: Path) -> None:
@@ -179,7 +201,8 @@ def not_hdf5(path: Path) -> None:
 
 
 BAD = {
-    other_version: "of version 3.0.0 of battery; 0.1.x can be read",
+    other_version: r"of version 3.0.0 of battery; 0.1.x and 0.2.x can be read",
+    without_a_seal: "of a version before 0.2.0, or was changed: it has no digest at its end",
     another_grid: "damaged: its points do not fill the grid",
     damaged: "damaged: its digest is wrong",
     cut: "only a piece of its file|no digest at its end",

@@ -12,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-from manual import fortran, pages, python, reference
+from manual import fortran, numbers, pages, python, reference
 from manual.fences import Fences
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,6 +55,7 @@ def main() -> int:
     problems += wrong
     for name, file in there.items():
         text = (ROOT / file).read_text(encoding="utf-8")
+        problems += numbers.unsourced(ROOT, file, text)
         for marker, part in made.items():
             text = text.replace(f"<!-- {marker} -->", part)
         dry = "--dry" in sys.argv[1:]

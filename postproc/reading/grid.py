@@ -133,7 +133,18 @@ def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
             variables[name] = grid
     for name, (values, told) in axes.items():
         coordinates[name] = xr.Variable(name, values, data[name].attrs if name in data else told)
+    if "urn_radius" in axes and "urn_radius" in data:
+        coordinates |= _second_radius(data["urn_radius"], axes)
     return xr.Dataset(variables, coordinates)
+
+
+def _second_radius(both: xr.DataArray, axes: Axes) -> dict[str, xr.Variable]:
+    """Return the radius of urn 2 where it was scanned in pairs with that of urn 1, else nothing."""
+    radius = both.transpose("point", ...).data
+    if radius.ndim == 1 or bool((radius[:, 0] == radius[:, -1]).all()):
+        return {}
+    column = radius[:, -1].reshape([len(values) for values, _ in axes.values()])
+    return {"urn_radius2": _without_idle(xr.Variable(list(axes), column, both.attrs), axes)}
 
 
 def _without_idle(values: xr.Variable, axes: Axes) -> xr.Variable:

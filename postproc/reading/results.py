@@ -31,7 +31,7 @@ KEPT = 1 << 28
 COMPLETE = 0  # value of `task_status`
 POLARISED = 0.15  # chi from which on a state is taken to be polarised
 LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
-READABLE = "0.1."  # how the versions begin whose files are read
+READABLE = ("0.1.", "0.2.")  # how the versions begin whose files are read
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 
 
@@ -79,8 +79,9 @@ class Results:
         version = self.attributes.get("version", "")
         if not version.startswith(READABLE):
             self._file.close()
+            known = " and ".join(f"{one}x" for one in READABLE)
             raise InputError(
-                f"{path}: of version {version or 'unknown'} of battery; {READABLE}x can be read"
+                f"{path}: of version {version or 'unknown'} of battery; {known} can be read"
             )
 
     def __enter__(self) -> Results:

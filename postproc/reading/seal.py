@@ -19,6 +19,7 @@ FIRST_LINE = "battery results 1"
 REMARK = "Before these 512 bytes is HDF5; head -c -512 FILE | sha256sum gives the digits above."
 MARK = b"initial_file_fingerprint"  # near the beginning of every file of the program
 PIECE = 2**20  # bytes that are read at once
+END = slice(40, 48)  # where HDF5's superblock says how long the file is
 
 
 def seal_of(count: int, digits: str) -> bytes:
@@ -42,8 +43,10 @@ def check_seal(path: Path) -> None:
     first = first or seal
     if seal.startswith(FIRST_LINE.encode()) or REMARK.encode() in seal:
         reason = "damaged: its digest is wrong"
+    elif MARK in first and int.from_bytes(first[END], "little") == path.stat().st_size:
+        reason = "of a version before 0.2.0, or was changed: it has no digest at its end"
     elif MARK in first:
-        reason = "damaged, or of an earlier version: it has no digest at its end"
+        reason = "damaged: it has no digest at its end"
     elif first.startswith(b"\x89HDF"):
         raise InputError(f"{path}: HDF5, but not written by battery, or only a piece of its file")
     else:

@@ -5,8 +5,8 @@ module battery_build_information
   private
   public :: program_version, git_commit
 
-  !> As in fpm.toml (test/test_versions.py).
-  character(len=*), parameter :: program_version = '0.1.0'
+  !> As in fpm.toml (test/test_fpm.py).
+  character(len=*), parameter :: program_version = '0.2.0'
 
   !> `commit.c` has it.
   character(kind=c_char), bind(c, name='battery_commit'), protected :: commit(48)

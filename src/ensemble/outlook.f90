@@ -7,7 +7,7 @@ module battery_outlook
   use battery_error, only: error_type
   use battery_limits, only: memory_type, memory_left
   use battery_needs, only: needs_type, needs_of
-  use battery_preparation, only: look_at_output
+  use battery_preparation, only: progress_type, look_at_output
   use battery_plan, only: plan_type, point_type, point_of
   use battery_room, only: base_bytes, size_text
   use battery_screen, only: duration_text, rate_text
@@ -36,32 +36,76 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
     type(needs_type) :: needs
-    integer, allocatable :: pending(:)
+    type(progress_type) :: progress
     character(len=:), allocatable :: remark
     real(dp) :: seconds, rate
-    logical :: complete
-    integer :: k
 
-    pending = [(k, k=1, task_count(plan))]
     remark = ''
-    if (.not. overwrite) call look_at_output(plan, complete, pending, remark, error)
+    if (overwrite) then
+      progress = nothing_done(plan)
+    else
+      call look_at_output(plan, progress, remark, error)
+    end if
     if (allocated(error)) return
     if (remark /= '') call say(remark)
     left = memory_left(sharing)
     needs = needs_of(plan, left)
     call print_parameters(plan)
-    call say('finished:   '//counted(task_count(plan) - size(pending), 'task')//'; to be done: ' &
-      //to_text(size(pending)))
-    call calibrate(plan, pending, needs%number, seconds, rate, error)
+    call say('finished:   '//counted(progress%finished, 'task')//'; to be done: ' &
+      //to_text(size(progress%pending))//further_text(progress))
+    call calibrate(plan, progress%pending, needs%number, seconds, rate, error)
     if (allocated(error)) return
     if (rate > 0.0_dp) &
       call say('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
-    call say('time:       about '//duration_text(seconds &
-      *real(ceiling(real(size(pending), dp)/ranks), dp))//' on '//counted(ranks, 'rank'))
+    call say('time:       about '//time_text(0.0_dp)//' on '//counted(ranks, 'rank') &
+      //further_time())
     call print_memory(needs, left)
     call say('results:    '//plan%file)
     call say('nothing was written')
+
+  contains
+
+    !> How long the tasks that are to be done take, and so many more.
+    function time_text(more) result(text)
+      real(dp), intent(in) :: more
+      character(len=:), allocatable :: text
+
+      text = duration_text(seconds*real(ceiling((size(progress%pending) + more)/ranks), dp))
+    end function time_text
+
+    !> What is not known yet, where a precision is asked for.
+    function further_time() result(text)
+      character(len=:), allocatable :: text
+
+      text = ''
+      if (progress%further == 0) return
+      if (progress%expected >= 0.0_dp) text = '; '//time_text(progress%expected) &
+        //' if the other points get as many replicas as those that are known'
+      text = text//'; at most '//time_text(real(progress%further, dp))
+    end function further_time
+
   end subroutine print_outlook
+
+  !> What is to be done where nothing is there.
+  function nothing_done(plan) result(progress)
+    type(plan_type), intent(in) :: plan
+    type(progress_type) :: progress
+    integer :: k
+
+    progress%pending = pack([(k, k=1, task_count(plan))], [(modulo(k - 1, plan%replicas) &
+      < plan%first_replicas, k=1, task_count(plan))])
+    progress%further = task_count(plan) - size(progress%pending)
+  end function nothing_done
+
+  !> How many tasks may come on top.
+  function further_text(progress) result(text)
+    type(progress_type), intent(in) :: progress
+    character(len=:), allocatable :: text
+
+    text = ''
+    if (progress%further > 0) text = ', and up to '//to_text(progress%further) &
+      //' more as the first replicas tell'
+  end function further_text
 
   !> What a rank takes while it runs, what rank 0 takes at the end, and what there is.
   subroutine print_memory(needs, left)
@@ -98,7 +142,7 @@ contains
       //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)')
     if (plan%first_replicas < plan%replicas) call say('precision:  the first ' &
       //to_text(plan%first_replicas)//' replicas of a point tell how many it gets, up to ' &
-      //to_text(plan%replicas)//'; below, only those that are known to be needed count')
+      //to_text(plan%replicas)//'')
     call say('engine:     '//plan%engine)
     call say('shape:      '//plan%shape//', urn radius '//both(4))
     call say('channel 1:  w = '//range_text(6)//', l = '//range_text(7))

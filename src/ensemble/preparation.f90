@@ -1,6 +1,6 @@
 !> The start of an ensemble: what is there already, and which tasks are still to be done.
 module battery_preparation
-  use battery_kinds, only: wp, int64
+  use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
@@ -12,14 +12,29 @@ module battery_preparation
   use battery_metadata, only: read_metadata
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
-  use battery_results, only: results_type, task_complete
+  use battery_results, only: results_type, task_complete, point_undecided
   use battery_tasks, only: task_type, task_count, task_of, put_longest_first, roster_type, &
     roster_of, number_in
   use battery_terminal, only: say
   use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
   private
-  public :: prepare, look_at_output
+  public :: prepare, progress_type, look_at_output
+
+  !> How far an ensemble is.
+  type :: progress_type
+    !> Whether the results file is as it should be.
+    logical :: complete = .false.
+    !> Tasks that are finished.
+    integer :: finished = 0
+    !> Numbers of the tasks that are known to be needed and are still to be done.
+    integer, allocatable :: pending(:)
+    !> Tasks that may come on top of them, at most, where a precision is asked for.
+    integer :: further = 0
+    !> How many of them will, if points get as many replicas as those whose number is known do on
+    !> average; below 0: none is known.
+    real(dp) :: expected = -1.0_dp
+  end type progress_type
 
 contains
 
@@ -63,14 +78,17 @@ contains
     integer, allocatable, intent(inout) :: pending(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: remark
+    type(progress_type) :: progress
 
     complete = .false.
     rank_files = 0
     call check_journal(journal_folder(plan), error)
     if (.not. allocated(error) .and. overwrite) call remove_file(plan%file, error)
     if (.not. allocated(error) .and. overwrite) call remove_journal(journal_folder(plan), error)
-    if (.not. allocated(error)) call look_at_output(plan, complete, pending, remark, error)
+    if (.not. allocated(error)) call look_at_output(plan, progress, remark, error)
     if (allocated(error)) return
+    complete = progress%complete
+    pending = progress%pending
     if (remark /= '' .and. .not. quiet) call say(remark)
     if (complete) then
       call remove_journal(journal_folder(plan), error)
@@ -81,13 +99,10 @@ contains
     end if
   end subroutine begin
 
-  !> Which tasks are still to be done, by what is there; writes nothing.
-  subroutine look_at_output(plan, complete, pending, remark, error)
+  !> How far an ensemble is, by what is there; writes nothing.
+  subroutine look_at_output(plan, progress, remark, error)
     type(plan_type), intent(in) :: plan
-    !> Whether the results file is as it should be.
-    logical, intent(out) :: complete
-    !> Their numbers.
-    integer, allocatable, intent(out) :: pending(:)
+    type(progress_type), intent(out) :: progress
     !> What a user should know of it; may be empty.
     character(len=:), allocatable, intent(out) :: remark
     !> Code `exit_bad_input` where something else is in the way.
@@ -98,21 +113,21 @@ contains
     type(string_type), allocatable :: failures(:)
     integer, allocatable :: wanted(:)
     logical :: found
-    integer :: done, k
+    integer :: k
 
-    allocate (pending(0))
+    allocate (progress%pending(0))
     remark = ''
-    call look_at_results_file(plan, complete, damage, error)
-    if (.not. allocated(error)) call look_at_journal(plan, complete, found, error)
+    call look_at_results_file(plan, progress%complete, damage, error)
+    if (.not. allocated(error)) call look_at_journal(plan, progress%complete, found, error)
     if (allocated(error)) return
-    if (complete) then
+    call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
+    call collect_results(plan, journal, .false., results, failures, wanted)
+    progress%finished = count(results%task_status == task_complete)
+    if (progress%complete) then
       remark = plan%file//' is complete; --overwrite runs it again'
       return
     end if
-    call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
-    call collect_results(plan, journal, .false., results, failures, wanted)
-    done = count(results%task_status == task_complete)
-    found = found .or. done > 0
+    found = found .or. progress%finished > 0
     if (allocated(damage)) then
       if (.not. found) then
         call move_alloc(damage, error)
@@ -121,11 +136,28 @@ contains
       remark = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
         //new_line_character
     end if
-    pending = pack([(k, k=1, task_count(plan))], [(results%task_status(:wanted(k), k) &
+    progress%pending = pack([(k, k=1, task_count(plan))], [(results%task_status(:wanted(k), k) &
       /= task_complete, spread(.false., 1, plan%replicas - wanted(k)), k=1, plan%point_count)])
-    if (found) remark = remark//'going on: '//to_text(done)//' of '//to_text(done &
-      + size(pending))//' tasks are finished'
+    if (allocated(results%point_status)) call foresee(plan, results%point_status /= &
+      point_undecided, wanted, progress)
+    if (found) remark = remark//'going on: '//to_text(progress%finished)//' of ' &
+      //to_text(progress%finished + size(progress%pending))//' tasks are finished'
   end subroutine look_at_output
+
+  !> What points may still ask for whose first replicas are not complete.
+  pure subroutine foresee(plan, decided, wanted, progress)
+    type(plan_type), intent(in) :: plan
+    !> Whether it is known how many replicas a point gets, and how many are known; (point).
+    logical, intent(in) :: decided(:)
+    integer, intent(in) :: wanted(:)
+    type(progress_type), intent(inout) :: progress
+    integer :: others
+
+    others = count(.not. decided)
+    progress%further = others*(plan%replicas - plan%first_replicas)
+    if (any(decided)) progress%expected = others*(real(sum(wanted, decided), dp)/count(decided) &
+      - plan%first_replicas)
+  end subroutine foresee
 
   !> Notes in the journal that so many ranks start, after so many rank files of earlier ones.
   subroutine open_journal(plan, ranks, rank_files, error)

@@ -65,9 +65,10 @@ contains
   end function seal_text
 
   !> Reads a file whole and compares it with its seal. The error has the code `exit_failure` if the
-  !> file was a results file and is damaged, `exit_bad_input` if it is something else. A file that
-  !> is empty, or whose first bytes are zero, is what a crash of the machine leaves, and counts as
-  !> damaged.
+  !> file was a results file and is damaged, `exit_bad_input` if it is something else: one of a
+  !> version before 0.2.0, or one that HDF5 wrote anew, which end where HDF5 says that they do, among
+  !> them. A file that is empty, or whose first bytes are zero, is what a crash of the machine
+  !> leaves, and counts as damaged.
   subroutine check_seal(name, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -101,13 +102,30 @@ contains
       return
     else if (index(seal, first_line//new_line('a')) == 1 .or. index(seal, remark) > 0) then
       call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
+    else if (index(first, mark) > 0 .and. end_in_hdf5(first) == bytes) then
+      call fatal_error(error, name//' is of a version before 0.2.0, or was changed: it has no ' &
+        //'digest at its end', exit_bad_input)
     else if (index(first, mark) > 0 .or. verify(first, achar(0)) == 0) then
-      call fatal_error(error, name//' is damaged, or of an earlier version: it has no digest at ' &
-        //'its end', exit_failure)
+      call fatal_error(error, name//' is damaged: it has no digest at its end', exit_failure)
     else
       call fatal_error(error, name//' is not a results file of this program', exit_bad_input)
     end if
   end subroutine check_seal
+
+  !> Where a file ends by its own head, the superblock of HDF5 in its first form (all of ours are).
+  pure integer(int64) function end_in_hdf5(first) result(bytes)
+    !> The file from its beginning.
+    character(len=*), intent(in) :: first
+    !> Where the number stands, least byte first.
+    integer, parameter :: place = 40
+    integer :: k
+
+    bytes = 0
+    if (len(first) < place + 8) return
+    do k = 8, 1, -1
+      bytes = ior(shiftl(bytes, 8), int(ichar(first(place + k:place + k)), int64))
+    end do
+  end function end_in_hdf5
 
   !> Reads what stands before the seal.
   subroutine read_content(unit, count, first, digits, status)
