@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
 from typing import TYPE_CHECKING
 
 import h5py
@@ -136,6 +138,13 @@ SCANNED: list[dict[str, tuple[str, object]]] = [
         "channel2_width": ("table", 0.1),
     },
     {
+        "urn_radius": ("table", 1.1),
+        "channel1_width": ("table", 0.4),
+        "channel1_length": ("table", 0.7),
+        "channel2_width": ("table", 0.2),
+        "channel2_length": ("table", 1.6),
+    },
+    {
         "threshold_fraction": ("gate", 0.05),
         "number": ("particles", 60),
         "urn1_fraction": ("particles", 0.3),
@@ -143,7 +152,7 @@ SCANNED: list[dict[str, tuple[str, object]]] = [
 ]
 
 
-@pytest.mark.parametrize("keys", SCANNED, ids=["numbers", "fractions"])
+@pytest.mark.parametrize("keys", SCANNED, ids=["numbers", "lengths", "fractions"])
 def test_a_list_of_one_is_the_value_in_its_own_group(
     tmp_path: Path, keys: dict[str, tuple[str, object]]
 ) -> None:
@@ -151,9 +160,10 @@ def test_a_list_of_one_is_the_value_in_its_own_group(
     own: dict[str, dict[str, object]] = {"table": {}, "particles": {}, "gate": {}}
     for key, (group, value) in keys.items():
         own[group][key] = value
+    own = {group: inside for group, inside in own.items() if inside}
     listed = {key: value for key, (_, value) in keys.items()}
     ranged = {f"{key}_range": f"{value}, {value}, 1" for key, value in listed.items()}
-    none: dict[str, dict[str, object]] = {"table": {}, "particles": {}, "gate": {}}
+    none: dict[str, dict[str, object]] = {group: {} for group in own}
     results = [
         calculate(tmp_path, "own", **own),
         calculate(tmp_path, "listed", **none, scan=listed),
@@ -175,6 +185,99 @@ def test_a_point_is_the_same_however_many_are_scanned_with_it(tmp_path: Path) ->
         at = np.flatnonzero((file["threshold"][()] == 1) & (file["channel2_width"][()] == 0.01))
         for name in ("seed", "chi", "current1", "flow1_12", "collisions", "bounce_backs"):
             assert file[name][at[0], 0].tobytes() == one[name][0, 0].tobytes(), name
+
+
+LENGTHS = {
+    "channel1_width": (0.3, 0.5),
+    "channel2_width": (0.0, 0.1),
+    "channel1_length": (0.5, 1.2),
+    "urn_radius": (0.8, 1.5),
+}
+
+
+def test_points_of_a_scan_over_lengths_are_single_runs(tmp_path: Path) -> None:
+    """Each of the sixteen, by the bits of all that was measured; the file says which is which."""
+    scan = {f"{key}_range": f"{first}, {last}, 2" for key, (first, last) in LENGTHS.items()}
+    names = ["seed", "chi", "current1", "flow1_12", "flow2_21", "collisions", "time"]
+    with h5py.File(calculate(tmp_path, "many", scan=scan)) as file:
+        many = {name: file[name][()] for name in (*names, *LENGTHS)}
+    points = list(itertools.product(*LENGTHS.values()))
+    for at, point in enumerate(points):
+        table = dict(zip(LENGTHS, point, strict=True))
+        with h5py.File(calculate(tmp_path, f"alone{at}", table=table)) as one:
+            for name in names:
+                assert many[name][at].tobytes() == one[name][0].tobytes(), (name, table)
+        assert [np.ravel(many[key][at])[0] for key in LENGTHS] == list(point)
+    assert np.unique(many["seed"]).size == len(points)
+
+
+def refused(folder: Path, *options: str, **groups: dict[str, object]) -> list[str]:
+    """Give the lines that are said of a case that must be refused and leave nothing behind."""
+    case = {"particles": {"number": 20}, "gate": {"threshold": 2}, "run": {"duration": 5}}
+    (folder / "case.nml").write_text(namelist(**case, **groups))
+    before = set(folder.iterdir())
+    ended = run(*options, "case.nml", folder=folder)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert set(folder.iterdir()) == before
+    return ended.stderr.splitlines()
+
+
+@pytest.mark.parametrize("options", [(), ("--check",)])
+def test_points_that_cannot_exist_are_listed_before_anything_runs(
+    tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    """All of them, each with its lengths and what they would have to be; first how many."""
+    scan = {"urn_radius_range": "0.3, 0.5, 3", "channel1_width": "0.2, 0.6, 0.7, 0.9"}
+    first, *found = refused(tmp_path, *options, scan=scan)
+    assert first == "case.nml: 4 of 12 points of the scan cannot be simulated"
+    expected = [
+        (width, radius)
+        for width in (0.6, 0.7, 0.9) for radius in (0.3, 0.4, 0.5) if width >= 2 * radius
+    ]  # fmt: skip
+    assert found == [
+        f"case.nml, line 12: &scan channel1_width = {width}; allowed: below 2 urn_radius, which is "
+        f"{2 * radius:.12g} (1 of 12 points: urn_radius = {radius})"
+        for width, radius in expected
+    ]
+
+
+def test_a_problem_that_points_share_is_told_once(tmp_path: Path) -> None:
+    """With how many have it; one that all points have is none of the scan."""
+    scan = {"urn_radius": "1, 0.4", "number": "5, 6"}
+    where = "number = {}, urn_radius = 0.4".format
+    assert refused(tmp_path, table={"channel1_width": 0.8}, scan=scan) == [
+        "case.nml, line 11: &table channel1_width = 0.8; allowed: below 2 urn_radius, which is 0.8 "
+        f"(2 of 4 points, the first: {where(5)}, the last: {where(6)})"
+    ]
+    assert refused(tmp_path, table={"channel1_width": 2}, scan={"number": "5, 6"}) == [
+        "case.nml, line 11: &table channel1_width = 2; allowed: below 2 urn_radius, which is 2"
+    ]
+
+
+def test_many_points_that_cannot_exist_are_told_by_value(tmp_path: Path) -> None:
+    """A line for each of fifty widths that are too wide somewhere, and no point left out."""
+    scan = {"urn_radius_range": "0.1, 0.5, 50", "channel1_width_range": "0.2, 0.8, 50"}
+    first, *found = refused(tmp_path, "--check", scan=scan)
+    radii, widths = (np.linspace(*ends, 50).round(12) for ends in ((0.1, 0.5), (0.2, 0.8)))
+    many = [np.count_nonzero(width >= 2.0 * radii) for width in widths]
+    assert first == f"case.nml: {sum(many)} of 2500 points of the scan cannot be simulated"
+    told = [re.search(r"_range = ([\d.]+);.*\((\d+) of 2500 points", line) for line in found]
+    assert [float(one[1]) for one in told] == pytest.approx(widths)
+    assert [int(one[2]) for one in told] == many
+
+
+def test_an_initial_file_that_does_not_fit_a_point_is_refused_with_the_point(
+    tmp_path: Path,
+) -> None:
+    """The first that it does not fit, and the particles that lie outside of its table."""
+    (tmp_path / "start.txt").write_text("-1.2 0.6 1 0\n1.2 -0.6 0 1\n")
+    case = {"particles": {"number": 2, "initial_file": "'start.txt'"}, "gate": {"threshold": 2}}
+    (tmp_path / "case.nml").write_text(namelist(**case, scan={"urn_radius": "1, 1.5, 0.5, 0.3"}))
+    ended = run("--check", "case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    first, *lines = ended.stderr.splitlines()
+    assert first.endswith("initial_file = 'start.txt' cannot be used where urn_radius = 0.5:")
+    assert lines[0] == "start.txt, line 1: lies outside the table: x = -1.2, y = 0.6"
 
 
 def test_the_values_of_a_range_are_those_that_a_person_would_write(tmp_path: Path) -> None:

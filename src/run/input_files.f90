@@ -11,7 +11,7 @@ module battery_input_files
   use battery_settings, only: settings_type
   use battery_namelist_input, only: fill_plan, report
   use battery_initial_state, only: parse_particles, are_inside
-  use battery_plan, only: plan_type, point_type, refuse, point_of, table_of
+  use battery_plan, only: plan_type, point_type, refuse, point_of, point_text, table_of
   implicit none (type, external)
   private
   public :: read_namelist
@@ -106,13 +106,14 @@ contains
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: trouble
-    character(len=:), allocatable :: text, message
+    character(len=:), allocatable :: text, message, place
     type(point_type) :: point
     integer :: at
 
     ! That a pipe is refused is said already, and reading it might never end.
     if (plan%initial_file == '' .or. is_pipe_or_device(plan%initial_file)) return
     call read_text(plan%initial_file, text, trouble)
+    place = ''
     if (.not. allocated(trouble)) then
       point = point_of(plan, 1)
       ! Where lengths are wrong themselves, there is no table to hold the file against.
@@ -126,11 +127,12 @@ contains
         ! Read again only to say what is wrong.
         if (.not. are_inside(table_of(plan, point), plan%start)) call parse_particles(text, &
           plan%initial_file, table_of(plan, point), point%number, plan%start, trouble)
+        if (allocated(trouble)) place = ' where '//point_text(plan, at, 'initial_file')
       end do
     end if
     if (allocated(trouble)) then
       message = plan%input_file//': &particles initial_file = '''//plan%initial_file &
-        //''' cannot be used:'//new_line_character//trouble%message
+        //''' cannot be used'//place//':'//new_line_character//trouble%message
       if (allocated(error)) message = error%message//new_line_character//message
       call fatal_error(error, message, exit_bad_input)
     end if

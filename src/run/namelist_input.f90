@@ -11,7 +11,8 @@ module battery_namelist_input
   use battery_key, only: key_type, whole_key, is_beyond
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
-  use battery_plan, only: plan_type, scanned_type, problem_type, complete_plan, refuse
+  use battery_problems, only: problem_type
+  use battery_plan, only: plan_type, scanned_type, point_text, complete_plan, refuse
   implicit none (type, external)
   private
   public :: parse_namelist, fill_plan, report, differing_keys
@@ -175,8 +176,9 @@ contains
   end subroutine check_pairs
 
   !> Adds a problem of the plan, at the line where its key is.
-  subroutine add_problem(settings, problem)
+  subroutine add_problem(settings, plan, problem)
     type(settings_type), intent(inout) :: settings
+    type(plan_type), intent(in) :: plan
     type(problem_type), intent(in) :: problem
     character(len=:), allocatable :: joint
     integer :: place
@@ -191,20 +193,44 @@ contains
       if (index(problem%value, 'is ') == 1) joint = ' '
       call add_remark(settings%problems, merge(all(place)%line, 0, all(place)%given), '&' &
         //trim(all(place)%key%group)//' '//trim(all(place)%key%name)//joint//problem%value &
-        //'; allowed: '//problem%allowed)
+        //'; allowed: '//problem%allowed//place_text(plan, problem))
     end associate
   end subroutine add_problem
 
-  !> One error from all problems, in the order of the lines; none if there are none.
+  !> Where in the scan a problem is, if it is one of some of its points only.
+  pure function place_text(plan, problem) result(text)
+    type(plan_type), intent(in) :: plan
+    type(problem_type), intent(in) :: problem
+    character(len=:), allocatable :: text
+
+    text = ''
+    if (problem%points == 0 .or. problem%points == plan%checked_points) return
+    text = ' ('//to_text(problem%points)//' of '//to_text(plan%checked_points)//' points'
+    if (problem%points > 1) text = text//', the first'
+    text = text//': '//point_text(plan, problem%first_point, problem%key)
+    if (problem%points > 1) text = text//', the last: ' &
+      //point_text(plan, problem%last_point, problem%key)
+    text = text//')'
+  end function place_text
+
+  !> One error from all problems, in the order of the lines; none if there are none. Where several
+  !> are of points of the scan, the first line says how many cannot be.
   subroutine report(plan, settings, error)
     type(plan_type), intent(in) :: plan
     type(settings_type), intent(inout) :: settings
     !> Code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: text
     integer :: at
 
+    if (count(plan%problems%points > 0 .and. plan%problems%points < plan%checked_points) > 1) then
+      text = to_text(plan%of_points%points)//' of '//to_text(plan%checked_points) &
+        //' points of the scan cannot be simulated'
+      if (plan%of_points%more_values) text = text//'; the first of them:'
+      call add_remark(settings%problems, 0, text)
+    end if
     do at = 1, size(plan%problems)
-      call add_problem(settings, plan%problems(at))
+      call add_problem(settings, plan, plan%problems(at))
     end do
     if (settings%problems%count > 0) &
       call fatal_error(error, remarks_text(settings%problems, plan%input_file), &

@@ -14,10 +14,12 @@ module battery_plan
   use battery_engine, only: particles_type
   use battery_simulation, only: run_type, setup_type
   use battery_identity, only: identity_of
+  use battery_problems, only: problem_type, gathered_type
+  use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: plan_type, point_type, scanned_type, problem_type, complete_plan, refuse
-  public :: point_of, table_of, setup_of, is_scanned, values_of, rounded
+  public :: plan_type, point_type, scanned_type, complete_plan, refuse
+  public :: point_of, point_text, table_of, setup_of, is_scanned, values_of, rounded
 
   !> Value of whole numbers and shares that were not given.
   integer, parameter :: not_given = -1
@@ -44,13 +46,6 @@ module battery_plan
     real(wp), allocatable :: second(:)
   end type scanned_type
 
-  !> Something wrong with a plan: the key, its value, and what is allowed instead.
-  type :: problem_type
-    character(len=:), allocatable :: key, value, allowed
-    !> Whether the value is one of a scan.
-    logical :: scanned = .false.
-  end type problem_type
-
   !> Components are named like the keys of the namelist; lengths in units of choice.
   type, extends(run_type) :: plan_type
     !> The whole input, and the file it came from.
@@ -74,6 +69,9 @@ module battery_plan
     real(wp) :: wall_minutes = 0.0_wp, checkpoint_minutes = 0.0_wp
     !> What is wrong with it.
     type(problem_type), allocatable :: problems(:)
+    !> Those of points of the scan, and how many were checked.
+    type(gathered_type) :: of_points
+    integer :: checked_points = 0
     !> Points of the scan, from `complete_plan`; 0 if there are problems.
     integer :: point_count = 0
     !> Fingerprint of what the initial file holds; 0: there is none.
@@ -82,7 +80,8 @@ module battery_plan
 
   interface
     !> Checks how the parts of a plan fit together and counts the points (`plan_checks.f90`). Adds
-    !> to its problems all that is wrong; of many values of a list the first.
+    !> to its problems all that is wrong: of each list the first value that repeats a point; what is
+    !> wrong with points of the scan once, with how many have it.
     module subroutine complete_plan(plan)
       implicit none (type, external)
       type(plan_type), intent(inout) :: plan
@@ -154,6 +153,39 @@ contains
       point%urn1_number = point%number/2
     end if
   end function point_of
+
+  !> What the scan makes of point `number`: each key that has several values with the point's.
+  pure function point_text(plan, number, but) result(text)
+    type(plan_type), intent(in) :: plan
+    integer, intent(in) :: number
+    !> A key to be left out.
+    character(len=*), intent(in) :: but
+    character(len=:), allocatable :: text
+    integer :: list, left, values
+
+    text = ''
+    left = number - 1
+    do list = size(plan%scanned), 1, -1
+      associate (scanned => plan%scanned(list))
+        values = size(scanned%values)
+        if (allocated(scanned%second)) call put_before(scanned%key//'2', scanned%second)
+        call put_before(scanned%key, scanned%values)
+      end associate
+      left = left/values
+    end do
+
+  contains
+
+    pure subroutine put_before(key, all)
+      character(len=*), intent(in) :: key
+      real(wp), intent(in) :: all(:)
+
+      if (size(all) == 1 .or. key == but) return
+      if (text /= '') text = ', '//text
+      text = key//' = '//to_text(all(1 + mod(left, size(all))))//text
+    end subroutine put_before
+
+  end function point_text
 
   !> Gives a key that is scanned one of its values.
   pure subroutine set_value(point, key, value)

@@ -2,13 +2,13 @@
 submodule (battery_plan) battery_plan_checks
   use, intrinsic :: iso_c_binding, only: c_size_t
   use battery_kinds, only: dp
-  use battery_text, only: to_text
   use battery_error, only: error_type
   use battery_engine, only: engine_type
   use battery_engines, only: new_engine, has_step, refusal
   use battery_gsl, only: sort_order
   use battery_table, only: longest_run
   use battery_identity, only: twelve_digits
+  use battery_problems, only: gather, told_of
   use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
     of_powers, of_lengths, of_widths, of_times, of_clocks
   implicit none (type, external)
@@ -16,9 +16,7 @@ submodule (battery_plan) battery_plan_checks
 contains
 
   module procedure complete_plan
-    class(engine_type), allocatable :: engine
-    type(error_type), allocatable :: error
-    integer :: at, before
+    integer :: before
 
     before = size(plan%problems)
     if (plan%transient_collisions < 0) plan%transient_collisions = plan%collisions/2
@@ -33,13 +31,7 @@ contains
     else
       plan%point_count = int(task_total(plan)/plan%replicas)
       call check_repeats(plan)
-      call new_engine(plan%engine, engine, error)
-      if (allocated(engine)) engine%time_step = plan%time_step
-      do at = 1, plan%point_count
-        call check_point(plan, point_of(plan, at))
-        if (size(plan%problems) == before) call check_engine(plan, engine, point_of(plan, at))
-        if (size(plan%problems) > before) exit
-      end do
+      call check_points(plan)
     end if
     if (size(plan%problems) > before) plan%point_count = 0
   end procedure complete_plan
@@ -220,6 +212,32 @@ contains
       rank(order(k)) = rank(order(k - 1)) + merge(1, 0, known(order(k)) > known(order(k - 1)))
     end do
   end function ranks_of
+
+  !> What is wrong with the points of the scan. Whether the engine can simulate them is asked only
+  !> where nothing else is wrong.
+  subroutine check_points(plan)
+    type(plan_type), intent(inout) :: plan
+    type(problem_type), allocatable :: others(:)
+    class(engine_type), allocatable :: engine
+    type(error_type), allocatable :: error
+    integer :: at
+
+    call new_engine(plan%engine, engine, error)
+    if (allocated(engine)) engine%time_step = plan%time_step
+    call move_alloc(plan%problems, others)
+    allocate (plan%problems(0))
+    do at = 1, plan%point_count
+      call check_point(plan, point_of(plan, at))
+      if (size(others) + size(plan%problems) == 0) &
+        call check_engine(plan, engine, point_of(plan, at))
+      if (size(plan%problems) == 0) cycle
+      call gather(plan%of_points, plan%problems, at)
+      deallocate (plan%problems)
+      allocate (plan%problems(0))
+    end do
+    plan%checked_points = plan%point_count
+    plan%problems = [others, told_of(plan%of_points)]
+  end subroutine check_points
 
   !> What is wrong with one point: lengths, times, numbers of particles.
   subroutine check_point(plan, point)
