@@ -320,6 +320,7 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Wall hits since then; less than 0: so many come before it, itself included.
     integer(int64), intent(out) :: hits
+    real(wp), parameter :: long = 1000.0_wp
     real(wp) :: rest, period
     integer(int64) :: hits_each, periods
     integer :: side
@@ -334,7 +335,10 @@ contains
       velocity = -velocity
       hits = -hits - 1
     else
-      call find_period(polygon, state_type(round, ux, uy), period, hits_each)
+      period = huge(1.0_wp)
+      hits_each = 0
+      if (elapsed > long*polygon%reach) call find_period(polygon, state_type(round, ux, uy), &
+        period, hits_each)
       periods = int(elapsed/period, int64)
       rest = max(elapsed - real(periods, wp)*period, 0.0_wp)
       call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
