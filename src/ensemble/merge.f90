@@ -46,6 +46,12 @@ contains
     call add_text(metadata, 'status', trim(merge('complete', 'partial ', &
       all_complete(results))))
     call add_text(metadata, 'shape', plan%shape)
+    call add_text(metadata, 'urn_shape', plan%urn_shape)
+    metadata%urn_sides = plan%urn_sides
+    if (allocated(plan%outline(1)%corner)) then
+      metadata%urn_vertices = real(plan%outline(1)%corner, dp)
+      metadata%urn2_vertices = real(plan%outline(2)%corner, dp)
+    end if
     call add_text(metadata, 'engine', plan%engine)
     metadata%command_line = command_text()
     metadata%begun = begun

@@ -144,7 +144,11 @@ contains
       //to_text(plan%first_replicas)//' replicas of a point tell how many it gets, up to ' &
       //to_text(plan%replicas)//'')
     call say('engine:     '//plan%engine)
-    call say('shape:      '//plan%shape//', urn radius '//both(4))
+    if (plan%urn_shape == 'disc') then
+      call say('shape:      '//plan%shape//', urn radius '//both(4))
+    else
+      call say('shape:      '//plan%shape//', '//outline_text(plan)//', urn radius '//both(4))
+    end if
     call say('channel 1:  w = '//range_text(6)//', l = '//range_text(7))
     if (plan%shape /= 'urn') &
       call say('channel 2:  w'' = '//range_text(8)//', l'' = '//range_text(9))
@@ -189,6 +193,25 @@ contains
     end function both
 
   end subroutine print_parameters
+
+  !> What kind of polygons the urns are.
+  function outline_text(plan) result(text)
+    type(plan_type), intent(in) :: plan
+    character(len=:), allocatable :: text
+    integer :: urn
+
+    if (plan%urn_sides > 0) then
+      text = 'regular polygons of '//counted(plan%urn_sides, 'side')
+      return
+    end if
+    text = 'polygons of '//counted(size(plan%outline(1)%corner, 2), 'side')
+    if (size(plan%outline(1)%corner, 2) /= size(plan%outline(2)%corner, 2)) text = text//' and ' &
+      //to_text(size(plan%outline(2)%corner, 2))
+    do urn = 1, merge(1, 2, plan%shape == 'urn')
+      if (plan%outline(urn)%was_clockwise) text = text//', urn '//to_text(urn) &
+        //' turned round to run counterclockwise'
+    end do
+  end function outline_text
 
   !> `1 point`, `2 points`.
   pure function counted(number, what) result(text)

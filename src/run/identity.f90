@@ -10,6 +10,7 @@ module battery_identity
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
   use battery_random, only: mixed
   use battery_simulation, only: run_type, setup_type
+  use battery_urn, only: shape_polygon
   implicit none (type, external)
   private
   public :: identity_of, kept_with, twelve_digits
@@ -30,7 +31,7 @@ contains
     !> From 1.
     integer, intent(in) :: replica
     integer(int64) :: identity
-    integer :: k
+    integer :: k, j
 
     identity = fingerprint_start
     call mix_word(identity, fingerprint_of(setup%engine))
@@ -38,6 +39,12 @@ contains
       call mix_word(identity, int(table%sides, int64))
       do k = 1, table%sides
         call mix_real(identity, table%urn(k)%radius)
+        if (table%urn(k)%shape == shape_polygon) then
+          do j = 1, table%urn(k)%polygon%sides
+            call mix_real(identity, table%urn(k)%polygon%x(j))
+            call mix_real(identity, table%urn(k)%polygon%y(j))
+          end do
+        end if
         call mix_word(identity, int(setup%threshold(k), int64))
       end do
       do k = 1, 2

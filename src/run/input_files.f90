@@ -118,7 +118,8 @@ contains
       point = point_of(plan, 1)
       ! Where lengths are wrong themselves, there is no table to hold the file against.
       if (allocated(error) .and. .not. (point%number > 0 .and. &
-        maxval(point%channel%width) < 2.0_wp*minval(point%urn_radius))) return
+        maxval(point%channel%width) < 2.0_wp*minval(point%urn_radius) .and. &
+        plan%urn_shape == 'disc')) return
       call parse_particles(text, plan%initial_file, table_of(plan, point), max(point%number, 0), &
         plan%start, trouble)
       do at = 2, plan%point_count

@@ -6,6 +6,7 @@ module battery_keys
   use battery_engines, only: engine_choices
   use battery_key, only: key_type, find_key, whole_key, real_key, text_key, logical_key
   use battery_namelist_text, only: most_values
+  use battery_corners, only: most_corners
   implicit none (type, external)
   private
   public :: all_keys
@@ -60,6 +61,17 @@ contains
       key_type('table', 'channel2_length', real_key, '1', &
       'length of channel 2, both halves together', least=0.0_wp, above=.true., unit='length', &
       symbol='l'''), &
+      key_type('table', 'urn_shape', text_key, '''disc''', 'shape of the urns', &
+      choices='disc polygon'), &
+      key_type('table', 'urn_sides', whole_key, '', &
+      'sides of regular polygons, an even number; urn_radius is to their corners', least=4.0_wp, &
+      greatest=int(most_corners, int64)), &
+      key_type('table', 'urn_vertices', real_key, '', &
+      'corners x1, y1, x2, y2, ... of urn 1, counterclockwise, x to channel 1', &
+      most_values=2*most_corners, unit='length'), &
+      key_type('table', 'urn2_vertices', real_key, '', &
+      'those of urn 2, x to channel 1 as well; else the mirror image of urn 1', &
+      most_values=2*most_corners, unit='length'), &
       key_type('particles', 'number', whole_key, '', 'how many particles', least=1.0_wp, &
       greatest=most_particles, symbol='N'), &
       key_type('particles', 'urn1_number', whole_key, '', 'how many start in urn 1; else half', &

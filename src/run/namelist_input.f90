@@ -58,6 +58,7 @@ contains
     associate (base => plan%base)
       call take_text(settings, 'table', 'shape', plan%shape)
       call take(settings, 'table', 'urn_radius', base%urn_radius)
+      call take_outlines(settings, plan)
       call take(settings, 'table', 'channel1_width', base%channel(gated)%width)
       call take(settings, 'table', 'channel1_length', base%channel(gated)%length)
       call take(settings, 'table', 'channel2_width', base%channel(ungated)%width)
@@ -91,6 +92,27 @@ contains
     call take(settings, 'limits', 'wall_minutes', plan%wall_minutes)
     call take(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_values
+
+  !> The shape of the urns. Of corners that are not whole pairs, none are taken.
+  subroutine take_outlines(settings, plan)
+    type(settings_type), intent(in) :: settings
+    type(plan_type), intent(inout) :: plan
+    character(len=*), parameter :: key(2) = [character(len=13) :: 'urn_vertices', 'urn2_vertices']
+    real(wp), allocatable :: numbers(:)
+    integer :: urn
+
+    call take_text(settings, 'table', 'urn_shape', plan%urn_shape)
+    call take(settings, 'table', 'urn_sides', plan%urn_sides)
+    do urn = 1, 2
+      call take_list(settings, 'table', trim(key(urn)), numbers)
+      if (size(numbers) == 0) cycle
+      plan%outline(urn)%corner = reshape(numbers, [2, size(numbers)/2])
+      if (modulo(size(numbers), 2) /= 0) call refuse(plan, trim(key(urn)), 'has ' &
+        //to_text(size(numbers))//' numbers', 'two for each corner, x1, y1, x2, y2, ...')
+      if (settings%all(find_setting(settings, 'table', 'urn_radius'))%given) call refuse(plan, &
+        'urn_radius', 'is given beside '//trim(key(urn)), 'one of the two')
+    end do
+  end subroutine take_outlines
 
   !> Lists of the scan, each from itself or from its range, in the order of the keys. A list of gate
   !> 2 or urn 2 makes pairs with that of both, which stands before it.

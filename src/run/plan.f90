@@ -9,8 +9,10 @@
 !> hold a list that grows with the scan.
 module battery_plan
   use battery_kinds, only: wp, int64
+  use battery_urn, only: shape_polygon
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
     shape_urn, gated, ungated
+  use battery_corners, only: regular_corners
   use battery_engine, only: particles_type
   use battery_simulation, only: run_type, setup_type
   use battery_identity, only: identity_of
@@ -19,6 +21,7 @@ module battery_plan
   implicit none (type, external)
   private
   public :: plan_type, point_type, scanned_type, complete_plan, refuse
+  public :: outline_type, corners_of
   public :: point_of, point_text, table_of, setup_of, is_scanned, values_of, rounded
 
   !> Value of whole numbers and shares that were not given.
@@ -38,6 +41,13 @@ module battery_plan
     type(channel_type) :: channel(2)
   end type point_type
 
+  !> The corners of an urn, (x, y) in columns, and whether they ran clockwise before they were turned
+  !> round.
+  type :: outline_type
+    real(wp), allocatable :: corner(:, :)
+    logical :: was_clockwise = .false.
+  end type outline_type
+
   !> A key that is scanned, and its values; whole numbers as reals.
   type :: scanned_type
     character(len=:), allocatable :: key
@@ -50,7 +60,11 @@ module battery_plan
   type, extends(run_type) :: plan_type
     !> The whole input, and the file it came from.
     character(len=:), allocatable :: text, input_file
-    character(len=:), allocatable :: shape
+    character(len=:), allocatable :: shape, urn_shape
+    !> Sides of urns that are regular polygons, or the corners of each urn, (x, y) in columns, in
+    !> frames of their own with x to channel 1; none where not given.
+    integer :: urn_sides = not_given
+    type(outline_type) :: outline(2)
     !> The values of keys that are not scanned.
     type(point_type) :: base
     !> What is scanned, the slowest first.
@@ -234,10 +248,32 @@ contains
   pure type(table_type) function table_of(plan, point) result(table)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
+    type(urn_type) :: urn(2)
+    integer :: k
 
-    table = new_table(merge(shape_urn, shape_circuit, plan%shape == 'urn'), &
-      [urn_type(radius=point%urn_radius(1)), urn_type(radius=point%urn_radius(2))], point%channel)
+    urn%radius = point%urn_radius
+    if (plan%urn_shape == 'polygon') then
+      do k = 1, 2
+        urn(k)%shape = shape_polygon
+        urn(k)%corner = corners_of(plan, point, k)
+      end do
+    end if
+    table = new_table(merge(shape_urn, shape_circuit, plan%shape == 'urn'), urn, point%channel)
   end function table_of
+
+  !> The corners of an urn that is a polygon, 1 or 2, at a point: (x, y) in columns.
+  pure function corners_of(plan, point, urn) result(corner)
+    type(plan_type), intent(in) :: plan
+    type(point_type), intent(in) :: point
+    integer, intent(in) :: urn
+    real(wp), allocatable :: corner(:, :)
+
+    if (plan%urn_sides > 0) then
+      corner = regular_corners(plan%urn_sides, point%urn_radius(urn))
+    else
+      corner = plan%outline(urn)%corner
+    end if
+  end function corners_of
 
   !> What the simulation of point number `point` and replica `replica`, from 1, is set up with. Its
   !> seed is its identity.

@@ -9,6 +9,7 @@ submodule (battery_plan) battery_plan_checks
   use battery_table, only: longest_run
   use battery_identity, only: twelve_digits
   use battery_problems, only: gather, told_of
+  use battery_outline_checks, only: check_outlines, check_outline_at, has_outline
   use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
     of_powers, of_lengths, of_widths, of_times, of_clocks
   implicit none (type, external)
@@ -21,6 +22,7 @@ contains
     before = size(plan%problems)
     if (plan%transient_collisions < 0) plan%transient_collisions = plan%collisions/2
     call check_given(plan)
+    call check_outlines(plan)
     call check_length(plan)
     call check_output(plan)
     call check_precision(plan)
@@ -251,6 +253,7 @@ contains
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(gated)%length, open_length(point))
     call check_lengths(plan, point, radii, longest)
+    if (size(plan%problems) == before) call check_outline_at(plan, point)
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
     if (point%number == not_given .or. size(plan%problems) > before) return
@@ -283,13 +286,15 @@ contains
     type(point_type), intent(in) :: point
     !> The least and the greatest; length of the longest channel that is open.
     real(wp), intent(in) :: radii(2), longest
+    character(len=12) :: size_key
     integer :: before
 
     before = size(plan%problems)
-    call check_range(plan, 'urn_radius', radii(1), bounds_type(1.0_wp/greatest_radius, &
+    size_key = merge('urn_vertices', 'urn_radius  ', has_outline(plan))
+    call check_range(plan, trim(size_key), radii(1), bounds_type(1.0_wp/greatest_radius, &
       greatest_radius, of_powers))
     if (size(plan%problems) > before) return
-    call check_beside('urn_radius', radii(2), longest)
+    call check_beside(trim(size_key), radii(2), longest)
     call check_beside('channel1_length', point%channel(gated)%length, open_length(point))
     if (open_length(point) > 0.0_wp) call check_beside('channel2_length', &
       point%channel(ungated)%length, point%channel(gated)%length)

@@ -22,6 +22,10 @@ module battery_metadata
     !> line.
     character(len=:), allocatable :: command_line, begun, hosts
     integer :: mpi_ranks = 0
+    !> Of urns that are polygons: how many sides those that are regular have, else the corners of
+    !> either urn, counterclockwise, (x, y) in columns; x to channel 1.
+    integer :: urn_sides = 0
+    real(dp), allocatable :: urn_vertices(:, :), urn2_vertices(:, :)
     !> Time on the clock when the runs start; times in the file count from there.
     real(dp) :: start_time = 0.0_dp
   end type metadata_type
@@ -53,6 +57,12 @@ contains
     do k = 1, size(metadata%texts)
       call write_text(file, '/', metadata%texts(k)%name, metadata%texts(k)%text, error)
     end do
+    if (metadata%urn_sides > 0) call write_attribute(file, '/', 'urn_sides', &
+      int(metadata%urn_sides, int32), error)
+    if (allocated(metadata%urn_vertices)) then
+      call write_attribute(file, '/', 'urn_vertices', metadata%urn_vertices, error)
+      call write_attribute(file, '/', 'urn2_vertices', metadata%urn2_vertices, error)
+    end if
     call write_text(file, '/', 'created', utc_now(), error)
     call make_group(file, '/provenance', error)
     call write_text(file, '/provenance', 'command_line', metadata%command_line, error)

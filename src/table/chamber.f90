@@ -21,8 +21,8 @@ module battery_chamber
     !> Of each channel: the distance of its chord from the origin, its width, half of that, and its
     !> length.
     real(wp), dimension(2) :: chord = 0.0_wp, width = 0.0_wp, half_width = 0.0_wp, length = 0.0_wp
-    !> Whether there is room for the openings.
-    logical :: fits = .false.
+    !> Whether there is room for the openings; whether it reaches over a channel, beside that.
+    logical :: fits = .false., overhangs = .false.
     !> Area, and length of the walls that the openings leave.
     real(wp) :: area = 0.0_wp, perimeter = 0.0_wp
     !> Nothing of it is farther from the origin than `reach`. What lies between the chords and no
@@ -31,6 +31,8 @@ module battery_chamber
     !> No way through the urn is shorter than the depths of its two openings together, which may be
     !> one and the same.
     real(wp) :: depth(2) = 0.0_wp
+    !> Whether long visits are handed on in parts (`goes_on` of `battery_visits`).
+    logical :: hands_on = .false.
   end type chamber_type
 
 contains

@@ -173,6 +173,7 @@ contains
     !> In the frame of the table, lengths.
     real(wp), intent(in) :: x, y, tolerance
     integer :: chamber
+    logical :: beside
 
     chamber = outside
     associate (urn => table%urn(side_at(table, x)))
@@ -183,6 +184,12 @@ contains
           abs(x) <= urn%periodic_line + tolerance) chamber = in_return
       else if (holds(urn, urn%centre - abs(x), y, tolerance)) then
         chamber = in_urn
+      end if
+      if (urn%overhangs .and. chamber /= in_urn) then
+        ! Beside a channel, or beyond its end, there may be urn.
+        beside = abs(y) > urn%half_width(merge(gated, ungated, abs(x) <= urn%begins(gated)))
+        if (beside .and. holds(urn, urn%centre - abs(x), y, 0.0_wp)) chamber = in_urn
+        if (chamber == outside .and. holds(urn, urn%centre - abs(x), y, tolerance)) chamber = in_urn
       end if
     end associate
     if (table%sides == 1 .and. x > tolerance) chamber = outside

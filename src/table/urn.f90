@@ -10,22 +10,29 @@ module battery_urn
   use battery_disc, only: disc_type, new_disc, is_in_disc, try_point, cross_urns, position_before, &
     place_endless, aim_in_disc, hit_disc, put_back_in_disc
   use battery_motion, only: wall_kind
+  use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon
+  use battery_polygon_visits, only: cross_polygons
+  use battery_polygon_walls, only: polygon_before, polygon_for_ever, aim_in_polygon, hit_polygon, &
+    put_back_in_polygon
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: urn_type, shape_disc, give_form, alike, holds, try_place, cross, place_before, &
+  public :: urn_type, shape_disc, shape_polygon, give_form, alike, holds, try_place, cross, place_before, &
     place_for_ever, aim, hit, put_back
 
   !> The shapes.
-  integer, parameter :: shape_disc = 1
+  integer, parameter :: shape_disc = 1, shape_polygon = 2
 
   !> An urn of the table: lengths.
   type, extends(chamber_type) :: urn_type
-    !> What it is to be: its shape, and the radius of a disc.
+    !> What it is to be: its shape, the radius of a disc or of a regular polygon, and the corners of
+    !> a polygon, (x, y) in columns.
     integer :: shape = shape_disc
     real(wp) :: radius = 1.0_wp
+    real(wp), allocatable :: corner(:, :)
     !> What follows from that, for its shape.
     type(disc_type) :: disc
+    type(polygon_type) :: polygon
     !> Where it is: |x| of its origin, and of the periodic line at the end of this side's half of
     !> channel 2; |x| where each channel begins; the way along x that its own x axis points.
     real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, begins(2) = 0.0_wp, way = 1.0_wp
@@ -43,6 +50,9 @@ contains
     type(channel_type), intent(in) :: channel(2)
 
     select case (urn%shape)
+    case (shape_polygon)
+      urn%polygon = new_polygon(urn%corner, channel)
+      urn%chamber_type = urn%polygon%chamber_type
     case default
       urn%disc = new_disc(urn%radius, channel)
       urn%chamber_type = urn%disc%chamber_type
@@ -55,9 +65,12 @@ contains
     logical :: alike
 
     alike = urn(1)%shape == urn(2)%shape .and. .not. abs(urn(1)%radius - urn(2)%radius) > 0.0_wp
+    if (.not. alike .or. urn(1)%shape /= shape_polygon) return
+    alike = size(urn(1)%corner, 2) == size(urn(2)%corner, 2)
+    if (alike) alike = .not. any(abs(urn(1)%corner - urn(2)%corner) > 0.0_wp)
   end function alike
 
-  !> Whether a point between the chords is inside, or no farther than `tolerance` outside.
+  !> Whether a point that is in no channel is inside, or no farther than `tolerance` outside.
   elemental function holds(urn, x, y, tolerance) result(inside)
     type(urn_type), intent(in) :: urn
     !> In the frame of the urn, lengths.
@@ -65,6 +78,8 @@ contains
     logical :: inside
 
     select case (urn%shape)
+    case (shape_polygon)
+      inside = is_in_polygon(urn%polygon, x, y, tolerance)
     case default
       inside = is_in_disc(urn%disc, x, y, tolerance)
     end select
@@ -80,6 +95,8 @@ contains
     logical, intent(out) :: inside
 
     select case (urn%shape)
+    case (shape_polygon)
+      call try_point_in_polygon(urn%polygon, across, up, x, y, inside)
     case default
       call try_point(urn%disc, across, up, x, y, inside)
     end select
@@ -92,6 +109,8 @@ contains
     type(visits_type), intent(inout) :: visits
 
     select case (urn%shape)
+    case (shape_polygon)
+      call cross_polygons(urn%polygon, visits)
     case default
       call cross_urns(urn%disc, visits)
     end select
@@ -110,6 +129,8 @@ contains
     integer(int64), intent(out) :: hits
 
     select case (urn%shape)
+    case (shape_polygon)
+      call polygon_before(urn%polygon, channel, y, along, across, before, position, velocity, hits)
     case default
       call position_before(urn%disc, channel, y, along, across, before, position, velocity, hits)
     end select
@@ -125,6 +146,8 @@ contains
     integer(int64), intent(out) :: hits
 
     select case (urn%shape)
+    case (shape_polygon)
+      call polygon_for_ever(urn%polygon, elapsed, y, along, across, position, velocity, hits)
     case default
       call place_endless(urn%disc, elapsed, y, along, across, position, velocity, hits)
     end select
@@ -141,6 +164,8 @@ contains
     real(wp), intent(out) :: wait
 
     select case (urn%shape)
+    case (shape_polygon)
+      call aim_in_polygon(urn%polygon, from, x, y, ux, uy, next, wait)
     case default
       call aim_in_disc(urn%disc, from, x, y, ux, uy, next, wait)
     end select
@@ -155,6 +180,8 @@ contains
     real(wp), intent(out) :: wait
 
     select case (urn%shape)
+    case (shape_polygon)
+      call hit_polygon(urn%polygon, x, y, ux, uy, next, wait)
     case default
       call hit_disc(urn%disc, urn%shortest, x, y, ux, uy, next, wait)
     end select
@@ -169,6 +196,8 @@ contains
     logical, intent(out) :: was_beyond
 
     select case (urn%shape)
+    case (shape_polygon)
+      call put_back_in_polygon(urn%polygon, x, y, ux, uy, was_beyond)
     case default
       call put_back_in_disc(urn%disc, x, y, ux, uy, was_beyond)
     end select

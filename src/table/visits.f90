@@ -4,13 +4,17 @@ module battery_visits
   use battery_channel, only: gated, none => no_channel
   implicit none (type, external)
   private
-  public :: visits_type, reserve_visits, part_visits, together, no_channel
+  public :: visits_type, reserve_visits, part_visits, together, no_channel, goes_on
 
   !> Particles that the kernels treat together.
   integer, parameter :: together = 4
 
   !> In place of a channel: a particle that never leaves.
   integer(int64), parameter :: no_channel = none
+
+  !> In place of a channel: a visit of which only a part is known yet. What is told of it is that of
+  !> a particle that never leaves, at the end of the part; `through` is half the part's length.
+  integer(int64), parameter :: goes_on = -1
 
   !> A batch of visits, one entry a particle; arrays have room for whole groups of `together`.
   type :: visits_type

@@ -2,7 +2,9 @@
 !> plain way to move a particle, wall by wall, in more digits than the program has.
 module scenes
   use battery_kinds, only: wp, int64
-  use battery_table, only: table_type, new_table, shape_circuit, chamber_at, side_at, outside, &
+  use battery_urn, only: shape_polygon
+  use battery_corners, only: regular_corners
+  use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, chamber_at, side_at, outside, &
     in_urn, in_gate, x_direction
   use battery_engine, only: engine_type, particles_type
   use battery_history, only: history_type, event_entry, event_reversal, event_crossing1, &
@@ -10,12 +12,16 @@ module scenes
   use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
-  public :: qp, table_3_4_5, uneven_table, paper_table, draw, scatter, pick, mirrored_x, &
+  public :: qp, table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw, scatter, pick, mirrored_x, &
     mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
   public :: log_type, run_for, totals_of, tally
   public :: plain_type, plain_start, plain_run
   public :: save_engine, restore_engine
   public :: bounce_through, facing, channel_of
+
+  !> Polygons: regular, with angles that are no shares of a turn, with parts that reach in and over
+  !> a channel.
+  integer, parameter, public :: hexagon = 1, decagon = 2, crooked = 3, re_entrant = 4, square = 5
 
   !> Kind of the reference computations.
   integer, parameter :: qp = selected_real_kind(30)
@@ -79,6 +85,39 @@ contains
     table = new_table(shape_circuit, 1.0_wp, 0.3_wp, 1.0_wp, 0.01_wp, 1.0_wp)
   end function paper_table
 
+  !> One of the polygons, as an urn that has no openings yet.
+  pure function polygon_urn(kind) result(urn)
+    !> `hexagon` and so on.
+    integer, intent(in) :: kind
+    type(urn_type) :: urn
+
+    urn%shape = shape_polygon
+    select case (kind)
+    case (hexagon)
+      urn%corner = regular_corners(6, 1.25_wp)
+    case (decagon)
+      urn%corner = regular_corners(10, 1.5_wp)
+    case (square)
+      urn%corner = regular_corners(4, sqrt(2.0_wp))
+    case (crooked)
+      urn%corner = reshape([0.9_wp, -0.5_wp, 0.9_wp, 0.6_wp, 0.1_wp, 1.1_wp, -0.95_wp, 0.55_wp, &
+        -0.95_wp, -0.45_wp, -0.2_wp, -1.2_wp], [2, 6])
+    case default
+      urn%corner = reshape([1.0_wp, -0.6_wp, 1.0_wp, 0.6_wp, 1.4_wp, 0.7_wp, 1.3_wp, 1.2_wp, &
+        -0.5_wp, 1.1_wp, -0.6_wp, 0.3_wp, -1.0_wp, 0.9_wp, -1.2_wp, 0.5_wp, -1.2_wp, -0.5_wp, &
+        -0.3_wp, -1.0_wp, 0.2_wp, -0.4_wp, 0.7_wp, -1.1_wp], [2, 12])
+    end select
+  end function polygon_urn
+
+  !> Polygons as urns of the uneven table.
+  pure function polygon_table(first, second) result(table)
+    integer, intent(in) :: first, second
+    type(table_type) :: table
+
+    table = new_table(shape_circuit, [polygon_urn(first), polygon_urn(second)], &
+      [channel_type(0.7_wp, 1.5_wp), channel_type(0.4_wp, 0.75_wp)])
+  end function polygon_table
+
   !> Next number in (0, 1): two steps of the multiplicative generator of Park and Miller with the
   !> multiplier 48271 make 53 bits. Start from any whole number from 1 to 2147483646.
   subroutine draw_one(state, number)
@@ -114,7 +153,7 @@ contains
 
     state = 1 + modulo(7919_int64*int(seed, int64), 2147483646_int64)
     particles = of_particles(spread(0.0_wp, 1, number))
-    height = maxval(table%urn%radius)
+    height = maxval(table%urn%reach)
     do i = 1, number
       do
         call draw(state, a)

@@ -13,13 +13,14 @@ module battery_excursion
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion
   use battery_flight, only: gather, land, locate, never, to_gate, to_return, in_gate, &
-    parked_in_urn, parked_in_channel
+    parked_in_urn, parked_in_channel, in_parts
   use battery_launch, only: launch
   use battery_few, only: walk_few, few
   use battery_foresight, only: pays, recall
   use battery_chamber, only: leave_channels
   use battery_urn, only: cross
-  use battery_visits, only: visits_type, reserve_visits, part_visits
+  use battery_parts, only: set_apart, compute_parts
+  use battery_visits, only: visits_type, reserve_visits, part_visits, goes_on
   use battery_gate, only: hold, admit
   use battery_window, only: window_type, reserve_window, deal, line_up, line_of, write_log, &
     record_crossings
@@ -52,6 +53,11 @@ module battery_excursion
     logical, public :: looks_ahead = .false.
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
+    !> How many visits are known in part; those that are gone on with now, when and who.
+    integer :: parts = 0, others = 0
+    real(wp), allocatable :: other_time(:)
+    integer, allocatable :: other(:)
+    type(visits_type) :: partial
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
     !> histories have told of them.
     integer(int64) :: known_hits = 0, told_hits = 0
@@ -76,6 +82,7 @@ contains
     call lay_out(self%flight, self%number)
     self%known_hits = 0
     self%told_hits = 0
+    self%parts = 0
     self%page = page_for(self%interval)
   end subroutine prepare
 
@@ -131,6 +138,8 @@ contains
         call schedule(self%calendar, self%flight, i, flight%time)
       case (to_return)
         call schedule(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
+      case (in_parts)
+        call schedule(self%calendar, self%flight, i, flight%time - flight%through)
       case (in_gate)
         call hold(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
       case default
@@ -159,6 +168,7 @@ contains
     associate (v => self%visits(b))
       call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
         v%y, v%along, v%across, v%through)
+      if (self%table%urn(b)%hands_on) self%parts = self%parts + count(v%channel(:v%count) == goes_on)
     end associate
   end subroutine go_on
 
@@ -168,7 +178,7 @@ contains
     real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
     real(wp) :: began, limit, ends, due
-    integer :: done, counted(2), b
+    integer :: done, due_now, counted(2), b
 
     began = self%now
     limit = min(self%now + duration, self%page)
@@ -176,7 +186,10 @@ contains
       self%gate(2)%counted%next), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
     call open_until(self%calendar, self%flight, ends)
-    done = due_before(self%calendar%sorted, self%calendar%due_time, ends)
+    due_now = due_before(self%calendar%sorted, self%calendar%due_time, ends)
+    done = due_now
+    if (self%parts > 0) call set_apart(self%number, self%flight, self%calendar%due_time, &
+      self%calendar%particle, done, self%others, self%other_time, self%other)
     counted = [self%gate(1)%counted%count, self%gate(2)%counted%count]
     call reserve_visits(self%visits(1), done + sum(counted))
     call reserve_history(history, done + sum(counted), 0)
@@ -188,15 +201,17 @@ contains
       call reserve_window(self%events, done, counted)
       call walk(self, began, ends, done, history)
     end if
-    call drop_done(self%calendar, done)
+    call drop_done(self%calendar, due_now)
+    if (done < due_now) call go_on_with_parts(self)
     if (self%batches == 2) call part_visits(self%visits(1), self%visits(2))
     do b = 1, self%batches
       associate (v => self%visits(b))
-        if (self%looks_ahead) then
+        if (self%looks_ahead .and. self%parts == 0) then
           call recall(self%table%urn(1), self%number, self%flight, self%calendar%sorted, &
             self%calendar%particle, v, self%visits(2), self%known_hits)
           call go_on(self, b)
         else
+          if (self%looks_ahead) self%visits(2)%count = 0
           call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
             v%y, v%along, v%across)
           call leave_channels(self%table%urn(b), v)
@@ -210,6 +225,21 @@ contains
     history%collisions = self%known_hits - self%told_hits
     self%told_hits = self%known_hits
   end subroutine live
+
+  !> Goes on with visits of which a part is known.
+  subroutine go_on_with_parts(self)
+    class(excursion_type), intent(inout) :: self
+    integer :: side
+
+    do side = 1, 2
+      associate (v => self%partial)
+        call compute_parts(self%table%urn(side), side, self%number, self%flight, self%others, &
+          self%other_time, self%other, v, self%known_hits)
+        self%parts = self%parts - v%count + count(v%channel(:v%count) == goes_on)
+        call schedule_all(self%calendar, v%count, v%particle, v%time)
+      end associate
+    end do
+  end subroutine go_on_with_parts
 
   !> Sets back the calendar, the flights and the clock.
   subroutine turn_page(self)
@@ -334,9 +364,10 @@ contains
     call stream%pass('along', self%flight%along, 'across', self%flight%across, &
       'length', self%flight%length, 'through', self%flight%through)
     if (.not. stream%reading .or. stream%failed()) return
+    self%parts = count(self%flight%heading == in_parts)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
-      if (self%flight(i)%heading == to_gate .or. self%flight(i)%heading == to_return) &
+      if (any(self%flight(i)%heading == [to_gate, to_return, in_parts])) &
         call schedule(self%calendar, self%flight, i, self%flight(i)%due)
     end do
   end subroutine pass_own

@@ -7,16 +7,17 @@ module battery_flight
   use battery_calendar, only: flight_type
   use battery_channel, only: fold, gated, ungated, facing
   use battery_urn, only: urn_type, place_before, place_for_ever
+  use battery_visits, only: goes_on
   implicit none (type, external)
   private
   public :: gather, land, locate, middle_time, never
-  public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel
+  public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel, in_parts
 
   !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
   !> flight holds time and angle of an impact, cosine and sine of the incidence.
-  !> `parked_in_channel`: time, y, x, u_y.
+  !> `parked_in_channel`: time, y, x, u_y. `in_parts`: as `parked_in_urn`, but for a while only.
   integer(int16), parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
-    parked_in_channel = 5
+    parked_in_channel = 5, in_parts = 6
 
   !> When a particle is turned back that nothing turns back.
   real(wp), parameter :: never = 0.25_wp*huge(1.0_wp)
@@ -89,6 +90,11 @@ contains
       if (channel(j) /= gated) then
         flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
         time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
+        if (channel(j) == goes_on) then
+          ! Before its end, lest what comes then is due within the lookahead.
+          flight(i)%heading = in_parts
+          time(j) = leaves - through(j)
+        end if
       end if
       flight(i)%due = time(j)
     end do
@@ -122,7 +128,7 @@ contains
         velocity, hits)
     case default
       channel = merge(ungated, gated, flight%heading == to_return)
-      if (elapsed >= 0.0_wp) then
+      if (elapsed >= 0.0_wp .and. flight%heading /= in_parts) then
         call fold(flight%y + flight%across*elapsed, urn%width(channel), position(2), turned, &
           passed)
         position(1) = facing(channel)*(urn%chord(channel) + flight%along*elapsed)
@@ -139,16 +145,21 @@ contains
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
     real(wp), intent(in) :: now
-    !> That which it goes to.
+    !> That which it goes to, if that is known.
     integer, intent(in) :: channel
     real(wp), intent(out) :: position(2), velocity(2)
     integer(int64), intent(out) :: hits
     real(wp) :: before, turned, passed, height
     integer :: from
 
-    call place_before(urn, channel, flight%y, flight%along, flight%across, &
-      min(flight%time - now, flight%length), position, velocity, hits)
-    hits = -hits
+    if (flight%heading == in_parts) then
+      call place_for_ever(urn, -min(flight%time - now, flight%length), flight%y, flight%along, &
+        flight%across, position, velocity, hits)
+    else
+      call place_before(urn, channel, flight%y, flight%along, flight%across, &
+        min(flight%time - now, flight%length), position, velocity, hits)
+      hits = -hits
+    end if
     before = flight%time - now - flight%length
     if (before <= 0.0_wp) return
     from = merge(gated, ungated, position(1) > 0.0_wp)

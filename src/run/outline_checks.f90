@@ -1,0 +1,286 @@
+!> What is wrong with urns that are polygons: the keys, the corners, and how a polygon, its openings
+!> and the channels fit together.
+module battery_outline_checks
+  use battery_kinds, only: wp
+  use battery_bounds, only: finest, greatest_radius
+  use battery_channel, only: facing, is_open
+  use battery_corners, only: enclosed_area, turned_round, next_of, sides_meet, axis_side
+  use battery_polygon, only: upright
+  use battery_plan, only: plan_type, point_type, refuse, is_scanned, corners_of
+  use battery_text, only: to_text
+  implicit none (type, external)
+  private
+  public :: check_outlines, check_outline_at, has_outline
+
+  !> So many sides that meet others are told.
+  integer, parameter :: most_told = 8
+
+  !> The keys of the corners.
+  character(len=*), parameter :: key_of(2) = [character(len=13) :: 'urn_vertices', 'urn2_vertices']
+
+contains
+
+  !> Whether some urn is given by its corners.
+  pure function has_outline(plan)
+    type(plan_type), intent(in) :: plan
+    logical :: has_outline
+
+    has_outline = allocated(plan%outline(1)%corner) .or. allocated(plan%outline(2)%corner)
+  end function has_outline
+
+  !> Which keys may stand beside which, and each polygon by itself. Corners that run clockwise are
+  !> turned round; urn 2 is made the mirror image of urn 1 if it has none. For `urn_radius` a polygon
+  !> has half its extent.
+  subroutine check_outlines(plan)
+    type(plan_type), intent(inout) :: plan
+    integer :: before, urn
+
+    before = size(plan%problems)
+    call check_keys(plan)
+    if (.not. has_outline(plan) .or. size(plan%problems) > before) return
+    do urn = 1, 2
+      if (allocated(plan%outline(urn)%corner)) call check_outline(plan, urn)
+    end do
+    if (size(plan%problems) > before) return
+    if (.not. allocated(plan%outline(2)%corner)) plan%outline(2) = plan%outline(1)
+    do urn = 1, 2
+      plan%base%urn_radius(urn) = 0.5_wp*extent_of(plan%outline(urn)%corner)
+    end do
+  end subroutine check_outlines
+
+  !> Which keys are given beside which.
+  subroutine check_keys(plan)
+    type(plan_type), intent(inout) :: plan
+    character(len=*), parameter :: polygons = 'nothing, since urn_shape is ''disc'''
+    integer :: urn
+
+    if (plan%urn_shape == 'disc') then
+      if (plan%urn_sides > 0) call refuse(plan, 'urn_sides', to_text(plan%urn_sides), polygons)
+      do urn = 1, 2
+        if (allocated(plan%outline(urn)%corner)) &
+          call refuse(plan, trim(key_of(urn)), 'is given', polygons)
+      end do
+      return
+    end if
+    if (plan%urn_sides > 0) then
+      if (modulo(plan%urn_sides, 2) /= 0) call refuse(plan, 'urn_sides', &
+        to_text(plan%urn_sides), 'even numbers, for an upright side on either side')
+      if (has_outline(plan)) call refuse(plan, 'urn_sides', 'is given beside corners', &
+        'urn_sides with urn_radius, or urn_vertices')
+    else if (.not. allocated(plan%outline(1)%corner)) then
+      call refuse(plan, 'urn_shape', '''polygon''', 'with urn_vertices or urn_sides beside it')
+    end if
+    if (plan%shape == 'urn' .and. allocated(plan%outline(2)%corner)) call refuse(plan, &
+      'urn2_vertices', 'is given', 'nothing, since the shape ''urn'' has one urn')
+    if (.not. has_outline(plan)) return
+    if (is_scanned(plan, 'urn_radius')) call refuse(plan, 'urn_radius', &
+      'is scanned beside urn_vertices', 'urn_sides, of which urn_radius is the size')
+    if (is_scanned(plan, 'urn_radius2')) call refuse(plan, 'urn_radius2', &
+      'is scanned beside urn_vertices', 'urn_sides, of which urn_radius is the size')
+  end subroutine check_keys
+
+  !> The corners of one urn.
+  subroutine check_outline(plan, urn)
+    type(plan_type), intent(inout) :: plan
+    integer, intent(in) :: urn
+    character(len=:), allocatable :: key
+    real(wp) :: extent
+    integer :: before, k, n
+
+    before = size(plan%problems)
+    key = trim(key_of(urn))
+    associate (corner => plan%outline(urn)%corner)
+      n = size(corner, 2)
+      if (n < 3) then
+        call refuse(plan, key, 'has '//to_text(n)//merge(' corner ', ' corners', n == 1), &
+          'three corners or more')
+        return
+      end if
+      extent = extent_of(corner)
+      if (maxval(abs(corner)) > greatest_radius .or. extent < 1.0_wp/greatest_radius) then
+        call refuse(plan, key, 'is '//to_text(extent)//' wide, and reaches to ' &
+          //to_text(maxval(abs(corner))), 'numbers whose powers are still numbers')
+        return
+      end if
+      do k = 1, n
+        if (norm2(corner(:, next_of(k, n)) - corner(:, k)) < finest*extent) call refuse(plan, &
+          key, 'has '//side_text(k, n)//', which has no length', 'sides from ' &
+          //to_text(finest*extent)//' on, which is '//to_text(finest)//' of its width')
+      end do
+      if (size(plan%problems) > before) return
+      call check_crossings(plan, key, corner)
+      if (size(plan%problems) > before) return
+      plan%outline(urn)%was_clockwise = enclosed_area(corner) < 0.0_wp
+    end associate
+    if (plan%outline(urn)%was_clockwise) &
+      plan%outline(urn)%corner = turned_round(plan%outline(urn)%corner)
+    call check_axis(plan, urn)
+  end subroutine check_outline
+
+  !> No side may meet another but at the corner that they share.
+  subroutine check_crossings(plan, key, corner)
+    type(plan_type), intent(inout) :: plan
+    character(len=*), intent(in) :: key
+    real(wp), intent(in) :: corner(:, :)
+    integer :: j, k, n, told
+
+    n = size(corner, 2)
+    told = 0
+    do k = 1, n
+      do j = k + 1, n
+        if (.not. they_meet(k, j)) cycle
+        told = told + 1
+        if (told <= most_told) call refuse(plan, key, 'has '//side_text(k, n)//', which meets ' &
+          //side_text(j, n), 'sides that meet at the corner that they share only')
+      end do
+    end do
+
+  contains
+
+    pure function they_meet(k, j) result(meet)
+      integer, intent(in) :: k, j
+      logical :: meet
+      real(wp) :: along(2), onwards(2)
+      integer :: first
+
+      if (next_of(k, n) == j .or. next_of(j, n) == k) then
+        ! Neighbours, unless one runs back along the other.
+        first = merge(k, j, next_of(k, n) == j)
+        along = corner(:, next_of(first, n)) - corner(:, first)
+        onwards = corner(:, next_of(next_of(first, n), n)) - corner(:, next_of(first, n))
+        meet = dot_product(along, onwards) < 0.0_wp .and. &
+          abs(along(1)*onwards(2) - along(2)*onwards(1)) <= 0.0_wp
+      else
+        meet = sides_meet(corner(:, k), corner(:, next_of(k, n)), corner(:, j), &
+          corner(:, next_of(j, n)))
+      end if
+    end function they_meet
+
+  end subroutine check_crossings
+
+  !> The sides that the axis meets last must be upright where a channel begins.
+  subroutine check_axis(plan, urn)
+    type(plan_type), intent(inout) :: plan
+    integer, intent(in) :: urn
+    character(len=:), allocatable :: what
+    integer :: channel, side, n
+
+    associate (corner => plan%outline(urn)%corner)
+      n = size(corner, 2)
+      do channel = 1, merge(1, 2, plan%shape == 'urn')
+        ! What is scanned may be open at some points.
+        if (.not. is_open(plan%base%channel(channel)) .and. .not. is_scanned(plan, 'channel' &
+          //to_text(channel)//'_width')) cycle
+        side = axis_side(corner, facing(channel))
+        if (side == 0) then
+          what = 'has a corner on the axis y = 0 or no side there'
+        else if (abs(corner(1, next_of(side, n)) - corner(1, side)) <= upright &
+          *maxval(abs(corner(1, :)))) then
+          cycle
+        else
+          what = 'has '//side_text(side, n)//', which is not upright'
+        end if
+        call refuse(plan, trim(key_of(urn)), what//', where channel '//to_text(channel) &
+          //' is to begin', 'an upright side that the axis y = 0 crosses farthest to the ' &
+          //trim(merge('right', 'left ', channel == 1)))
+      end do
+    end associate
+  end subroutine check_axis
+
+  !> How urns and channels of a point fit together: openings that are narrower than their sides, and
+  !> polygons that reach over no channel.
+  subroutine check_outline_at(plan, point)
+    type(plan_type), intent(inout) :: plan
+    type(point_type), intent(in) :: point
+    character(len=:), allocatable :: key
+    real(wp) :: room
+    integer :: urn, channel, side, n
+
+    if (plan%urn_shape /= 'polygon') return
+    do urn = 1, merge(1, 2, plan%shape == 'urn')
+      key = trim(key_of(urn))
+      if (urn == 2 .and. .not. has_other(plan, point)) cycle
+      associate (corner => corners_of(plan, point, urn))
+        n = size(corner, 2)
+        do channel = 1, merge(1, 2, plan%shape == 'urn')
+          if (.not. is_open(point%channel(channel))) cycle
+          side = axis_side(corner, facing(channel))
+          room = 2.0_wp*min(abs(corner(2, side)), abs(corner(2, next_of(side, n))))
+          if (point%channel(channel)%width > room*(1.0_wp - finest)) call refuse(plan, &
+            'channel'//to_text(channel)//'_width', to_text(point%channel(channel)%width), &
+            'below '//to_text(room)//', which fits into '//side_text(side, n)//' of urn ' &
+            //to_text(urn))
+          call check_reach(plan, point, key, corner, channel, side)
+        end do
+      end associate
+    end do
+  end subroutine check_outline_at
+
+  !> Whether urn 2 is not the mirror image of urn 1.
+  pure function has_other(plan, point) result(other)
+    type(plan_type), intent(in) :: plan
+    type(point_type), intent(in) :: point
+    logical :: other
+
+    other = any(shape(corners_of(plan, point, 1)) /= shape(corners_of(plan, point, 2)))
+    if (.not. other) other = any(abs(corners_of(plan, point, 1) - corners_of(plan, point, 2)) &
+      > 0.0_wp)
+  end function has_other
+
+  !> What of a polygon lies beyond its opening must stay beside the channel, and on this side of its
+  !> line.
+  subroutine check_reach(plan, point, key, corner, channel, side)
+    type(plan_type), intent(inout) :: plan
+    type(point_type), intent(in) :: point
+    character(len=*), intent(in) :: key
+    real(wp), intent(in) :: corner(:, :)
+    integer, intent(in) :: channel, side
+    real(wp) :: beyond, half, a(2), b(2)
+    integer :: k, n
+
+    n = size(corner, 2)
+    half = 0.5_wp*point%channel(channel)%width
+    beyond = 0.5_wp*point%channel(channel)%length
+    do k = 1, n
+      if (k == side) cycle
+      a = seen(k)
+      b = seen(next_of(k, n))
+      if (a(1) > beyond) call refuse(plan, key, 'has corner '//to_text(k)//', which is '//to_text( &
+        a(1))//' beyond the beginning of channel '//to_text(channel), 'up to its middle, which is ' &
+        //to_text(beyond)//' beyond')
+      if (max(a(1), b(1)) <= 0.0_wp) cycle
+      if (sides_meet(a, b, [0.0_wp, half], [beyond, half]) .or. sides_meet(a, b, [0.0_wp, -half], &
+        [beyond, -half]) .or. (abs(a(2)) <= half .and. a(1) >= 0.0_wp .and. a(1) <= beyond)) &
+        call refuse(plan, key, 'has '//side_text(k, n)//', which lies in channel ' &
+        //to_text(channel), 'sides beside the channel')
+    end do
+
+  contains
+
+    !> A corner, as it is seen from the beginning of the channel, into which x leads.
+    pure function seen(k)
+      integer, intent(in) :: k
+      real(wp) :: seen(2)
+
+      seen = [facing(channel)*(corner(1, k) - corner(1, side)), corner(2, k)]
+    end function seen
+
+  end subroutine check_reach
+
+  !> The greater of width and height.
+  pure function extent_of(corner) result(extent)
+    real(wp), intent(in) :: corner(:, :)
+    real(wp) :: extent
+
+    extent = maxval(maxval(corner, dim=2) - minval(corner, dim=2))
+  end function extent_of
+
+  !> A side by the corners at its ends.
+  pure function side_text(side, sides) result(text)
+    integer, intent(in) :: side, sides
+    character(len=:), allocatable :: text
+
+    text = 'the side from corner '//to_text(side)//' to '//to_text(next_of(side, sides))
+  end function side_text
+
+end module battery_outline_checks

@@ -1,0 +1,143 @@
+!> The corners of a polygon, and what they say of it before anything flies in it.
+!>
+!> Corners are columns (x, y), one after the other round the polygon; side k goes from corner k to
+!> the next, the last side back to the first. Counterclockwise, the inside is on the left of a side.
+module battery_corners
+  use battery_kinds, only: wp, pi
+  implicit none (type, external)
+  private
+  public :: most_corners, regular_corners, enclosed_area, turned_round, next_of, distance_to_side, sides_meet, &
+    side_distance, axis_side
+
+  !> Most corners of a polygon.
+  integer, parameter :: most_corners = 1000
+
+contains
+
+  !> A regular polygon round the origin whose first and last quarter stand upright on the x axis.
+  pure function regular_corners(sides, radius) result(corner)
+    !> Even, from 4 up.
+    integer, intent(in) :: sides
+    !> From the origin to a corner, a length.
+    real(wp), intent(in) :: radius
+    real(wp) :: corner(2, sides)
+    real(wp) :: angle
+    integer :: k, half
+
+    ! Half of them, upwards on the right and back on the left; each is the mirror image of another.
+    half = sides/2
+    do k = 1, (half + 1)/2
+      angle = pi*real(2*k - 1, wp)/real(sides, wp)
+      corner(:, k) = radius*[cos(angle), sin(angle)]
+      if (2*k - 1 == half) corner(1, k) = 0.0_wp
+    end do
+    do k = 1, half/2
+      corner(:, half + 1 - k) = [-corner(1, k), corner(2, k)]
+    end do
+    do k = 1, half
+      corner(:, sides + 1 - k) = [corner(1, k), -corner(2, k)]
+    end do
+    ! The side on the right goes from the last corner to the first.
+  end function regular_corners
+
+  !> Area of a polygon; negative if its corners run clockwise.
+  pure function enclosed_area(corner) result(area)
+    real(wp), intent(in) :: corner(:, :)
+    real(wp) :: area
+    integer :: k
+
+    area = 0.0_wp
+    do k = 2, size(corner, 2) - 1
+      area = area + 0.5_wp*cross_product(corner(:, k) - corner(:, 1), &
+        corner(:, k + 1) - corner(:, 1))
+    end do
+  end function enclosed_area
+
+  !> The same polygon, its corners the other way round; the first stays the first.
+  pure function turned_round(corner) result(turned)
+    real(wp), intent(in) :: corner(:, :)
+    real(wp) :: turned(size(corner, 1), size(corner, 2))
+
+    turned = corner(:, size(corner, 2):1:-1)
+    turned = cshift(turned, -1, dim=2)
+  end function turned_round
+
+  !> The corner after a corner.
+  elemental function next_of(k, count) result(next)
+    integer, intent(in) :: k, count
+    integer :: next
+
+    next = merge(1, k + 1, k == count)
+  end function next_of
+
+  !> The side that the x axis crosses last on its way to the right (`way` = 1) or to the left (-1);
+  !> 0 if it crosses none there, or meets a corner.
+  pure function axis_side(corner, way) result(side)
+    real(wp), intent(in) :: corner(:, :), way
+    integer :: side
+    real(wp) :: farthest, x
+    integer :: k
+
+    side = 0
+    farthest = -huge(1.0_wp)
+    do k = 1, size(corner, 2)
+      associate (a => corner(:, k), b => corner(:, next_of(k, size(corner, 2))))
+        if (min(a(2), b(2)) > 0.0_wp .or. max(a(2), b(2)) < 0.0_wp) cycle
+        x = max(way*a(1), way*b(1))
+        if (abs(b(2) - a(2)) > 0.0_wp) x = way*(a(1) - (b(1) - a(1))*(a(2)/(b(2) - a(2))))
+        if (x < farthest) cycle
+        farthest = x
+        side = merge(k, 0, a(2)*b(2) < 0.0_wp)
+      end associate
+    end do
+  end function axis_side
+
+  !> Distance of a point from the side between the points a and b.
+  pure function distance_to_side(x, y, a, b) result(distance)
+    !> Lengths.
+    real(wp), intent(in) :: x, y, a(2), b(2)
+    real(wp) :: distance
+    real(wp) :: share, along(2)
+
+    along = b - a
+    share = dot_product([x, y] - a, along)/max(dot_product(along, along), tiny(1.0_wp))
+    share = min(max(share, 0.0_wp), 1.0_wp)
+    distance = hypot(x - a(1) - share*along(1), y - a(2) - share*along(2))
+  end function distance_to_side
+
+  !> Whether the sides a-b and c-d have a point in common.
+  pure function sides_meet(a, b, c, d) result(meet)
+    real(wp), intent(in) :: a(2), b(2), c(2), d(2)
+    logical :: meet
+    real(wp) :: side_c, side_d, side_a, side_b
+
+    meet = .false.
+    if (max(a(1), b(1)) < min(c(1), d(1)) .or. max(c(1), d(1)) < min(a(1), b(1))) return
+    if (max(a(2), b(2)) < min(c(2), d(2)) .or. max(c(2), d(2)) < min(a(2), b(2))) return
+    side_c = cross_product(b - a, c - a)
+    side_d = cross_product(b - a, d - a)
+    side_a = cross_product(d - c, a - c)
+    side_b = cross_product(d - c, b - c)
+    meet = min(side_c, side_d) <= 0.0_wp .and. max(side_c, side_d) >= 0.0_wp .and. &
+      min(side_a, side_b) <= 0.0_wp .and. max(side_a, side_b) >= 0.0_wp
+  end function sides_meet
+
+  !> Distance of the sides a-b and c-d from each other.
+  pure function side_distance(a, b, c, d) result(distance)
+    real(wp), intent(in) :: a(2), b(2), c(2), d(2)
+    real(wp) :: distance
+
+    distance = 0.0_wp
+    if (sides_meet(a, b, c, d)) return
+    distance = min(distance_to_side(a(1), a(2), c, d), distance_to_side(b(1), b(2), c, d), &
+      distance_to_side(c(1), c(2), a, b), distance_to_side(d(1), d(2), a, b))
+  end function side_distance
+
+  pure function cross_product(a, b) result(product)
+    real(wp), intent(in) :: a(2), b(2)
+    real(wp) :: product
+
+    product = a(1)*b(2) - a(2)*b(1)
+  end function cross_product
+
+end module battery_corners

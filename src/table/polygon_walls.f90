@@ -1,0 +1,378 @@
+!> In a polygon from side to side.
+!>
+!> A corner lies to the right or to the left of a way, and never both: the side that ends the way is
+!> the nearest that goes from the right of it to the left. So some side is met wherever a corner is
+!> hit, and nobody slips through. A particle is put exactly on the side that it meets; its speed is
+!> set back to 1 by a Newton step at each hit.
+!>
+!> **State on a side.** How far round the polygon, and the velocity after the hit: three numbers.
+!> A particle that stays for ever, and one whose visit is handed on, are known by it.
+module battery_polygon_walls
+  use battery_kinds, only: wp, int64
+  use battery_channel, only: gated, ungated, no_channel, facing
+  use battery_motion, only: meets_gate, meets_return, meets_nothing, meets_wall, wall_kind
+  use battery_polygon, only: polygon_type, is_in_polygon, nearest_side
+  implicit none (type, external)
+  private
+  public :: aim_in_polygon, hit_polygon, put_back_in_polygon, polygon_before, polygon_for_ever
+  public :: surely_next_side, reflect, state_type, state_on, came_back
+
+  !> A state that has come back to within this, in units of all walls and of 1, is the same state.
+  real(wp), parameter :: same_state = 4096.0_wp*epsilon(1.0_wp)
+
+  !> Longest period that is looked for, in wall hits.
+  integer, parameter, public :: longest_period = 10000
+
+  !> Right after a hit: how far round the polygon, and the velocity.
+  type :: state_type
+    real(wp) :: round = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
+  end type state_type
+
+contains
+
+  !> The side that ends the way from a point, and after which time. A point on a side is told so by
+  !> `from`, which is then not met; 0: anywhere.
+  pure subroutine next_side(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    !> Place and velocity in the frame of the polygon.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> 0 if none is met, which only rounding can bring about.
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: before, after, time
+    integer :: k
+
+    side = 0
+    wait = huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    do k = 1, polygon%sides
+      before = after
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      if (time < -polygon%sharp .or. time >= wait) cycle
+      side = k
+      wait = time
+    end do
+    wait = max(wait, 0.0_wp)
+  end subroutine next_side
+
+  !> The same for a way along a side, or from a place that rounding has put on the wrong side of
+  !> one: as if it began a little farther inside.
+  pure subroutine surely_next_side(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: inwards
+    integer :: nearest, tries
+
+    call next_side(polygon, from, x, y, ux, uy, side, wait)
+    if (side > 0) return
+    nearest = from
+    if (nearest == 0) nearest = nearest_side(polygon, x, y)
+    inwards = polygon%sharp
+    do tries = 1, 8
+      call next_side(polygon, nearest, x - inwards*polygon%normal_x(nearest), &
+        y - inwards*polygon%normal_y(nearest), ux, uy, side, wait)
+      if (side > 0) return
+      inwards = 4.0_wp*inwards
+    end do
+  end subroutine surely_next_side
+
+  !> Puts a particle on a side, and turns its velocity there.
+  pure subroutine reflect(polygon, side, x, y, ux, uy)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(inout) :: x, y, ux, uy
+    real(wp) :: beyond, outward, norm
+
+    associate (nx => polygon%normal_x(side), ny => polygon%normal_y(side))
+      beyond = (x - polygon%x(side))*nx + (y - polygon%y(side))*ny
+      x = x - beyond*nx
+      y = y - beyond*ny
+      outward = max(ux*nx + uy*ny, 0.0_wp)
+      ux = ux - 2.0_wp*outward*nx
+      uy = uy - 2.0_wp*outward*ny
+    end associate
+    norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
+    ux = norm*ux
+    uy = norm*uy
+  end subroutine reflect
+
+  !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
+  pure subroutine aim_in_polygon(polygon, from, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    !> The channel on whose chord it is, or `no_channel`.
+    integer, intent(in) :: from
+    !> Place and velocity in the frame of the polygon.
+    real(wp), intent(in) :: x, y, ux, uy
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    side = 0
+    if (from /= no_channel) side = polygon%side(from)
+    call aim_from(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine aim_in_polygon
+
+  !> The same from a side. Only a point within an opening, its ends excluded, lets a particle out: a
+  !> corner belongs to the urn.
+  pure subroutine aim_from(polygon, from, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    call surely_next_side(polygon, from, x, y, ux, uy, side, wait)
+    if (side == 0) then
+      next = meets_nothing
+      wait = huge(1.0_wp)
+    else if (abs(y + uy*wait) < polygon%open_half(side)) then
+      next = merge(meets_gate, meets_return, side == polygon%side(gated))
+    else
+      next = int(side, wall_kind)
+    end if
+  end subroutine aim_from
+
+  !> Reflection from the side `next`; then what is met `next`, after the time `wait`.
+  pure subroutine hit_polygon(polygon, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    !> Place and velocity in the frame of the polygon.
+    real(wp), intent(inout) :: x, y, ux, uy
+    integer(wall_kind), intent(inout) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    side = int(next)
+    call reflect(polygon, side, x, y, ux, uy)
+    call aim_from(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine hit_polygon
+
+  !> Mirrors a particle that a step has taken beyond a side in the side that it has crossed, and
+  !> reflects its velocity there; again, if that takes it beyond another.
+  pure subroutine put_back_in_polygon(polygon, x, y, ux, uy, was_beyond)
+    type(polygon_type), intent(in) :: polygon
+    !> Place and velocity in the frame of the polygon.
+    real(wp), intent(inout) :: x, y, ux, uy
+    logical, intent(out) :: was_beyond
+    integer, parameter :: most_sides = 16
+    real(wp) :: beyond
+    integer :: side, tries
+
+    was_beyond = .false.
+    do tries = 1, most_sides
+      if (is_in_polygon(polygon, x, y, 0.0_wp)) return
+      was_beyond = .true.
+      side = side_behind(polygon, x, y, ux, uy)
+      if (side == 0) side = nearest_side(polygon, x, y)
+      beyond = (x - polygon%x(side))*polygon%normal_x(side) &
+        + (y - polygon%y(side))*polygon%normal_y(side)
+      call reflect(polygon, side, x, y, ux, uy)
+      x = x - beyond*polygon%normal_x(side)
+      y = y - beyond*polygon%normal_y(side)
+    end do
+    ! A corner too narrow for the step: on its side, where it came from.
+    side = nearest_side(polygon, x, y)
+    call put_on(polygon, side, x, y)
+  end subroutine put_back_in_polygon
+
+  !> The side that a way out of the polygon has crossed last; 0 if there is none.
+  pure function side_behind(polygon, x, y, ux, uy) result(side)
+    type(polygon_type), intent(in) :: polygon
+    !> Where the way has led, and its direction.
+    real(wp), intent(in) :: x, y, ux, uy
+    integer :: side
+    real(wp) :: before, after, time, latest
+    integer :: k
+
+    side = 0
+    latest = -huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    do k = 1, polygon%sides
+      before = after
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      if (before >= 0.0_wp .or. after < 0.0_wp) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      if (time > polygon%sharp .or. time <= latest) cycle
+      side = k
+      latest = time
+    end do
+  end function side_behind
+
+  !> The point of a side that is nearest to (x, y).
+  pure subroutine put_on(polygon, side, x, y)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(inout) :: x, y
+    real(wp) :: along
+
+    along = along_side(polygon, side, x, y)
+    x = polygon%x(side) - along*polygon%normal_y(side)
+    y = polygon%y(side) + along*polygon%normal_x(side)
+  end subroutine put_on
+
+  !> How far a point is along a side from its beginning, not beyond its ends.
+  pure function along_side(polygon, side, x, y) result(along)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(in) :: x, y
+    real(wp) :: along
+
+    along = (y - polygon%y(side))*polygon%normal_x(side) &
+      - (x - polygon%x(side))*polygon%normal_y(side)
+    along = min(max(along, 0.0_wp), polygon%length_of(side))
+  end function along_side
+
+  !> The state of a particle on a side.
+  pure function state_on(polygon, side, x, y, ux, uy) result(state)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(in) :: x, y, ux, uy
+    type(state_type) :: state
+
+    state = state_type(polygon%begins(side) + along_side(polygon, side, x, y), ux, uy)
+  end function state_on
+
+  !> The side and the place of a state.
+  pure subroutine place_of(polygon, round, side, x, y)
+    type(polygon_type), intent(in) :: polygon
+    real(wp), intent(in) :: round
+    integer, intent(out) :: side
+    real(wp), intent(out) :: x, y
+    real(wp) :: along
+
+    side = max(count(polygon%begins <= round), 1)
+    along = min(round - polygon%begins(side), polygon%length_of(side))
+    x = polygon%x(side) - along*polygon%normal_y(side)
+    y = polygon%y(side) + along*polygon%normal_x(side)
+  end subroutine place_of
+
+  !> Whether two states are the same, but for rounding.
+  pure function came_back(polygon, state, before) result(same)
+    type(polygon_type), intent(in) :: polygon
+    type(state_type), intent(in) :: state, before
+    logical :: same
+
+    same = max(abs(state%ux - before%ux), abs(state%uy - before%uy), &
+      abs(state%round - before%round)/polygon%round) <= same_state
+  end function came_back
+
+  !> Straight on from side to side for the time `rest`, or until an opening is met. There it stays,
+  !> and so does `rest`.
+  pure subroutine fly_on(polygon, side, x, y, ux, uy, rest, hits)
+    type(polygon_type), intent(in) :: polygon
+    !> On which it is, or 0.
+    integer, intent(inout) :: side
+    real(wp), intent(inout) :: x, y, ux, uy, rest
+    !> Those on the way.
+    integer(int64), intent(out) :: hits
+    integer(wall_kind) :: next
+    real(wp) :: wait
+
+    hits = 0
+    do
+      call aim_from(polygon, side, x, y, ux, uy, next, wait)
+      x = x + ux*min(wait, rest)
+      y = y + uy*min(wait, rest)
+      if (wait >= rest .or. next < meets_wall) exit
+      rest = rest - wait
+      side = int(next)
+      call reflect(polygon, side, x, y, ux, uy)
+      hits = hits + 1
+    end do
+  end subroutine fly_on
+
+  !> Where a particle is, in the local frame, a length `before` ahead of leaving the polygon, if it
+  !> was in it all that time, and how many walls it hits in between.
+  pure subroutine polygon_before(polygon, channel, y, along, across, before, position, velocity, &
+    hits)
+    type(polygon_type), intent(in) :: polygon
+    !> The channel it leaves through, at the height y, with |u_x| and u_y.
+    integer, intent(in) :: channel
+    real(wp), intent(in) :: y, along, across, before
+    !> x and y of each: lengths, and a vector of length 1.
+    real(wp), intent(out) :: position(2), velocity(2)
+    integer(int64), intent(out) :: hits
+    real(wp) :: rest
+    integer :: side
+
+    side = polygon%side(channel)
+    position = [facing(channel)*polygon%chord(channel), y]
+    velocity = [-facing(channel)*along, -across]
+    rest = before
+    call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
+    velocity = -velocity
+  end subroutine polygon_before
+
+  !> Where a particle is that has the state (round, ux, uy) on a side, some time before or after.
+  pure subroutine polygon_for_ever(polygon, elapsed, round, ux, uy, position, velocity, hits)
+    type(polygon_type), intent(in) :: polygon
+    !> Time since then; below 0: until then.
+    real(wp), intent(in) :: elapsed, round, ux, uy
+    !> x and y of each: lengths, and a vector of length 1.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Wall hits since then; less than 0: so many come before it, itself included.
+    integer(int64), intent(out) :: hits
+    real(wp), parameter :: long = 1000.0_wp
+    real(wp) :: rest, period
+    integer(int64) :: hits_each, periods
+    integer :: side
+
+    call place_of(polygon, round, side, position(1), position(2))
+    velocity = [ux, uy]
+    if (elapsed < 0.0_wp) then
+      velocity = -velocity
+      call reflect(polygon, side, position(1), position(2), velocity(1), velocity(2))
+      rest = -elapsed
+      call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
+      velocity = -velocity
+      hits = -hits - 1
+    else
+      period = huge(1.0_wp)
+      hits_each = 0
+      if (elapsed > long*polygon%reach) call find_period(polygon, state_type(round, ux, uy), &
+        period, hits_each)
+      periods = int(elapsed/period, int64)
+      rest = max(elapsed - real(periods, wp)*period, 0.0_wp)
+      call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
+      hits = hits + periods*hits_each
+    end if
+  end subroutine polygon_for_ever
+
+  !> After which time a state comes back, and after how many hits; huge if it does not for long.
+  pure subroutine find_period(polygon, state, period, hits)
+    type(polygon_type), intent(in) :: polygon
+    type(state_type), intent(in) :: state
+    real(wp), intent(out) :: period
+    integer(int64), intent(out) :: hits
+    integer(wall_kind) :: next
+    real(wp) :: x, y, ux, uy, wait
+    integer :: side
+
+    ux = state%ux
+    uy = state%uy
+    call place_of(polygon, state%round, side, x, y)
+    period = 0.0_wp
+    do hits = 1, longest_period
+      call aim_from(polygon, side, x, y, ux, uy, next, wait)
+      if (next < meets_wall) exit
+      x = x + ux*wait
+      y = y + uy*wait
+      period = period + wait
+      side = int(next)
+      call reflect(polygon, side, x, y, ux, uy)
+      if (came_back(polygon, state_on(polygon, side, x, y, ux, uy), state) .and. &
+        period > 0.0_wp) return
+    end do
+    period = huge(1.0_wp)
+    hits = 0
+  end subroutine find_period
+
+end module battery_polygon_walls
