@@ -15,7 +15,10 @@ from scipy.stats import norm
 from scipy.stats import t as student
 from support.program import assert_same, finish, listing, namelist, run, start, wait_for
 
+import postproc
+from postproc.reading.results import Results
 from postproc.reading.seal import seal_of
+from postproc.report.warn import explanations, warnings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -259,6 +262,50 @@ def test_stopped_on_the_way_to_a_precision(tmp_path: Path, precise: Path) -> Non
     assert_same(tmp_path / "out.h5", precise)
 
 
+@pytest.fixture(scope="module")
+def bistable(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Give the results of a circuit that starts between two states that last, and what it said."""
+    folder = tmp_path_factory.mktemp("bistable")
+    write(
+        folder,
+        particles={"number": 1000, "urn1_fraction": 0.8},
+        run={"duration": 8000, "transient_duration": 7000},
+        scan={"channel2_width": "0.005, 0.1", "replicas": 16},
+        precision={"chi_replica_error": 0.05, "largest_replicas": 20},
+    )
+    return folder / "out.h5", complete(folder)
+
+
+def test_a_point_in_two_states_is_listed_and_has_no_mean(bistable: tuple[Path, str]) -> None:
+    """With both of its states; the other point of the scan has its mean."""
+    path, said = bistable
+    with h5py.File(path) as file:
+        chi = file["chi"][0][file["task_status"][0] == 0]
+        assert file["point_status"][()].tolist() == [2, 0]
+        assert np.isnan(file["chi_replica_error"][()]).tolist() == [True, False]
+    low, high = chi[chi < 0.5], chi[chi > 0.5]
+    assert low.max() < 0.2
+    assert high.min() > 0.9
+    assert chi.size == 16  # no more than the first
+    assert "replicas fall into two states, points (from 0): 0\n" in said
+    states = re.search(r" 16   two states: chi = (\S+) in (\d+), chi = (\S+) in (\d+)\n", said)
+    assert [int(states[2]), int(states[4])] == [low.size, high.size]
+    np.testing.assert_allclose([float(states[1]), float(states[3])], [low.mean(), high.mean()],
+                               atol=6e-6)  # fmt: skip
+
+
+def test_python_does_not_average_two_states(bistable: tuple[Path, str]) -> None:
+    """Nor does it miss tasks that nobody asked for."""
+    with Results(bistable[0]) as results:
+        assert np.isnan(results.replica_mean("chi")[0]).tolist() == [True, False]
+        assert results.remark == ""
+        assert not any("no results" in text for text in warnings(results))
+        assert "1 of 2 points the replicas fall into two states" in explanations(results)[0]
+    data = postproc.open_results(bistable[0])
+    count = np.count_nonzero(data["task_status"] == 0)
+    assert data.attrs["tasks"] == f"{count} of {count} tasks are complete"
+
+
 def test_check_says_what_a_precision_may_cost(tmp_path: Path, precise: Path) -> None:
     """What is known to be needed, what may come, and what will if points are alike."""
     ask = {"scan": WIDTHS, "precision": ASKED}
@@ -277,7 +324,7 @@ def test_check_says_what_a_precision_may_cost(tmp_path: Path, precise: Path) -> 
     assert fresh in said("--overwrite")
     write(tmp_path, scan={**WIDTHS, "channel2_width": "0.01, 0.03, 0.1"}, precision=ASKED)
     assert f"finished:   {done} tasks; to be done: 16, and up to 34 more" in said()
-    assert re.search(r" rank; \S+ s if the other points get as many replicas as .*; at most", said())
+    assert re.search(r" rank; \S+ s if the other points get as many replicas .*; at most", said())
 
 
 def test_coarser_precision_is_refused(tmp_path: Path, precise: Path) -> None:

@@ -273,3 +273,18 @@ def test_wall_minutes_count_from_the_start(tmp_path: Path) -> None:
     ended = run("--check", "case.nml", folder=tmp_path)
     assert ended.returncode == 3
     assert "stopped by &limits wall_minutes; nothing was written" in ended.stderr
+
+
+def test_many_tasks_take_no_more_than_is_counted(tmp_path: Path) -> None:
+    """What a task leaves in memory when it is finished is its result, and nothing else."""
+    peaks = []
+    for replicas in (200, 2200):
+        write(tmp_path, run={"duration": 0.01}, scan={"replicas": replicas})
+        command = [str(PROGRAM), "--quiet", "--overwrite", "case.nml"]
+        process = subprocess.Popen(command, cwd=tmp_path, env=ALONE, stdin=subprocess.DEVNULL)
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        assert process.returncode == 0
+        peaks.append(1024 * used.ru_maxrss)
+    # 1800 bytes a task are counted; the rest is what allocators round up to.
+    assert peaks[1] - peaks[0] < 2000 * 1800 + 4_000_000

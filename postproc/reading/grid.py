@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from postproc.cli import InputError
-from postproc.reading.results import COMPLETE, Results
+from postproc.reading.results import COMPLETE, NOT_ASKED, Results
 from postproc.theory.circuit import single_urn_current
 from postproc.theory.models import MODELS, describe
 
@@ -84,7 +84,8 @@ def open_results(
         attributes = dict(results.attributes)
     data = _read(path)
     known = data["task_status"] == COMPLETE
-    attributes["tasks"] = f"{int(known.sum())} of {known.size} tasks are complete"
+    asked = int((data["task_status"] != NOT_ASKED).sum())
+    attributes["tasks"] = f"{int(known.sum())} of {asked} tasks are complete"
     points = data[[name for name in PARAMETERS if name in data]]
     if group is None:
         data = data.drop_vars(list(points.data_vars)).assign(added)

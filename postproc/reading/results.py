@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 #: Arrays up to so many bytes are read once, and whole.
 KEPT = 1 << 28
-COMPLETE = 0  # value of `task_status`
+COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
+TWO_STATES = 2  # value of `point_status`
 POLARISED = 0.15  # chi from which on a state is taken to be polarised
 LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
 READABLE = ("0.1.", "0.2.")  # how the versions begin whose files are read
@@ -146,12 +147,26 @@ class Results:
             known &= self.value("task_status") == COMPLETE
         return known
 
+    @cached_property
+    def asked(self) -> NDArray[np.bool_]:
+        """Which tasks were asked for, shape (point, replica): all, unless to a precision."""
+        if self.has("task_status"):
+            return self.value("task_status") != NOT_ASKED
+        return np.ones(self.done.shape, bool)
+
+    @cached_property
+    def two_states(self) -> NDArray[np.bool_]:
+        """Which points have replicas in two states, shape (point,): no mean is theirs."""
+        if self.has("point_status"):
+            return self.value("point_status") == TWO_STATES
+        return np.zeros(self.points, bool)
+
     @property
     def remark(self) -> str:
         """What a picture should say about a partial run; empty for a complete one."""
-        if self.done.all():
+        if self.done[self.asked].all():
             return ""
-        return f"partial run: {np.count_nonzero(self.done)} of {self.done.size} tasks"
+        return f"partial run: {np.count_nonzero(self.done)} of {self.asked.sum()} tasks"
 
     def say_if_partial(self) -> None:
         """Tell on standard error that the run is partial, if it is."""
@@ -246,8 +261,10 @@ class Results:
 
         The error is the larger of what the spread of the replicas says and what the blocks within
         them say (`NAME_error`): few replicas may agree by chance. One replica: its block error.
+        NaN where replicas fall into two states.
         """
-        values = np.where(self.done, self.value(name), math.nan)
+        one_state = self.done & ~self.two_states[:, None]
+        values = np.where(one_state, self.value(name), math.nan)
         blocks = self.value(f"{name}_error") if self.has(f"{name}_error") else 0.0 * values
         return mean_and_error(values, blocks)
 

@@ -97,7 +97,7 @@ def rounded(values: Floats) -> Floats:
 def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
     points = gather([results])
-    done, replicas = results.done.sum(axis=1), results.replicas
+    done, asked = results.done.sum(axis=1), results.asked.sum(axis=1)
     columns = {name: values if values.dtype.kind == "i" else rounded(values)
                for name, values in scan.keys.items()}  # fmt: skip
     columns |= {name: rounded(getattr(points, name))
@@ -107,7 +107,7 @@ def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
         spread, current = np.array(found).T
         columns[f"{name}_chi"], columns[f"{name}_current"] = rounded(spread), rounded(current)
     columns["told"] = np.array([_told(scan, columns, at) for at in range(points.chi.size)])
-    columns["tasks"] = np.array([f"{count} of {replicas}" for count in done])
+    columns["tasks"] = np.array([f"{n} of {m}" for n, m in zip(done, asked, strict=True)])
     for low, high, key in (("left", "right", scan.across), ("bottom", "top", scan.up)):
         if key:
             values, at = np.unique(scan.keys[key], return_inverse=True)

@@ -95,6 +95,11 @@ def warnings(results: Results) -> list[str]:
 def explanations(results: Results) -> list[str]:
     """Return what is as it should be and surprises nevertheless, one sentence each."""
     found = []
+    if results.two_states.any():
+        found.append(
+            f"At {results.two_states.sum()} of {results.points} points the replicas fall into two "
+            "states. A mean of both would be a third, so none is shown."
+        )
     excess = np.array(
         [_excess(results, point)[0] for point in np.flatnonzero(results.done.any(axis=1))]
     )
@@ -121,11 +126,13 @@ def _name(results: Results, point: int) -> str:
 
 
 def _unfinished(results: Results) -> list[str]:
-    missing = int(np.count_nonzero(~results.done))
-    return [f"{missing} of {results.done.size} tasks have no results."] if missing else []
+    missing = int(np.count_nonzero(results.asked & ~results.done))
+    return [f"{missing} of {results.asked.sum()} tasks have no results."] if missing else []
 
 
 def _of_replicas(results: Results, point: int) -> list[str]:
+    if results.two_states[point]:
+        return []
     found = []
     for name, text in (("chi", "mass spreads"), ("current1", "net currents")):
         if not results.has(f"{name}_error"):

@@ -221,7 +221,7 @@ contains
       ! Of large results there is not more than one copy here.
       records(k) = record_type()
     end do
-    results = results(:good)
+    if (good < size(results)) results = results(:good)
   end subroutine read_rank_file
 
   !> A task is finished: its result is written at once, so that nothing that happens to the program

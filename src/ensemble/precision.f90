@@ -14,7 +14,7 @@ module battery_precision
     point_two_states, point_undecided
   implicit none (type, external)
   private
-  public :: decide, two_states
+  public :: decide, two_states, cut_of
 
   !> Share of the normal distribution below one standard deviation.
   real(dp), parameter :: below_one = 0.841344746068543_dp
@@ -75,16 +75,30 @@ contains
   pure logical function two_states(values) result(yes)
     !> Finite.
     real(dp), intent(in) :: values(:)
-    real(dp) :: left
+    real(dp) :: cut
+
+    cut = cut_of(values)
+    yes = squares(pack(values, values <= cut)) + squares(pack(values, values > cut)) &
+      < within*squares(values)
+  end function two_states
+
+  !> The greatest value of the lower group, where values are best cut into two.
+  pure function cut_of(values) result(cut)
+    !> Finite, one or more.
+    real(dp), intent(in) :: values(:)
+    real(dp) :: cut
+    real(dp) :: left, least
     integer :: k
 
-    left = huge(left)
+    least = huge(least)
+    cut = maxval(values)
     do k = 1, size(values)
-      left = min(left, squares(pack(values, values <= values(k))) &
-        + squares(pack(values, values > values(k))))
+      left = squares(pack(values, values <= values(k))) + squares(pack(values, values > values(k)))
+      if (.not. left < least) cycle
+      least = left
+      cut = values(k)
     end do
-    yes = left < within*squares(values)
-  end function two_states
+  end function cut_of
 
   !> Sum of the squared distances from the mean.
   pure real(dp) function squares(values)

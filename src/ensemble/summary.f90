@@ -4,6 +4,7 @@ module battery_summary
   use battery_plan, only: plan_type
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_count
+  use battery_precision, only: cut_of
   use battery_quantities, only: averaged_quantities, counted_quantities, place_of
   use battery_results, only: results_type, scatter_of, task_complete, task_not_asked, &
     point_two_states, point_not_precise
@@ -124,9 +125,44 @@ contains
     call say('     N    T       w         w''  replicas       chi  +-error    polarised  +-error' &
       //'    (errors over replicas)')
     do p = 1, size(results%point)
-      if (complete(p) > 1) call say(head(results, p, complete(p))//pairs_text(pairs(:, :, p)))
+      if (complete(p) < 2) cycle
+      if (in_two_states(results, p)) then
+        call say(head(results, p, complete(p))//states_text(results, p))
+      else
+        call say(head(results, p, complete(p))//pairs_text(pairs(:, :, p)))
+      end if
     end do
   end subroutine print_points
+
+  !> Whether the replicas of a point fall into two states.
+  pure logical function in_two_states(results, p)
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: p
+
+    in_two_states = .false.
+    if (allocated(results%point_status)) in_two_states = results%point_status(p) == point_two_states
+  end function in_two_states
+
+  !> Both states of such a point, in place of a mean that no replica has.
+  pure function states_text(results, p) result(text)
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: p
+    character(len=:), allocatable :: text
+    real(dp), allocatable :: chi(:), group(:)
+    real(dp) :: cut
+    integer :: k
+
+    chi = pack(results%average(:, p, place_of('chi', averaged_quantities())), &
+      results%task_status(:, p) == task_complete)
+    cut = cut_of(chi)
+    text = '   two states:'
+    do k = 1, 2
+      group = pack(chi, (chi > cut) .eqv. k == 2)
+      text = text//' chi = '//trim(adjustl(column(sum(group)/max(size(group), 1), 10, 5)))//' in ' &
+        //to_text(size(group))//merge(',', ' ', k == 1)
+    end do
+    text = trim(text)
+  end function states_text
 
   !> One task: averages and their errors.
   subroutine print_row(results, p, r)

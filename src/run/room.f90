@@ -20,7 +20,7 @@ module battery_room
     bytes_an_event = 160.0_dp
 
   !> Bytes of each task on rank 0 at the end, and of an entry and a state of one task of many there.
-  real(dp), parameter :: bytes_a_task = 800.0_dp, merged_entry = 65.0_dp, merged_state = 125.0_dp
+  real(dp), parameter :: bytes_a_task = 1800.0_dp, merged_entry = 65.0_dp, merged_state = 125.0_dp
 
   !> Bytes that every process takes beside all these, and may still take once it has started.
   real(dp), parameter :: base_bytes = 16.0e6_dp

@@ -66,9 +66,9 @@ contains
 
   !> Reads a file whole and compares it with its seal. The error has the code `exit_failure` if the
   !> file was a results file and is damaged, `exit_bad_input` if it is something else: one of a
-  !> version before 0.2.0, or one that HDF5 wrote anew, which end where HDF5 says that they do, among
-  !> them. A file that is empty, or whose first bytes are zero, is what a crash of the machine
-  !> leaves, and counts as damaged.
+  !> version before 0.2.0, or one that HDF5 wrote anew, which ends where HDF5 says that it does. A
+  !> file that is empty, or whose first bytes are zero, is what a crash of the machine leaves, and
+  !> counts as damaged.
   subroutine check_seal(name, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
