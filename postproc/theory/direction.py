@@ -269,6 +269,11 @@ def scan(circuit: Circuit) -> list[tuple[float, Held]]:
     return found
 
 
+def growth(circuit: Circuit) -> float:
+    """Return what has the sign of the growth of a small difference between equal urns."""
+    return _excess(Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL)))
+
+
 def homogeneous_kind(circuit: Circuit) -> str:
     """Return whether the state with equal densities is "stable" or "unstable".
 
@@ -277,8 +282,7 @@ def homogeneous_kind(circuit: Circuit) -> str:
     if float(circuit.channel2_width) == 0.0 and float(circuit.threshold) == 0.0:
         return "neutral"
     if circuit.alike:
-        near = Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL))
-        return "stable" if _excess(near) <= 0.0 else "unstable"
+        return "stable" if growth(circuit) <= 0.0 else "unstable"
     areas = [float(side.urn_area) for side in circuit.sides]
     second = float(circuit.number) * areas[1] / sum(areas)
     states = stationary_states(circuit)
@@ -314,6 +318,20 @@ def stationary_states(circuit: Circuit) -> list[State]:
             )
         )
     return found
+
+
+def flows(circuit: Circuit, number2: float) -> Floats:
+    """Return what channels 1 and 2 carry from urn 1 to 2 and back where N2 is `number2`.
+
+    Per unit time, shape (channel, way); without what circulates. From the places of `scan`.
+    """
+    held = [one for _, one in scan(circuit)]
+    second = np.array([one.in_half[1] for one in held])
+    sent = np.array([[one.through, one.across[:, 0]] for one in held])
+    if circuit.alike and 2.0 * number2 < float(circuit.number):
+        number2, sent = float(circuit.number) - number2, sent[:, :, ::-1]
+    return np.array([[np.interp(number2, second, way) for way in part.T] for part in
+                     np.moveaxis(sent, 1, 0)])
 
 
 def outflows(circuit: Circuit) -> tuple[Floats, Floats]:

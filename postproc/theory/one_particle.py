@@ -166,6 +166,15 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[St
     return sorted(found, key=lambda state: state.urn2_number)
 
 
+def flows(circuit: Circuit, number2: float, effort: Effort | None = None) -> Floats:
+    """Return what channels 1 and 2 carry from urn 1 to 2 and back, shape (channel, way).
+
+    Per unit time, where walkers come to that begin with N2 = `number2`; shape (2, 2).
+    """
+    walked = walk(circuit, number2 / float(circuit.number), effort or effort_for(circuit))
+    return np.stack([walked.flow1.mean(axis=0), walked.flow2.mean(axis=0)])
+
+
 def _polarised_share(circuit: Circuit) -> float:
     """Return the share of urn 2 that is polarised, by the renewal gate if it knows such a state."""
     guess = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
