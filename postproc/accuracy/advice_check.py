@@ -1,9 +1,9 @@
 """Whether advice is right, by hand: python -m postproc.accuracy.advice_check [POINTS [SEED]].
 
 Circuits are drawn, with tolerances from 0.3 to 10 %. What is advised is done, with seeds of its
-own, and held against runs so long that their error is a third of that of the advice. Printed: a line a
-point, and last how often the tolerance was met, how often that was promised, and two standard
-deviations of chance. Takes some minutes of one core.
+own, and held against runs so long that their error is a third of that of the advice; circuits that
+would need too long are left out. Printed: a line a point, and last how often the tolerance was met,
+how often that was promised, and two standard deviations of chance. Takes minutes of one core.
 """
 
 from __future__ import annotations
