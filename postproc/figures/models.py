@@ -233,7 +233,9 @@ class Remembering(Model):
     def _widths(self, circuit: Circuit, whole: NDArray[np.int_]) -> Floats:
         _, line = MODELS["renewal"].transition_line(circuit, whole[0], whole[-1])
         most = float(np.nanmax(line, initial=0.0))
-        return np.linspace(0.0, most or float(circuit.channel1_width), FEW_WIDTHS)
+        even = np.linspace(0.0, most or float(circuit.channel1_width), FEW_WIDTHS)
+        narrow = np.geomspace(1e-3 * even[-1], even[1], FEW_WIDTHS // 2)
+        return np.concatenate([even[:1], narrow, even[2:]])
 
     def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
         told, ask = f"growth {self.name} {widths.tolist()}", self.growth

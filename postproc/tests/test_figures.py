@@ -326,6 +326,15 @@ def test_lines_of_urns_that_remember_are_where_stability_changes(name: str) -> N
         assert model.homogeneous_kind(replace(circuit, channel2_width=width * factor)) == kind
 
 
+def test_a_line_that_remembers_comes_down_to_small_thresholds() -> None:
+    """It asks more often where w' is small: the homogeneous state lasts from 0.0016 and 0.0126."""
+    line = dict(
+        zip(*models.MODELS["direction"].transition_line(Circuit(1000, 7), 2, 4), strict=True)
+    )
+    assert line[2.0] < 0.002
+    assert 0.010 < line[4.0] < 0.014
+
+
 def test_walkers_have_no_line_and_no_eta() -> None:
     model, circuit = models.MODELS["one_particle"], Circuit(1000, 7)
     assert np.isnan(model.transition_line(circuit, 6, 8)[1]).all()
