@@ -194,9 +194,9 @@ class Remembering(Model):
         if not self.balanced:
             return np.full(second.shape, math.nan)
         places, (one, two) = self._theory.outflows(self.of(circuit))
-        middle = 0.5 * float(circuit.number)
-        gained = np.where(places == middle, 0.0, np.exp(one) - np.exp(two))
-        return np.interp(second, places, gained, left=math.nan, right=math.nan)
+        places, order = np.unique(places, return_index=True)
+        gained = (np.exp(one) - np.exp(two))[order]
+        return interpolate.PchipInterpolator(places, gained, extrapolate=False)(second)
 
     def levels(self, circuit: Circuit, number2: float) -> dict[str, float]:
         """Return flows and net current of the stable state nearest to `number2`.
@@ -223,14 +223,21 @@ class Remembering(Model):
         }
         return {**found, "net": float(abs(flows[1, 0] - flows[1, 1]))}
 
+    def transition_line(self, circuit: Circuit, first: int, last: int) -> tuple[Floats, Floats]:
+        """Return (T, w') along the line of transition, NaN if the theory has none."""
+        if self.growth is None:
+            whole = np.arange(max(first, 1), last + 1, dtype=float)
+            return whole, np.full(whole.shape, math.nan)
+        return super().transition_line(circuit, first, last)
+
     def _widths(self, circuit: Circuit, whole: NDArray[np.int_]) -> Floats:
         _, line = MODELS["renewal"].transition_line(circuit, whole[0], whole[-1])
         most = float(np.nanmax(line, initial=0.0))
-        return np.linspace(0.0, most or float(circuit.channel1_width), FEW_WIDTHS)
+        even = np.linspace(0.0, most or float(circuit.channel1_width), FEW_WIDTHS)
+        narrow = np.geomspace(1e-3 * even[-1], even[1], FEW_WIDTHS // 2)
+        return np.concatenate([even[:1], narrow, even[2:]])
 
     def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
-        if self.growth is None:
-            return np.full(widths.shape, math.nan)
         told, ask = f"growth {self.name} {widths.tolist()}", self.growth
         asked = [replace(circuit, channel2_width=float(one)) for one in widths]
         return -np.array(kept(told, circuit, lambda: [ask(one) for one in asked]), float)

@@ -327,11 +327,14 @@ def flows(circuit: Circuit, number2: float) -> Floats:
     """
     held = [one for _, one in scan(circuit)]
     second = np.array([one.in_half[1] for one in held])
-    sent = np.array([[one.through, one.across[:, 0]] for one in held])
-    if circuit.alike and 2.0 * number2 < float(circuit.number):
-        number2, sent = float(circuit.number) - number2, sent[:, :, ::-1]
-    return np.array([[np.interp(number2, second, way) for way in part.T] for part in
-                     np.moveaxis(sent, 1, 0)])
+    carried = np.array([[one.through, one.across[:, 0]] for one in held])
+    if circuit.alike:  # the mirror images
+        second = np.concatenate([float(circuit.number) - second[::-1], second])
+        carried = np.concatenate([carried[::-1, :, ::-1], carried])
+    return np.array(
+        [[np.interp(number2, second, carried[:, channel, way]) for way in (0, 1)]
+         for channel in (0, 1)]
+    )  # fmt: skip
 
 
 def outflows(circuit: Circuit) -> tuple[Floats, Floats]:
