@@ -163,7 +163,6 @@ def test_net_currents_have_a_sign_unless_a_polarity_gives_them_one(folder: Path)
         file["chi"][:4] = [[0.02, 0.03], [0.8, 0.9], [0.8, np.nan], [0.02, 0.02]]
         file["current1"][:4] = [[0.2, -0.3], [1.0, -1.2], [-1.0, np.nan], [-0.1, -0.2]]
         file["task_status"][2, 1] = 2
-        del file["polarised_current"], file["polarised_current_error"]
     with Results(folder / "slices.h5") as results:
         current, error = results.net_current()
     assert current[:4] == pytest.approx([-0.05, 1.1, 1.0, -0.15])
