@@ -3,8 +3,9 @@
 A namelist, or the circuit by options as of `theory` (--number N --threshold T ...). A pilot of the
 program, a second or so at N = 1000, tells how much replicas scatter and how far off theories are.
 Last line, to standard error: the advice in a sentence. `duration` includes the transient, as in the
-namelist. `confidence` is the chance that the tolerance is met. What an urn's polygon or scatterers
-do is beyond these theories, so such namelists are refused, and so are scans of several points.
+namelist. `confidence` is the chance that the tolerance is met. Where the quantity is not there,
+`rung` is "none". What an urn's polygon or scatterers do is beyond these theories, so such namelists
+are refused, and so are scans of several points.
 """
 
 from __future__ import annotations
@@ -84,7 +85,10 @@ def circuit_of(path: Path) -> tuple[Groups, Circuit]:
 
 def sentence(given: Advice, quantity: str, tolerance: float) -> str:
     """Return the advice in words."""
-    sure = f"{quantity} within {100.0 * tolerance:g} %, {100.0 * given.confidence:.0f} % sure"
+    if given.rung == "none":
+        return given.reason
+    chance = min(99.0, 100.0 * given.confidence)
+    sure = f"{quantity} within {100.0 * tolerance:g} %, {chance:.0f} % sure"
     if given.replicas == 0:
         return f"For {sure}, ask postproc.theory --model {given.rung}. {given.reason}"
     return (

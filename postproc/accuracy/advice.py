@@ -1,19 +1,22 @@
-"""Which rung of the ladder is good enough for a quantity, and how long its runs must be.
+"""Which rung of the ladder is good enough for a quantity, and how many runs it takes.
 
-A pilot tells: short runs of `excursion` in independent replicas. Their scatter says how long a run
-meets a tolerance, their mean, with its error, how far off each theory is. So nothing is taken from
-other circuits, and what is advised holds for unlike urns as well. Chances are Student's, for the
-scatter of few replicas is itself uncertain.
+A pilot tells: short runs of `excursion` in independent replicas. Their scatter says how many of
+their kind meet a tolerance, their mean, with its error, how far off each theory is. So nothing is
+taken from other circuits, and what is advised holds for unlike urns as well. Chances are Student's,
+for the scatter of few replicas is itself uncertain.
 
-Transients follow the slowest relaxation, that of directions, 25 r^4/w^3. For the current more
-replicas are advised instead of longer ones: a particle that goes round and round may do so for all
-of a run. It begins with the chance R a unit of time, lasts m rounds or more with 1/m, at most until
-the sparse gate turns it back, and so adds R min(t/L, 1/(1 - q))/t to the variance of a mean over t.
+More replicas are advised, not longer ones: what a replica of another length would scatter by is not
+known where it is as long as its memory. Each measures twice its transient, and that follows the
+slowest relaxation: of directions, 25 r^4/w^3, and of chi where that is no longer large. A particle
+that goes round and round may do so for all of a run. It begins with the chance R a unit of time,
+lasts m rounds or more with 1/m, at most until the sparse gate turns it back, and so adds
+R min(t/L, 1/(1 - q))/t to the variance of a mean over t.
 """
 
 from __future__ import annotations
 
 import math
+import shutil
 import tempfile
 import time
 from dataclasses import dataclass, replace
@@ -46,11 +49,15 @@ SURE = 0.95  # chance with which the advised run meets the tolerance
 REPLICAS = 16  # of a pilot
 RELAXATIONS = 3.0  # of directions, that a transient lasts
 SHORTEST = 1000.0  # transient in radii
-CRITICAL = 3000.0  # time in which chi relaxes next to a transition
-FEWEST, MOST = 4, 16  # replicas of an advised run; more where they are worth more than length
+CRITICAL = 9000.0  # transient next to a transition, where chi relaxes in 3000
+LARGE = 0.75  # chi below which it may be next to a transition
+MEASURED = 2.0  # transients that a replica measures
+FEWEST = 4  # replicas of advised runs
 POLARISED = 0.05  # share of urn 1 at the start
-THEORIES = ("window", "renewal", "two_port", "direction")  # by what they cost
+# what a theory takes at least, in s; of a transition about eight times as much
+THEORIES = {"window": 1e-3, "renewal": 3e-3, "two_port": 0.05, "direction": 1.0}
 ACROSS = 5  # thresholds of a scan across a transition
+SHIFTS = 4  # times that they are moved where chi does not fall through there
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,7 @@ class Pilot:
     transient, measured : time of a replica before and while it is measured.
     per_time : processor time of a unit of time, of all thresholds that are run, in s.
     seconds : processor time of all of the pilot.
+    thresholds : that are run, of a transition.
     """
 
     value: float
@@ -74,6 +82,12 @@ class Pilot:
     measured: float
     per_time: float
     seconds: float
+    thresholds: list[int] | None = None
+
+    @property
+    def error(self) -> float:
+        """Standard deviation of one replica, circulation included."""
+        return math.sqrt(self.scatter**2 + self.circulating)
 
 
 @dataclass(frozen=True)
@@ -106,13 +120,13 @@ class Advice:
     thresholds: list[int] | None = None
 
 
-def transient_of(circuit: Circuit, quantity: str) -> float:
-    """Return how long a run must go before it counts."""
+def transient_of(circuit: Circuit, *, critical: bool) -> float:
+    """Return how long a run must go before it counts, next to a transition or elsewhere."""
     slowest = max(
         max(RELAXATIONS * predictions.memory_time(side), SHORTEST * float(side.urn_radius))
         for side in circuit.sides
     )
-    return max(slowest, CRITICAL) if quantity == "transition" else slowest
+    return max(slowest, CRITICAL) if critical else slowest
 
 
 def table_of(circuit: Circuit) -> Groups:
@@ -154,31 +168,77 @@ def start_of(groups: Groups, quantity: str) -> int:
     return int(named) if named is not None else round(share * number)
 
 
-def read(file: Path, quantity: str) -> tuple[float, float, float]:
-    """Return value, scatter of a replica, and processor time of a file of runs; it is removed."""
+@dataclass(frozen=True)
+class Outcome:
+    """What runs say: value, scatter of a replica, chi (of each threshold), processor time."""
+
+    value: float
+    scatter: float
+    chi: Floats
+    seconds: float
+
+
+def read(file: Path, quantity: str) -> Outcome:
+    """Return what a file of runs says; it is removed."""
     with Results(file) as results:
-        seconds, replicas = float(results.value("cpu_seconds").sum()), results.replicas
-        if quantity != "transition":
+        chi, seconds = results.value("chi"), float(results.value("cpu_seconds").sum())
+        if quantity == "transition":
+            value, scatter = transition_of_runs(results.value("threshold"), chi)
+        else:
             values = results.value(quantity)[0]
-            found = float(values.mean()), float(values.std(ddof=1)), seconds
-    if quantity == "transition":
-        answer, _ = ladder.transition_answer(file)
-        found = answer.value, answer.error * math.sqrt(replicas), seconds
-    file.unlink()
-    for rest in file.parent.iterdir():
-        rest.unlink()
-    file.parent.rmdir()
-    return found
+            value, scatter = float(values.mean()), float(values.std(ddof=1))
+    shutil.rmtree(file.parent)
+    return Outcome(value, scatter, chi.mean(axis=1), seconds)
 
 
-def pilot(groups: Groups, circuit: Circuit, quantity: str, thresholds: list[int] | None) -> Pilot:
-    """Run it."""
-    transient = transient_of(circuit, quantity)
-    length = {"replicas": REPLICAS, "duration": 2.0 * transient, "transient_duration": transient}
-    value, scatter, seconds = read(runs(groups, quantity, thresholds, length), quantity)
-    around = circulating(circuit, transient) if quantity == "polarised_current" else 0.0
-    per_time = seconds / (REPLICAS * 2.0 * transient)
-    return Pilot(value, scatter, around, transient, transient, per_time, seconds)
+def transition_of_runs(thresholds: Floats, chi: Floats) -> tuple[float, float]:
+    """Return the T at which the mean chi of replicas falls through, and a replica's scatter of it.
+
+    Runs at different T are independent: what each moves it by, by its own scatter, adds up.
+    """
+    mean = chi.mean(axis=1)
+    value, square, count = ladder.transition(thresholds, mean), 0.0, chi.shape[1]
+    for at, error in enumerate(chi.std(axis=1, ddof=1) / math.sqrt(count)):
+        moved = [ladder.transition(thresholds, mean + sign * error * np.eye(mean.size)[at])
+                 for sign in (-1.0, 1.0)]  # fmt: skip
+        square += (0.5 * (moved[1] - moved[0])) ** 2
+    return value, math.sqrt(square * count)
+
+
+def pilot(groups: Groups, circuit: Circuit, quantity: str, seed: int = 1) -> Pilot:
+    """Run it; again with a longer transient, or at other thresholds, if chi asks for that."""
+    thresholds = thresholds_of(circuit) if quantity == "transition" else None
+    critical, seconds = quantity == "transition", 0.0
+    for _ in range(SHIFTS):
+        transient = transient_of(circuit, critical=critical)
+        length = {
+            "replicas": REPLICAS, "seed": seed, "transient_duration": transient,
+            "duration": (1.0 + MEASURED) * transient,
+        }  # fmt: skip
+        told = read(runs(groups, quantity, thresholds, length), quantity)
+        seconds += told.seconds
+        if thresholds and not (math.isfinite(told.value) and math.isfinite(told.scatter)):
+            thresholds = moved(thresholds, told.chi)
+        elif critical or float(told.chi[0]) > LARGE:
+            break
+        else:
+            critical = True
+    around = circulating(circuit, MEASURED * transient) if quantity == "polarised_current" else 0.0
+    per_time = told.seconds / (REPLICAS * (1.0 + MEASURED) * transient)
+    return Pilot(told.value, told.scatter, around, transient, MEASURED * transient, per_time,
+                 seconds, thresholds)  # fmt: skip
+
+
+def moved(thresholds: list[int], chi: Floats) -> list[int]:
+    """Return as many thresholds farther up if chi is still large at the last one, else down."""
+    span = thresholds[-1] - thresholds[0]
+    first = thresholds[0] + (span if chi[-1] >= ladder.HALFWAY else -span)
+    return across(max(1, first), max(1, span // (ACROSS - 1)))
+
+
+def across(first: int, step: int) -> list[int]:
+    """Return thresholds of a scan."""
+    return [first + step * k for k in range(ACROSS)]
 
 
 def circulating(circuit: Circuit, duration: float) -> float:
@@ -204,13 +264,13 @@ def circulating(circuit: Circuit, duration: float) -> float:
 def thresholds_of(circuit: Circuit) -> list[int]:
     """Return thresholds across the upper transition, about where two ports have it.
 
-    Raises `ValueError` where there is none.
+    Where these know none, about the number that a gate of equal shares would hold.
     """
     at = transition_of(circuit, MODELS["two_port"])
     if not math.isfinite(at):
-        raise ValueError("two ports know no transition along T of this circuit")
+        at = float(gate_load(circuit, 0.5 * float(circuit.number)))
     middle, step = round(1.03 * at), max(1, round(0.05 * at))
-    return [max(1, middle + step * k) for k in range(-(ACROSS // 2), ACROSS // 2 + 1)]
+    return across(max(1, middle - (ACROSS // 2) * step), step)
 
 
 def transition_of(circuit: Circuit, model: Model) -> float:
@@ -259,59 +319,80 @@ def theory_says(
     return value, time.process_time() - began
 
 
-def chance_of_theory(found: Pilot, value: float, tolerance: float) -> float:
-    """Return the chance that a theory's value is within a tolerance of what is true."""
-    error = math.sqrt((found.scatter**2 + found.circulating) / REPLICAS)
+def chance_of_theory(
+    found: Pilot, value: float, tolerance: float, other_error: float = 0.0
+) -> float:
+    """Return the chance that a theory's value is within a tolerance of what is true.
+
+    Or of another measurement, which has a standard error of its own.
+    """
+    error = math.hypot(found.error / math.sqrt(REPLICAS), other_error)
     within = tolerance * abs(found.value)
     low, high = ((value - found.value + sign * within) / error for sign in (-1.0, 1.0))
     return float(stats.t.cdf(high, REPLICAS - 1) - stats.t.cdf(low, REPLICAS - 1))
 
 
-def length_of_runs(found: Pilot, tolerance: float) -> tuple[int, float]:
-    """Return replicas and time measured in each, such that the tolerance is met with `SURE`."""
+def chance_of_runs(
+    found: Pilot, replicas: int, tolerance: float, other_error: float = 0.0
+) -> float:
+    """Return the chance that so many replicas are within a tolerance, as `chance_of_theory`."""
+    error = math.hypot(found.error / math.sqrt(replicas), other_error)
+    within = tolerance * abs(found.value) / error
+    return float(2.0 * stats.t.cdf(within, REPLICAS - 1) - 1.0)
+
+
+def replicas_for(found: Pilot, tolerance: float) -> int:
+    """Return how many replicas meet the tolerance with `SURE`."""
     wanted = tolerance * abs(found.value) / float(stats.t.ppf(0.5 * (1.0 + SURE), REPLICAS - 1))
-    alone = found.scatter**2 * found.measured / wanted**2  # time, if there were no rounds
-    if found.circulating > 0.0:
-        measured = found.measured
-        count = alone / measured + found.circulating / wanted**2
-        return max(FEWEST, math.ceil(count)), measured
-    replicas = int(np.clip(math.ceil(alone / found.measured), FEWEST, MOST))
-    return replicas, max(alone / replicas, 0.25 * found.measured)
+    return max(FEWEST, math.ceil((found.error / wanted) ** 2))
 
 
-def advise(groups: Groups, circuit: Circuit, quantity: str, tolerance: float) -> Advice:
+def advise(
+    groups: Groups, circuit: Circuit, quantity: str, tolerance: float, found: Pilot | None = None
+) -> Advice:
     """Return the cheapest rung that meets a relative tolerance with the chance `SURE`.
+
+    However much time that takes: it is told. Where there is no such quantity the rung is "none".
 
     Parameters
     ----------
     groups : of the namelist: table, particles, gate.
     circuit : the same.
     quantity : one of `QUANTITIES`.
+    found : what a pilot said, if one was run.
     """
-    thresholds = thresholds_of(circuit) if quantity == "transition" else None
-    found = pilot(groups, circuit, quantity, thresholds)
-    replicas, measured = length_of_runs(found, tolerance)
-    cost = replicas * (found.transient + measured) * found.per_time
-    start = start_of(groups, quantity)
-    scatter = math.sqrt(found.scatter**2 + found.circulating) / abs(found.value)
-    told = f"A pilot of {REPLICAS} runs has {found.value:.4g}, each scatters by {scatter:.2g} of it"
+    found, start = found or pilot(groups, circuit, quantity), start_of(groups, quantity)
+    rest = (found.value, found.seconds, found.thresholds)
+    if not (math.isfinite(found.value) and found.value != 0.0):
+        reason = f"A pilot of {REPLICAS} runs finds no {quantity}: nothing to be within a tolerance"
+        if found.thresholds:
+            reason += f" of; chi does not fall through {ladder.HALFWAY} at T = {found.thresholds}"
+        return Advice("none", 0, 0.0, 0.0, start, math.nan, 0.0, f"{reason}.", *rest)
+    replicas = replicas_for(found, tolerance)
+    cost = replicas * (found.transient + found.measured) * found.per_time
+    told = (
+        f"A pilot of {REPLICAS} runs has {found.value:.4g}, "
+        f"each scatters by {found.error / abs(found.value):.2g} of it"
+    )
     off = []
-    for name in THEORIES:
+    for name, least in THEORIES.items():
+        if least * (8.0 if found.thresholds else 1.0) >= cost:
+            continue
         value, seconds = theory_says(
             circuit, MODELS[name], quantity, found.value if quantity == "chi" else None
         )
         if seconds >= cost or not math.isfinite(value):
             continue
         chance = chance_of_theory(found, value, tolerance)
+        apart = f"{100.0 * abs(value / found.value - 1.0):.2g} %"
         if chance >= SURE:
             reason = (
-                f"{told}; the theory {name} says {value:.4g}, "
-                f"{100.0 * abs(value / found.value - 1.0):.2g} % off, in less time than runs take."
+                f"{told}; the theory {name} says {value:.4g}, {apart} off, in less time than runs "
+                "take."
             )
-            return Advice(name, 0, 0.0, 0.0, start, seconds, chance, reason, found.value,
-                          found.seconds, thresholds)  # fmt: skip
-        off.append(f"{name} by {100.0 * abs(value / found.value - 1.0):.2g} %")
+            return Advice(name, 0, 0.0, 0.0, start, seconds, chance, reason, *rest)
+        off.append(f"{name} by {apart}")
     reason = f"{told}; theories that cost less are off: {', '.join(off) or 'none'}."
-    return Advice("excursion", replicas, float(f"{found.transient + measured:.4g}"),
-                  float(f"{found.transient:.4g}"), start, cost, SURE, reason, found.value,
-                  found.seconds, thresholds)  # fmt: skip
+    chance = chance_of_runs(found, replicas, tolerance)
+    return Advice("excursion", replicas, found.transient + found.measured, found.transient, start,
+                  cost, chance, reason, *rest)  # fmt: skip

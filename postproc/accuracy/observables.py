@@ -141,6 +141,7 @@ def look(line: dict) -> tuple[str, str]:
         "eta of the paper": ("P", style.VERMILION), "renewal gate": ("X", style.ORANGE),
         "renewal gate with channels": ("*", style.ORANGE), "renewal chain": ("v", style.ORANGE),
         "two ports": ("P", style.PURPLE), "directions": ("X", style.PURPLE),
+        "one particle": ("*", style.PURPLE),
     }  # fmt: skip
     return marks.get(line["name"], (">", style.PURPLE))
 

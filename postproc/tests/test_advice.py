@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from postproc.accuracy import advice
+from postproc.accuracy import advice, advice_check
 from postproc.accuracy.advice import Pilot
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit
@@ -69,21 +69,76 @@ def test_what_there_is_no_advice_on(
     assert wrong in capsys.readouterr().err
 
 
-def test_a_run_has_the_error_that_was_wanted() -> None:
-    """Half the tolerance takes four times as long; the factor is Student's, of the pilot."""
-    replicas, measured = advice.length_of_runs(FOUND, 0.002)
-    error = FOUND.scatter * np.sqrt(FOUND.measured / (replicas * measured))
-    assert error * stats.t.ppf(0.975, advice.REPLICAS - 1) == pytest.approx(0.002 * 0.9)
-    finer = advice.length_of_runs(FOUND, 0.001)
-    assert finer[0] * finer[1] == pytest.approx(4.0 * replicas * measured)
+def test_runs_have_the_error_that_was_wanted() -> None:
+    """As few as have it; half the tolerance takes four times as many."""
+    replicas = advice.replicas_for(FOUND, 0.001)
+    assert advice.chance_of_runs(FOUND, replicas, 0.001) >= advice.SURE
+    assert advice.chance_of_runs(FOUND, replicas - 1, 0.001) < advice.SURE
+    assert advice.replicas_for(FOUND, 0.0005) == pytest.approx(4 * replicas, abs=4)
 
 
-def test_rounds_ask_for_replicas_not_for_length() -> None:
-    rounds = replace(FOUND, circulating=1e-4)
-    replicas, measured = advice.length_of_runs(rounds, 0.001)
-    assert measured == FOUND.measured
-    alone = FOUND.scatter**2 / (0.0009 / stats.t.ppf(0.975, 15)) ** 2
-    assert replicas == pytest.approx(alone * (1.0 + 1e-4 / FOUND.scatter**2), rel=0.01)
+def test_tolerances_are_met_as_often_as_it_is_said() -> None:
+    """Normal replicas: pilots of 16, then what these advise; two sigma of 4000 tries."""
+    random = np.random.default_rng(8)
+    met, promised = [], []
+    for _ in range(4000):
+        first = random.normal(1.0, 0.1, advice.REPLICAS)
+        found = replace(FOUND, value=float(first.mean()), scatter=float(first.std(ddof=1)))
+        replicas = advice.replicas_for(found, 0.03)
+        met.append(abs(random.normal(0.0, 0.1 / math.sqrt(replicas))) <= 0.03 * found.value)
+        promised.append(advice.chance_of_runs(found, replicas, 0.03))
+    chance = np.array(promised)
+    assert abs(sum(met) - chance.sum()) < 2.0 * math.sqrt((chance * (1.0 - chance)).sum())
+
+
+def test_rounds_ask_for_more_replicas() -> None:
+    rounds = replace(FOUND, circulating=3.0 * FOUND.scatter**2)
+    alone = advice.replicas_for(FOUND, 0.0005)
+    assert advice.replicas_for(rounds, 0.0005) == pytest.approx(4 * alone, abs=4)
+
+
+def test_scatter_of_a_transition_is_that_of_replicas() -> None:
+    """Drawn again and again, the transition of 16 replicas scatters by what one draw tells."""
+    random = np.random.default_rng(3)
+    mean = np.array([0.7, 0.55, 0.35, 0.18, 0.08])[:, None]
+    drawn = [
+        advice.transition_of_runs(np.arange(14.0, 19.0), mean + random.normal(0.0, 0.08, (5, 16)))
+        for _ in range(400)
+    ]
+    values, scatters = np.array(drawn).T
+    assert values.mean() == pytest.approx(16.0 + 5.0 / 17.0, abs=0.01)
+    assert values.std() * 4.0 == pytest.approx(np.sqrt(np.mean(scatters**2)), rel=0.1)
+
+
+def test_thresholds_follow_chi_until_it_falls_through() -> None:
+    assert advice.moved([14, 15, 16, 17, 18], np.full(5, 0.8)) == [18, 19, 20, 21, 22]
+    assert advice.moved([14, 15, 16, 17, 18], np.full(5, 0.1)) == [10, 11, 12, 13, 14]
+    assert advice.moved([2, 3, 4, 5, 6], np.full(5, 0.1))[0] == 1
+
+
+def test_what_cannot_be_had_soon_has_its_price_all_the_same() -> None:
+    """No run of it is made; a hundred times finer takes ten thousand times as long."""
+    circuit = Circuit(300, 3, 0.4, 0.02)
+    groups = advice.table_of(circuit)
+    fine, finer = (advice.advise(groups, circuit, "chi", one, FOUND) for one in (1e-4, 1e-6))
+    assert fine.rung == finer.rung == "excursion"
+    assert finer.cpu_seconds == pytest.approx(1e4 * fine.cpu_seconds, rel=0.01)
+    assert min(fine.confidence, finer.confidence) >= advice.SURE
+
+
+def test_what_is_not_there_is_said() -> None:
+    circuit = Circuit(300, 3, 0.4, 0.02)
+    nothing = replace(FOUND, value=math.nan, thresholds=[3, 4, 5, 6, 7])
+    given = advice.advise(advice.table_of(circuit), circuit, "transition", 0.02, nothing)
+    assert given.rung == "none"
+    assert given.confidence == 0.0
+    assert "does not fall through 0.3 at T = [3, 4, 5, 6, 7]" in given.reason
+
+
+@pytest.mark.full
+def test_advice_is_right() -> None:
+    """Forty circuits drawn by chance, tolerances from 0.3 to 10 %: within two sigma."""
+    assert advice_check.main(["40", "7"]) == 0
 
 
 def test_circulation_adds_what_is_measured() -> None:
