@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from postproc.accuracy.advice import Advice, Groups, Pilot
 
 SHARPER = 2  # replicas of what is held against, over those that would be advised
-LARGEST = 60.0  # processor time that is advised, in s, beyond which it is not checked
+LARGEST = 10.0  # processor time that is advised, in s, beyond which it is not checked
 TOLERANCES = (math.log10(0.003), -1.0)
 KINDS = ("chi", "chi", "polarised_current", "chi", "transition")
 
 
 def drawn(random: np.random.Generator) -> Circuit:
     """Return a circuit of some hundred particles, with urns and lengths of its own."""
-    number = int(random.integers(200, 700))
+    number = int(random.integers(150, 500))
     return Circuit(
         number,
         max(3, round(number * random.uniform(0.005, 0.02))),

@@ -148,7 +148,8 @@ def _read(path: Path, transient: float) -> Floats:
         names = ("chi", "polarised_current", "cpu_seconds", "time")
         chi, current, seconds, time = (results.value(name) for name in names)
     count = chi.shape[1]
-    mean, ratio = chi.mean(axis=1), current.mean(axis=1) / chi.mean(axis=1)
+    mean = chi.mean(axis=1)
+    ratio = current.mean(axis=1) / np.where(mean > 0.0, mean, math.nan)
     errors = [np.full(mean.size, math.nan)] * 2
     if count > 1:
         left = (current - ratio[:, None] * chi) / mean[:, None]

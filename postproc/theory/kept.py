@@ -1,13 +1,15 @@
 """Answers of theories that cost seconds, kept under build/ for the next picture.
 
 A file an answer, named by what it depends on: the question, the circuit, the program that is asked
-and the modules of this package. So nothing that is old is ever found.
+and the modules of this package. It says so inside as well. So nothing that is old, damaged, or
+somebody else's is ever believed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,13 +32,18 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
     asked = f"{question} {circuit!r} {_version()}"
     path = PLACE / f"{hashlib.sha256(asked.encode()).hexdigest()}.json"
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        found = compute()
+        told = json.loads(path.read_text(encoding="utf-8"))
+        if told["asked"] == asked:
+            return told["found"]
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    found = compute()
     try:
         if FOLDER.is_dir():
             PLACE.mkdir(exist_ok=True)
-            path.write_text(json.dumps(found), encoding="utf-8")
+            half = path.with_suffix(f".{os.getpid()}")
+            half.write_text(json.dumps({"asked": asked, "found": found}), encoding="utf-8")
+            half.replace(path)
     except OSError:
         pass
     return found
