@@ -15,7 +15,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-TIMES = np.geomspace(1e-4, 1e5, 181)  # processor time of the Pareto line, in s
+TIMES = np.geomspace(1e-4, 1e5, 361)  # processor time of the Pareto line, in s
+TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # errors that are asked for
 SURE = 2.0  # errors from which on something is seen
 # each has in it all that those before it have, and more
 FINER = (
@@ -44,19 +45,18 @@ def expected(line: dict, quantity: str, seconds: float) -> float:
     return math.hypot(bias, one["chance"] * math.sqrt(done / left))
 
 
-def pareto(rows: Sequence[dict], quantity: str) -> list[dict[str, object]]:
-    """Return the steps of the Pareto line: from which processor time on which rung is best.
+def pareto(rows: Sequence[dict], quantity: str) -> list[float]:
+    """Return the error of the best rung for each of `TIMES`; inf: none is done by then."""
+    return [min(expected(line, quantity, float(one)) for line in rows) for one in TIMES]
 
-    And its error there.
-    """
-    steps: list[dict[str, object]] = []
+
+def cheapest(rows: Sequence[dict], quantity: str, error: float) -> tuple[str, float]:
+    """Return which rung has an error at the least cost, and that cost in s; "none", inf."""
     for seconds in TIMES:
         errors = [expected(line, quantity, float(seconds)) for line in rows]
-        least = min(errors)
-        name = rows[errors.index(least)]["name"]
-        if math.isfinite(least) and (not steps or steps[-1]["rung"] != name):
-            steps.append({"rung": name, "seconds": float(seconds), "error": least})
-    return steps
+        if min(errors) <= error:
+            return rows[errors.index(min(errors))]["name"], float(seconds)
+    return "none", math.inf
 
 
 def cancelling(rows: Sequence[dict], quantity: str) -> list[str]:

@@ -26,7 +26,7 @@ from postproc.accuracy.ladder import (
     THEORIES,
     by_model,
 )
-from postproc.accuracy.ladder_errors import SURE, cancelling, pareto
+from postproc.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
 from postproc.figures import style
 from postproc.reading.results import Results
 from postproc.theory.programs import there
@@ -299,7 +299,10 @@ def run(job: Job) -> None:
         "transients": list(transients()),
         "transitions": [one.tolist() for one in transitions(truth)],
         "doubling": doubling(once, truth),
-        "pareto": {quantity: pareto(rows, quantity) for quantity in QUANTITIES},
+        "choice": [
+            {"error": error, **{name: cheapest(rows, name, error) for name in QUANTITIES}}
+            for error in TOLERANCES
+        ],
     }
     job.keep("ladder_map", numbers)
-    style.save(ladder_map_figure.figure(rows, numbers["pareto"]), job.folder, "ladder_map")
+    style.save(ladder_map_figure.figure(rows), job.folder, "ladder_map")

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.accuracy.ladder import QUANTITIES
-from postproc.accuracy.ladder_errors import TIMES, expected
+from postproc.accuracy.ladder_errors import TIMES, expected, pareto
 from postproc.accuracy.observables import look
 from postproc.figures import style
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -24,10 +24,11 @@ NAMES = {
     "transition": "relative error of transition $T$",
 }
 LIMITS = (3e-4, 2.0)  # of errors
+BELOW = {"timestep 0.03": -7}  # where a step is written that has no room above its mark
 
 
-def figure(rows: Sequence[dict], best: Mapping[str, Sequence[dict]]) -> Figure:
-    """Return the chart; `best` are the steps of the Pareto line of each quantity.
+def figure(rows: Sequence[dict]) -> Figure:
+    """Return the chart.
 
     Filled marks are errors that are seen, open ones with an arrow where none is, faint ones those
     of a rung that says nothing of some points. A ring: errors cancel. Lines: what is to be expected
@@ -36,7 +37,8 @@ def figure(rows: Sequence[dict], best: Mapping[str, Sequence[dict]]) -> Figure:
     made = style.figure(style.PAGE, 4.1)
     panels = made.subplots(1, len(QUANTITIES), sharey=True)
     for axes, quantity in zip(panels, QUANTITIES, strict=True):
-        _draw_pareto(axes, rows, quantity, best[quantity])
+        best = pareto(rows, quantity)
+        axes.plot(TIMES, best, color=style.YELLOW, lw=4.0, solid_capstyle="butt", zorder=0.5)
         for line in rows:
             _draw_rung(axes, line, quantity)
         axes.set_xscale("log")
@@ -55,12 +57,6 @@ def figure(rows: Sequence[dict], best: Mapping[str, Sequence[dict]]) -> Figure:
     panels[0].plot([], [], "-", color=style.YELLOW, lw=4.0, label="Pareto line")
     made.legend(loc="outside upper center", ncols=4, fontsize=7)
     return made
-
-
-def _draw_pareto(axes: Axes, rows: Sequence[dict], quantity: str, steps: Sequence[dict]) -> None:
-    least = [min(expected(line, quantity, float(one)) for line in rows) for one in TIMES]
-    if steps:
-        axes.plot(TIMES, least, color=style.YELLOW, lw=4.0, solid_capstyle="butt", zorder=0.5)
 
 
 def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
@@ -85,6 +81,6 @@ def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
         axes.plot(times, shown, "-", color=colour, lw=0.8)
     if line["name"].startswith("timestep"):
         axes.annotate(
-            line["name"].split()[1], (at, size), (3, 3), textcoords="offset points",
-            fontsize=6, color=colour,
+            line["name"].split()[1], (at, size), (0, BELOW.get(line["name"], 7)),
+            textcoords="offset points", fontsize=6, color=colour, ha="center", va="center",
         )  # fmt: skip

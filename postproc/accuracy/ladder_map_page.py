@@ -18,15 +18,6 @@ def _error(one: dict, quantity: str) -> str:
     return f"{text} ({one['missing']} without)" if one["missing"] else text
 
 
-def _best(steps: list[dict], quantity: str) -> str:
-    """Return the Pareto line in words."""
-    told = [
-        f"{one['rung']} from {seconds(one['seconds'])} ({SHOWN[quantity](one['error'])})"
-        for one in steps
-    ]
-    return "; ".join(told)
-
-
 def ladder_map(numbers: dict) -> str:
     """Return the ladder over the map: points, errors, the doubled transient, the Pareto line."""
     head = ["rung", "a point costs", *(f"error of {HEADS[name]}" for name in QUANTITIES)]
@@ -45,9 +36,16 @@ def ladder_map(numbers: dict) -> str:
     )
     twice = numbers["doubling"]
     away, near = numbers["transients"]
-    lines = "\n".join(
-        f"- **{HEADS[name]}**: {_best(numbers['pareto'][name], name)}." for name in QUANTITIES
-    )
+    chosen = [
+        [
+            f"{one['error']:g}",
+            *(
+                "none" if one[name][1] is None else f"{one[name][0]}, {seconds(one[name][1])}"
+                for name in QUANTITIES
+            ),
+        ]
+        for one in numbers["choice"]
+    ]
     return f"""One point may flatter. So all rungs go to {len(numbers["points"])} points of the map, at w' =
 {", ".join(f"{one:g}" for one in widths)}: three T well below each upper transition and five across it. chi and current
 over chi are compared at the {numbers["polarised"]} of them that are polarised (chi > 0.3), so that an error of chi does
@@ -67,7 +65,7 @@ at the answer. Is it enough? With twice the transient chi differs by {number(twi
 errors (root mean square over the {twice["points"]} points; one is chance), at most by
 {number(abs(twice["worst"]), 2)}, at w' = {twice["worst_width"]:g}, T = {twice["worst_threshold"]}.
 
-**The Pareto line**, who is nearest to the truth for the processor time of a point, and from which error on:
+The Pareto line is what can be had for the processor time of a point. Read from it, the cheapest rung that has an error:
 
-{lines}
+{table(["error", *(HEADS[name] for name in QUANTITIES)], chosen)}
 """  # noqa: E501 (a paragraph is a line)

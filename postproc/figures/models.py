@@ -195,8 +195,12 @@ class Remembering(Model):
             return np.full(second.shape, math.nan)
         places, (one, two) = self._theory.outflows(self.of(circuit))
         places, order = np.unique(places, return_index=True)
-        gained = (np.exp(one) - np.exp(two))[order]
-        return interpolate.PchipInterpolator(places, gained, extrapolate=False)(second)
+        # what each urn sends is smooth and keeps its sign; their difference has peaks in between
+        sent = [
+            np.exp(interpolate.PchipInterpolator(places, log[order], extrapolate=False)(second))
+            for log in (one, two)
+        ]
+        return sent[0] - sent[1]
 
     def levels(self, circuit: Circuit, number2: float) -> dict[str, float]:
         """Return flows and net current of the stable state nearest to `number2`.
