@@ -14,7 +14,7 @@ from pathlib import Path
 from postproc import __version__, cli
 
 # What calls programs that `make build` makes, in a checkout.
-NEED_PROGRAM = ("accuracy", "benchmarks", "renewal_fit", "scaling")
+NEED_PROGRAM = ("accuracy", "advise", "benchmarks", "renewal_fit", "scaling")
 PLACE = Path(__file__).resolve().parent
 
 

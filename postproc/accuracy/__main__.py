@@ -17,7 +17,7 @@ from postproc.figures import style
 # each a module of this package with run(job); the page comes last, from what the others kept
 PARTS = (
     "trajectories", "stability", "reversal", "gated_reversal", "pasts", "tail", "observables",
-    "page",
+    "ladder_map", "page",
 )  # fmt: skip
 
 

@@ -201,11 +201,13 @@ def mean_of(values: Floats) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size))
 
 
-def _stem(rung: Rung) -> str:
+def stem(rung: Rung) -> str:
+    """Return a rung's name as names of files have it."""
     return rung.name.replace(" ", "_").replace(".", "p")
 
 
-def _engine(rung: Rung) -> dict[str, object]:
+def engine_keys(rung: Rung) -> dict[str, object]:
+    """Return what a namelist says of a rung's engine."""
     return {"engine": rung.engine, **({"time_step": rung.step} if rung.step else {})}
 
 
@@ -222,14 +224,14 @@ def run_rung(job: Job, rung: Rung, seconds: float) -> tuple[dict[str, Answer], d
     """
     replicas = 8
     length = max(SHORTEST, seconds / (rung.seconds * replicas))
-    changes = {"run": {**_engine(rung), "duration": float(f"{length:.2g}")}}
-    battery = job.battery("battery", f"battery_{_stem(rung)}", changes)
+    changes = {"run": {**engine_keys(rung), "duration": float(f"{length:.2g}")}}
+    battery = job.battery("battery", f"battery_{stem(rung)}", changes)
     answers = battery_answers(battery)
     length = max(SHORTEST, 3.0 * seconds / (rung.seconds * replicas * len(SCANNED)))
     changes = {
-        "run": {**_engine(rung), "duration": float(f"{length:.2g}")},
+        "run": {**engine_keys(rung), "duration": float(f"{length:.2g}")},
         "scan": {"threshold": list(SCANNED)},
     }
-    path = job.battery("transition", f"transition_{_stem(rung)}", changes)
+    path = job.battery("transition", f"transition_{stem(rung)}", changes)
     answers["transition"], chi = transition_answer(path)
     return answers, chi, seconds_per_time(battery)

@@ -39,7 +39,6 @@ STEP_LABELS = {
 }  # fmt: skip
 WIDE = {"collision": 8.0, "synchronous": 4.0}  # marks that fall together, one inside the other
 AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is held against that over time
-TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # relative
 
 
 def reference(job: Job) -> dict[str, Answer]:
@@ -97,40 +96,10 @@ def row(name: str, kind: str, answers: dict[str, Answer], truth: dict[str, Answe
     return line
 
 
-def cost(line: dict, quantity: str, tolerance: float) -> float:
-    """Return the CPU time a rung needs for a relative tolerance, infinite if it never gets there.
-
-    A model's bias, with its error, must be within the tolerance; what is left is for the
-    statistical error, which falls with the root of the time. The exact engines have no bias. No
-    run is shorter than `ladder.SHORTEST`.
-    """
-    one = line[quantity]
-    if not math.isfinite(one["bias"]):
-        return math.inf
-    bias = 0.0 if line["kind"] == "exact" else abs(one["bias"]) + one["bias_error"]
-    if bias > tolerance:
-        return math.inf
-    if line["kind"] == "theory":
-        return one["seconds"]
-    left = math.sqrt(tolerance**2 - bias**2)
-    if not left > 0.0:
-        return math.inf
-    return max(one["seconds"] * (one["relative_error"] / left) ** 2, least_cost(line, quantity))
-
-
 def least_cost(line: dict, quantity: str) -> float:
     """Return the CPU time of one short run (of each T of the transition)."""
     runs = len(ladder.SCANNED) if quantity == "transition" else 1
     return line["per_time"] * ladder.SHORTEST * runs
-
-
-def cheapest(rows: Sequence[dict], quantity: str, tolerance: float) -> tuple[str, float]:
-    """Return which rung is the cheapest for a tolerance, and its cost in s; "none", NaN."""
-    costs = [cost(line, quantity, tolerance) for line in rows]
-    least = min(costs, default=math.inf)
-    if not math.isfinite(least):
-        return "none", math.nan
-    return rows[costs.index(least)]["name"], least
 
 
 def look(line: dict) -> tuple[str, str]:
@@ -141,6 +110,7 @@ def look(line: dict) -> tuple[str, str]:
         "eta of the paper": ("P", style.VERMILION), "renewal gate": ("X", style.ORANGE),
         "renewal gate with channels": ("*", style.ORANGE), "renewal chain": ("v", style.ORANGE),
         "two ports": ("P", style.PURPLE), "directions": ("X", style.PURPLE),
+        "one particle": ("*", style.PURPLE),
     }  # fmt: skip
     return marks.get(line["name"], (">", style.PURPLE))
 
@@ -213,21 +183,9 @@ def run(job: Job) -> None:
         spreads[rung.name] = chi
         line = row(rung.name, "exact" if rung.exact else "model", answers, truth)
         rows.append({**line, "per_time": per_time})
-    choice = [
-        {
-            "tolerance": tolerance,
-            **{
-                quantity: dict(
-                    zip(("rung", "seconds"), cheapest(rows, quantity, tolerance), strict=True)
-                )
-                for quantity in QUANTITIES
-            },
-        }
-        for tolerance in TOLERANCES
-    ]
     numbers = {
         "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,
-        "reference_time": tail.total_time(job), "choice": choice,
+        "reference_time": tail.total_time(job),
         "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(job),
     }  # fmt: skip
     job.keep("observables", numbers)

@@ -57,18 +57,6 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
         [line["name"], seconds(line["chi"]["seconds"]), *(_with_bias(line[q]) for q in QUANTITIES)]
         for line in numbers["rows"]
     ]
-    chosen = [
-        [
-            percent(one["tolerance"], 1),
-            *(
-                "none" if one[q]["seconds"] is None
-                else f"{one[q]['rung']}, {seconds(one[q]['seconds'])}"
-                for q in QUANTITIES
-            ),
-        ]
-        for one in numbers["choice"]
-    ]  # fmt: skip
-
     def price(line: dict) -> float:
         return line["per_time"] / excursion["per_time"]
 
@@ -93,7 +81,6 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
         ),
         "reference_time": number(numbers["reference_time"], 2),
         "rungs": table(head, lines),
-        "choice": table(["within", *(HEADS[name] for name in QUANTITIES)], chosen),
         "eta_microseconds": number(1e6 * numbers["eta_seconds"], 2),
         "mean_field_ms": number(1e3 * eta["chi"]["seconds"], 2),
         "channels_chi_bias": percent(abs(channels["chi"]["bias"])),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from postproc.accuracy.ladder_map_page import ladder_map
 from postproc.accuracy.text import measured, number, table
 
 if TYPE_CHECKING:
@@ -161,6 +162,7 @@ last place grows to 1). A fixed step is lost much sooner, since its errors are n
 
 
 SECTIONS: dict[str, Callable[[dict], str]] = {
+    "ladder_map": ladder_map,
     "trajectories": trajectories,
     "stability": stability,
     "reversal": reversal,

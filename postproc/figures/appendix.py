@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.figures import style
-from postproc.figures.models import ALL
+from postproc.figures.models import WELL_MIXED
 from postproc.reading.points import gather
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-TWO = ALL[:2]
+TWO = WELL_MIXED[:2]
 LEAST = 1e-3  # currents of theory below this (per unit time) are left out of relative differences
 LOWEST = -1.5  # relative differences that app3 draws in their place
 FILLS = (  # looks of app3's marks, a theory each
@@ -108,7 +108,7 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
     return (known - current) / known, error / np.abs(known)
 
 
-def figure_app3(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
+def figure_app3(files: Sequence[Results], models: Sequence[Model] = WELL_MIXED) -> Figure:
     """Return the relative difference of theory and measured current.
 
     Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all

@@ -15,7 +15,7 @@ from postproc.figures.currents import (
     explain_eta,
     settled_number2,
 )
-from postproc.figures.models import ALL, PAIR, spread_and_current
+from postproc.figures.models import PAIR, best, spread_and_current
 from postproc.reading.points import gather
 from postproc.reading.results import Results
 
@@ -138,8 +138,12 @@ def _draw_histories(
         panels[1].plot(middle, mean, **look)
 
 
-def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
-    """Return net currents against T/N and against chi, one mark for each w'."""
+def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
+    """Return net currents against T/N and against chi, one mark for each w'.
+
+    `models` are the theories to draw, those of `models.best` if none are given.
+    """
+    models = models or best()
     points = gather(files)
     made = style.figure(style.PAGE, 3.4)
     left, right = made.subplots(1, 2, sharey=True)

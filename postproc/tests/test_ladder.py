@@ -11,7 +11,7 @@ import pytest
 
 from postproc.accuracy import ladder
 from postproc.accuracy.job import Job
-from postproc.accuracy.observables import cheapest, cost, figure_observables, row
+from postproc.accuracy.observables import figure_observables, row
 from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
@@ -115,25 +115,6 @@ def _line(kind: str, value: float, error: float, seconds: float) -> dict:
     answers = {name: ladder.Answer(value, error, seconds) for name in ladder.QUANTITIES}
     truth = {name: ladder.Answer(1.0, 0.0, 1.0) for name in ladder.QUANTITIES}
     return {**row(kind, kind, answers, truth), "per_time": 1e-6}
-
-
-def test_cost_counts_the_bias_of_models_and_the_scatter_of_all() -> None:
-    assert cost(_line("theory", 0.95, 0.0, 1e-3), "chi", 0.06) == 1e-3
-    assert cost(_line("theory", 0.95, 0.0, 1e-3), "chi", 0.04) == math.inf
-    assert cost(_line("exact", 1.02, 0.02, 10.0), "chi", 0.01) == pytest.approx(40.0)
-    assert cost(_line("model", 1.02, 0.01, 10.0), "chi", 0.03) == math.inf
-    assert cost(_line("model", 1.02, 0.01, 10.0), "chi", 0.05) == pytest.approx(
-        10.0 * 0.01**2 / (0.05**2 - 0.03**2)
-    )
-    assert cost(_line("exact", 1.0, 1e-9, 10.0), "chi", 0.1) == 1e-6 * ladder.SHORTEST
-    assert cost(_line("model", math.nan, 0.01, 10.0), "chi", 0.05) == math.inf
-
-
-def test_cheapest_rung_for_a_tolerance() -> None:
-    rows = [_line("theory", 0.95, 0.0, 1e-3), _line("exact", 1.0, 0.02, 10.0)]
-    assert cheapest(rows, "chi", 0.06) == ("theory", 1e-3)
-    assert cheapest(rows, "chi", 0.02)[0] == "exact"
-    assert cheapest(rows[:1], "chi", 0.02)[0] == "none"
 
 
 def test_chart_two_draws_every_rung(tmp_path: Path) -> None:

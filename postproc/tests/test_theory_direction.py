@@ -26,7 +26,19 @@ MEASURED = (
     (1, 400, 3.1e5, 8.97e3), (1, 420, math.nan, 5.15e3), (1, 480, math.nan, 2.12e3),
     (2, 860, math.nan, 2.63e3), (2, 1000, math.nan, 1.44e3),
 )  # fmt: skip
+# T = 2, l = 4 likewise; above 1e5 (N = 160 polarised, 190 homogeneous) it is off by 4.6 and 6.7
+LONG_GATE = (
+    (160, 5.97e3, math.nan), (170, 1.3e4, 7.34e4), (180, 7.27e4, 1.76e4), (190, math.nan, 7.86e3),
+    (200, math.nan, 4.3e3), (240, math.nan, 1.71e3),
+)  # fmt: skip
 CROSSING = 382.5  # N at which both lifetimes are equal, T = 1, by these runs
+
+
+def near(circuit: Circuit, *measured: float) -> None:
+    """Hold the chain's passages from chi = 0 and from 1 against what is measured, if it is."""
+    asked, theory = MODELS["direction"].of(circuit)
+    for one, seen in zip(passage_times(asked, LOW, HIGH, theory=theory), measured, strict=True):
+        assert math.isnan(seen) or seen / 3.0 < one < 3.0 * seen
 
 
 def simulated(
@@ -182,10 +194,14 @@ def test_polarised_state_is_lost_between_380_and_400() -> None:
 def test_lifetimes_are_within_a_factor_of_three(
     threshold: int, number: int, homogeneous: float, polarised: float
 ) -> None:
-    circuit, theory = MODELS["direction"].of(Circuit(number, threshold))
-    found = passage_times(circuit, LOW, HIGH, theory=theory)
-    for one, seen in zip(found, (homogeneous, polarised), strict=True):
-        assert math.isnan(seen) or seen / 3.0 < one < 3.0 * seen
+    near(Circuit(number, threshold), homogeneous, polarised)
+
+
+@pytest.mark.parametrize(("number", "homogeneous", "polarised"), LONG_GATE)
+def test_lifetimes_of_a_long_gate_are_within_a_factor_of_three(
+    number: int, homogeneous: float, polarised: float
+) -> None:
+    near(Circuit(number, 2, channel1_length=4.0), homogeneous, polarised)
 
 
 def test_both_states_live_equally_long_where_they_are_measured_to() -> None:

@@ -269,6 +269,11 @@ def scan(circuit: Circuit) -> list[tuple[float, Held]]:
     return found
 
 
+def growth(circuit: Circuit) -> float:
+    """Return what has the sign of the growth of a small difference between equal urns."""
+    return _excess(Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL)))
+
+
 def homogeneous_kind(circuit: Circuit) -> str:
     """Return whether the state with equal densities is "stable" or "unstable".
 
@@ -277,8 +282,7 @@ def homogeneous_kind(circuit: Circuit) -> str:
     if float(circuit.channel2_width) == 0.0 and float(circuit.threshold) == 0.0:
         return "neutral"
     if circuit.alike:
-        near = Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL))
-        return "stable" if _excess(near) <= 0.0 else "unstable"
+        return "stable" if growth(circuit) <= 0.0 else "unstable"
     areas = [float(side.urn_area) for side in circuit.sides]
     second = float(circuit.number) * areas[1] / sum(areas)
     states = stationary_states(circuit)
@@ -314,6 +318,23 @@ def stationary_states(circuit: Circuit) -> list[State]:
             )
         )
     return found
+
+
+def flows(circuit: Circuit, number2: float) -> Floats:
+    """Return what channels 1 and 2 carry from urn 1 to 2 and back where N2 is `number2`.
+
+    Per unit time, shape (channel, way); without what circulates. From the places of `scan`.
+    """
+    held = [one for _, one in scan(circuit)]
+    second = np.array([one.in_half[1] for one in held])
+    carried = np.array([[one.through, one.across[:, 0]] for one in held])
+    if circuit.alike:  # the mirror images
+        second = np.concatenate([float(circuit.number) - second[::-1], second])
+        carried = np.concatenate([carried[::-1, :, ::-1], carried])
+    return np.array(
+        [[np.interp(number2, second, carried[:, channel, way]) for way in (0, 1)]
+         for channel in (0, 1)]
+    )  # fmt: skip
 
 
 def outflows(circuit: Circuit) -> tuple[Floats, Floats]:

@@ -2,11 +2,12 @@
 
 The program `one_particle` (src/walkers) lets walkers fly exact visits in several copies of the
 circuit; whoever enters a gate does so in a copy drawn by chance. So every gate is a renewal gate at
-the walkers' own rate, with their own stays, and no number comes from a run. What is left out: that
-particles which a gate turned back together meet again, and that numbers fluctuate, which matters
-next to a transition (chi too large by up to 0.02 at N = 1000). States are found by letting walkers
-go from several shares of the urns; unstable ones are not found. Errors are those of the mean of
-independent batches of walkers.
+the walkers' own rate, with their own stays, and no number comes from a run. One copy would be the
+circuit itself. Two are the fewest in which those whom a gate turned back together do not meet
+again; their numbers fluctuate with half the variance of the circuit's. That matters next to a
+transition: with many copies chi is too large there, by up to 0.03 at N = 1000, with two by up to
+0.015. States are found by letting walkers go from several shares of the urns; unstable ones are not
+found. Errors are those of the mean of independent batches of walkers.
 """
 
 from __future__ import annotations
@@ -32,8 +33,11 @@ if TYPE_CHECKING:
 MOST_VISITS = 2e7  # from one start, all batches together: two to four seconds of a processor
 RELAXATIONS = 3.25  # directions are forgotten in 25 r^4/w^3
 SHORTEST = 500.0  # transient in mean free paths, 2r
-POOL = 4000  # walkers of a batch, at least
-FEWEST_COPIES, MOST_COPIES = 4, 64
+COPIES = 2  # where states are looked for
+POOL = 4000  # walkers of a batch, at least, that tell whether equal shares last
+FEWEST_COPIES, MOST_COPIES = 4, 64  # then
+BATCHES = 8
+LONGEST = 20.0  # transients that count
 EMPTIER = 0.05  # share of the emptier urn at a polarised start where no theory tells one
 BIAS = 0.02  # of the homogeneous start: what decays from there is stable
 RESOLUTION, STRIDE = 0.03, 1.25  # of a transition; relative steps until it lies between two
@@ -82,20 +86,24 @@ class Walked:
         return self.flow2[:, 1] - self.flow2[:, 0]
 
 
-def effort_for(circuit: Circuit) -> Effort:
-    """Return an effort of at most about `MOST_VISITS`: what is too much is taken off everything."""
+def effort_for(circuit: Circuit, copies: int = COPIES) -> Effort:
+    """Return an effort of at most about `MOST_VISITS`: what is too much is taken off the time."""
     radius = max(float(side.urn_radius) for side in circuit.sides)
     width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
-    number = float(circuit.number)
-    copies = float(np.clip(np.ceil(POOL / number), 8, MOST_COPIES))
     transient = max(RELAXATIONS * 25.0 * radius**4 / width1**3, 2.0 * SHORTEST * radius)
     area = sum(float(side.urn_area) for side in circuit.sides)
-    per_time = number * copies * 8 * (width1 + width2) / (0.5 * np.pi * area)
-    excess = max(1.0, 3.0 * transient * per_time / MOST_VISITS)
-    fewer = min(excess, copies / FEWEST_COPIES)
-    longest = MOST_VISITS * fewer / per_time
+    per_time = float(circuit.number) * copies * BATCHES * (width1 + width2) / (0.5 * np.pi * area)
+    longest = MOST_VISITS / per_time
     transient = min(transient, 0.5 * longest)
-    return Effort(int(copies / fewer), 8, transient, min(2.0 * transient, longest - transient))
+    return Effort(copies, BATCHES, transient, min(LONGEST * transient, longest - transient))
+
+
+def effort_for_kind(circuit: Circuit) -> Effort:
+    """Return what is enough to tell whether a state lasts, not where it lies."""
+    number = float(circuit.number)
+    copies = int(np.clip(np.ceil(POOL / number), FEWEST_COPIES, MOST_COPIES))
+    effort = effort_for(circuit, copies)
+    return replace(effort, batches=BATCHES // 2, duration=effort.transient / 3.0)
 
 
 def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = False) -> Walked:
@@ -120,7 +128,7 @@ def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = 
 
 def homogeneous_kind(circuit: Circuit, effort: Effort | None = None) -> str:
     """Return whether equal urns that share equally are "stable" or "unstable"."""
-    walked = walk(circuit, 0.5 + BIAS, effort or _shorter(effort_for(circuit)))
+    walked = walk(circuit, 0.5 + BIAS, effort or effort_for_kind(circuit))
     spread = abs(2.0 * walked.half2_number / float(circuit.number) - 1.0)
     return "stable" if np.median(spread) <= 2.0 * BIAS else "unstable"
 
@@ -166,6 +174,15 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[St
     return sorted(found, key=lambda state: state.urn2_number)
 
 
+def flows(circuit: Circuit, number2: float, effort: Effort | None = None) -> Floats:
+    """Return what channels 1 and 2 carry from urn 1 to 2 and back, shape (channel, way).
+
+    Per unit time, where walkers come to that begin with N2 = `number2`; shape (2, 2).
+    """
+    walked = walk(circuit, number2 / float(circuit.number), effort or effort_for(circuit))
+    return np.stack([walked.flow1.mean(axis=0), walked.flow2.mean(axis=0)])
+
+
 def _polarised_share(circuit: Circuit) -> float:
     """Return the share of urn 2 that is polarised, by the renewal gate if it knows such a state."""
     guess = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
@@ -180,11 +197,6 @@ def _folded(walked: Walked, number: float) -> Walked:
         np.where(mirrored, number - walked.half2_number, walked.half2_number),
         *(np.where(mirrored[:, None], pair[:, ::-1], pair) for pair in pairs),
     )
-
-
-def _shorter(effort: Effort) -> Effort:
-    """Return what is enough to tell whether a state lasts, not where it lies."""
-    return replace(effort, batches=4, duration=effort.transient / 3.0)
 
 
 def _state(walked: Walked, number: float) -> State:

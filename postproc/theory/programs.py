@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).resolve().parents[2] / "build/bin"
 
 
+def there(name: str) -> bool:
+    """Tell whether a program has been built."""
+    return (FOLDER / name).is_file()
+
+
 def answers(name: str, lines: Sequence[str]) -> NDArray[np.float64]:
     """Ask a program; return the numbers of its answer, a row a line.
 

@@ -137,13 +137,13 @@ def homogeneous_kind(circuit: Circuit, memory: Memory = ports.disc) -> str:
     if float(circuit.channel2_width) == 0.0 and float(circuit.threshold) == 0.0:
         return "neutral"
     if circuit.alike:
-        return "stable" if _growth(circuit, memory) <= 0.0 else "unstable"
+        return "stable" if growth(circuit, memory) <= 0.0 else "unstable"
     middle = 0.5 * float(circuit.number)  # both send as many: densities are equal
     roots = _roots(circuit, memory)
     return min(roots, key=lambda one: abs(one[0] - middle))[1] if roots else "neutral"
 
 
-def _growth(circuit: Circuit, memory: Memory) -> float:
+def growth(circuit: Circuit, memory: Memory = ports.disc) -> float:
     """Return what has the sign of the growth of a small difference between equal urns."""
     excess = balance(circuit, 0.5 * float(circuit.number) * (1.0 - STEP), memory).log_excess
     return float(np.nan_to_num(excess[0]))
@@ -167,7 +167,7 @@ def _roots(circuit: Circuit, memory: Memory) -> list[tuple[float, str]]:
         places = places[(places > 0.0) & (places < number)]
     values = excess(places)
     if circuit.alike:
-        values[0] = 1.0 if _growth(circuit, memory) > 0.0 else -1.0
+        values[0] = 1.0 if growth(circuit, memory) > 0.0 else -1.0
     roots = crossings(excess, places, values)
     closed = float(circuit.channel2_width) == 0.0
     if closed and values[-1] > 0.0 and float(one.threshold) > 0.0:
@@ -215,6 +215,21 @@ def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Flo
     return at.in_half[1], sent
 
 
+def flows(circuit: Circuit, number2: float) -> Floats:
+    """Return what channels 1 and 2 carry from urn 1 to 2 and back where N2 is `number2`.
+
+    Per unit time, shape (channel, way); without what circulates.
+    """
+    number = float(circuit.number)
+
+    def excess(first: float) -> float:
+        return float(balance(circuit, first).in_half[1, 0]) - number2
+
+    first = optimize.brentq(excess, 1e-9 * number, (1.0 - 1e-9) * number, rtol=1e-12)
+    at = balance(circuit, first)
+    return np.stack([at.through[:, 0], at.across[:, 0]])
+
+
 def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:
     """Return G of equal urns: the net current is G times the difference of the urns' numbers."""
     one = memory(circuit)
@@ -229,20 +244,20 @@ def transition_width(circuit: Circuit, start: float) -> float:
     """
     diameter = 2.0 * float(circuit.urn_radius)
 
-    def growth(width: float) -> float:
-        return _growth(replace(circuit, channel2_width=width), ports.disc)
+    def at(width: float) -> float:
+        return growth(replace(circuit, channel2_width=width))
 
     if float(circuit.threshold) == 0.0:
         return 0.0  # any channel 2 at all brings both urns to equal densities
-    if growth(0.0) <= 0.0:
+    if at(0.0) <= 0.0:
         return math.nan
     widths = np.geomspace(1e-3, 0.99, WIDTHS_TRIED) * diameter
     near = start * np.array([0.5, 0.8, 1.25, 2.0])
     tried = [near] if math.isfinite(start) else []
     for candidates in (*tried, np.concatenate([[0.0], widths])):
         places = candidates[candidates < diameter]
-        values = [growth(width) for width in places]
-        for at in range(len(values) - 1):
-            if values[at] > 0.0 >= values[at + 1]:
-                return float(optimize.brentq(growth, places[at], places[at + 1], rtol=1e-6))
+        values = [at(width) for width in places]
+        for k in range(len(values) - 1):
+            if values[k] > 0.0 >= values[k + 1]:
+                return float(optimize.brentq(at, places[k], places[k + 1], rtol=1e-6))
     return math.nan

@@ -1,0 +1,398 @@
+"""Which rung of the ladder is good enough for a quantity, and how many runs it takes.
+
+A pilot tells: short runs of `excursion` in independent replicas. Their scatter says how many of
+their kind meet a tolerance, their mean, with its error, how far off each theory is. So nothing is
+taken from other circuits, and what is advised holds for unlike urns as well. Chances are Student's,
+for the scatter of few replicas is itself uncertain.
+
+More replicas are advised, not longer ones: what a replica of another length would scatter by is not
+known where it is as long as its memory. Each measures twice its transient, and that follows the
+slowest relaxation: of directions, 25 r^4/w^3, and of chi where that is no longer large. A particle
+that goes round and round may do so for all of a run. It begins with the chance R a unit of time,
+lasts m rounds or more with 1/m, at most until the sparse gate turns it back, and so adds
+R min(t/L, 1/(1 - q))/t to the variance of a mean over t.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from postproc.accuracy import ladder, predictions
+from postproc.reading.results import Results
+from postproc.running import run
+from postproc.theory.circuit import gate_load
+from postproc.theory.models import MODELS
+from postproc.theory.renewal import RENEWAL
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
+    from postproc.theory.models import Model
+
+    Floats = NDArray[np.float64]
+    Groups = dict[str, dict[str, object]]
+
+QUANTITIES = ("chi", "polarised_current", "transition")
+SURE = 0.95  # chance with which the advised run meets the tolerance
+REPLICAS = 16  # of a pilot
+RELAXATIONS = 3.0  # of directions, that a transient lasts
+SHORTEST = 1000.0  # transient in radii
+CRITICAL = 9000.0  # transient next to a transition, where chi relaxes in 3000
+LARGE = 0.75  # chi below which it may be next to a transition
+MEASURED = 2.0  # transients that a replica measures
+FEWEST = 4  # replicas of advised runs
+POLARISED = 0.05  # share of urn 1 at the start
+# what a theory takes at least, in s; of a transition about eight times as much
+THEORIES = {"window": 1e-3, "renewal": 3e-3, "two_port": 0.05, "direction": 1.0}
+ACROSS = 5  # thresholds of a scan across a transition
+SHIFTS = 4  # times that they are moved where chi does not fall through there
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What short runs say.
+
+    Attributes
+    ----------
+    value : of the quantity, mean of the replicas.
+    scatter : standard deviation of one replica.
+    circulating : variance of a replica that particles which go round add, however long it is.
+    transient, measured : time of a replica before and while it is measured.
+    per_time : processor time of a unit of time, of all thresholds that are run, in s.
+    seconds : processor time of all of the pilot.
+    thresholds : that are run, of a transition.
+    """
+
+    value: float
+    scatter: float
+    circulating: float
+    transient: float
+    measured: float
+    per_time: float
+    seconds: float
+    thresholds: list[int] | None = None
+
+    @property
+    def error(self) -> float:
+        """Standard deviation of one replica, circulation included."""
+        return math.sqrt(self.scatter**2 + self.circulating)
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do.
+
+    Attributes
+    ----------
+    rung : a theory of `postproc.theory --model`, or the engine `excursion`.
+    replicas, duration, transient_duration : of the runs, as in the namelist; 0 of a theory.
+    urn1_number : how many begin in urn 1.
+    cpu_seconds : processor time of it, without the pilot's.
+    confidence : chance that the tolerance is met.
+    reason : in a sentence.
+    expected : the pilot's value.
+    pilot_seconds : what it took to find out.
+    thresholds : of a scan across the transition.
+    """
+
+    rung: str
+    replicas: int
+    duration: float
+    transient_duration: float
+    urn1_number: int
+    cpu_seconds: float
+    confidence: float
+    reason: str
+    expected: float
+    pilot_seconds: float
+    thresholds: list[int] | None = None
+
+
+def transient_of(circuit: Circuit, *, critical: bool) -> float:
+    """Return how long a run must go before it counts, next to a transition or elsewhere."""
+    slowest = max(
+        max(RELAXATIONS * predictions.memory_time(side), SHORTEST * float(side.urn_radius))
+        for side in circuit.sides
+    )
+    return max(slowest, CRITICAL) if critical else slowest
+
+
+def table_of(circuit: Circuit) -> Groups:
+    """Return the groups of a namelist that describe a circuit."""
+    one, two = circuit.sides
+    names = ("channel1_width", "channel1_length", "channel2_width", "channel2_length")
+    return {
+        "table": {
+            "urn_radius": [float(one.urn_radius), float(two.urn_radius)],
+            **{name: float(getattr(circuit, name)) for name in names},
+        },
+        "particles": {"number": int(circuit.number)},
+        "gate": {"threshold": [int(one.threshold), int(two.threshold)]},
+    }
+
+
+def runs(
+    groups: Groups, quantity: str, thresholds: list[int] | None, length: Mapping[str, object]
+) -> Path:
+    """Run `excursion` from a polarised start; return the file. `length`: replicas and durations."""
+    length = dict(length)
+    scan: dict[str, object] = {"replicas": length.pop("replicas")}
+    given = {key: dict(value) for key, value in groups.items() if key in ("table", "gate")}
+    particles = dict(groups["particles"])
+    particles["urn1_number"] = start_of(groups, quantity)
+    particles["seed"] = length.pop("seed", 1)
+    if thresholds:
+        given.pop("gate", None)
+        scan["threshold"] = thresholds
+    given |= {"particles": particles, "run": {"engine": "excursion", **length}, "scan": scan}
+    folder = Path(tempfile.mkdtemp(prefix="advice"))
+    return run({**given, "output": {"file": "runs.h5"}}, folder=folder, quiet=True)
+
+
+def start_of(groups: Groups, quantity: str) -> int:
+    """Return how many begin in urn 1: those the namelist names, else a twentieth or a third."""
+    number, named = int(groups["particles"]["number"]), groups["particles"].get("urn1_number")
+    share = 0.3 if quantity == "transition" else POLARISED
+    return int(named) if named is not None else round(share * number)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What runs say: value, scatter of a replica, chi (of each threshold), processor time."""
+
+    value: float
+    scatter: float
+    chi: Floats
+    seconds: float
+
+
+def read(file: Path, quantity: str) -> Outcome:
+    """Return what a file of runs says; it is removed."""
+    with Results(file) as results:
+        chi, seconds = results.value("chi"), float(results.value("cpu_seconds").sum())
+        if quantity == "transition":
+            value, scatter = transition_of_runs(results.value("threshold"), chi)
+        else:
+            values = results.value(quantity)[0]
+            value, scatter = float(values.mean()), float(values.std(ddof=1))
+    shutil.rmtree(file.parent)
+    return Outcome(value, scatter, chi.mean(axis=1), seconds)
+
+
+def transition_of_runs(thresholds: Floats, chi: Floats) -> tuple[float, float]:
+    """Return the T at which the mean chi of replicas falls through, and a replica's scatter of it.
+
+    Runs at different T are independent: what each moves it by, by its own scatter, adds up.
+    """
+    mean = chi.mean(axis=1)
+    value, square, count = ladder.transition(thresholds, mean), 0.0, chi.shape[1]
+    for at, error in enumerate(chi.std(axis=1, ddof=1) / math.sqrt(count)):
+        moved = [ladder.transition(thresholds, mean + sign * error * np.eye(mean.size)[at])
+                 for sign in (-1.0, 1.0)]  # fmt: skip
+        square += (0.5 * (moved[1] - moved[0])) ** 2
+    return value, math.sqrt(square * count)
+
+
+def pilot(groups: Groups, circuit: Circuit, quantity: str, seed: int = 1) -> Pilot:
+    """Run it; again with a longer transient, or at other thresholds, if chi asks for that."""
+    thresholds = thresholds_of(circuit) if quantity == "transition" else None
+    critical, seconds = quantity == "transition", 0.0
+    for _ in range(SHIFTS):
+        transient = transient_of(circuit, critical=critical)
+        length = {
+            "replicas": REPLICAS, "seed": seed, "transient_duration": transient,
+            "duration": (1.0 + MEASURED) * transient,
+        }  # fmt: skip
+        told = read(runs(groups, quantity, thresholds, length), quantity)
+        seconds += told.seconds
+        if thresholds and not (math.isfinite(told.value) and math.isfinite(told.scatter)):
+            thresholds = moved(thresholds, told.chi)
+        elif critical or float(told.chi[0]) > LARGE:
+            break
+        else:
+            critical = True
+    around = circulating(circuit, MEASURED * transient) if quantity == "polarised_current" else 0.0
+    per_time = told.seconds / (REPLICAS * (1.0 + MEASURED) * transient)
+    return Pilot(told.value, told.scatter, around, transient, MEASURED * transient, per_time,
+                 seconds, thresholds)  # fmt: skip
+
+
+def moved(thresholds: list[int], chi: Floats) -> list[int]:
+    """Return as many thresholds farther up if chi is still large at the last one, else down."""
+    span = thresholds[-1] - thresholds[0]
+    first = thresholds[0] + (span if chi[-1] >= ladder.HALFWAY else -span)
+    return across(max(1, first), max(1, span // (ACROSS - 1)))
+
+
+def across(first: int, step: int) -> list[int]:
+    """Return thresholds of a scan."""
+    return [first + step * k for k in range(ACROSS)]
+
+
+def circulating(circuit: Circuit, duration: float) -> float:
+    """Return what particles that go round add to the variance of a current over a time."""
+    if float(circuit.channel2_width) == 0.0:
+        return 0.0
+    said, theory = MODELS["renewal"].of(circuit)
+    stable = [state for state in theory.states(said) if state.kind == "stable"]
+    if not stable:
+        return 0.0
+    number, found = float(circuit.number), 0.0
+    for state in stable:
+        dense = max(state.urn2_number, number - state.urn2_number)
+        side = circuit.sides[0 if state.urn2_number > 0.5 * number else 1]  # the sparse one
+        turned = 1.0 - float(RENEWAL.share(side.threshold, gate_load(side, number - dense)))
+        length = 2.0 * float(sum(side.chords)) + float(side.channel1_length)
+        rounds = min(duration / (length + float(side.channel2_length)), 1.0 / max(turned, 1e-12))
+        rate = predictions.circulation_rate(side, dense, 1.0)
+        found = max(found, rate * rounds / duration)
+    return found
+
+
+def thresholds_of(circuit: Circuit) -> list[int]:
+    """Return thresholds across the upper transition, about where two ports have it.
+
+    Where these know none, about the number that a gate of equal shares would hold.
+    """
+    at = transition_of(circuit, MODELS["two_port"])
+    if not math.isfinite(at):
+        at = float(gate_load(circuit, 0.5 * float(circuit.number)))
+    middle, step = round(1.03 * at), max(1, round(0.05 * at))
+    return across(max(1, middle - (ACROSS // 2) * step), step)
+
+
+def transition_of(circuit: Circuit, model: Model) -> float:
+    """Return the T, between whole ones, at which a theory's chi falls through `ladder.HALFWAY`.
+
+    By halves of the range between a T that polarises and one that does not.
+    """
+
+    def chi(threshold: int) -> float:
+        said, theory = model.of(replace(circuit, threshold=threshold, gate2_threshold=None))
+        stable = [state.mass_spread for state in theory.states(said) if state.kind == "stable"]
+        return max(stable, default=0.0)
+
+    load = float(gate_load(circuit, 0.5 * float(circuit.number)))
+    tried = [max(1, round(load * factor)) for factor in (1.0, 0.7, 0.85, 1.2)]
+    low = next((one for one in tried if chi(one) >= ladder.HALFWAY), None)
+    if low is None:
+        return math.nan
+    high = max(low + 1, round(3.0 * load) + 2)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if chi(middle) >= ladder.HALFWAY else (low, middle)
+    return ladder.transition([low, high], [chi(low), chi(high)])
+
+
+def theory_says(
+    circuit: Circuit, model: Model, quantity: str, spread: float | None
+) -> tuple[float, float]:
+    """Return what a theory says, NaN if nothing, and its processor time.
+
+    Of several stable states that whose chi is nearest to `spread`.
+    """
+    began = time.process_time()
+    if quantity == "transition":
+        value = transition_of(circuit, model)
+        return value, time.process_time() - began
+    said, theory = model.of(circuit)
+    stable = [state for state in theory.states(said) if state.kind == "stable"]
+    if stable and spread is not None:
+        state = min(stable, key=lambda one: abs(one.mass_spread - spread))
+    elif stable:
+        state = max(stable, key=lambda one: one.mass_spread)
+    else:
+        return math.nan, time.process_time() - began
+    value = state.mass_spread if quantity == "chi" else abs(state.net_current)
+    return value, time.process_time() - began
+
+
+def chance_of_theory(
+    found: Pilot, value: float, tolerance: float, other_error: float = 0.0
+) -> float:
+    """Return the chance that a theory's value is within a tolerance of what is true.
+
+    Or of another measurement, which has a standard error of its own.
+    """
+    error = math.hypot(found.error / math.sqrt(REPLICAS), other_error)
+    within = tolerance * abs(found.value)
+    low, high = ((value - found.value + sign * within) / error for sign in (-1.0, 1.0))
+    return float(stats.t.cdf(high, REPLICAS - 1) - stats.t.cdf(low, REPLICAS - 1))
+
+
+def chance_of_runs(
+    found: Pilot, replicas: int, tolerance: float, other_error: float = 0.0
+) -> float:
+    """Return the chance that so many replicas are within a tolerance, as `chance_of_theory`."""
+    error = math.hypot(found.error / math.sqrt(replicas), other_error)
+    within = tolerance * abs(found.value) / error
+    return float(2.0 * stats.t.cdf(within, REPLICAS - 1) - 1.0)
+
+
+def replicas_for(found: Pilot, tolerance: float) -> int:
+    """Return how many replicas meet the tolerance with `SURE`."""
+    wanted = tolerance * abs(found.value) / float(stats.t.ppf(0.5 * (1.0 + SURE), REPLICAS - 1))
+    return max(FEWEST, math.ceil((found.error / wanted) ** 2))
+
+
+def advise(
+    groups: Groups, circuit: Circuit, quantity: str, tolerance: float, found: Pilot | None = None
+) -> Advice:
+    """Return the cheapest rung that meets a relative tolerance with the chance `SURE`.
+
+    However much time that takes: it is told. Where there is no such quantity the rung is "none".
+
+    Parameters
+    ----------
+    groups : of the namelist: table, particles, gate.
+    circuit : the same.
+    quantity : one of `QUANTITIES`.
+    found : what a pilot said, if one was run.
+    """
+    found, start = found or pilot(groups, circuit, quantity), start_of(groups, quantity)
+    rest = (found.value, found.seconds, found.thresholds)
+    if not (math.isfinite(found.value) and found.value != 0.0):
+        reason = f"A pilot of {REPLICAS} runs finds no {quantity}: nothing to be within a tolerance"
+        if found.thresholds:
+            reason += f" of; chi does not fall through {ladder.HALFWAY} at T = {found.thresholds}"
+        return Advice("none", 0, 0.0, 0.0, start, math.nan, 0.0, f"{reason}.", *rest)
+    replicas = replicas_for(found, tolerance)
+    cost = replicas * (found.transient + found.measured) * found.per_time
+    told = (
+        f"A pilot of {REPLICAS} runs has {found.value:.4g}, "
+        f"each scatters by {found.error / abs(found.value):.2g} of it"
+    )
+    off = []
+    for name, least in THEORIES.items():
+        if least * (8.0 if found.thresholds else 1.0) >= cost:
+            continue
+        value, seconds = theory_says(
+            circuit, MODELS[name], quantity, found.value if quantity == "chi" else None
+        )
+        if seconds >= cost or not math.isfinite(value):
+            continue
+        chance = chance_of_theory(found, value, tolerance)
+        apart = f"{100.0 * abs(value / found.value - 1.0):.2g} %"
+        if chance >= SURE:
+            reason = (
+                f"{told}; the theory {name} says {value:.4g}, {apart} off, in less time than runs "
+                "take."
+            )
+            return Advice(name, 0, 0.0, 0.0, start, seconds, chance, reason, *rest)
+        off.append(f"{name} by {apart}")
+    reason = f"{told}; theories that cost less are off: {', '.join(off) or 'none'}."
+    chance = chance_of_runs(found, replicas, tolerance)
+    return Advice("excursion", replicas, found.transient + found.measured, found.transient, start,
+                  cost, chance, reason, *rest)  # fmt: skip

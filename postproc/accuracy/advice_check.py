@@ -1,0 +1,111 @@
+"""Whether advice is right, by hand: python -m postproc.accuracy.advice_check [POINTS [SEED]].
+
+Circuits are drawn, with tolerances from 0.3 to 10 %. What is advised is done, with seeds of its
+own, and held against twice as many runs with twice the transient. Their error is known and makes
+the promise somewhat smaller (`here`; `sure` is what advice says). Printed: a line a point, and last
+how often the tolerance was met, how often that was promised, and two standard deviations of chance;
+exit code 1 where they disagree by more. Takes ten minutes or so of one core.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc.accuracy import advice
+from postproc.theory.circuit import Circuit
+from postproc.theory.models import MODELS
+
+if TYPE_CHECKING:
+    from postproc.accuracy.advice import Advice, Groups, Pilot
+
+SHARPER = 2  # replicas of what is held against, over those that would be advised
+LARGEST = 10.0  # processor time that is advised, in s, beyond which it is not checked
+TOLERANCES = (math.log10(0.003), -1.0)
+KINDS = ("chi", "chi", "polarised_current", "chi", "transition")
+
+
+def drawn(random: np.random.Generator) -> Circuit:
+    """Return a circuit of some hundred particles, with urns and lengths of its own."""
+    number = int(random.integers(150, 500))
+    return Circuit(
+        number,
+        max(3, round(number * random.uniform(0.005, 0.02))),
+        round(random.uniform(0.25, 0.4), 3),
+        round(random.uniform(0.01, 0.04), 4),
+        round(random.uniform(0.9, 1.1), 3),
+        round(random.uniform(0.7, 1.5), 2),
+        round(random.uniform(0.5, 1.5), 2),
+    )
+
+
+def done(groups: Groups, circuit: Circuit, quantity: str, given: Advice) -> float:
+    """Return what comes out where the advice is followed."""
+    if given.replicas == 0:
+        spread = given.expected if quantity == "chi" else None
+        return advice.theory_says(circuit, MODELS[given.rung], quantity, spread)[0]
+    length = {
+        "replicas": given.replicas, "duration": given.duration,
+        "transient_duration": given.transient_duration, "seed": 2,
+    }  # fmt: skip
+    return advice.read(advice.runs(groups, quantity, given.thresholds, length), quantity).value
+
+
+def truth(groups: Groups, quantity: str, found: Pilot, replicas: int) -> tuple[float, float]:
+    """Return the quantity from runs with twice the pilot's transient, and its standard error."""
+    length = {
+        "replicas": max(SHARPER * replicas, advice.REPLICAS), "seed": 3,
+        "duration": 2.0 * found.transient + found.measured,
+        "transient_duration": 2.0 * found.transient,
+    }  # fmt: skip
+    told = advice.read(advice.runs(groups, quantity, found.thresholds, length), quantity)
+    return told.value, told.scatter / math.sqrt(length["replicas"])
+
+
+def main(words: list[str]) -> int:
+    """Draw points, follow the advice, print the table."""
+    wanted = int(words[0]) if words else 40
+    random = np.random.default_rng(int(words[1]) if len(words) > 1 else 1)
+    met, promised, said, left = [], [], 0, [0, 0]
+    print(f"{'N':>4} {'T':>3} {'w':>5} {'w2':>6} {'quantity':18} {'within':>6} {'rung':10} "
+          f"{'cost/s':>7} {'sure':>5} {'here':>5} {'found':>7} {'truth':>7} {'off':>8} "
+          "met")  # fmt: skip
+    while said < wanted:
+        circuit, quantity = drawn(random), KINDS[said % len(KINDS)]
+        tolerance = float(10.0 ** random.uniform(*TOLERANCES))
+        groups = advice.table_of(circuit)
+        if quantity == "polarised_current":
+            stable = advice.theory_says(circuit, MODELS["two_port"], "chi", None)[0]
+            if not stable > 0.3:
+                continue  # no current to speak of
+        found = advice.pilot(groups, circuit, quantity)
+        given = advice.advise(groups, circuit, quantity, tolerance, found)
+        if given.rung == "none" or given.cpu_seconds > LARGEST:
+            left[given.rung == "none"] += 1
+            continue
+        replicas = advice.replicas_for(found, tolerance)
+        true, error = truth(groups, quantity, found, replicas)
+        value = done(groups, circuit, quantity, given)
+        off = value / true - 1.0
+        met.append(abs(off) <= tolerance)
+        promised.append(
+            advice.chance_of_runs(found, given.replicas, tolerance, error) if given.replicas
+            else advice.chance_of_theory(found, value, tolerance, error)
+        )  # fmt: skip
+        said += 1
+        print(f"{circuit.number:4d} {circuit.threshold:3d} {circuit.channel1_width:5.3f} "
+              f"{circuit.channel2_width:6.4f} {quantity:18} {tolerance:6.4f} {given.rung:10} "
+              f"{given.cpu_seconds:7.3f} {given.confidence:5.3f} {promised[-1]:5.3f} {value:7.4g} "
+              f"{true:7.4g} {off:+8.4f} {'yes' if met[-1] else 'NO'}", flush=True)  # fmt: skip
+    print(f"left out: {left[0]} beyond {LARGEST:g} s, {left[1]} without the quantity")
+    chances = np.array(promised)
+    two_sigma = 2.0 * math.sqrt(float((chances * (1.0 - chances)).sum()))
+    print(f"met {sum(met)} of {said}; promised {chances.sum():.1f} +- {two_sigma:.1f} (two sigma)")
+    return 0 if abs(sum(met) - chances.sum()) <= two_sigma else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,75 @@
+"""The ladder over the map in numbers: error to be expected, the Pareto line, errors that cancel.
+
+A rung's line has its name, its kind ("theory", "exact" or "model"), and for each quantity `bias`,
+`bias_error`, `chance`, `missing` (`ladder_map.compare`), `seconds` and `approach`
+(`ladder_map.price`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+TIMES = np.geomspace(1e-4, 1e5, 361)  # processor time of the Pareto line, in s
+TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # errors that are asked for
+SURE = 2.0  # errors from which on something is seen
+# each has in it all that those before it have, and more
+FINER = (
+    ("eta of the paper", "renewal gate", "renewal gate with channels", "two ports", "directions",
+     "one particle"),
+    ("renewal gate with channels", "renewal chain", "reservoir"),
+    ("timestep 0.1", "timestep 0.03", "timestep 0.01", "timestep 0.003"),
+)  # fmt: skip
+
+
+def expected(line: dict, quantity: str, seconds: float) -> float:
+    """Return the error to be expected of a rung for so much processor time a point; inf: none yet.
+
+    Runs measure at least as long as their transient lasts; their chance falls with the root of
+    what is measured. The exact engines have no bias.
+    """
+    one = line[quantity]
+    if one["missing"]:
+        return math.inf
+    if line["kind"] == "theory":
+        return one["bias"] if seconds >= one["seconds"] else math.inf
+    left, done = seconds - one["approach"], one["seconds"] - one["approach"]
+    if left < one["approach"]:
+        return math.inf
+    bias = 0.0 if line["kind"] == "exact" else one["bias"]
+    return math.hypot(bias, one["chance"] * math.sqrt(done / left))
+
+
+def pareto(rows: Sequence[dict], quantity: str) -> list[float]:
+    """Return the error of the best rung for each of `TIMES`; inf: none is done by then."""
+    return [min(expected(line, quantity, float(one)) for line in rows) for one in TIMES]
+
+
+def cheapest(rows: Sequence[dict], quantity: str, error: float) -> tuple[str, float]:
+    """Return which rung has an error at the least cost, and that cost in s; "none", inf."""
+    for seconds in TIMES:
+        errors = [expected(line, quantity, float(seconds)) for line in rows]
+        if min(errors) <= error:
+            return rows[errors.index(min(errors))]["name"], float(seconds)
+    return "none", math.inf
+
+
+def cancelling(rows: Sequence[dict], quantity: str) -> list[str]:
+    """Return the rungs whose errors cancel: one that has all of theirs and more is farther off."""
+    by_name = {line["name"]: line[quantity] for line in rows}
+    found = []
+    for family in FINER:
+        there_are = [name for name in family if name in by_name]
+        for at, name in enumerate(there_are):
+            own = by_name[name]
+            for finer in (by_name[other] for other in there_are[at + 1 :]):
+                apart = SURE * math.hypot(own["bias_error"], finer["bias_error"])
+                worse = finer["bias"] > own["bias"] + apart or finer["missing"] > own["missing"]
+                if worse and not own["missing"] and name not in found:
+                    found.append(name)
+    return found

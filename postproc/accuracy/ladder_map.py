@@ -1,0 +1,308 @@
+"""The ladder over the map: the error of every rung at points of T and w', against processor time.
+
+Quantities: chi, the polarised current over chi, so that an error of chi does not hide one of the
+conductance, and the T at which chi falls through 0.3 at each w'. Runs begin polarised. Their
+transient is three relaxations of directions, or 9000 next to a transition; the reference has twice
+that, which tells whether it was enough. It is part of what every run costs, however near to the
+answer it may begin. Errors are root mean squares over the points, less what runs add by chance.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc.accuracy import ladder, ladder_map_figure, predictions
+from postproc.accuracy.ladder import (
+    BATTERY,
+    HALFWAY,
+    LONGER,
+    QUANTITIES,
+    RUNGS,
+    THEORIES,
+    by_model,
+)
+from postproc.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
+from postproc.figures import style
+from postproc.reading.results import Results
+from postproc.theory.programs import there
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from postproc.accuracy.job import Job
+    from postproc.accuracy.ladder import Rung
+    from postproc.theory.circuit import Circuit
+
+    Floats = NDArray[np.float64]
+    Question = Callable[[Circuit], tuple[float, float]]
+
+RELAXATIONS = 3.0  # of directions, that a transient lasts
+CRITICAL = 9000.0  # transient next to a transition: three times 3000
+# T well below the upper transition of a w', and across it
+SLICES = {
+    0.01: ((6, 9, 12), (14, 15, 16, 17, 18)),
+    0.025: ((7, 9, 11), (13, 14, 15, 16, 17)),
+    0.06: ((9, 10, 11), (12, 13, 14, 15, 16)),
+}
+FAST = ("excursion", "reservoir")  # so cheap that replicas tell their errors
+SLOWEST = "timestep 0.003"  # in full runs only
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a rung says at all points, in the order of `SLICES`; every field has shape (point,).
+
+    Attributes
+    ----------
+    chi, current : mean, and polarised current over chi; NaN where there is none.
+    chi_error, current_error : standard errors; 0 of a theory, NaN of a single run.
+    seconds : processor time of a unit of time; of a theory that of its answer.
+    measured, transient : time in all replicas, and before it in each; 0 of a theory.
+    """
+
+    chi: Floats
+    current: Floats
+    chi_error: Floats
+    current_error: Floats
+    seconds: Floats
+    measured: Floats
+    transient: Floats
+
+
+def points() -> list[tuple[float, int, bool]]:
+    """Return (w', T, whether it is next to the transition) of all points."""
+    return [
+        (width, threshold, bool(zone))
+        for width, zones in SLICES.items()
+        for zone, thresholds in enumerate(zones)
+        for threshold in thresholds
+    ]
+
+
+def transients() -> tuple[float, float]:
+    """Return the transients away from a transition and next to one."""
+    return math.ceil(RELAXATIONS * predictions.memory_time(BATTERY) / 100.0) * 100.0, CRITICAL
+
+
+def theories() -> list[tuple[str, Circuit, Question]]:
+    """Return name, circuit and question of every theory, walkers last where they are built."""
+    walkers = [("one particle", BATTERY, by_model("one_particle"))] if there("one_particle") else []
+    return [*THEORIES, *walkers]
+
+
+def ask(circuit: Circuit, question: Question) -> Told:
+    """Return what a theory says, and the processor time it takes, other programs' included."""
+    found = []
+    for width, threshold, _ in points():
+        one = replace(circuit, channel2_width=width, threshold=threshold)
+        if not found:
+            question(one)  # reads and prepares what is needed once
+        began = _processor()
+        chi, current = question(one)
+        found.append((chi, abs(current) / chi if chi else math.nan, _processor() - began))
+    chi, current, seconds = np.array(found).T
+    none = np.zeros(chi.size)
+    return Told(chi, current, none, none, seconds, none, none)
+
+
+def _processor() -> float:
+    told = os.times()
+    return told.user + told.system + told.children_user + told.children_system
+
+
+def run_points(
+    job: Job, rung: Rung, measured: float, replicas: int, *, doubled: bool = False
+) -> Told:
+    """Run an engine at all points, so long in each replica; `doubled`: with twice the transient."""
+    columns = []
+    name = "reference" if doubled else ladder.stem(rung)
+    for width, zones in SLICES.items():
+        for transient, thresholds in zip(transients(), zones, strict=True):
+            wait = 2.0 * transient if doubled else transient
+            changes = {
+                "table": {"channel2_width": width},
+                "particles": {"seed": 6 if doubled else 5},
+                "run": {
+                    **ladder.engine_keys(rung),
+                    "duration": wait + measured,
+                    "transient_duration": wait,
+                },
+                "scan": {"threshold": list(thresholds), "replicas": replicas},
+            }
+            stem = f"map_{name}_{width:g}_{thresholds[0]}".replace(".", "p")
+            columns.append(_read(job.battery("map", stem, changes), wait))
+    return Told(*np.concatenate(columns, axis=1))
+
+
+def _read(path: Path, transient: float) -> Floats:
+    """Return the fields of `Told` of a file, shape (field, point)."""
+    with Results(path) as results:
+        names = ("chi", "polarised_current", "cpu_seconds", "time")
+        chi, current, seconds, time = (results.value(name) for name in names)
+    count = chi.shape[1]
+    mean = chi.mean(axis=1)
+    ratio = current.mean(axis=1) / np.where(mean > 0.0, mean, math.nan)
+    errors = [np.full(mean.size, math.nan)] * 2
+    if count > 1:
+        left = (current - ratio[:, None] * chi) / mean[:, None]
+        errors = [one.std(axis=1, ddof=1) / math.sqrt(count) for one in (chi, left)]
+    waited = np.full(mean.size, transient)
+    per_time = seconds.sum(axis=1) / time.sum(axis=1)
+    return np.array([mean, ratio, *errors, per_time, time.sum(axis=1) - count * waited, waited])
+
+
+def scatter(truth: Told) -> Told:
+    """Return the standard errors of one unit of measured time as `Told`, for runs of one replica.
+
+    From long runs of the billiard, whose measured time is far longer than their memory.
+    """
+    root = np.sqrt(truth.measured)
+    return replace(
+        truth, chi_error=truth.chi_error * root, current_error=truth.current_error * root
+    )
+
+
+def with_errors(told: Told, one_unit: Told) -> Told:
+    """Return what a rung says with the billiard's errors where it has none of its own."""
+    root = np.sqrt(np.maximum(told.measured, 1.0))
+    return replace(
+        told,
+        chi_error=np.where(np.isnan(told.chi_error), one_unit.chi_error / root, told.chi_error),
+        current_error=np.where(
+            np.isnan(told.current_error), one_unit.current_error / root, told.current_error
+        ),
+    )
+
+
+def transitions(told: Told) -> tuple[Floats, Floats]:
+    """Return the T at which chi falls through `HALFWAY` at each w', and its standard error."""
+    widths, thresholds, near = (np.array(column) for column in zip(*points(), strict=True))
+    found = []
+    for width in SLICES:
+        at = np.flatnonzero((widths == width) & near)
+        value = ladder.transition(thresholds[at], told.chi[at])
+        moved = []
+        for one in at:
+            chi = told.chi.copy()
+            chi[one] += told.chi_error[one]
+            moved.append(ladder.transition(thresholds[at], chi[at]) - value)
+        found.append((value, math.sqrt(np.sum(np.square(moved)))))
+    values, errors = np.array(found).T
+    return values, errors
+
+
+def _of(told: Told, quantity: str) -> tuple[Floats, Floats]:
+    if quantity == "transition":
+        return transitions(told)
+    return (told.chi, told.chi_error) if quantity == "chi" else (told.current, told.current_error)
+
+
+def compare(told: Told, truth: Told, quantity: str) -> dict[str, float]:
+    """Return how far a rung is off, over the points that are polarised in truth.
+
+    Absolute of chi, relative of the others. `bias`: root mean square of what is off, less the
+    errors of both; `bias_error`: of that; `seen`: whether it is above them; `missing`: points of
+    which the rung has no answer; `chance`: root mean square of the rung's own error.
+    """
+    (value, error), (true, its) = _of(told, quantity), _of(truth, quantity)
+    asked = np.isfinite(true) if quantity == "transition" else truth.chi > HALFWAY
+    known = asked & np.isfinite(value)
+    size = np.ones(true.size) if quantity == "chi" else true
+    off, own = ((value - true) / size)[known], (error / size)[known]
+    noise = np.hypot(own, (its / size)[known])
+    count = max(1, off.size)
+    square = float(np.sum(off**2 - noise**2)) / count
+    apart = math.sqrt(float(np.sum(2.0 * noise**4 + 4.0 * off**2 * noise**2))) / count
+    bias = math.sqrt(max(square, 0.0))
+    return {
+        "bias": bias,
+        "bias_error": apart / (2.0 * bias) if square > apart else math.sqrt(max(apart, 0.0)),
+        "seen": bool(square > SURE * apart and off.size),
+        "missing": int(np.sum(asked) - np.sum(known)),
+        "chance": math.sqrt(float(np.sum(own**2)) / count),
+    }
+
+
+def price(told: Told, truth: Told, quantity: str) -> dict[str, float]:
+    """Return what a point costs: `seconds` of what was done, and of it `approach`, the transients.
+
+    Of a transition all thresholds of one w'. Theories have no approach.
+    """
+    near = np.array([zone for _, _, zone in points()])
+    chosen = near if quantity == "transition" else truth.chi > HALFWAY
+    many = near.sum() / len(SLICES) if quantity == "transition" else 1.0
+    if not told.measured.any():
+        return {"seconds": float(many * told.seconds[chosen].mean()), "approach": 0.0}
+    approach = (told.seconds * told.transient)[chosen].mean()
+    measured = (told.seconds * told.measured)[chosen].mean()
+    return {"seconds": float(many * (approach + measured)), "approach": float(many * approach)}
+
+
+def row(name: str, kind: str, told: Told, truth: Told) -> dict[str, object]:
+    """Return a rung's line; `kind` is "theory", "exact" or "model"."""
+    line: dict[str, object] = {"name": name, "kind": kind}
+    for quantity in QUANTITIES:
+        line[quantity] = {**compare(told, truth, quantity), **price(told, truth, quantity)}
+    return line
+
+
+def doubling(once: Told, twice: Told) -> dict[str, float]:
+    """Return whether runs with one and with two transients differ: off over error, of chi."""
+    sigmas = (once.chi - twice.chi) / np.hypot(once.chi_error, twice.chi_error)
+    worst = int(np.argmax(np.abs(sigmas)))
+    width, threshold, _ = points()[worst]
+    return {
+        "points": sigmas.size,
+        "root_mean_square": math.sqrt(float(np.mean(sigmas**2))),
+        "worst": float(sigmas[worst]),
+        "worst_width": width,
+        "worst_threshold": threshold,
+        "mean_near": float(np.mean((once.chi - twice.chi)[[near for *_, near in points()]])),
+    }
+
+
+def run(job: Job) -> None:
+    """Ask and run every rung at every point, draw `ladder_map`, keep the numbers."""
+    rungs = {rung.name: rung for rung in (*RUNGS, *LONGER)}
+    truth = run_points(job, rungs["excursion"], job.pick(1.2e5, 1.2e6), 16, doubled=True)
+    one_unit = scatter(truth)
+    rows = [row(name, "theory", ask(circuit, question), truth)
+            for name, circuit, question in theories()]  # fmt: skip
+    once = truth
+    for rung in RUNGS:
+        if rung.name == SLOWEST and not job.full:
+            continue
+        fast = rung.name in FAST
+        told = run_points(job, rung, job.pick(*(3e4, 3e5) if fast else (1500.0, 15000.0)),
+                          8 if fast else 1)  # fmt: skip
+        if rung.name == "excursion":
+            once = told
+        told = with_errors(told, one_unit)
+        rows.append(row(rung.name, "exact" if rung.exact else "model", told, truth))
+    for line in rows:
+        for quantity in QUANTITIES:
+            line[quantity]["cancels"] = line["name"] in cancelling(rows, quantity)
+    numbers = {
+        "rows": rows,
+        "points": [list(one) for one in points()],
+        "chi": truth.chi.tolist(),
+        "chi_error": truth.chi_error.tolist(),
+        "polarised": int(np.sum(truth.chi > HALFWAY)),
+        "transients": list(transients()),
+        "transitions": [one.tolist() for one in transitions(truth)],
+        "doubling": doubling(once, truth),
+        "choice": [
+            {"error": error, **{name: cheapest(rows, name, error) for name in QUANTITIES}}
+            for error in TOLERANCES
+        ],
+    }
+    job.keep("ladder_map", numbers)
+    style.save(ladder_map_figure.figure(rows), job.folder, "ladder_map")

@@ -1,0 +1,125 @@
+"""Which theory or run is good enough for a quantity of one circuit: rung, length, cost, as JSON.
+
+A namelist, or the circuit by options as of `theory` (--number N --threshold T ...). A pilot of the
+program, a second or so at N = 1000, tells how much replicas scatter and how far off theories are.
+Last line, to standard error: the advice in a sentence. `duration` includes the transient, as in the
+namelist. `confidence` is the chance that the tolerance is met. Where the quantity is not there,
+`rung` is "none". What an urn's polygon or scatterers do is beyond these theories, so such namelists
+are refused, and so are scans of several points.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import f90nml
+
+from postproc import cli
+from postproc.accuracy.advice import QUANTITIES, advise, table_of
+from postproc.theory.circuit import Circuit
+from postproc.theory.options import circuit_options, given_circuit
+
+if TYPE_CHECKING:
+    import argparse
+
+    from postproc.accuracy.advice import Advice, Groups
+
+KNOWN = {
+    "table": ("urn_radius", "channel1_width", "channel1_length", "channel2_width",
+              "channel2_length"),
+    "gate": ("threshold", "threshold_fraction"),
+}  # fmt: skip
+
+
+def _add(options: argparse.ArgumentParser) -> None:
+    options.add_argument("--quantity", choices=QUANTITIES, default="chi", help="(default: chi)")
+    options.add_argument(
+        "--tolerance", type=cli.number(1e-4, 1.0), default=0.02, metavar="SHARE",
+        help="relative (default: 0.02)",
+    )  # fmt: skip
+
+
+def circuit_of(path: Path) -> tuple[Groups, Circuit]:
+    """Return what a namelist says of one circuit: table, particles and gate, and the circuit."""
+    try:
+        groups = f90nml.read(cli.existing_file(path)).todict()
+    except (ValueError, StopIteration, AssertionError, UnicodeDecodeError) as problem:
+        raise cli.InputError(f"{path}: is no namelist: {problem}") from problem
+    for name, keys in KNOWN.items():
+        strange = sorted(set(groups.get(name, {})) - set(keys))
+        if strange == ["shape"] and groups[name]["shape"] == "circuit":
+            groups[name].pop("shape")
+        elif strange:
+            raise cli.InputError(f"{path}: there is no advice on &{name} {strange[0]}")
+    scanned = {key: value for key, value in groups.get("scan", {}).items() if key != "replicas"}
+    for key, value in scanned.items():
+        group = next((name for name, keys in KNOWN.items() if key in keys), "particles")
+        if isinstance(value, list) or key.endswith("_range"):
+            raise cli.InputError(f"{path}: &scan {key}: there is advice on one point only")
+        groups.setdefault(group, {})[key] = value
+    particles, gate = groups.get("particles", {}), dict(groups.get("gate", {}))
+    number = particles.get("number")
+    if not isinstance(number, int) or number < 1:
+        raise cli.InputError(f"{path}: &particles number is wanted, a whole number")
+    fraction = gate.pop("threshold_fraction", None)
+    threshold = gate.get("threshold", None if fraction is None else round(fraction * number))
+    if threshold is None:
+        raise cli.InputError(f"{path}: &gate threshold is wanted")
+    table = dict(groups.get("table", {}))
+    (one, *other), (first, *second) = (
+        value if isinstance(value, list) else [value]
+        for value in (table.pop("urn_radius", 1.0), threshold)
+    )
+    circuit = Circuit(
+        number, first, urn_radius=one, **table,
+        urn2_radius=other[0] if other else None, gate2_threshold=second[0] if second else None,
+    )  # fmt: skip
+    own = table_of(circuit)
+    if "urn1_number" in particles:
+        own["particles"]["urn1_number"] = particles["urn1_number"]
+    return own, circuit
+
+
+def sentence(given: Advice, quantity: str, tolerance: float) -> str:
+    """Return the advice in words."""
+    if given.rung == "none":
+        return given.reason
+    chance = min(99.0, 100.0 * given.confidence)
+    sure = f"{quantity} within {100.0 * tolerance:g} %, {chance:.0f} % sure"
+    if given.replicas == 0:
+        return f"For {sure}, ask postproc.theory --model {given.rung}. {given.reason}"
+    return (
+        f"For {sure}, run {given.rung} in {given.replicas} replicas of {given.duration:g} time "
+        f"units each, the first {given.transient_duration:g} unmeasured: {given.cpu_seconds:.2g} s "
+        f"of a processor. {given.reason}"
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the advice as JSON, and in a sentence to standard error."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if any(word.split("=")[0] == "--number" for word in words):
+        options = circuit_options("advise", __doc__)
+        _add(options)
+        given = options.parse_args(words)
+        circuit = given_circuit(given)
+        groups = table_of(circuit)
+    else:
+        options = cli.parser("advise", __doc__)
+        options.add_argument("file", metavar="FILE.nml", type=Path, help="or --number N ...")
+        _add(options)
+        given = options.parse_args(words)
+        groups, circuit = circuit_of(given.file)
+    if given.quantity != "chi" and float(circuit.channel2_width) == 0.0:
+        raise cli.InputError(f"without channel 2 there is no {given.quantity}")
+    found = advise(groups, circuit, given.quantity, given.tolerance)
+    print(json.dumps(cli.finite(vars(found)), indent=2))
+    print(sentence(found, given.quantity, given.tolerance), file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(cli.run(main))

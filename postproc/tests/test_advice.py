@@ -1,0 +1,173 @@
+"""Advice: what is cheap and good enough, for how long runs go, and that it is right."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from postproc.accuracy import advice, advice_check
+from postproc.accuracy.advice import Pilot
+from postproc.tests.commands import call
+from postproc.theory.circuit import Circuit
+from postproc.theory.models import MODELS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CASE = """
+&table urn_radius = 1.1 0.9, channel1_width = 0.4, channel2_width = 0.02 /
+&particles number = 300 /
+&gate threshold = 3 4 /
+&scan replicas = 4 /
+"""
+FOUND = Pilot(0.9, 0.009, 0.0, 1000.0, 2000.0, 1e-6, 0.05)
+
+
+def told(capsys: pytest.CaptureFixture[str]) -> tuple[dict, str]:
+    said = capsys.readouterr()
+    return json.loads(said.out), said.err
+
+
+def test_a_namelist_and_the_same_circuit_by_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "case.nml"
+    file.write_text(CASE)
+    assert call("advise", [str(file), "--tolerance", "0.01"]) == 0
+    one, sentence = told(capsys)
+    names = ["rung", "replicas", "duration", "cpu_seconds", "confidence", "reason"]
+    assert set(names) < set(one)
+    assert one["rung"] == "excursion"
+    assert f"{one['replicas']} replicas of {one['duration']:g} time units" in sentence
+    words = ["--number", "300", "--threshold", "3", "4", "--urn-radius", "1.1", "0.9"]
+    words += ["--channel1-width", "0.4", "--channel2-width", "0.02", "--tolerance", "0.01"]
+    assert call("advise", words) == 0
+    other, _ = told(capsys)
+    same = ["rung", "replicas", "duration", "expected", "confidence"]
+    assert {name: one[name] for name in same} == {name: other[name] for name in same}
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        (CASE.replace("&table", "&table urn_sides = 8,"), "&table urn_sides"),
+        (CASE.replace("replicas = 4", "threshold = 3, 4, 5"), "one point only"),
+        (CASE.replace("number = 300", ""), "number is wanted"),
+    ],
+)
+def test_what_there_is_no_advice_on(
+    text: str, wrong: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "case.nml"
+    file.write_text(text)
+    assert call("advise", [str(file)]) == 2
+    assert wrong in capsys.readouterr().err
+
+
+def test_runs_have_the_error_that_was_wanted() -> None:
+    """As few as have it; half the tolerance takes four times as many."""
+    replicas = advice.replicas_for(FOUND, 0.001)
+    assert advice.chance_of_runs(FOUND, replicas, 0.001) >= advice.SURE
+    assert advice.chance_of_runs(FOUND, replicas - 1, 0.001) < advice.SURE
+    assert advice.replicas_for(FOUND, 0.0005) == pytest.approx(4 * replicas, abs=4)
+
+
+def test_tolerances_are_met_as_often_as_it_is_said() -> None:
+    """Normal replicas: pilots of 16, then what these advise; two sigma of 4000 tries."""
+    random = np.random.default_rng(8)
+    met, promised = [], []
+    for _ in range(4000):
+        first = random.normal(1.0, 0.1, advice.REPLICAS)
+        found = replace(FOUND, value=float(first.mean()), scatter=float(first.std(ddof=1)))
+        replicas = advice.replicas_for(found, 0.03)
+        met.append(abs(random.normal(0.0, 0.1 / math.sqrt(replicas))) <= 0.03 * found.value)
+        promised.append(advice.chance_of_runs(found, replicas, 0.03))
+    chance = np.array(promised)
+    assert abs(sum(met) - chance.sum()) < 2.0 * math.sqrt((chance * (1.0 - chance)).sum())
+
+
+def test_rounds_ask_for_more_replicas() -> None:
+    rounds = replace(FOUND, circulating=3.0 * FOUND.scatter**2)
+    alone = advice.replicas_for(FOUND, 0.0005)
+    assert advice.replicas_for(rounds, 0.0005) == pytest.approx(4 * alone, abs=4)
+
+
+def test_scatter_of_a_transition_is_that_of_replicas() -> None:
+    """Drawn again and again, the transition of 16 replicas scatters by what one draw tells."""
+    random = np.random.default_rng(3)
+    mean = np.array([0.7, 0.55, 0.35, 0.18, 0.08])[:, None]
+    drawn = [
+        advice.transition_of_runs(np.arange(14.0, 19.0), mean + random.normal(0.0, 0.08, (5, 16)))
+        for _ in range(400)
+    ]
+    values, scatters = np.array(drawn).T
+    assert values.mean() == pytest.approx(16.0 + 5.0 / 17.0, abs=0.01)
+    assert values.std() * 4.0 == pytest.approx(np.sqrt(np.mean(scatters**2)), rel=0.1)
+
+
+def test_thresholds_follow_chi_until_it_falls_through() -> None:
+    assert advice.moved([14, 15, 16, 17, 18], np.full(5, 0.8)) == [18, 19, 20, 21, 22]
+    assert advice.moved([14, 15, 16, 17, 18], np.full(5, 0.1)) == [10, 11, 12, 13, 14]
+    assert advice.moved([2, 3, 4, 5, 6], np.full(5, 0.1))[0] == 1
+
+
+def test_what_cannot_be_had_soon_has_its_price_all_the_same() -> None:
+    """No run of it is made; a hundred times finer takes ten thousand times as long."""
+    circuit = Circuit(300, 3, 0.4, 0.02)
+    groups = advice.table_of(circuit)
+    fine, finer = (advice.advise(groups, circuit, "chi", one, FOUND) for one in (1e-4, 1e-6))
+    assert fine.rung == finer.rung == "excursion"
+    assert finer.cpu_seconds == pytest.approx(1e4 * fine.cpu_seconds, rel=0.01)
+    assert min(fine.confidence, finer.confidence) >= advice.SURE
+
+
+def test_what_is_not_there_is_said() -> None:
+    circuit = Circuit(300, 3, 0.4, 0.02)
+    nothing = replace(FOUND, value=math.nan, thresholds=[3, 4, 5, 6, 7])
+    given = advice.advise(advice.table_of(circuit), circuit, "transition", 0.02, nothing)
+    assert given.rung == "none"
+    assert given.confidence == 0.0
+    assert "does not fall through 0.3 at T = [3, 4, 5, 6, 7]" in given.reason
+
+
+@pytest.mark.full
+def test_advice_is_right() -> None:
+    """Forty circuits drawn by chance, tolerances from 0.3 to 10 %: within two sigma."""
+    assert advice_check.main(["40", "7"]) == 0
+
+
+def test_circulation_adds_what_is_measured() -> None:
+    """At T = 7, w' = 0.01 replicas of 7e4 scatter by 0.013 to 0.07; wide channels feel none."""
+    battery = Circuit(1000, 7)
+    assert 0.01 < np.sqrt(advice.circulating(battery, 7e4)) < 0.03
+    wide = replace(battery, threshold=9, channel2_width=0.0612)
+    assert np.sqrt(advice.circulating(wide, 7e4)) < 0.02
+
+
+def test_theories_are_believed_as_far_as_the_pilot_tells() -> None:
+    error = FOUND.scatter / 4.0
+    assert advice.chance_of_theory(FOUND, 0.9, 0.02) > 0.999
+    edge = 0.9 * 1.01
+    assert advice.chance_of_theory(FOUND, edge, 0.01) == pytest.approx(0.5, abs=0.01)
+    assert advice.chance_of_theory(FOUND, edge + 5.0 * error, 0.01) < 1e-3
+
+
+def test_a_theory_is_advised_where_it_is_good_enough() -> None:
+    circuit = Circuit(300, 3, 0.4, 0.02)
+    groups = advice.table_of(circuit)
+    rough = advice.advise(groups, circuit, "chi", 0.1)
+    fine = advice.advise(groups, circuit, "chi", 0.003)
+    assert rough.replicas == 0
+    assert fine.rung == "excursion"
+    assert rough.cpu_seconds < fine.cpu_seconds
+
+
+def test_transition_of_the_battery() -> None:
+    circuit = Circuit(1000, 7)
+    assert advice.thresholds_of(circuit) == [14, 15, 16, 17, 18]
+    assert advice.transition_of(circuit, MODELS["two_port"]) == pytest.approx(15.4, abs=0.1)
