@@ -56,6 +56,10 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
            lifetimes_one lifetimes_two lifetimes_long_gate
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
+# Planes of the one-channel model: quick ones have ten values of each key; with fewer collisions they
+# would still be what they were at the start.
+PLANES  := $(notdir $(wildcard namelists/one_channel/*.nml))
+COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|19)$$/, 10/)
 
 .PHONY: help demo test build bench probes accuracy experiments figures docs lint clean install prefix \
         packages information
@@ -163,6 +167,10 @@ figures: build ## every figure of the paper, quick; FULL=1: at the paper's own l
 	  sed -E '$(SHORTEN)' $(CURDIR)/namelists/$$case.nml > $$case.nml
 	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) $$case.nml
 	done
+	for plane in $(PLANES); do
+	  sed -E '$(COARSEN)' $(CURDIR)/namelists/one_channel/$$plane > one_channel_$$plane
+	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --quiet one_channel_$$plane
+	done
 	cd $(CURDIR)
 	figure() { $(PYTHON) -m postproc.figures "$$1" "$${@:2}" --output $(FIGURES); }
 	figure model
@@ -171,6 +179,7 @@ figures: build ## every figure of the paper, quick; FULL=1: at the paper's own l
 	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
 	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
 	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate}.h5
+	figure one_channel $(FIGURES)/one_channel_*.h5
 	echo "The figures are in $(FIGURES)"
 
 docs: build build/stamps/docs ## the manual: build/site/index.html opens from disk, with search and formulas

@@ -29,7 +29,7 @@ def schema(tmp_path_factory: pytest.TempPathFactory) -> Draft202012Validator:
 
 def test_every_namelist_of_ours_is_valid(schema: Draft202012Validator) -> None:
     """As f90nml reads them."""
-    paths = sorted((ROOT / "namelists").glob("*.nml"))
+    paths = sorted((ROOT / "namelists").rglob("*.nml"))
     assert paths
     for path in paths:
         schema.validate(read(path.read_text()))

@@ -10,9 +10,11 @@ app2    current of the single urn against T/N
 app3    its relative difference from theory
 app4    it and theory divided by N
 
-and one that the paper has not:
+and two that the paper has not:
 
-lifetimes  lifetimes of both states against N, from series that begin in them
+lifetimes    lifetimes of both states against N, from series that begin in them
+one_channel  maps of chi over l, w, r and T without channel 2 (a scan over two of them each, in any
+             order), and where the transition is
 
 Theories are drawn by name (--model NAME ...): those of `theory --model`, with _occupation where the
 particles in the channels are counted.
@@ -28,6 +30,7 @@ from postproc.figures import appendix, maps, style
 from postproc.figures.circuits import figure_comp01, figure_comp05, figure_comp06
 from postproc.figures.model import figure_app1, figure_model
 from postproc.figures.models import add_models, named
+from postproc.figures.one_channel import figure_one_channel
 from postproc.figures.passages import figure_lifetimes
 from postproc.reading.results import opened
 
@@ -50,6 +53,7 @@ FIGURES: dict[str, Drawing] = {
     "app3": appendix.figure_app3,
     "app4": appendix.figure_app4,
     "lifetimes": figure_lifetimes,
+    "one_channel": figure_one_channel,
 }
 
 SHAPES = dict.fromkeys(("app1", "app2", "app3", "app4"), "urn")
