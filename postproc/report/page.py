@@ -249,20 +249,25 @@ class Page:
         return made
 
 
+WIDTH_OF_NUMBER, WIDTH_OF_LETTER = 84, 7  # pixels, in a table
 SERIES = {"spread": "(N1 - N2)/N", "current": "net current of channel 1"}
 
 
 def _table(
     name: str, source: ColumnDataSource, heads: dict[str, str], rows: int, **more: object
 ) -> DataTable:
+    # A head that is cut says nothing: columns share the width by the lengths of theirs.
+    widths = {key: max(WIDTH_OF_NUMBER, WIDTH_OF_LETTER * len(title) + 16)
+              for key, title in heads.items()}  # fmt: skip
     return DataTable(
         name=name,
         source=source,
-        columns=[TableColumn(field=key, title=title) for key, title in heads.items()],
+        columns=[TableColumn(field=key, title=title, width=widths[key])
+                 for key, title in heads.items()],  # fmt: skip
         index_position=None,
         reorderable=False,
         height=28 * (rows + 1) + 16,
-        min_width=95 * len(heads),
+        min_width=sum(widths.values()) + 20,
         sizing_mode="stretch_width",
         **more,
     )
@@ -273,7 +278,7 @@ def _run(results: Results) -> dict[str, str]:
     collisions = np.nansum(np.where(done, results.value("collisions"), 0.0))
     seconds = np.nansum(np.where(done, results.value("cpu_seconds"), 0.0))
     told = {name.replace("_", " "): known[name] for name in KEPT if name in known}
-    told["tasks"] = f"{np.count_nonzero(done)} of {done.size} complete"
+    told["tasks"] = f"{np.count_nonzero(done)} of {results.asked.sum()} complete"
     told["wall collisions"] = f"{collisions:.4g}"
     told["processor time"] = f"{seconds:.4g} s"
     if seconds > 0.0:
