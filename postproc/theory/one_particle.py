@@ -5,9 +5,10 @@ circuit; whoever enters a gate does so in a copy drawn by chance. So every gate 
 the walkers' own rate, with their own stays, and no number comes from a run. One copy would be the
 circuit itself. Two are the fewest in which those whom a gate turned back together do not meet
 again; their numbers fluctuate with half the variance of the circuit's. That matters next to a
-transition: with many copies chi is too large there, by up to 0.03 at N = 1000, with two by up to
-0.015. States are found by letting walkers go from several shares of the urns; unstable ones are not
-found. Errors are those of the mean of independent batches of walkers.
+transition: with many copies chi is too large there, by up to 0.03 at N = 1000. chi and current are
+told, as in runs, of the urn that is the fuller one at the time. States are found by letting walkers
+go from several shares of the urns; unstable ones are not found. Errors are those of the mean of
+independent batches of walkers.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ LONGEST = 20.0  # transients that count
 EMPTIER = 0.05  # share of the emptier urn at a polarised start where no theory tells one
 BIAS = 0.02  # of the homogeneous start: what decays from there is stable
 RESOLUTION, STRIDE = 0.03, 1.25  # of a transition; relative steps until it lies between two
+POLARISED = 0.15  # chi from which on equal urns are called so
 APART = 4.0  # errors between states that are not the same
 
 
@@ -72,6 +74,8 @@ class Walked:
     half2_number : N2, time average.
     flow1, flow2 : crossings of channels 1 and 2 from urn 1 to 2 and from 2 to 1, per unit time.
     entries, turned : entries into the gate of each urn and turned back there, per unit time.
+    fuller_number, polarised_current : mean in the half that is the fuller one at the time, and net
+        current of channel 2 from there, per unit time; shape (batch,).
     """
 
     half2_number: Floats
@@ -79,6 +83,8 @@ class Walked:
     flow2: Floats
     entries: Floats
     turned: Floats
+    fuller_number: Floats
+    polarised_current: Floats
 
     @property
     def net_current(self) -> Floats:
@@ -123,7 +129,8 @@ def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = 
     mixed = "T" if well_mixed else "F"
     seeds = range(effort.seed, effort.seed + effort.batches)
     found = answers("one_particle", [f"{line} {seed} {mixed}" for seed in seeds])
-    return Walked(found[:, 0], *(found[:, first : first + 2] for first in (1, 3, 5, 7)))
+    pairs = (found[:, first : first + 2] for first in (1, 3, 5, 7))
+    return Walked(found[:, 0], *pairs, found[:, 9], found[:, 10])
 
 
 def homogeneous_kind(circuit: Circuit, effort: Effort | None = None) -> str:
@@ -157,18 +164,20 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[St
     """Return the stable states that walkers reach, by increasing N2.
 
     Of equal urns with equal gates that with N2 > N/2, if there is one: its mirror image is a state
-    too. Of others all that are reached from either urn and from equal shares of the area.
+    too, and walkers may go from one to the other. Of others all that are reached from either urn
+    and from equal shares of the area.
     """
     given = effort or effort_for(circuit)
     number = float(circuit.number)
     if circuit.alike:
-        state = _state(_folded(walk(circuit, _polarised_share(circuit), given), number), number)
-        least = max(2.0 * BIAS, APART * state.mass_spread_error)
-        return [state] if state.mass_spread > least else []
+        walked = walk(circuit, _polarised_share(circuit), given)
+        state = _state(walked.fuller_number, walked.polarised_current, number)
+        return [state] if state.mass_spread > POLARISED else []
     one, two = (float(side.urn_area) for side in circuit.sides)
     found: list[State] = []
     for share in (EMPTIER, two / (one + two), 1.0 - EMPTIER):
-        state = _state(walk(circuit, share, given), number)
+        walked = walk(circuit, share, given)
+        state = _state(walked.half2_number, walked.net_current, number)
         if not any(_same(state, other, number) for other in found):
             found.append(state)
     return sorted(found, key=lambda state: state.urn2_number)
@@ -189,18 +198,8 @@ def _polarised_share(circuit: Circuit) -> float:
     return guess.urn2_number / float(circuit.number) if guess else 1.0 - EMPTIER
 
 
-def _folded(walked: Walked, number: float) -> Walked:
-    """Return the mirror image of each batch of equal urns in which urn 1 was the fuller one."""
-    mirrored = walked.half2_number < 0.5 * number
-    pairs = (walked.flow1, walked.flow2, walked.entries, walked.turned)
-    return Walked(
-        np.where(mirrored, number - walked.half2_number, walked.half2_number),
-        *(np.where(mirrored[:, None], pair[:, ::-1], pair) for pair in pairs),
-    )
-
-
-def _state(walked: Walked, number: float) -> State:
-    second, current = walked.half2_number, walked.net_current
+def _state(second: Floats, current: Floats, number: float) -> State:
+    """Return a state from N2 and net current of each batch."""
     spread, batches = 2.0 * second / number - 1.0, np.sqrt(second.size)
     return State(
         float(second.mean()),

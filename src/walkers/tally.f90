@@ -1,10 +1,16 @@
 !> What walkers are seen to do within a time: entries, crossings, and how many are in half 2.
+!>
+!> What has a polarity is told in blocks of time as well, for that may turn round.
 module battery_tally
   use battery_kinds, only: wp, int64
+  use battery_table, only: ungated
   implicit none (type, external)
   private
   public :: tally_type, new_tally, add_entry, add_turned, add_crossing
-  public :: entry_rate, turned_rate, crossing_rate, half2_mean
+  public :: entry_rate, turned_rate, crossing_rate, half2_mean, fuller_mean, polarised_current
+
+  !> Length of a block of time, about.
+  real(wp), parameter :: about = 100.0_wp
 
   !> Sums over all copies of the circuit.
   type :: tally_type
@@ -16,6 +22,13 @@ module battery_tally
     integer(int64) :: entries(2) = 0, turned(2) = 0, crossings(2, 2) = 0
     !> Integral of the number in half 2.
     real(wp) :: half2_sum = 0.0_wp
+    !> How many start in half 2, and how long a block is.
+    integer :: second = 0
+    real(wp) :: block = 0.0_wp
+    !> By block: change of the number in half 2 and its integral up to the block's end, crossings of
+    !> channel 2 from half 2 to 1 less those back.
+    integer, allocatable :: change(:), returned(:)
+    real(wp), allocatable :: changed(:)
   end type tally_type
 
 contains
@@ -27,11 +40,17 @@ contains
     !> How many copies of the circuit there are, and how many start in half 2 of any.
     integer, intent(in) :: copies, second
     type(tally_type) :: tally
+    integer :: blocks
 
+    blocks = max(1, nint((to - from)/about))
     tally%from = from
     tally%to = to
     tally%copies = copies
     tally%half2_sum = (to - from)*real(second, wp)
+    tally%second = second
+    tally%block = (to - from)/real(blocks, wp)
+    allocate (tally%change(blocks), tally%returned(blocks), source=0)
+    allocate (tally%changed(blocks), source=0.0_wp)
   end function new_tally
 
   !> One enters the gate of an urn.
@@ -63,11 +82,20 @@ contains
     integer, intent(in) :: side, channel
     !> Since the start; it may lie ahead.
     real(wp), intent(in) :: time
-    real(wp) :: rest
+    real(wp) :: at, rest
+    integer :: k, gain
 
-    rest = tally%to - min(max(time, tally%from), tally%to)
+    at = min(max(time, tally%from), tally%to)
+    rest = tally%to - at
     tally%half2_sum = tally%half2_sum + merge(rest, -rest, side == 1)
-    if (seen(tally, time)) tally%crossings(side, channel) = tally%crossings(side, channel) + 1
+    gain = merge(1, -1, side == 1)
+    k = min(int((at - tally%from)/tally%block) + 1, size(tally%change))
+    tally%change(k) = tally%change(k) + gain
+    rest = tally%from + real(k, wp)*tally%block - at
+    tally%changed(k) = tally%changed(k) + real(gain, wp)*rest
+    if (.not. seen(tally, time)) return
+    tally%crossings(side, channel) = tally%crossings(side, channel) + 1
+    if (channel == ungated) tally%returned(k) = tally%returned(k) - gain
   end subroutine add_crossing
 
   !> Whether what happens then is measured.
@@ -110,6 +138,45 @@ contains
 
     number = tally%half2_sum/measured_time(tally)
   end function half2_mean
+
+  !> Mean number in half 2 less half of all, in all copies, by block.
+  pure function excess(tally, number) result(more)
+    type(tally_type), intent(in) :: tally
+    !> In a copy, N.
+    integer, intent(in) :: number
+    real(wp), allocatable :: more(:)
+    real(wp) :: half
+    integer :: k, level
+
+    allocate (more(size(tally%change)))
+    half = 0.5_wp*real(number*tally%copies, wp)
+    level = tally%second
+    do k = 1, size(more)
+      more(k) = real(level, wp) - half + tally%changed(k)/tally%block
+      level = level + tally%change(k)
+    end do
+  end function excess
+
+  !> Mean number in the fuller half of a copy, whichever that is in a block of time.
+  pure function fuller_mean(tally, number) result(fuller)
+    type(tally_type), intent(in) :: tally
+    !> In a copy, N.
+    integer, intent(in) :: number
+    real(wp) :: fuller, more(size(tally%change))
+
+    more = excess(tally, number)
+    fuller = 0.5_wp*real(number, wp) + sum(abs(more))/real(size(more)*tally%copies, wp)
+  end function fuller_mean
+
+  !> Net current of channel 2 from the fuller half to the other, per unit time and copy.
+  pure function polarised_current(tally, number) result(current)
+    type(tally_type), intent(in) :: tally
+    !> In a copy, N.
+    integer, intent(in) :: number
+    real(wp) :: current
+
+    current = sum(real(tally%returned, wp)*sign(1.0_wp, excess(tally, number)))/measured_time(tally)
+  end function polarised_current
 
   !> Time measured, times the copies.
   pure function measured_time(tally) result(time)
