@@ -168,8 +168,8 @@ contains
         after = ux(j)*y(k + 1) - uy(j)*x(k + 1) - ahead(j)
         outward = side_x(k)*ux(j) + side_y(k)*uy(j)
         time = (side_offset(k) - side_x(k)*px(j) - side_y(k)*py(j))/max(outward, slowest)
-        met = before(j) < 0.0_wp .and. after >= 0.0_wp .and. time >= -sharp .and. &
-          time < soonest(j)
+        met = before(j) < 0.0_wp .and. after >= 0.0_wp .and. outward > 0.0_wp .and. &
+          time >= -sharp .and. time < soonest(j)
         soonest(j) = merge(time, soonest(j), met)
         normal_x(j) = merge(side_x(k), normal_x(j), met)
         normal_y(j) = merge(side_y(k), normal_y(j), met)
@@ -187,18 +187,21 @@ contains
     integer, intent(in) :: n
     real(wp), intent(in) :: normal_x(n), normal_y(n), offset(n), open_half(n)
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), flies(n)
-    real(wp) :: outward, wait, norm, turns, vx, vy
+    real(wp) :: outward, wait, norm, moves, out, turns, vx, vy
     integer :: j
 
     do j = 1, n
       outward = normal_x(j)*ux(j) + normal_y(j)*uy(j)
-      wait = flies(j)*max((offset(j) - normal_x(j)*px(j) - normal_y(j)*py(j)) &
+      ! Where rounding denies that the side lies ahead, none is met.
+      moves = merge(flies(j), 0.0_wp, outward > 0.0_wp)
+      wait = moves*max((offset(j) - normal_x(j)*px(j) - normal_y(j)*py(j)) &
         /max(outward, slowest), 0.0_wp)
       length(j) = length(j) + wait
       px(j) = px(j) + ux(j)*wait
       py(j) = py(j) + uy(j)*wait
-      flies(j) = merge(0.0_wp, flies(j), abs(py(j)) < open_half(j))
-      turns = merge(flies(j), 0.0_wp, outward > 0.0_wp)
+      out = merge(moves, 0.0_wp, abs(py(j)) < open_half(j))
+      flies(j) = flies(j) - out
+      turns = moves - out
       hits(j) = hits(j) + turns
       vx = ux(j) - 2.0_wp*turns*outward*normal_x(j)
       vy = uy(j) - 2.0_wp*turns*outward*normal_y(j)

@@ -11,6 +11,7 @@ module battery_polygon_walls
   use battery_kinds, only: wp, int64
   use battery_channel, only: gated, ungated, no_channel, facing
   use battery_motion, only: meets_gate, meets_return, meets_nothing, meets_wall, wall_kind
+  use battery_corners, only: distance_to_side
   use battery_polygon, only: polygon_type, is_in_polygon, nearest_side
   implicit none (type, external)
   private
@@ -52,7 +53,12 @@ contains
       if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
-      if (time < -polygon%sharp .or. time >= wait) cycle
+      if (time >= wait) cycle
+      if (time < -polygon%sharp .and. .not. polygon%convex) then
+        ! Behind, unless rounding has put it there: then it stands on it.
+        if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+          polygon%y(k + 1)]) > polygon%sharp) cycle
+      end if
       side = k
       wait = time
     end do
@@ -67,17 +73,22 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
-    real(wp) :: inwards
-    integer :: nearest, tries
+    real(wp) :: inwards, shift_x, shift_y
+    integer :: tries, k
 
     call next_side(polygon, from, x, y, ux, uy, side, wait)
     if (side > 0) return
-    nearest = from
-    if (nearest == 0) nearest = nearest_side(polygon, x, y)
+    shift_x = 0.0_wp
+    shift_y = 0.0_wp
+    do k = 1, polygon%sides
+      if (k /= from .and. distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+        polygon%y(k + 1)]) > 2.0_wp*polygon%sharp) cycle
+      shift_x = shift_x - polygon%normal_x(k)
+      shift_y = shift_y - polygon%normal_y(k)
+    end do
     inwards = polygon%sharp
     do tries = 1, 8
-      call next_side(polygon, nearest, x - inwards*polygon%normal_x(nearest), &
-        y - inwards*polygon%normal_y(nearest), ux, uy, side, wait)
+      call next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
       if (side > 0) return
       inwards = 4.0_wp*inwards
     end do
@@ -238,6 +249,9 @@ contains
     type(state_type) :: state
 
     state = state_type(polygon%begins(side) + along_side(polygon, side, x, y), ux, uy)
+    ! At its end it is still this side.
+    if (side < polygon%sides) state%round = min(state%round, &
+      nearest(polygon%begins(side + 1), -1.0_wp))
   end function state_on
 
   !> The side and the place of a state.
@@ -273,15 +287,20 @@ contains
     real(wp), intent(inout) :: x, y, ux, uy, rest
     !> Those on the way.
     integer(int64), intent(out) :: hits
+    integer, parameter :: most_at_once = 10000
     integer(wall_kind) :: next
     real(wp) :: wait
+    integer :: at_once
 
     hits = 0
+    at_once = 0
     do
       call aim_from(polygon, side, x, y, ux, uy, next, wait)
       x = x + ux*min(wait, rest)
       y = y + uy*min(wait, rest)
-      if (wait >= rest .or. next < meets_wall) exit
+      ! In a corner that rounding does not let it out of it stays.
+      at_once = merge(0, at_once + 1, wait > polygon%sharp)
+      if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
       rest = rest - wait
       side = int(next)
       call reflect(polygon, side, x, y, ux, uy)
