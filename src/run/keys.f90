@@ -60,6 +60,9 @@ contains
       key_type('table', 'channel2_length', real_key, '1', &
       'length of channel 2, both halves together', least=0.0_wp, above=.true., unit='length', &
       symbol='l'''), &
+      key_type('table', 'scatterers', real_key, '', &
+      'fixed discs in channel 2: z, y, radius of each; z = 0 is its counted line', &
+      most_values=30000, unit='length'), &
       key_type('particles', 'number', whole_key, '', 'how many particles', least=1.0_wp, &
       greatest=most_particles, symbol='N'), &
       key_type('particles', 'urn1_number', whole_key, '', 'how many start in urn 1; else half', &

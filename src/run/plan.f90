@@ -56,6 +56,8 @@ module battery_plan
     !> The whole input, and the file it came from.
     character(len=:), allocatable :: text, input_file
     character(len=:), allocatable :: shape
+    !> z, y, radius of each disc in channel 2, of all points.
+    real(wp), allocatable :: scatterers(:)
     !> The values of keys that are not scanned.
     type(point_type) :: base
     !> What is scanned, the slowest first.
@@ -204,7 +206,8 @@ contains
     type(point_type), intent(in) :: point
 
     table = new_table(merge(shape_urn, shape_circuit, plan%shape == 'urn'), &
-      [urn_type(radius=point%urn_radius(1)), urn_type(radius=point%urn_radius(2))], point%channel)
+      [urn_type(radius=point%urn_radius(1)), urn_type(radius=point%urn_radius(2))], &
+      point%channel, reshape(plan%scatterers, [3, size(plan%scatterers)/3]))
   end function table_of
 
   !> What the simulation of point number `point` and replica `replica`, from 1, is set up with. Its

@@ -11,7 +11,8 @@
 module battery_excursion
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion
+  use battery_table, only: table_type, gated, ungated, side_at, alike, mean_visit, shortest_excursion, &
+    is_scattered
   use battery_flight, only: gather, land, locate, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
@@ -26,7 +27,7 @@ module battery_excursion
   use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
     schedule, schedule_all, open_until, next_due, due_before, drop_done, turn_calendar
   use battery_memory, only: prefer_large_pages
-  use battery_engine, only: engine_type, particles_type, turn_clock
+  use battery_engine, only: engine_type, particles_type, turn_clock, what_all_need
   use battery_history, only: history_type, reserve_history
   use battery_stream, only: stream_type
   implicit none (type, external)
@@ -56,10 +57,20 @@ module battery_excursion
     !> histories have told of them.
     integer(int64) :: known_hits = 0, told_hits = 0
   contains
-    procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
+    procedure :: supports, prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type excursion_type
 
 contains
+
+  !> It flies through straight channels only.
+  pure function supports(self, table) result(reason)
+    class(excursion_type), intent(in) :: self
+    type(table_type), intent(in) :: table
+    character(len=:), allocatable :: reason
+
+    reason = what_all_need(table)
+    if (is_scattered(table) .and. self%number >= 0) reason = 'it knows no scatterers'
+  end function supports
 
   !> Sizes and lengths that follow from the table and the number of particles.
   subroutine prepare(self)
