@@ -11,14 +11,16 @@
 module battery_excursion
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: table_type, gated, ungated, side_at, alike, mean_visit, shortest_excursion, &
+  use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion, &
     is_scattered
-  use battery_flight, only: gather, land, locate, never, to_gate, to_return, in_gate, &
+  use battery_flight, only: gather, land, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel
   use battery_launch, only: launch
   use battery_few, only: walk_few, few
   use battery_foresight, only: pays, recall
+  use battery_among, only: among_type, new_among, under_way
   use battery_chamber, only: leave_channels
+  use battery_scatterers, only: narrowest_gap
   use battery_urn, only: cross
   use battery_visits, only: visits_type, reserve_visits, part_visits
   use battery_gate, only: hold, admit
@@ -27,7 +29,7 @@ module battery_excursion
   use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
     schedule, schedule_all, open_until, next_due, due_before, drop_done, turn_calendar
   use battery_memory, only: prefer_large_pages
-  use battery_engine, only: engine_type, particles_type, turn_clock, what_all_need
+  use battery_engine, only: engine_type, particles_type, turn_clock
   use battery_history, only: history_type, reserve_history
   use battery_stream, only: stream_type
   implicit none (type, external)
@@ -51,26 +53,81 @@ module battery_excursion
     type(visits_type) :: visits(2)
     integer :: batches = 1
     logical, public :: looks_ahead = .false.
+    !> Whether discs stand in channel 2, and what is known of visits then.
+    logical :: scattered = .false.
+    type(among_type) :: among
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
     !> histories have told of them.
     integer(int64) :: known_hits = 0, told_hits = 0
   contains
-    procedure :: supports, prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
+    procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type excursion_type
 
+  !> Where discs stand in channel 2 a window has no more hits of one particle in a narrow gap, unless
+  !> it were shorter than this share of the longest.
+  real(wp), parameter :: window_hits = 1.0e6_wp, least_window = 1.0e-3_wp
+
+  ! What it tells of itself, and how its state is kept: `excursion_state.f90`.
+  interface
+    module function state_of(self, i) result(state)
+      implicit none (type, external)
+      class(excursion_type), intent(in) :: self
+      integer, intent(in) :: i
+      real(wp) :: state(4)
+    end function state_of
+
+    module function collisions(self) result(total)
+      implicit none (type, external)
+      class(excursion_type), intent(in) :: self
+      integer(int64) :: total
+    end function collisions
+
+    module function trapped(self) result(total)
+      implicit none (type, external)
+      class(excursion_type), intent(in) :: self
+      integer(int64) :: total
+    end function trapped
+
+    module subroutine pass_own(self, stream)
+      implicit none (type, external)
+      class(excursion_type), intent(inout) :: self
+      type(stream_type), intent(inout) :: stream
+    end subroutine pass_own
+  end interface
+
+  ! Where discs stand in channel 2: `excursion_among.f90`.
+  interface
+    module subroutine take_over_among(self, particles)
+      implicit none (type, external)
+      type(excursion_type), intent(inout) :: self
+      type(particles_type), intent(inout) :: particles
+    end subroutine take_over_among
+
+    module subroutine set_aside(self, done, kept, aside)
+      implicit none (type, external)
+      type(excursion_type), intent(inout) :: self
+      !> How many of the sorted events are due, and how many of them are left.
+      integer, intent(in) :: done
+      integer, intent(out) :: kept
+      !> Who was taken out.
+      integer, allocatable, intent(out) :: aside(:)
+    end subroutine set_aside
+
+    module subroutine go_among(self, aside, began, ends, history)
+      implicit none (type, external)
+      type(excursion_type), intent(inout) :: self
+      !> Who goes on from where its last part ended.
+      integer, intent(in) :: aside(:)
+      !> The window.
+      real(wp), intent(in) :: began, ends
+      type(history_type), intent(inout) :: history
+    end subroutine go_among
+
+  end interface
+
 contains
-
-  !> It flies through straight channels only.
-  pure function supports(self, table) result(reason)
-    class(excursion_type), intent(in) :: self
-    type(table_type), intent(in) :: table
-    character(len=:), allocatable :: reason
-
-    reason = what_all_need(table)
-    if (is_scattered(table) .and. self%number >= 0) reason = 'it knows no scatterers'
-  end function supports
 
   !> Sizes and lengths that follow from the table and the number of particles.
   subroutine prepare(self)
@@ -81,7 +138,13 @@ contains
       + 0.25_wp*pi*self%table%channel(gated)%length
     self%lookahead = shortest_excursion(self%table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
-    self%looks_ahead = self%batches == 1 .and. pays(real(self%number, wp)*self%lookahead &
+    self%scattered = is_scattered(self%table)
+    if (self%scattered) then
+      call new_among(self%among, self%number)
+      self%window = min(self%window, max(least_window*self%lookahead, window_hits &
+        *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
+    end if
+    self%looks_ahead = self%batches == 1 .and. .not. self%scattered .and. pays(real(self%number, wp)*self%lookahead &
       /self%interval, self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
     call lay_out(self%flight, self%number)
@@ -100,9 +163,26 @@ contains
     flight = idle
   end subroutine lay_out
 
-  !> First those in the urns, then those in the channels.
+  !> Takes over the particles, and writes down their first events.
   subroutine take_over(self, particles)
     class(excursion_type), intent(inout) :: self
+    type(particles_type), intent(inout) :: particles
+    integer :: i
+
+    if (self%scattered) then
+      call take_over_among(self, particles)
+    else
+      call take_over_straight(self, particles)
+    end if
+    call new_calendar(self%calendar, self%number, self%interval)
+    do i = 1, self%number
+      call write_down(self, i)
+    end do
+  end subroutine take_over
+
+  !> First those in the urns, then those in the channels.
+  subroutine take_over_straight(self, particles)
+    type(excursion_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
     integer :: first, i, k, b
     logical :: from_channels
@@ -125,11 +205,7 @@ contains
       end do
     end do
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
-    call new_calendar(self%calendar, self%number, self%interval)
-    do i = 1, self%number
-      call write_down(self, i)
-    end do
-  end subroutine take_over
+  end subroutine take_over_straight
 
   !> Puts the next event of a particle into the calendar, or, inside a gate, lets that count it.
   subroutine write_down(self, i)
@@ -140,7 +216,7 @@ contains
       select case (flight%heading)
       case (to_gate)
         call schedule(self%calendar, self%flight, i, flight%time)
-      case (to_return)
+      case (to_return, under_way)
         call schedule(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
       case (in_gate)
         call hold(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
@@ -179,7 +255,8 @@ contains
     real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
     real(wp) :: began, limit, ends, due
-    integer :: done, counted(2), b
+    integer :: done, kept, counted(2)
+    integer, allocatable :: aside(:)
 
     began = self%now
     limit = min(self%now + duration, self%page)
@@ -188,18 +265,36 @@ contains
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
     call open_until(self%calendar, self%flight, ends)
     done = due_before(self%calendar%sorted, self%calendar%due_time, ends)
+    kept = done
+    if (self%scattered) call set_aside(self, done, kept, aside)
     counted = [self%gate(1)%counted%count, self%gate(2)%counted%count]
-    call reserve_visits(self%visits(1), done + sum(counted))
-    call reserve_history(history, done + sum(counted), 0)
-    if (done <= few) then
-      call walk_few(self%gate, self%table%beyond, self%number, self%flight, done, &
+    call reserve_visits(self%visits(1), kept + sum(counted))
+    call reserve_history(history, kept + sum(counted), 0)
+    if (kept <= few) then
+      call walk_few(self%gate, self%table%beyond, self%number, self%flight, kept, &
         self%calendar%due_time, self%calendar%particle, began, ends, self%visits(1), history, &
         self%known_hits)
     else
-      call reserve_window(self%events, done, counted)
-      call walk(self, began, ends, done, history)
+      call reserve_window(self%events, kept, counted)
+      call walk(self, began, ends, kept, history)
     end if
     call drop_done(self%calendar, done)
+    if (self%scattered) then
+      call go_among(self, aside, began, ends, history)
+    else
+      call go_straight(self)
+    end if
+    self%now = ends
+    history%duration = ends - began
+    history%collisions = self%known_hits - self%told_hits
+    self%told_hits = self%known_hits
+  end subroutine live
+
+  !> The visits of a window.
+  subroutine go_straight(self)
+    type(excursion_type), intent(inout) :: self
+    integer :: b
+
     if (self%batches == 2) call part_visits(self%visits(1), self%visits(2))
     do b = 1, self%batches
       associate (v => self%visits(b))
@@ -216,11 +311,7 @@ contains
         call schedule_all(self%calendar, self%flight, v%count, v%particle, v%time)
       end associate
     end do
-    self%now = ends
-    history%duration = ends - began
-    history%collisions = self%known_hits - self%told_hits
-    self%told_hits = self%known_hits
-  end subroutine live
+  end subroutine go_straight
 
   !> Sets back the calendar, the flights and the clock.
   subroutine turn_page(self)
@@ -228,6 +319,7 @@ contains
 
     call turn_calendar(self%calendar, self%flight)
     if (self%looks_ahead) self%visits(2)%count = 0
+    if (self%scattered) self%among%leg%time = self%among%leg%time - self%page
     self%flight%time = self%flight%time - self%page
     call turn_clock(self)
   end subroutine turn_page
@@ -290,70 +382,5 @@ contains
       v%count = count + crossings
     end associate
   end subroutine send
-
-  !> x, y, u_x, u_y of particle `i` now, by going back in its flight.
-  function state_of(self, i) result(state)
-    class(excursion_type), intent(in) :: self
-    integer, intent(in) :: i
-    real(wp) :: state(4)
-    integer(int64) :: hits
-
-    associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
-      call locate(urn, flight, self%now, state(:2), state(3:), hits)
-      if (flight%heading == parked_in_channel) return
-      state(1) = urn%way*(state(1) - urn%centre)
-      state(3) = urn%way*state(3)
-    end associate
-  end function state_of
-
-  !> Wall hits from the start until now: those known, put right for where each is.
-  function collisions(self) result(total)
-    class(excursion_type), intent(in) :: self
-    integer(int64) :: total
-    real(wp) :: position(2), velocity(2)
-    integer(int64) :: hits
-    integer :: i
-
-    total = self%known_hits
-    do i = 1, self%number
-      call locate(self%table%urn(self%flight(i)%urn), self%flight(i), self%now, position, &
-        velocity, hits)
-      total = total + hits
-    end do
-  end function collisions
-
-  !> How many are parked.
-  function trapped(self) result(total)
-    class(excursion_type), intent(in) :: self
-    integer(int64) :: total
-
-    total = count(self%flight%heading == parked_in_urn .or. self%flight%heading == &
-      parked_in_channel)
-  end function trapped
-
-  !> The flights and counts, through a stream; the calendar follows from the flights.
-  subroutine pass_own(self, stream)
-    class(excursion_type), intent(inout) :: self
-    type(stream_type), intent(inout) :: stream
-    integer :: i
-
-    call stream%pass('known_hits', self%known_hits)
-    call stream%pass('told_hits', self%told_hits)
-    call stream%pass('heading', self%flight%heading)
-    call stream%pass('urn', self%flight%urn)
-    call stream%pass('due', self%flight%due)
-    call stream%pass('time', self%flight%time)
-    call stream%pass('y', self%flight%y)
-    call stream%pass('along', self%flight%along)
-    call stream%pass('across', self%flight%across)
-    call stream%pass('length', self%flight%length)
-    call stream%pass('through', self%flight%through)
-    if (.not. stream%reading .or. stream%failed()) return
-    call new_calendar(self%calendar, self%number, self%interval)
-    do i = 1, self%number
-      if (self%flight(i)%heading == to_gate .or. self%flight(i)%heading == to_return) &
-        call schedule(self%calendar, self%flight, i, self%flight(i)%due)
-    end do
-  end subroutine pass_own
 
 end module battery_excursion

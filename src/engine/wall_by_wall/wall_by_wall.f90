@@ -183,7 +183,7 @@ contains
     type(history_type), intent(inout) :: history
 
     if (undecided(self%gate)) call let_gates_decide(self, since, history)
-    if (history%events > first) call order_events(history, first)
+    if (history%events > first) call order_events(history, first, history%events)
   end subroutine end_instant
 
   subroutine let_gates_decide(self, since, history)
