@@ -82,13 +82,11 @@ contains
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
     real(wp) :: x, ux
-    integer :: on
 
-    on = motion%next
     x = urn%periodic_line + urn%way*motion%x
     ux = urn%way*motion%ux
-    call hit_among(half, on, x, motion%y, ux, motion%uy)
-    call aim_among(half, on, x, motion%y, ux, motion%uy, motion%next, wait)
+    call hit_among(half, int(motion%next), x, motion%y, ux, motion%uy)
+    call aim_among(half, x, motion%y, ux, motion%uy, motion%next, wait)
     motion%x = urn%way*(x - urn%periodic_line)
     motion%ux = urn%way*ux
   end subroutine hit_scatterer
@@ -102,7 +100,7 @@ contains
 
     associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
       if (half%count > 0 .and. motion%chamber == in_return) then
-        call aim_among(half, 0, urn%periodic_line + urn%way*motion%x, motion%y, &
+        call aim_among(half, urn%periodic_line + urn%way*motion%x, motion%y, &
           urn%way*motion%ux, motion%uy, motion%next, wait)
       else
         call aim_in_strip(urn, motion, wait)
@@ -216,13 +214,11 @@ contains
     type(table_type), intent(in) :: table
     type(motion_type), intent(in) :: motion
     logical :: trapped
-    real(wp) :: period
-    integer :: hits
 
     associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
       if (half%count > 0 .and. motion%chamber == in_return) then
-        call comes_back(half, 0, urn%periodic_line + urn%way*motion%x, motion%y, &
-          urn%way*motion%ux, motion%uy, trapped, period, hits)
+        call comes_back(half, urn%periodic_line + urn%way*motion%x, motion%y, &
+          urn%way*motion%ux, motion%uy, trapped)
       else
         trapped = motion%next == meets_nothing &
           .or. (motion%chamber /= in_urn .and. .not. abs(motion%ux) > 0.0_wp)

@@ -53,10 +53,8 @@ contains
   end function new_scattered_half
 
   !> What a particle meets next: the wall, the line, the urn, or a disc by its number.
-  pure subroutine aim_among(half, on, x, y, ux, uy, next, wait)
+  pure subroutine aim_among(half, x, y, ux, uy, next, wait)
     type(scattered_half_type), intent(in) :: half
-    !> The disc that it has just bounced off, or 0.
-    integer, intent(in) :: on
     !> Place and velocity in the frame of the half.
     real(wp), intent(in) :: x, y, ux, uy
     !> What, as `motion_type` has it.
@@ -87,10 +85,8 @@ contains
       time(k) = merge(max(ahead - sqrt(max(room, 0.0_wp)), 0.0_wp), huge(1.0_wp), &
         room > 0.0_wp .and. ahead > 0.0_wp)
     end do
-    ! Nobody meets the same disc twice in a row.
-    if (on > 0) time(on) = huge(1.0_wp)
     do k = 1, half%count
-      if (time(k) > wait) cycle
+      if (time(k) >= wait) cycle
       wait = time(k)
       next = int(k, wall_kind)
     end do
@@ -129,36 +125,25 @@ contains
   end subroutine hit_among
 
   !> Whether a particle comes back to the very state that it has at its next hit, without leaving the
-  !> half: then it never will. How long that takes, and how many hits.
-  pure subroutine comes_back(half, on, x, y, ux, uy, yes, period, hits)
+  !> half: then it never will.
+  pure subroutine comes_back(half, x, y, ux, uy, yes)
     type(scattered_half_type), intent(in) :: half
-    !> The disc that it stands at, or 0.
-    integer, intent(in) :: on
     !> Place and velocity in the frame of the half.
     real(wp), intent(in) :: x, y, ux, uy
     logical, intent(out) :: yes
-    !> Of the orbit.
-    real(wp), intent(out) :: period
-    integer, intent(out) :: hits
     real(wp) :: now(4), mark(4), wait
     integer(wall_kind) :: met
     integer :: hit
 
     yes = .false.
-    period = 0.0_wp
-    hits = 0
     now = [x, y, ux, uy]
-    met = int(on, wall_kind)
     do hit = 0, longest_part
       if (hit == 1) mark = now
-      call aim_among(half, int(met), now(1), now(2), now(3), now(4), met, wait)
+      call aim_among(half, now(1), now(2), now(3), now(4), met, wait)
       if (met < meets_channel_wall) return
       now(:2) = now(:2) + wait*now(3:)
       call hit_among(half, int(met), now(1), now(2), now(3), now(4))
-      if (hit == 0) cycle
-      period = period + wait
-      hits = hit
-      yes = .not. any(abs(now - mark) > 0.0_wp)
+      if (hit > 0) yes = .not. any(abs(now - mark) > 0.0_wp)
       if (yes) return
     end do
   end subroutine comes_back

@@ -13,11 +13,11 @@ module battery_among
   use battery_calendar, only: flight_type
   use battery_channel, only: fold, gated, ungated
   use battery_flight, only: to_gate, to_return, parked_in_urn
-  use battery_motion, only: meets_line, meets_urn, meets_nothing, in_urn, in_return
+  use battery_motion, only: wall_kind, meets_line, meets_urn, meets_nothing, in_urn, in_return
   use battery_scattered_visits, only: strays_type, reserve_strays, cross_half
   use battery_stream, only: stream_type
   use battery_table, only: table_type
-  use battery_urn, only: cross, place_before, place_for_ever
+  use battery_urn, only: alike, cross, place_before, place_for_ever
   use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
   private
@@ -32,8 +32,8 @@ module battery_among
   !> of channel 2 (`battery_scatterers`).
   type :: leg_type
     real(wp) :: time = 0.0_wp, x = 0.0_wp, y = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
-    !> `in_urn` or `in_return`, and the disc that it stands at, or 0.
-    integer(int32) :: chamber = in_urn, on = 0
+    !> `in_urn` or `in_return`.
+    integer(int32) :: chamber = in_urn
   end type leg_type
 
   !> How a visit goes on that is being flown.
@@ -52,7 +52,8 @@ module battery_among
     type(leg_type), allocatable :: leg(:)
     integer :: count = 0
     type(travel_type), allocatable :: travel(:)
-    !> Work space: those in an urn, and those in a half of channel 2.
+    !> Work space: who has not ended, those in an urn, those in a half of channel 2.
+    integer, allocatable, private :: open(:)
     type(visits_type), private :: visits
     type(strays_type), private :: strays
   end type among_type
@@ -65,7 +66,7 @@ contains
     integer, intent(in) :: number
 
     allocate (among%leg(number))
-    allocate (among%travel(0))
+    allocate (among%travel(0), among%open(0))
   end subroutine new_among
 
   !> Makes room for `room` visits and empties the batch.
@@ -75,8 +76,8 @@ contains
 
     among%count = 0
     if (size(among%travel) >= room) return
-    deallocate (among%travel)
-    allocate (among%travel(max(64, room + room/2)))
+    deallocate (among%travel, among%open)
+    allocate (among%travel(max(64, room + room/2)), among%open(max(64, room + room/2)))
   end subroutine reserve_travels
 
   !> One more visit; there is room for it.
@@ -98,34 +99,52 @@ contains
     type(table_type), intent(in) :: table
     !> On the clock of the page; who has not ended then is there with the heading `open_end`.
     real(wp), intent(in) :: limit
-    integer :: side, moved
+    integer :: side, j, open, kept
 
+    open = among%count
+    do j = 1, open
+      among%open(j) = j
+    end do
     do
-      moved = 0
-      do side = 1, 2
-        call go_through_urn(among, table, side, limit, moved)
-        call go_through_half(among, table, side, limit, moved)
+      kept = 0
+      do j = 1, open
+        among%open(kept + 1) = among%open(j)
+        associate (at => among%travel(among%open(j)))
+          if (at%heading == open_end .and. at%now%time < limit) kept = kept + 1
+        end associate
       end do
-      if (moved == 0) exit
+      open = kept
+      if (open == 0) exit
+      ! Urns that are alike share a batch.
+      if (alike(table%urn)) then
+        call go_through_urn(among, table, 1, 2, open, limit)
+      else
+        call go_through_urn(among, table, 1, 1, open, limit)
+        call go_through_urn(among, table, 2, 2, open, limit)
+      end if
+      do side = 1, 2
+        call go_through_half(among, table, side, open, limit)
+      end do
     end do
   end subroutine travel
 
   !> Those who are in the urn of a side, to its openings.
-  subroutine go_through_urn(among, table, side, limit, moved)
+  subroutine go_through_urn(among, table, first, last, open, limit)
     type(among_type), intent(inout) :: among
     type(table_type), intent(in) :: table
-    integer, intent(in) :: side
+    !> Sides.
+    integer, intent(in) :: first, last
+    !> How many visits have not ended.
+    integer, intent(in) :: open
     real(wp), intent(in) :: limit
-    !> Grows by how many they are.
-    integer, intent(inout) :: moved
     integer :: j, k
 
-    associate (v => among%visits, urn => table%urn(side))
-      call reserve_visits(v, among%count)
-      do j = 1, among%count
+    associate (v => among%visits)
+      call reserve_visits(v, open)
+      do k = 1, open
+        j = among%open(k)
         associate (at => among%travel(j))
-          if (at%heading /= open_end .or. at%now%chamber /= in_urn .or. at%side /= side) cycle
-          if (at%now%time >= limit) cycle
+          if (at%now%chamber /= in_urn .or. at%side < first .or. at%side > last) cycle
           v%count = v%count + 1
           v%particle(v%count) = j
           v%x(v%count) = at%now%x
@@ -136,8 +155,7 @@ contains
         end associate
       end do
       if (v%count == 0) return
-      moved = moved + v%count
-      call cross(urn, v)
+      call cross(table%urn(first), v)
       do k = 1, v%count
         call leave_urn(table, v, k, limit, among%travel(v%particle(k)))
       end do
@@ -169,10 +187,10 @@ contains
           leaves - limit, position, velocity, later)
         at%hits = at%hits - later
       end if
-      at%now = leg_type(limit, position(1), position(2), velocity(1), velocity(2), in_urn, 0)
+      at%now = leg_type(limit, position(1), position(2), velocity(1), velocity(2), in_urn)
     else if (v%channel(k) == ungated) then
       at%now = leg_type(leaves, table%scattered(at%side)%length, v%y(k), -v%along(k), &
-        v%across(k), in_return, 0)
+        v%across(k), in_return)
     else
       at%now%time = leaves
       at%heading = merge(parked_in_urn, to_gate, stays)
@@ -184,21 +202,22 @@ contains
   end subroutine leave_urn
 
   !> Those who are in a half of channel 2, to its ends.
-  subroutine go_through_half(among, table, side, limit, moved)
+  subroutine go_through_half(among, table, side, open, limit)
     type(among_type), intent(inout) :: among
     type(table_type), intent(in) :: table
     integer, intent(in) :: side
+    !> How many visits have not ended, but for those that just have.
+    integer, intent(in) :: open
     real(wp), intent(in) :: limit
-    !> Grows by how many they are.
-    integer, intent(inout) :: moved
-    integer :: j, k
+    integer :: j, k, at_open
 
     associate (s => among%strays)
-      call reserve_strays(s, among%count)
-      do j = 1, among%count
+      call reserve_strays(s, open)
+      do at_open = 1, open
+        j = among%open(at_open)
         associate (at => among%travel(j))
-          if (at%heading /= open_end .or. at%now%chamber /= in_return .or. at%side /= side) cycle
-          if (at%now%time >= limit) cycle
+          if (at%now%chamber /= in_return .or. at%side /= side) cycle
+          if (at%heading /= open_end .or. at%now%time >= limit) cycle
           k = s%count + 1
           s%count = k
           s%particle(k) = j
@@ -206,12 +225,10 @@ contains
           s%y(k) = at%now%y
           s%ux(k) = at%now%ux
           s%uy(k) = at%now%uy
-          s%on(k) = at%now%on
           s%time(k) = limit - at%now%time
         end associate
       end do
       if (s%count == 0) return
-      moved = moved + s%count
       call cross_half(table%scattered(side), s)
       do k = 1, s%count
         call leave_half(table, s, k, limit, among%travel(s%particle(k)))
@@ -228,19 +245,20 @@ contains
     real(wp), intent(in) :: limit
     type(travel_type), intent(inout) :: at
     real(wp) :: height
+    integer(wall_kind) :: met
 
     associate (half => table%scattered(at%side), urn => table%urn(at%side))
       height = sign(min(abs(s%y(k)), half%half_width), s%y(k))
       at%hits = at%hits + int(s%hits(k), int64)
-      at%now = leg_type(at%now%time + s%time(k), s%x(k), height, s%ux(k), s%uy(k), in_return, &
-        int(s%on(k), int32))
-      if (s%met(k) == meets_nothing) then
+      at%now = leg_type(at%now%time + s%time(k), s%x(k), height, s%ux(k), s%uy(k), in_return)
+      met = nint(s%met(k), wall_kind)
+      if (met == meets_nothing) then
         at%now%time = limit
-      else if (s%met(k) == meets_urn) then
+      else if (met == meets_urn) then
         at%now%x = -urn%chord(ungated)
         at%now%chamber = in_urn
       else
-        at%heading = merge(to_return, under_way, s%met(k) == meets_line)
+        at%heading = merge(to_return, under_way, met == meets_line)
         at%y = height
         at%along = abs(s%ux(k))
         at%across = s%uy(k)
@@ -320,7 +338,6 @@ contains
     call stream%pass('leg_ux', among%leg%ux)
     call stream%pass('leg_uy', among%leg%uy)
     call stream%pass('leg_chamber', among%leg%chamber)
-    call stream%pass('leg_on', among%leg%on)
   end subroutine pass_legs
 
 end module battery_among

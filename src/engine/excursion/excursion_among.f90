@@ -26,10 +26,10 @@ contains
                 self%known_hits)
             case (in_return)
               self%among%leg(i) = leg_type(0.0_wp, urn%periodic_line - abs(x), y, urn%way*ux, uy, &
-                in_return, 0)
+                in_return)
               call add_travel(self%among, i, side, self%among%leg(i), 0_int64)
             case default
-              self%among%leg(i) = leg_type(0.0_wp, urn%centre - abs(x), y, urn%way*ux, uy, in_urn, 0)
+              self%among%leg(i) = leg_type(0.0_wp, urn%centre - abs(x), y, urn%way*ux, uy, in_urn)
               call add_travel(self%among, i, side, self%among%leg(i), 0_int64)
             end select
           end associate
@@ -51,7 +51,7 @@ contains
 
     associate (v => self%visits(1))
       do j = 1, v%count
-        leg = leg_type(v%time(j), 0.0_wp, v%y(j), v%along(j), v%across(j), in_return, 0)
+        leg = leg_type(v%time(j), 0.0_wp, v%y(j), v%along(j), v%across(j), in_return)
         if (v%channel(j) == gated) then
           leg%chamber = in_urn
           leg%x = self%table%urn(v%urn(j))%chord(gated)
@@ -148,7 +148,7 @@ contains
       if (at%heading == to_return) then
         call record_crossing(history, leg%time - began, crossing_of(side, ungated), i)
         side = self%table%beyond(side)
-        leg = leg_type(leg%time, 0.0_wp, at%y, at%along, at%across, in_return, 0)
+        leg = leg_type(leg%time, 0.0_wp, at%y, at%along, at%across, in_return)
       end if
     end associate
     self%among%leg(i) = leg

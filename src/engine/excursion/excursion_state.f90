@@ -49,10 +49,10 @@ contains
 
   !> How many are parked, or come back to the same state among discs.
   module procedure trapped
-    real(wp) :: state(4), period
+    real(wp) :: state(4)
     integer(int64) :: hits
     logical :: yes
-    integer :: i, round_hits
+    integer :: i
 
     total = count(self%flight%heading == parked_in_urn .or. self%flight%heading == &
       parked_in_channel)
@@ -61,8 +61,8 @@ contains
       if (self%flight(i)%heading /= under_way) cycle
       call locate_now(self, i, state, hits)
       associate (urn => self%table%urn(self%flight(i)%urn))
-        call comes_back(self%table%scattered(self%flight(i)%urn), 0, urn%periodic_line &
-          + urn%way*state(1), state(2), urn%way*state(3), state(4), yes, period, round_hits)
+        call comes_back(self%table%scattered(self%flight(i)%urn), urn%periodic_line &
+          + urn%way*state(1), state(2), urn%way*state(3), state(4), yes)
       end associate
       if (yes) total = total + 1
     end do
