@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import f90nml
 import h5py
 import numpy as np
 
@@ -185,11 +184,8 @@ class Results:
 
     @cached_property
     def scatterers(self) -> tuple[tuple[float, float, float], ...]:
-        """Discs in channel 2, z, y, radius of each, as the namelist has them."""
-        text = self.attributes.get("namelist", "")
-        if "scatterers" not in text.lower():
-            return ()
-        values = f90nml.reads(text).get("table", {}).get("scatterers", [])
+        """Discs in channel 2: z, y, radius of each."""
+        values = [float(word) for word in self.attributes.get("scatterers", "").split()]
         return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
 
     def any_circuit(self, point: int) -> Circuit:
