@@ -10,6 +10,7 @@ program accuracy
   use battery_probe_lyapunov, only: lyapunov_main
   use battery_probe_visits, only: visits_main
   use battery_probe_stability, only: stability_main
+  use battery_probe_photon, only: photon_main
   implicit none (type, external)
 
   select case (argument(1))
@@ -25,6 +26,8 @@ program accuracy
     call visits_main()
   case ('stability')
     call stability_main()
+  case ('photon')
+    call photon_main()
   case default
     print '(a)', 'usage: accuracy trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...', &
       '       accuracy events ENGINE STEP SHAPE RADIUS WIDTH1 LENGTH1 WIDTH2 LENGTH2 FILE '// &
@@ -32,6 +35,7 @@ program accuracy
       '       accuracy reversal ENGINE STEP FILE NUMBER TIME ...', &
       '       accuracy lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]', &
       '       accuracy visits WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]', &
-      '       accuracy stability ENGINE COLLISIONS SECONDS'
+      '       accuracy stability ENGINE COLLISIONS SECONDS', &
+      '       accuracy photon ENGINE'
   end select
 end program accuracy

@@ -129,7 +129,7 @@ contains
           call bounce_apart(tangent, abs((urn%centre + urn%way*flight%x)*urn%way*flight%ux &
             + flight%y*flight%uy))
         end if
-        call hit_wall(urn, flight, wait)
+        call hit_wall(table, flight, wait)
       end if
     end associate
   end subroutine pass

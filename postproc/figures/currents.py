@@ -181,12 +181,15 @@ def figure_currents(
     circuit, series = results.circuit(point), results.series(point, replica)
     made = style.figure(style.PAGE, 3.7)
     left, right = made.add_gridspec(1, 2, width_ratios=(2.2, 1.0))
-    axes = draw_currents(made, left, circuit, series, models)[0]
-    balance = made.add_subplot(right)
-    draw_eta(balance, circuit, models, settled_number2(circuit, series))
-    balance.set_title(r"$\eta$, what urn 2 gains")
-    explain_eta(balance)
-    balance.legend(fontsize=6.5, loc="best", handletextpad=0.2)
+    # No theory knows scatterers: then what was measured stands alone.
+    said = () if circuit.scatterers else models
+    axes = draw_currents(made, left, circuit, series, said)[0]
+    if said:
+        balance = made.add_subplot(right)
+        draw_eta(balance, circuit, said, settled_number2(circuit, series))
+        balance.set_title(r"$\eta$, what urn 2 gains")
+        explain_eta(balance)
+        balance.legend(fontsize=6.5, loc="best", handletextpad=0.2)
     axes.set_title(
         f"$N = {circuit.number}$, $T = {circuit.threshold}$, "
         f"$w = {circuit.channel1_width:g}$, $w' = {circuit.channel2_width:g}$"

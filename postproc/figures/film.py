@@ -99,7 +99,21 @@ def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, F
     x = np.where(out, centre + (x - centre) * shrink, x)
     if circuit.shape == "circuit":
         x = np.mod(x + circuit.end, 2.0 * circuit.end) - circuit.end
-    return x, y * shrink
+    return _beside_scatterers(circuit, x, y * shrink)
+
+
+def _beside_scatterers(circuit: Circuit, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return where the particles are if a flight stops at the disc that it meets."""
+    line = -np.sign(x) * circuit.end
+    behind = np.abs(x) > circuit.urn_centre + circuit.chords[1]
+    for z, height, radius in circuit.scatterers:
+        dx, dy = x + line - z, y - height
+        away = np.hypot(dx, dy)
+        grow = np.where(
+            behind & (away < radius) & (away > 0.0), radius / np.maximum(away, 1e-300), 1
+        )
+        x, y = x + dx * (grow - 1.0), y + dy * (grow - 1.0)
+    return x, y
 
 
 def joined(times: Floats) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Rectangle
 
 from postproc.figures import style
 
@@ -76,8 +76,24 @@ def draw_table(axes: Axes, circuit: Circuit) -> None:
             for side in sides:
                 end = side * circuit.end
                 axes.plot([end, end], [-high, high], color=style.BLACK, lw=0.8, ls="--")
+    draw_scatterers(axes, circuit)
     axes.set_aspect("equal")
     axes.set_axis_off()
+
+
+def draw_scatterers(axes: Axes, circuit: Circuit) -> None:
+    """Draw the discs in channel 2, cut off at its walls; one astride the line at both ends."""
+    half, length = 0.5 * float(circuit.channel2_width), 0.5 * float(circuit.channel2_length)
+    for side in (1.0, -1.0):
+        # Urn 1 and its half, z > 0, lie at x < 0.
+        line = -side * float(circuit.end)
+        corner = min(line, line + side * length), -half
+        room = Rectangle(corner, length, 2.0 * half, transform=axes.transData)
+        for z, y, radius in circuit.scatterers:
+            if side * z + radius > 0.0:
+                disc = Circle((line + z, y), radius, fc=style.GREY, ec=style.BLACK, lw=0.6)
+                axes.add_patch(disc).set_clip_path(room)
+                disc.set_in_layout(False)  # its own clip path does not tell how far it reaches
 
 
 def _colours(circuit: Circuit, snapshot: Snapshot) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:

@@ -198,6 +198,12 @@ class Results:
         """Shape of the table: "circuit" or "urn"."""
         return self.attributes.get("shape", "circuit")
 
+    @cached_property
+    def scatterers(self) -> tuple[tuple[float, float, float], ...]:
+        """Discs in channel 2: z, y, radius of each."""
+        values = [float(word) for word in self.attributes.get("scatterers", "").split()]
+        return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
+
     def any_circuit(self, point: int) -> Circuit:
         """Return the circuit of a point, whose urns and gates need not be alike."""
         self._check_task(point, 0)
@@ -213,6 +219,7 @@ class Results:
             gate2_threshold=other if other != threshold else None,
             **{name: float(self._of_point(name, point)) for name in LENGTHS},
             shape=self.shape,
+            scatterers=self.scatterers,
         )
 
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
@@ -229,6 +236,7 @@ class Results:
             **found,
             gate=gate,
             shape=self.shape,
+            scatterers=self.scatterers,
         )
 
     def _of_both(self, name: str, point: int) -> object:

@@ -121,6 +121,8 @@ def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
 
 def _expected(results: Results, model: Model, point: int, chi: float) -> tuple[float, float]:
     """Return chi and net current of the theory's stable state nearest to the measured chi."""
+    if results.scatterers:
+        return math.nan, math.nan
     circuit = results.circuit(point)
     if results.shape != "circuit":
         return math.nan, float(model.urn_current(circuit))
@@ -146,7 +148,8 @@ def map_lines(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
     Over T and w' they are the theory's own; over other keys they run between points of the scan.
     """
     rows: list[dict[str, object]] = []
-    for chosen, there in scan.slices() if results.shape == "circuit" and scan.up else ():
+    drawn = results.shape == "circuit" and scan.up and not results.scatterers
+    for chosen, there in scan.slices() if drawn else ():
         for model in models.values():
             find = _transition if _own_axes(scan) else _between
             for across, up in find(results, scan, model, there):

@@ -151,7 +151,7 @@ def _excess(results: Results, point: int) -> tuple[float, float]:
 
     What chi accounts for is the conductance of well mixed urns; -1 where nothing can be said.
     """
-    if results.shape != "circuit":
+    if results.shape != "circuit" or results.scatterers:
         return -1.0, 0.0
     circuit = results.circuit(point)
     chi = results.replica_mean("chi")[0][point]
@@ -165,6 +165,8 @@ def _excess(results: Results, point: int) -> tuple[float, float]:
 def _of_current(results: Results, point: int) -> list[str]:
     """Compare the net current with what chi and memory of the urns make flow."""
     excess, error = _excess(results, point)
+    if excess <= 0.0:
+        return []
     most = memory_factor(results.circuit(point)) - 1.0
     if excess - most <= max(EXCESS, DRIFT * error):
         return []
@@ -192,7 +194,7 @@ def _of_series(results: Results, point: int) -> list[str]:
 
 def _axial_of(results: Results, point: int) -> int:
     """Return how many particles of the last snapshot run along the axis, 0 without snapshots."""
-    if not results.done[point].any() or results.shape != "circuit":
+    if not results.done[point].any() or results.shape != "circuit" or results.scatterers:
         return 0
     try:
         return axial(results.circuit(point), results.snapshot(point, 0, -1))

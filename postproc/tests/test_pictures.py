@@ -9,13 +9,17 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 import pytest
+from matplotlib.patches import Circle
 
+from postproc.cli import InputError
 from postproc.figures import currents, models, scene
+from postproc.figures.scene import figure_scene
 from postproc.figures.style import VERMILION
 from postproc.reading.results import Results, Snapshot, mean_and_error
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, results_of
 from postproc.theory.circuit import Circuit, eta, flow1, flow2
+from postproc.theory.states import stationary_states
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -187,6 +191,28 @@ def test_a_circuit_is_read_from_values_not_from_the_namelist(tmp_path: Path) -> 
         file.attrs["namelist"] = "no namelist"
     with Results(path) as results:
         assert results.circuit(0) == Circuit(1000, 7, **table)
+
+
+def test_scatterers_are_drawn_and_no_theory_is_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = {"channel2_width": 0.2, "scatterers": [0.01, 0.0, 0.05, -0.2, 0.1, 0.05]}
+    output = {"series_interval": 1.0, "snapshot_times": [5.0, 5.2]}
+    path = results_of(tmp_path / "run.h5", table=table, run={"duration": 20.0}, output=output)
+    here = [str(path), "--output", str(tmp_path)]
+    for command in ("scene", "currents", "report", "film"):
+        assert call(command, here) == 0, command
+    assert call("figures", ["model", *here]) == 0
+    assert call("compare", [str(path)]) == 2
+    assert "no theory knows scatterers" in capsys.readouterr().err
+    with Results(path) as results, pytest.raises(InputError, match="knows scatterers"):
+        stationary_states(results.circuit(0))
+    with Results(path) as results:
+        drawn = figure_scene(results.circuit(0), results.snapshot(0, 0, 0)).axes[0]
+        line = float(results.circuit(0).end)
+    discs = [patch.center for patch in drawn.patches if isinstance(patch, Circle)]
+    # That astride the line is drawn at both ends.
+    assert sorted(x for x, _ in discs) == pytest.approx([-line + 0.01, line - 0.2, line + 0.01])
 
 
 def test_no_such_task(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:

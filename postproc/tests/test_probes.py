@@ -56,6 +56,18 @@ def test_visits_agree_with_quadruple_precision(job: Job, width1: float, width2: 
     assert found["worst"] < 1e-15  # required is 1e-12
 
 
+@pytest.mark.parametrize("engine", EXACT)
+def test_the_photon_of_the_hundred_digits(engine: str) -> None:
+    # Of 16 digits and of 34 the 14 hits leave 5 at least and 23.
+    answer = Decimal("0.99526291944335416089031180942672")
+    for precision, close in (("real64", Decimal("1e-5")), ("real128", Decimal("1e-23"))):
+        command = [ROOT / f"build/bin/accuracy-{precision}", "photon", engine]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        _, hits, distance, _ = done.stdout.split()
+        assert hits == "14"
+        assert abs(Decimal(distance) - answer) < close
+
+
 def test_visits_in_single_precision_are_as_good_as_it_is(job: Job) -> None:
     words = ("visits", 0.3, 0.01, 20000, 23)
     run_probe(job, "real32", *words, "single.bin")

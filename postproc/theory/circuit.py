@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import optimize
 
+from postproc.cli import InputError
 from postproc.theory.gates import WINDOW
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ class Circuit:
         2 tau, as in the circuit what gets through is in either gate.
     urn2_radius, gate2_threshold : r of urn 2 and T of its gate where they are others than those of
         urn 1. What this module computes is one side's: ask it about each of `sides`.
+    scatterers : z, y, radius of each disc in channel 2, z from urn 2 to urn 1. They are drawn; of
+        what they do no theory knows, and each says so (`InputError`).
     """
 
     number: ArrayLike
@@ -66,6 +69,12 @@ class Circuit:
     shape: str = "circuit"
     urn2_radius: ArrayLike | None = None
     gate2_threshold: ArrayLike | None = None
+    scatterers: tuple[tuple[float, float, float], ...] = ()
+
+    def need_empty_channels(self) -> None:
+        """Raise `InputError` if scatterers stand in channel 2: theories know straight channels."""
+        if self.scatterers:
+            raise InputError("no theory knows scatterers in channel 2: it would give wrong numbers")
 
     @property
     def sides(self) -> tuple[Circuit, Circuit]:
@@ -114,6 +123,7 @@ class Circuit:
     @property
     def load_per_particle(self) -> Floats:
         """Load of a gate per particle in its urn: lambda/n = w l/(4A), eq. (eqapp3)."""
+        self.need_empty_channels()
         width, length = np.asarray(self.channel1_width), np.asarray(self.channel1_length)
         return width * length / (4.0 * self.urn_area)
 

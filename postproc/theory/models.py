@@ -45,6 +45,7 @@ class Model:
 
     def of(self, circuit: Circuit) -> tuple[Circuit, Theory]:
         """Return the circuit as the model has it, and what answers about it."""
+        circuit.need_empty_channels()
         return replace(circuit, **self.changes), self.theory if circuit.alike else self.unlike
 
 

@@ -4,10 +4,11 @@
 !> the run has been.
 module battery_history
   use battery_kinds, only: wp, int8, int32, int64
+  use battery_ordering, only: put_times_in_order => put_in_order
   implicit none (type, external)
   private
   public :: history_type, reserve_history, make_room, record_crossing, record_event, &
-    record_reversal, order_events, crossing_of
+    record_reversal, order_events, crossing_of, put_in_order
   public :: channel1_12, channel1_21, channel2_12, channel2_21
   public :: event_entry, event_reversal, event_crossing1, event_crossing2
 
@@ -143,28 +144,29 @@ contains
     history%event_particle(at) = int(particle, int32)
   end subroutine record_event
 
-  !> Puts the events of one instant, `first` and those after it, in the order of the log: crossings
+  !> Puts the events of one instant, `first` to `last`, in the order of the log: crossings
   !> of channel 1 from urn 1, from urn 2, then the rest, by particle; a reversal after the last of
   !> those who entered.
-  pure subroutine order_events(history, first)
+  pure subroutine order_events(history, first, last)
     type(history_type), intent(inout) :: history
-    integer, intent(in) :: first
-    integer(int64) :: rank(first:history%events), mine
+    !> Places of the first and the last of them.
+    integer, intent(in) :: first, last
+    integer(int64) :: rank(first:last), mine
     integer(int32) :: kind, where, particle
     integer :: at, k
 
-    do at = first, history%events
+    do at = first, last
       mine = 2_int64*history%event_particle(at)
       if (history%event_kind(at) == event_crossing1) then
         mine = mine - merge(2_int64, 1_int64, history%event_where(at) == 12)*2_int64**40
       else if (history%event_kind(at) == event_reversal) then
-        mine = 1 + 2_int64*maxval(history%event_particle(first:history%events), &
-          mask=history%event_kind(first:history%events) == event_entry &
-          .and. history%event_where(first:history%events) == history%event_where(at))
+        mine = 1 + 2_int64*maxval(history%event_particle(first:last), &
+          mask=history%event_kind(first:last) == event_entry &
+          .and. history%event_where(first:last) == history%event_where(at))
       end if
       rank(at) = mine
     end do
-    do at = first + 1, history%events
+    do at = first + 1, last
       mine = rank(at)
       kind = history%event_kind(at)
       where = history%event_where(at)
@@ -182,5 +184,44 @@ contains
       history%event_particle(k + 1) = particle
     end do
   end subroutine order_events
+
+  !> Puts all that a history tells in the order of time, and the events of one instant in that of the
+  !> log.
+  subroutine put_in_order(history)
+    type(history_type), intent(inout) :: history
+    integer, allocatable :: order(:)
+    integer :: first, last
+
+    associate (n => history%crossings)
+      call find_order(n, history%crossing_time, order)
+      history%crossing(:n) = history%crossing(order)
+    end associate
+    if (.not. history%logging) return
+    associate (n => history%events)
+      call find_order(n, history%event_time, order)
+      history%event_kind(:n) = history%event_kind(order)
+      history%event_where(:n) = history%event_where(order)
+      history%event_particle(:n) = history%event_particle(order)
+      first = 1
+      do last = 1, n
+        if (last < n) then
+          if (history%event_time(last + 1) <= history%event_time(last)) cycle
+        end if
+        if (last > first) call order_events(history, first, last)
+        first = last + 1
+      end do
+    end associate
+  end subroutine put_in_order
+
+  !> Puts times in order, and says where each came from.
+  subroutine find_order(n, time, order)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: time(:)
+    integer, allocatable, intent(out) :: order(:)
+    integer :: k
+
+    order = [(k, k=1, n)]
+    call put_times_in_order(n, time(:n), order)
+  end subroutine find_order
 
 end module battery_history

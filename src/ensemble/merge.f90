@@ -1,6 +1,6 @@
 !> From the journal of an ensemble to its results file.
 module battery_merge
-  use battery_kinds, only: dp, int64
+  use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
   use battery_files, only: file_exists
   use battery_fingerprint, only: fingerprint_text
@@ -16,7 +16,7 @@ module battery_merge
   use battery_task_result, only: task_result_type
   use battery_tasks, only: task_type, task_count, task_of, roster_type, roster_of, number_in, &
     kept_in_results
-  use battery_text, only: string_type, join, new_line_character
+  use battery_text, only: string_type, to_text, join, new_line_character
   implicit none (type, external)
   private
   public :: merge_results, collect_results
@@ -52,6 +52,8 @@ contains
       metadata%urn_vertices = real(plan%outline(1)%corner, dp)
       metadata%urn2_vertices = real(plan%outline(2)%corner, dp)
     end if
+    if (size(plan%scatterers) > 0) call add_text(metadata, 'scatterers', &
+      numbers_text(plan%scatterers))
     call add_text(metadata, 'engine', plan%engine)
     metadata%command_line = command_text()
     metadata%begun = begun
@@ -60,6 +62,19 @@ contains
     metadata%start_time = real(plan%start_time, dp)
     call write_results(plan%file, results, metadata, error)
   end subroutine merge_results
+
+  !> Numbers set apart by blanks.
+  pure function numbers_text(numbers) result(text)
+    real(wp), intent(in) :: numbers(:)
+    character(len=:), allocatable :: text
+    type(string_type) :: words(size(numbers))
+    integer :: k
+
+    do k = 1, size(numbers)
+      words(k)%text = to_text(numbers(k))
+    end do
+    text = join(words, ' ')
+  end function numbers_text
 
   !> All results there are, in the arrays of the results file. A file that is there is read only
   !> where the journal does not have all.

@@ -152,6 +152,8 @@ contains
     call say('channel 1:  w = '//range_text(6)//', l = '//range_text(7))
     if (plan%shape /= 'urn') &
       call say('channel 2:  w'' = '//range_text(8)//', l'' = '//range_text(9))
+    if (size(plan%scatterers) > 0) &
+      call say('            with '//counted(size(plan%scatterers)/3, 'scatterer'))
     call say('N:          '//range_text(1))
     call say('T:          '//both(2))
     call say('urn 1:      '//range_text(10)//' particles at the start')

@@ -31,7 +31,7 @@ contains
     !> From 1.
     integer, intent(in) :: replica
     integer(int64) :: identity
-    integer :: k, j
+    integer :: k, j, number_of
 
     identity = fingerprint_start
     call mix_word(identity, fingerprint_of(setup%engine))
@@ -50,6 +50,11 @@ contains
       do k = 1, 2
         call mix_real(identity, table%channel(k)%width)
         if (table%channel(k)%width > 0.0_wp) call mix_real(identity, table%channel(k)%length)
+      end do
+      do k = 1, size(table%scatterers, 2)
+        do number_of = 1, 3
+          call mix_real(identity, table%scatterers(number_of, k))
+        end do
       end do
     end associate
     if (has_step(setup%engine)) call mix_real(identity, setup%time_step)

@@ -72,6 +72,9 @@ contains
       key_type('table', 'urn2_vertices', real_key, '', &
       'those of urn 2, x to channel 1 as well; else the mirror image of urn 1', &
       most_values=2*most_corners, unit='length'), &
+      key_type('table', 'scatterers', real_key, '', &
+      'fixed discs in channel 2: z, y, radius of each; z = 0 is its counted line', &
+      most_values=30000, unit='length'), &
       key_type('particles', 'number', whole_key, '', 'how many particles', least=1.0_wp, &
       greatest=most_particles, symbol='N'), &
       key_type('particles', 'urn1_number', whole_key, '', 'how many start in urn 1; else half', &

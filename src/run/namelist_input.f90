@@ -63,6 +63,7 @@ contains
       call take(settings, 'table', 'channel1_length', base%channel(gated)%length)
       call take(settings, 'table', 'channel2_width', base%channel(ungated)%width)
       call take(settings, 'table', 'channel2_length', base%channel(ungated)%length)
+      call take_list(settings, 'table', 'scatterers', plan%scatterers)
       call take(settings, 'particles', 'number', base%number)
       call take(settings, 'particles', 'urn1_number', base%urn1_number)
       call take(settings, 'particles', 'urn1_fraction', base%urn1_fraction)

@@ -65,6 +65,8 @@ module battery_plan
     !> frames of their own with x to channel 1; none where not given.
     integer :: urn_sides = not_given
     type(outline_type) :: outline(2)
+    !> z, y, radius of each disc in channel 2, of all points.
+    real(wp), allocatable :: scatterers(:)
     !> The values of keys that are not scanned.
     type(point_type) :: base
     !> What is scanned, the slowest first.
@@ -258,7 +260,8 @@ contains
         urn(k)%corner = corners_of(plan, point, k)
       end do
     end if
-    table = new_table(merge(shape_urn, shape_circuit, plan%shape == 'urn'), urn, point%channel)
+    table = new_table(merge(shape_urn, shape_circuit, plan%shape == 'urn'), urn, point%channel, &
+      reshape(plan%scatterers, [3, size(plan%scatterers)/3]))
   end function table_of
 
   !> The corners of an urn that is a polygon, 1 or 2, at a point: (x, y) in columns.

@@ -3,6 +3,7 @@ submodule (battery_plan) battery_plan_checks
   use battery_error, only: error_type
   use battery_engine, only: engine_type
   use battery_engines, only: new_engine, has_step, refusal
+  use battery_scatterer_checks, only: wrong_scatterers
   use battery_table, only: longest_run
   use battery_repeats, only: first_repeat
   use battery_problems, only: gather, told_of
@@ -190,8 +191,10 @@ contains
     allocate (plan%problems(0))
     do at = 1, plan%point_count
       call check_point(plan, point_of(plan, at))
-      if (size(others) + size(plan%problems) == 0) &
+      if (size(others) + size(plan%problems) == 0) then
         call check_engine(plan, engine, point_of(plan, at))
+        call check_scatterers(plan, point_of(plan, at))
+      end if
       if (size(plan%problems) == 0) cycle
       call gather(plan%of_points, plan%problems, at)
       deallocate (plan%problems)
@@ -228,6 +231,33 @@ contains
       call refuse(plan, 'number', to_text(point%number), &
       'fewer, or wider openings: such visits have more wall collisions than can be counted')
   end subroutine check_point
+
+  !> Scatterers must fit into the channel 2 of a point.
+  subroutine check_scatterers(plan, point)
+    type(plan_type), intent(inout) :: plan
+    type(point_type), intent(in) :: point
+    character(len=:), allocatable :: where
+    integer :: at
+
+    if (size(plan%scatterers) == 0) return
+    if (plan%shape == 'urn') then
+      call refuse(plan, 'scatterers', 'is given', 'nothing, since the shape ''urn'' has no channel 2')
+      return
+    end if
+    where = ''
+    associate (channel => point%channel(ungated))
+      if (is_scanned(plan, 'channel2_width')) where = ', at channel2_width = ' &
+        //to_text(channel%width)
+      if (is_scanned(plan, 'channel2_length')) where = where//', at channel2_length = ' &
+        //to_text(channel%length)
+      associate (wrong => wrong_scatterers(plan%scatterers, channel, finest &
+        *max(maxval(point%urn_radius), point%channel(gated)%length, channel%length)))
+        do at = 1, size(wrong)
+          call refuse(plan, 'scatterers', wrong(at)%value, wrong(at)%allowed//where)
+        end do
+      end associate
+    end associate
+  end subroutine check_scatterers
 
   !> Whether the engine can simulate the table of a point.
   subroutine check_engine(plan, engine, point)

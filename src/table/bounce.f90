@@ -12,6 +12,7 @@ module battery_bounce
   use battery_channel, only: facing
   use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
     meets_urn, meets_line, meets_channel_wall
+  use battery_scatterers, only: scattered_half_type, aim_among, hit_among, comes_back
   use battery_urn, only: aim, hit
   implicit none (type, external)
   private
@@ -40,7 +41,7 @@ contains
 
     associate (urn => table%urn(motion%side))
       if (motion%chamber /= in_urn) then
-        call aim_in_channel(urn, motion, wait)
+        call aim_in_channel(table, motion, wait)
       else
         call aim(urn, no_channel, urn%centre + urn%way*motion%x, motion%y, urn%way*motion%ux, &
           motion%uy, motion%next, wait)
@@ -48,31 +49,67 @@ contains
     end associate
   end subroutine take_off
 
-  !> Reflection from a wall of an urn or of a channel.
-  pure subroutine hit_wall(urn, motion, wait)
-    !> That of the side that the particle is on.
-    type(urn_type), intent(in) :: urn
+  !> Reflection from a wall of an urn or of a channel, or from a disc in it.
+  pure subroutine hit_wall(table, motion, wait)
+    type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
     !> Time until it meets what it meets next; huge if that is nothing.
     real(wp), intent(out) :: wait
     real(wp) :: x, ux
 
-    if (motion%next == meets_channel_wall) then
-      motion%y = sign(half_width(urn, motion), motion%uy)
-      motion%uy = -motion%uy
-      call aim_in_channel(urn, motion, wait)
-    else
-      x = urn%centre + urn%way*motion%x
-      ux = urn%way*motion%ux
-      call hit(urn, x, motion%y, ux, motion%uy, motion%next, wait)
-      motion%x = urn%way*(x - urn%centre)
-      motion%ux = urn%way*ux
-    end if
+    associate (urn => table%urn(motion%side))
+      if (motion%chamber == in_urn) then
+        x = urn%centre + urn%way*motion%x
+        ux = urn%way*motion%ux
+        call hit(urn, x, motion%y, ux, motion%uy, motion%next, wait)
+        motion%x = urn%way*(x - urn%centre)
+        motion%ux = urn%way*ux
+      else if (motion%next == meets_channel_wall) then
+        motion%y = sign(half_width(urn, motion), motion%uy)
+        motion%uy = -motion%uy
+        call aim_in_channel(table, motion, wait)
+      else
+        call hit_scatterer(table%scattered(motion%side), urn, motion, wait)
+      end if
+    end associate
   end subroutine hit_wall
+
+  !> Reflection from a disc in channel 2.
+  pure subroutine hit_scatterer(half, urn, motion, wait)
+    !> That of the side that the particle is on, and its urn.
+    type(scattered_half_type), intent(in) :: half
+    type(urn_type), intent(in) :: urn
+    type(motion_type), intent(inout) :: motion
+    real(wp), intent(out) :: wait
+    real(wp) :: x, ux
+
+    x = urn%periodic_line + urn%way*motion%x
+    ux = urn%way*motion%ux
+    call hit_among(half, int(motion%next), x, motion%y, ux, motion%uy)
+    call aim_among(half, x, motion%y, ux, motion%uy, motion%next, wait)
+    motion%x = urn%way*(x - urn%periodic_line)
+    motion%ux = urn%way*ux
+  end subroutine hit_scatterer
 
   !> What is met in a channel. A wall met at the same time as a chord is met first: the corner
   !> belongs to the channel.
-  pure subroutine aim_in_channel(urn, motion, wait)
+  pure subroutine aim_in_channel(table, motion, wait)
+    type(table_type), intent(in) :: table
+    type(motion_type), intent(inout) :: motion
+    real(wp), intent(out) :: wait
+
+    associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
+      if (half%count > 0 .and. motion%chamber == in_return) then
+        call aim_among(half, urn%periodic_line + urn%way*motion%x, motion%y, &
+          urn%way*motion%ux, motion%uy, motion%next, wait)
+      else
+        call aim_in_strip(urn, motion, wait)
+      end if
+    end associate
+  end subroutine aim_in_channel
+
+  !> The same where nothing stands in the channel.
+  pure subroutine aim_in_strip(urn, motion, wait)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
@@ -101,7 +138,7 @@ contains
       wait = to_wall
       motion%next = meets_channel_wall
     end if
-  end subroutine aim_in_channel
+  end subroutine aim_in_strip
 
   !> Through the chord of an opening, from an urn into a channel or back; over the line of a
   !> channel, the middle line, or the periodic line from one end of the table to the other; or back
@@ -139,20 +176,19 @@ contains
       return
     end select
     call keep_between_walls(table%urn(side), motion)
-    call aim_in_channel(table%urn(side), motion, wait)
+    call aim_in_channel(table, motion, wait)
   end subroutine pass_line
 
   !> A gate turns the particle back; it has been moved to where it is now.
-  pure subroutine turn_back(urn, motion, wait)
-    !> That of the side that the particle is on.
-    type(urn_type), intent(in) :: urn
+  pure subroutine turn_back(table, motion, wait)
+    type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
     !> Time until it meets what it meets next.
     real(wp), intent(out) :: wait
 
     motion%ux = -motion%ux
-    call keep_between_walls(urn, motion)
-    call aim_in_channel(urn, motion, wait)
+    call keep_between_walls(table%urn(motion%side), motion)
+    call aim_in_channel(table, motion, wait)
   end subroutine turn_back
 
   !> Whether a particle in channel 1 is on its way to the other gate. Whoever is came from the urn
@@ -172,13 +208,22 @@ contains
     time = abs(motion%x)/max(abs(motion%ux), slowest)
   end function time_to_middle
 
-  !> Whether a particle can never leave where it is: across a channel, or along a wall.
-  elemental function is_trapped(motion) result(trapped)
+  !> Whether a particle can never leave where it is: across a channel, along a wall, or to and fro
+  !> between discs.
+  elemental function is_trapped(table, motion) result(trapped)
+    type(table_type), intent(in) :: table
     type(motion_type), intent(in) :: motion
     logical :: trapped
 
-    trapped = motion%next == meets_nothing &
-      .or. (motion%chamber /= in_urn .and. .not. abs(motion%ux) > 0.0_wp)
+    associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
+      if (half%count > 0 .and. motion%chamber == in_return) then
+        call comes_back(half, urn%periodic_line + urn%way*motion%x, motion%y, &
+          urn%way*motion%ux, motion%uy, trapped)
+      else
+        trapped = motion%next == meets_nothing &
+          .or. (motion%chamber /= in_urn .and. .not. abs(motion%ux) > 0.0_wp)
+      end if
+    end associate
   end function is_trapped
 
   !> The channel that a particle is in.

@@ -16,6 +16,8 @@ module battery_table
   use battery_channel, only: channel_type, is_open, fold, gated, ungated, no_channel, facing
   use battery_chamber, only: mean_visit
   use battery_motion, only: outside, in_urn, in_gate, in_return
+  use battery_scatterers, only: scattered_half_type, new_scattered_half, is_in_scatterer, &
+    covered_area, added_perimeter
   use battery_urn, only: urn_type, give_form, alike, holds, try_place
   implicit none (type, external)
   private
@@ -23,6 +25,7 @@ module battery_table
   public :: gated, ungated, no_channel, outside, in_urn, in_gate, in_return
   public :: side_at, chamber_at, x_direction, is_open, alike, passage_type, passage_at
   public :: area, perimeter, half_length, mean_visit, shortest_excursion, try_place, longest_run
+  public :: is_scattered
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
@@ -42,6 +45,10 @@ module battery_table
     integer :: beyond(2) = [2, 1]
     type(urn_type) :: urn(2)
     type(channel_type) :: channel(2)
+    !> Fixed discs in channel 2: (z, y, radius) of each, z along the channel from urn 2 over the line
+    !> at 0 to urn 1; and each half of the channel with them, by side.
+    real(wp), allocatable :: scatterers(:, :)
+    type(scattered_half_type) :: scattered(2)
     !> A power of two, at least four times the longest flight from wall to wall.
     real(wp) :: page = 0.0_wp
   end type table_type
@@ -83,17 +90,21 @@ contains
 
   !> A table from its parts; the caller has checked their lengths (openings fit, lengths positive).
   !> Shape `shape_urn` has no channel 2 and no urn 2, whatever is asked for.
-  pure function new_table_of_urns(shape, urn, channel) result(table)
+  pure function new_table_of_urns(shape, urn, channel, scatterers) result(table)
     !> `shape_circuit` or `shape_urn`.
     integer, intent(in) :: shape
     !> What the urns 1 and 2 are to be.
     type(urn_type), intent(in) :: urn(2)
     !> Width 0 closes channel 2.
     type(channel_type), intent(in) :: channel(2)
+    !> (z, y, radius) of each disc in channel 2; absent: there are none.
+    real(wp), intent(in), optional :: scatterers(:, :)
     type(table_type) :: table
     integer :: side
 
     table%channel = channel
+    allocate (table%scatterers(3, 0))
+    if (present(scatterers)) table%scatterers = scatterers
     if (shape == shape_urn) then
       table%sides = 1
       table%beyond = [1, 2]
@@ -108,11 +119,21 @@ contains
         here%begins = [0.5_wp*channel(gated)%length, here%centre + here%chord(ungated)]
         here%periodic_line = here%begins(ungated) + 0.5_wp*channel(ungated)%length
       end associate
+      if (size(table%scatterers) > 0 .and. is_open(table%channel(ungated))) &
+        table%scattered(side) = new_scattered_half(channel(ungated), table%scatterers, &
+        -x_direction(side))
     end do
     table%page = power_above(4.0_wp*max(2.0_wp*maxval(table%urn%reach), &
       maxval(hypot(table%channel%length, table%channel%width), mask=is_open(table%channel))))
     table%urn%shortest = epsilon(1.0_wp)*table%page
   end function new_table_of_urns
+
+  !> Whether discs stand in channel 2.
+  pure logical function is_scattered(table)
+    type(table_type), intent(in) :: table
+
+    is_scattered = table%scattered(1)%count > 0
+  end function is_scattered
 
   !> Area |Q| of the whole table, open channels included.
   pure function area(table) result(total)
@@ -121,6 +142,7 @@ contains
 
     total = sum(table%urn(:table%sides)%area) + sum(0.5_wp*real(table%sides, wp) &
       *table%channel%length*table%channel%width)
+    if (is_scattered(table)) total = total - covered_area(table%channel(ungated), table%scatterers)
   end function area
 
   !> Length |dQ| of all walls, the end wall of the single urn included.
@@ -131,6 +153,8 @@ contains
     length = sum(table%urn(:table%sides)%perimeter) + real(table%sides, wp) &
       *sum(table%channel%length, mask=is_open(table%channel))
     if (table%beyond(1) == 1) length = length + table%channel(gated)%width
+    if (is_scattered(table)) length = length + added_perimeter(table%channel(ungated), &
+      table%scatterers)
   end function perimeter
 
   !> |x| at the far end of the table, on the side that is longer.
@@ -145,14 +169,18 @@ contains
   !> Shortest time from any event of a particle (it enters a gate, crosses the middle of channel 1,
   !> is turned back, or crosses the periodic line) to its next entry of a gate or crossing of the
   !> periodic line: a lower bound, from the depths of the openings of either urn, and half of
-  !> channel 2.
+  !> channel 2. Where discs stand in that, only to its next entry of a gate.
   pure function shortest_excursion(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time
 
     associate (urn => table%urn(:table%sides), channel => table%channel(ungated))
       time = 2.0_wp*minval(urn%depth(gated))
-      if (is_open(channel)) time = min(time, 2.0_wp*minval(urn%depth(ungated)) + channel%length)
+      if (is_scattered(table)) then
+        time = min(time, minval(urn%depth(ungated) + urn%depth(gated)))
+      else if (is_open(channel)) then
+        time = min(time, 2.0_wp*minval(urn%depth(ungated)) + channel%length)
+      end if
     end associate
   end function shortest_excursion
 
@@ -182,6 +210,8 @@ contains
       else if (is_open(table%channel(ungated)) .and. abs(x) - urn%centre >= urn%chord(ungated)) then
         if (abs(y) <= urn%half_width(ungated) + tolerance .and. &
           abs(x) <= urn%periodic_line + tolerance) chamber = in_return
+        if (is_in_scatterer(table%scattered(side_at(table, x)), urn%periodic_line - abs(x), y, &
+          tolerance)) chamber = outside
       else if (holds(urn, urn%centre - abs(x), y, tolerance)) then
         chamber = in_urn
       end if

@@ -479,7 +479,40 @@ contains
         what = 0
       end if
     end if
+    if (plain%room(i) == in_channel2) call next_scatterer(plain%table, x, y, ux, uy, wait, what)
   end subroutine next_event
+
+  !> Scatterer k instead, as what = -k, if that is met sooner.
+  pure subroutine next_scatterer(table, x, y, ux, uy, wait, what)
+    type(table_type), intent(in) :: table
+    real(qp), intent(in) :: x, y, ux, uy
+    real(qp), intent(inout) :: wait
+    integer, intent(inout) :: what
+    real(qp) :: dx, dy, b, room
+    integer :: k
+
+    do k = 1, size(table%scatterers, 2)
+      call from_scatterer(table, k, x, y, dx, dy)
+      b = dx*ux + dy*uy
+      room = b**2 - (dx**2 + dy**2 - real(table%scatterers(3, k), qp)**2)
+      if (b >= 0.0_qp .or. room <= 0.0_qp) cycle
+      if (-b - sqrt(room) >= wait) cycle
+      wait = -b - sqrt(room)
+      what = -k
+    end do
+  end subroutine next_scatterer
+
+  !> The way from the middle of a scatterer.
+  pure subroutine from_scatterer(table, k, x, y, dx, dy)
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: k
+    real(qp), intent(in) :: x, y
+    real(qp), intent(out) :: dx, dy
+
+    dx = x - sign(real(table%urn(merge(1, 2, x < 0.0_qp))%periodic_line, qp), x) &
+      - real(table%scatterers(1, k), qp)
+    dy = y - real(table%scatterers(2, k), qp)
+  end subroutine from_scatterer
 
   !> The same in an urn's own frame, channel 1 at +x.
   pure subroutine next_in_urn(table, side, x, y, ux, uy, wait, what)
@@ -513,8 +546,8 @@ contains
     integer :: gate
 
     select case (what)
-    case (0)
-      call bounce(plain, i)
+    case (:0)
+      call bounce(plain, i, -what)
     case (1, 2)
       gate = merge(1, 2, plain%x(i) < 0.0_qp)
       if (plain%room(i) == in_channel1 .or. plain%room(i) == in_channel2) then
@@ -553,20 +586,25 @@ contains
     end select
   end subroutine happen
 
-  subroutine bounce(plain, i)
+  subroutine bounce(plain, i, scatterer)
     type(plain_type), intent(inout) :: plain
     integer, intent(in) :: i
+    !> Which, or 0: another wall.
+    integer, intent(in) :: scatterer
     real(qp) :: nx, ny, along
     integer :: side
 
     plain%hits = plain%hits + 1
-    if (plain%room(i) == in_channel1 .or. plain%room(i) == in_channel2) then
+    if (scatterer > 0) then
+      call from_scatterer(plain%table, scatterer, plain%x(i), plain%y(i), nx, ny)
+    else if (plain%room(i) == in_channel1 .or. plain%room(i) == in_channel2) then
       plain%uy(i) = -plain%uy(i)
       return
+    else
+      side = merge(1, 2, plain%room(i) == in_urn1)
+      nx = plain%x(i) - x_direction(side)*real(plain%table%urn(side)%centre, qp)
+      ny = plain%y(i)
     end if
-    side = merge(1, 2, plain%room(i) == in_urn1)
-    nx = plain%x(i) - x_direction(side)*real(plain%table%urn(side)%centre, qp)
-    ny = plain%y(i)
     along = 2.0_qp*(nx*plain%ux(i) + ny*plain%uy(i))/(nx**2 + ny**2)
     plain%ux(i) = plain%ux(i) - along*nx
     plain%uy(i) = plain%uy(i) - along*ny

@@ -11,13 +11,16 @@
 module battery_excursion
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion
-  use battery_flight, only: gather, land, locate, never, to_gate, to_return, in_gate, &
+  use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion, &
+    is_scattered
+  use battery_flight, only: gather, land, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel, in_parts
   use battery_launch, only: launch
   use battery_few, only: walk_few, few
   use battery_foresight, only: pays, recall
+  use battery_among, only: among_type, new_among
   use battery_chamber, only: leave_channels
+  use battery_scatterers, only: narrowest_gap
   use battery_urn, only: cross
   use battery_parts, only: set_apart, compute_parts
   use battery_visits, only: visits_type, reserve_visits, part_visits, goes_on
@@ -51,6 +54,9 @@ module battery_excursion
     type(visits_type) :: visits(2)
     integer :: batches = 1
     logical, public :: looks_ahead = .false.
+    !> Whether discs stand in channel 2, and what is known of visits then.
+    logical :: scattered = .false.
+    type(among_type) :: among
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> How many visits are known in part; those that are gone on with now, when and who.
@@ -65,6 +71,55 @@ module battery_excursion
     procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type excursion_type
 
+  !> Where discs stand in channel 2 a window has no more hits of one particle in a narrow gap, unless
+  !> it were shorter than this share of the longest.
+  real(wp), parameter :: window_hits = 1.0e6_wp, least_window = 1.0e-3_wp
+
+  ! What it tells of itself, and how its state is kept: `excursion_state.f90`.
+  interface
+    module function state_of(self, i) result(state)
+      implicit none (type, external)
+      class(excursion_type), intent(in) :: self
+      integer, intent(in) :: i
+      real(wp) :: state(4)
+    end function state_of
+
+    module function collisions(self) result(total)
+      implicit none (type, external)
+      class(excursion_type), intent(in) :: self
+      integer(int64) :: total
+    end function collisions
+
+    module function trapped(self) result(total)
+      implicit none (type, external)
+      class(excursion_type), intent(in) :: self
+      integer(int64) :: total
+    end function trapped
+
+    module subroutine pass_own(self, stream)
+      implicit none (type, external)
+      class(excursion_type), intent(inout) :: self
+      type(stream_type), intent(inout) :: stream
+    end subroutine pass_own
+  end interface
+
+  ! Where discs stand in channel 2: `excursion_among.f90`.
+  interface
+    module subroutine take_over_among(self, particles)
+      implicit none (type, external)
+      type(excursion_type), intent(inout) :: self
+      type(particles_type), intent(inout) :: particles
+    end subroutine take_over_among
+
+    module subroutine go_among(self, began, ends, history)
+      implicit none (type, external)
+      type(excursion_type), intent(inout) :: self
+      !> The window.
+      real(wp), intent(in) :: began, ends
+      type(history_type), intent(inout) :: history
+    end subroutine go_among
+  end interface
+
 contains
 
   !> Sizes and lengths that follow from the table and the number of particles.
@@ -76,8 +131,14 @@ contains
       + 0.25_wp*pi*self%table%channel(gated)%length
     self%lookahead = shortest_excursion(self%table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
-    self%looks_ahead = self%batches == 1 .and. pays(real(self%number, wp)*self%lookahead &
-      /self%interval, self%gate%threshold)
+    self%scattered = is_scattered(self%table)
+    if (self%scattered) then
+      call new_among(self%among, self%number)
+      self%window = min(self%window, max(least_window*self%lookahead, window_hits &
+        *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
+    end if
+    self%looks_ahead = self%batches == 1 .and. .not. self%scattered .and. &
+      pays(real(self%number, wp)*self%lookahead/self%interval, self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
     call lay_out(self%flight, self%number)
     self%known_hits = 0
@@ -96,9 +157,26 @@ contains
     flight = idle
   end subroutine lay_out
 
-  !> First those in the urns, then those in the channels.
+  !> Takes over the particles, and writes down their first events.
   subroutine take_over(self, particles)
     class(excursion_type), intent(inout) :: self
+    type(particles_type), intent(inout) :: particles
+    integer :: i
+
+    if (self%scattered) then
+      call take_over_among(self, particles)
+    else
+      call take_over_straight(self, particles)
+    end if
+    call new_calendar(self%calendar, self%number, self%interval)
+    do i = 1, self%number
+      call write_down(self, i)
+    end do
+  end subroutine take_over
+
+  !> First those in the urns, then those in the channels.
+  subroutine take_over_straight(self, particles)
+    type(excursion_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
     integer :: first, i, k, b
     logical :: from_channels
@@ -121,11 +199,7 @@ contains
       end do
     end do
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
-    call new_calendar(self%calendar, self%number, self%interval)
-    do i = 1, self%number
-      call write_down(self, i)
-    end do
-  end subroutine take_over
+  end subroutine take_over_straight
 
   !> Puts the next event of a particle into the calendar, or, inside a gate, lets that count it.
   subroutine write_down(self, i)
@@ -168,7 +242,8 @@ contains
     associate (v => self%visits(b))
       call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
         v%y, v%along, v%across, v%through)
-      if (self%table%urn(b)%hands_on) self%parts = self%parts + count(v%channel(:v%count) == goes_on)
+      if (self%table%urn(b)%hands_on) self%parts = self%parts &
+        + count(v%channel(:v%count) == goes_on)
     end associate
   end subroutine go_on
 
@@ -178,7 +253,7 @@ contains
     real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
     real(wp) :: began, limit, ends, due
-    integer :: done, due_now, counted(2), b
+    integer :: due_now, done, counted(2)
 
     began = self%now
     limit = min(self%now + duration, self%page)
@@ -188,8 +263,10 @@ contains
     call open_until(self%calendar, self%flight, ends)
     due_now = due_before(self%calendar%sorted, self%calendar%due_time, ends)
     done = due_now
-    if (self%parts > 0) call set_apart(self%number, self%flight, self%calendar%due_time, &
-      self%calendar%particle, done, self%others, self%other_time, self%other)
+    self%others = 0
+    if (self%parts > 0 .or. self%scattered) call set_apart(self%number, self%flight, &
+      self%calendar%due_time, self%calendar%particle, done, self%others, self%other_time, &
+      self%other)
     counted = [self%gate(1)%counted%count, self%gate(2)%counted%count]
     call reserve_visits(self%visits(1), done + sum(counted))
     call reserve_history(history, done + sum(counted), 0)
@@ -202,7 +279,23 @@ contains
       call walk(self, began, ends, done, history)
     end if
     call drop_done(self%calendar, due_now)
-    if (done < due_now) call go_on_with_parts(self)
+    if (self%scattered) then
+      call go_among(self, began, ends, history)
+    else
+      if (self%others > 0) call go_on_with_parts(self)
+      call go_straight(self)
+    end if
+    self%now = ends
+    history%duration = ends - began
+    history%collisions = self%known_hits - self%told_hits
+    self%told_hits = self%known_hits
+  end subroutine live
+
+  !> The visits of a window.
+  subroutine go_straight(self)
+    type(excursion_type), intent(inout) :: self
+    integer :: b
+
     if (self%batches == 2) call part_visits(self%visits(1), self%visits(2))
     do b = 1, self%batches
       associate (v => self%visits(b))
@@ -220,15 +313,11 @@ contains
         call schedule_all(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
-    self%now = ends
-    history%duration = ends - began
-    history%collisions = self%known_hits - self%told_hits
-    self%told_hits = self%known_hits
-  end subroutine live
+  end subroutine go_straight
 
   !> Goes on with visits of which a part is known.
   subroutine go_on_with_parts(self)
-    class(excursion_type), intent(inout) :: self
+    type(excursion_type), intent(inout) :: self
     integer :: side
 
     do side = 1, 2
@@ -247,6 +336,7 @@ contains
 
     call turn_calendar(self%calendar, self%flight)
     if (self%looks_ahead) self%visits(2)%count = 0
+    if (self%scattered) self%among%leg%time = self%among%leg%time - self%page
     self%flight%time = self%flight%time - self%page
     call turn_clock(self)
   end subroutine turn_page
@@ -309,67 +399,5 @@ contains
       v%count = count + crossings
     end associate
   end subroutine send
-
-  !> x, y, u_x, u_y of particle `i` now, by going back in its flight.
-  function state_of(self, i) result(state)
-    class(excursion_type), intent(in) :: self
-    integer, intent(in) :: i
-    real(wp) :: state(4)
-    integer(int64) :: hits
-
-    associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
-      call locate(urn, flight, self%now, state(:2), state(3:), hits)
-      if (flight%heading == parked_in_channel) return
-      state(1) = urn%way*(state(1) - urn%centre)
-      state(3) = urn%way*state(3)
-    end associate
-  end function state_of
-
-  !> Wall hits from the start until now: those known, put right for where each is.
-  function collisions(self) result(total)
-    class(excursion_type), intent(in) :: self
-    integer(int64) :: total
-    real(wp) :: position(2), velocity(2)
-    integer(int64) :: hits
-    integer :: i
-
-    total = self%known_hits
-    do i = 1, self%number
-      call locate(self%table%urn(self%flight(i)%urn), self%flight(i), self%now, position, &
-        velocity, hits)
-      total = total + hits
-    end do
-  end function collisions
-
-  !> How many are parked.
-  function trapped(self) result(total)
-    class(excursion_type), intent(in) :: self
-    integer(int64) :: total
-
-    total = count(self%flight%heading == parked_in_urn .or. self%flight%heading == &
-      parked_in_channel)
-  end function trapped
-
-  !> The flights and counts, through a stream; the calendar follows from the flights.
-  subroutine pass_own(self, stream)
-    class(excursion_type), intent(inout) :: self
-    type(stream_type), intent(inout) :: stream
-    integer :: i
-
-    call stream%pass('known_hits', self%known_hits)
-    call stream%pass('told_hits', self%told_hits)
-    call stream%pass('heading', self%flight%heading)
-    call stream%pass('urn', self%flight%urn)
-    call stream%pass('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
-    call stream%pass('along', self%flight%along, 'across', self%flight%across, &
-      'length', self%flight%length, 'through', self%flight%through)
-    if (.not. stream%reading .or. stream%failed()) return
-    self%parts = count(self%flight%heading == in_parts)
-    call new_calendar(self%calendar, self%number, self%interval)
-    do i = 1, self%number
-      if (any(self%flight(i)%heading == [to_gate, to_return, in_parts])) &
-        call schedule(self%calendar, self%flight, i, self%flight(i)%due)
-    end do
-  end subroutine pass_own
 
 end module battery_excursion

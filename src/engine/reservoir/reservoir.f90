@@ -22,13 +22,13 @@
 module battery_reservoir
   use battery_kinds, only: wp, int32, int64, pi
   use battery_powers, only: power_above
-  use battery_table, only: gated, ungated, alike, mean_visit
+  use battery_table, only: table_type, gated, ungated, alike, mean_visit, is_scattered
   use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, &
     passed_walls, from_gate, from_return, in_gate, to_return, parked
   use battery_random, only: new_random
   use battery_queue, only: queue_type, empty_queue, push, pop, shift_queue
   use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
-  use battery_engine, only: engine_type, particles_type, turn_clock
+  use battery_engine, only: engine_type, particles_type, turn_clock, what_all_need
   use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry
   use battery_stream, only: stream_type
@@ -72,7 +72,7 @@ module battery_reservoir
     !> How many move on, that is, are not parked.
     integer :: moving = 0
   contains
-    procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
+    procedure :: supports, prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type reservoir_type
 
   ! What it tells of itself, and how its state is kept: `reservoir_state.f90`.
@@ -104,6 +104,16 @@ module battery_reservoir
   end interface
 
 contains
+
+  !> A channel where particles are scattered has no fixed way through.
+  pure function supports(self, table) result(reason)
+    class(reservoir_type), intent(in) :: self
+    type(table_type), intent(in) :: table
+    character(len=:), allocatable :: reason
+
+    reason = what_all_need(table)
+    if (is_scattered(table) .and. self%number >= 0) reason = 'it knows no scatterers'
+  end function supports
 
   !> Sizes and lengths that follow from the table and the number of particles.
   subroutine prepare(self)

@@ -116,7 +116,7 @@ contains
       i = tournament%node(1)%particle
       if (time >= ends .or. motion(i)%next < meets_channel_wall .or. hits >= most_hits) exit
       call fly(motion(i), time - motion(i)%time)
-      call hit_wall(table%urn(motion(i)%side), motion(i), wait)
+      call hit_wall(table, motion(i), wait)
       motion(i)%time = time
       call set_time(tournament, i, time + wait)
       hits = hits + 1
@@ -151,7 +151,7 @@ contains
 
     call fly(self%motion(i), self%now - self%motion(i)%time)
     self%motion(i)%time = self%now
-    call turn_back(self%table%urn(self%motion(i)%side), self%motion(i), wait)
+    call turn_back(self%table, self%motion(i), wait)
     call set_time(self%tournament, i, self%now + wait)
   end subroutine turn_particle
 

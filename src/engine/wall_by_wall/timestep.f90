@@ -22,7 +22,7 @@ module battery_timestep
   use battery_kinds, only: wp, int8, int64
   use battery_text, only: to_text
   use battery_table, only: table_type, urn_type, gated, ungated, in_urn, in_gate, in_return, &
-    x_direction, alike
+    x_direction, alike, is_scattered
   use battery_channel, only: fold, facing
   use battery_motion, only: motion_type
   use battery_urn, only: holds, put_back
@@ -67,6 +67,7 @@ contains
     real(wp) :: longest
 
     reason = what_all_need(table)
+    if (is_scattered(table)) reason = 'it knows no scatterers'
     if (reason /= '') return
     longest = min(minval(table%urn%clear), 0.5_wp*table%channel(gated)%length)
     if (table%sides == 2) longest = min(longest, 0.5_wp*table%channel(ungated)%length)

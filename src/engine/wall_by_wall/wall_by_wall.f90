@@ -117,7 +117,7 @@ contains
     chamber = motion%chamber
     met = motion%next
     if (met >= meets_channel_wall) then
-      call hit_wall(self%table%urn(side), motion, wait)
+      call hit_wall(self%table, motion, wait)
       call count_hits(self, history, 1_int64)
     else
       call pass_line(self%table, motion, wait)
@@ -183,7 +183,7 @@ contains
     type(history_type), intent(inout) :: history
 
     if (undecided(self%gate)) call let_gates_decide(self, since, history)
-    if (history%events > first) call order_events(history, first)
+    if (history%events > first) call order_events(history, first, history%events)
   end subroutine end_instant
 
   subroutine let_gates_decide(self, since, history)
@@ -225,7 +225,7 @@ contains
     real(wp) :: wait
 
     motion = self%motion_now(i)
-    call turn_back(self%table%urn(motion%side), motion, wait)
+    call turn_back(self%table, motion, wait)
     call self%write_down(i, motion, wait)
   end subroutine turn_particle
 
@@ -256,7 +256,7 @@ contains
 
     total = 0
     do i = 1, self%number
-      if (is_trapped(self%motion_now(i))) total = total + 1
+      if (is_trapped(self%table, self%motion_now(i))) total = total + 1
     end do
   end function trapped
 

@@ -1,0 +1,63 @@
+!> Probe of scatterers: problem 2 of the SIAM 100-Digit Challenge. Mirrors of radius 1/3 stand on the
+!> whole numbers of the plane, and a photon flies from (1/2, 1/10) to the east: how far from the
+!> origin is it after the time 10?
+module battery_probe_photon
+  use battery_kinds, only: wp, int64
+  use battery_error, only: error_type
+  use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
+    is_scattered
+  use battery_engine, only: engine_type, particles_type
+  use battery_history, only: history_type
+  use battery_engines, only: new_engine
+  use battery_probe, only: argument, precision_name
+  implicit none (type, external)
+  private
+  public :: photon_main
+
+contains
+
+  !> `photon ENGINE`: precision, hits, distance, its error.
+  subroutine photon_main()
+    real(wp), parameter :: answer = 0.99526291944335416089031180942672_wp
+    class(engine_type), allocatable :: engine
+    type(error_type), allocatable :: error
+    type(particles_type) :: photon
+    type(history_type) :: history
+    type(table_type) :: table
+    real(wp) :: elapsed, distance
+
+    table = mirrors()
+    if (.not. is_scattered(table)) error stop 'no mirrors'
+    photon%x = [0.5_wp - table%urn(1)%periodic_line]
+    photon%y = [0.1_wp]
+    photon%ux = [1.0_wp]
+    photon%uy = [0.0_wp]
+    call new_engine(argument(2), engine, error)
+    if (allocated(error)) error stop 'there is no such engine'
+    call engine%start(table, 1, photon, 0.0_wp)
+    elapsed = 0.0_wp
+    do while (elapsed < 10.0_wp)
+      call engine%advance(10.0_wp - elapsed, history)
+      elapsed = elapsed + history%duration
+    end do
+    call engine%particles(1, 1, photon)
+    distance = hypot(photon%x(1) - sign(table%urn(1)%periodic_line, photon%x(1)), photon%y(1))
+    print '(a, 1x, i0, 1x, f0.32, 1x, es9.1)', precision_name(), engine%collisions(), distance, &
+      abs(distance - answer)
+  end subroutine photon_main
+
+  !> A channel of width 6 and length 8 with mirrors where the photon could come to, and all lengths
+  !> whole numbers.
+  function mirrors() result(table)
+    type(table_type) :: table
+    real(wp) :: stand(3, 25)
+    integer :: i
+
+    do i = 1, 25
+      stand(:, i) = [real(modulo(i - 1, 5) - 2, wp), real((i - 1)/5 - 2, wp), 1.0_wp/3.0_wp]
+    end do
+    table = new_table(shape_circuit, [urn_type(radius=5.0_wp), urn_type(radius=5.0_wp)], &
+      [channel_type(6.0_wp, 2.0_wp), channel_type(6.0_wp, 8.0_wp)], stand)
+  end function mirrors
+
+end module battery_probe_photon

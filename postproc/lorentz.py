@@ -1,0 +1,214 @@
+"""Makes the experiments of the Lorentz circuit: scatterers in channel 2, current over chi.
+
+Runs are made in build/lorentz (some minutes of one core), and not repeated where they are complete.
+Numbers go to lorentz.json, the picture to lorentz.png and lorentz.pdf.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from postproc import cli, running
+from postproc.figures import style
+from postproc.reading.results import Results
+from postproc.theory.circuit import Circuit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    Rows = list[dict[str, float]]
+
+WIDTH = 0.2  # of channel 2
+NUMBER = 1000
+THRESHOLD = 7
+RADII = (0.0, 0.005, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.03, 0.04)
+COLUMNS = (0, 1, 2, 4, 6, 8)
+WIDTHS = (0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08)
+THRESHOLDS = (3, 5, 6, 7, 8, 9, 11, 13, 14)
+FREE_RADII = (0.0, 0.02, 0.04)
+STARTS = (0.5, 1.0)
+
+
+def lattice(columns: int, radius: float, width: float = WIDTH, length: float = 1.0) -> list[float]:
+    """Return z, y, radius of discs in columns of two, and of three, half of them in the walls."""
+    found: list[float] = []
+    for column in range(columns):
+        z = length * ((column + 0.5) / columns - 0.5)
+        heights = (-0.25, 0.25) if column % 2 == 0 else (-0.5, 0.0, 0.5)
+        for height in heights:
+            found += [round(z, 9), round(height * width, 9), radius]
+    return found
+
+
+class Job:
+    """Runs of one kind, in a folder."""
+
+    def __init__(self, folder: Path, replicas: int, duration: float) -> None:
+        """Keep where, how many, how long."""
+        self.folder, self.replicas, self.duration = folder, replicas, duration
+
+    def rows(self, name: str, scan: dict[str, object], **table: object) -> Rows:
+        """Run a scan; return a row for each of its points."""
+        groups: dict[str, dict[str, object]] = {
+            "table": {"channel2_width": WIDTH, **table},
+            "particles": {"number": NUMBER},
+            "gate": {} if "threshold" in scan else {"threshold": THRESHOLD},
+            "run": {"duration": 1.5 * self.duration, "transient_duration": 0.5 * self.duration},
+            "scan": {"replicas": self.replicas, **scan},
+            "output": {"file": f"{name}.h5"},
+        }
+        made = running.run(groups, folder=self.folder, quiet=True)
+        with Results(made) as results:
+            return [self._row(results, point) for point in range(results.points)]
+
+    def _row(self, results: Results, point: int) -> dict[str, float]:
+        """Return what a point says, with standard errors over its replicas."""
+        row = {name: float(results.value(name)[point])
+               for name in ("threshold", "channel2_width", "urn1_number")}  # fmt: skip
+        for name in ("chi", "polarised_current"):
+            values = results.value(name)[point]
+            row[name] = float(values.mean())
+            row[f"{name}_error"] = float(values.std(ddof=1) / math.sqrt(values.size))
+        # Conductance, in that of a straight channel of this width and well mixed urns.
+        plain = row["channel2_width"] / (math.pi * float(Circuit(NUMBER, 1, channel2_width=row[
+            "channel2_width"]).urn_area))  # fmt: skip
+        ratio = results.value("polarised_current")[point] / (
+            results.value("chi")[point] * NUMBER * plain
+        )
+        row["conductance"] = float(ratio.mean())
+        row["conductance_error"] = float(ratio.std(ddof=1) / math.sqrt(ratio.size))
+        # What the net crossings scatter by over replicas, a particle and a time unit.
+        net = results.value("current2")[point]
+        row["noise"] = float(net.var(ddof=1) * self.duration / NUMBER)
+        row["noise_error"] = row["noise"] * math.sqrt(2.0 / (net.size - 1))
+        return row
+
+
+def measure(folder: Path, replicas: int, duration: float) -> dict[str, Rows]:
+    """Make all runs; return their rows."""
+    job = Job(folder, replicas, duration)
+    both = {"urn1_fraction": list(STARTS)}
+    found: dict[str, Rows] = {"radius": [], "columns": [], "free": []}
+    for radius in RADII:
+        discs = {"scatterers": lattice(6, radius)} if radius else {}
+        rows = job.rows(f"radius_{radius:g}", both, **discs)
+        found["radius"] += [{"radius": radius} | row for row in rows]
+    for columns in COLUMNS:
+        discs = {"scatterers": lattice(columns, 0.04)} if columns else {}
+        rows = job.rows(f"columns_{columns}", both, **discs)
+        found["columns"] += [{"columns": columns} | row for row in rows]
+    found["straight"] = job.rows("straight", {"channel2_width": list(WIDTHS)} | both)
+    polarised = {"threshold": list(THRESHOLDS), "urn1_fraction": [1.0]}
+    found["ohm"] = job.rows("ohm", polarised, scatterers=lattice(6, 0.015))
+    found["ohm_straight"] = job.rows("ohm_straight", polarised, channel2_width=0.06)
+    for radius in FREE_RADII:
+        discs = {"scatterers": lattice(6, radius)} if radius else {}
+        scan = {"threshold": [NUMBER], "replicas": 4 * replicas}
+        chance = nyquist(found["radius"], radius)
+        found["free"] += [{"radius": radius, "nyquist": chance} | row
+                          for row in job.rows(f"free_{radius:g}", scan, **discs)]  # fmt: skip
+    return found
+
+
+def nyquist(rows: Rows, radius: float) -> float:
+    """Return what the net crossings would scatter by if nobody remembered anything.
+
+    Two conductors in a ring at equilibrium: 2 (N/2) g1 g2/(g1 + g2), for one particle. Without
+    scatterers both conduct as straight channels at well mixed urns do.
+    """
+    rates = [width / (math.pi * float(Circuit(NUMBER, 1, channel2_width=WIDTH).urn_area))
+             for width in (0.3, WIDTH)]  # fmt: skip
+    if radius:
+        rates[1] *= next(row["conductance"] for row in reversed(rows) if row["radius"] == radius)
+    return rates[0] * rates[1] / sum(rates)
+
+
+def _bars(axes: Axes, rows: Rows, across: str, up: str, look: dict[str, object]) -> None:
+    values = {name: [row[name] for row in rows] for name in (across, up, f"{up}_error")}
+    axes.errorbar(values[across], values[up], values[f"{up}_error"], ms=3.5, capsize=1.5, **look)
+
+
+def _from(rows: Rows, start: float) -> Rows:
+    return [row for row in rows if row["urn1_number"] == start * NUMBER]
+
+
+def figure(found: dict[str, Rows]) -> Figure:
+    """Return chi over radius, number and conductance, and current over chi."""
+    made = style.figure(style.PAGE, 4.8)
+    (by_radius, by_columns), (ohm, collapse) = made.subplots(2, 2)
+    looks = (
+        {"marker": "o", "ls": "-", "color": style.BLUE, "label": "from equal urns"},
+        {"marker": "s", "ls": "--", "mfc": "none", "color": style.VERMILION,
+         "label": "from one full urn"},
+    )  # fmt: skip
+    for start, look in zip(STARTS, looks, strict=True):
+        _bars(by_radius, _from(found["radius"], start), "radius", "chi", look)
+        _bars(by_columns, _from(found["columns"], start), "columns", "chi", look)
+    by_radius.set(xlabel="radius of 15 scatterers", ylabel=r"$\chi$")
+    by_columns.set(xlabel="columns of scatterers of radius 0.04", ylabel=r"$\chi$")
+    by_radius.legend()
+    for name, colour, label in (
+        ("ohm", style.BLUE, "scatterers of radius 0.015, $w' = 0.2$"),
+        ("ohm_straight", style.GREEN, "none, $w' = 0.06$"),
+    ):
+        look = {"marker": "o", "ls": "none", "color": colour, "label": label}
+        _bars(ohm, found[name], "chi", "polarised_current", look)
+    ohm.set(xlabel=r"$\chi$", ylabel="net current", xlim=(0, 1), ylim=(0, None))
+    ohm.legend()
+    for name, colour, label in (
+        ("radius", style.BLUE, "scatterers of growing radius"),
+        ("columns", style.ORANGE, "more and more of them"),
+        ("straight", style.GREEN, "none, narrower channel"),
+    ):
+        look = {"marker": "o", "ls": "none", "color": colour, "label": label}
+        rows = [row | {"width": row["conductance"] * row["channel2_width"]}
+                for row in _from(found[name], 1.0) if row["chi"] > 0.1]  # fmt: skip
+        _bars(collapse, rows, "width", "chi", look)
+    collapse.set(xlabel="width of a straight channel that conducts as well", ylabel=r"$\chi$")
+    collapse.legend()
+    return made
+
+
+def table(rows: Rows, first: Iterable[str]) -> str:
+    """Return rows as a table of Markdown."""
+    lines = ["| " + " | ".join([*first, "start", "chi", "net current", "conductance"]) + " |"]
+    lines.append("|" + " --- |" * (4 + len(list(first))))
+    for row in rows:
+        parts = [f"{row[name]:g}" for name in first] + [f"{row['urn1_number'] / NUMBER:g}"]
+        for name, digits in (("chi", 4), ("polarised_current", 3), ("conductance", 3)):
+            parts.append(f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}")
+        lines.append("| " + " | ".join(parts) + " |")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Make the runs, print the tables, write numbers and picture."""
+    options = cli.parser("lorentz", __doc__)
+    options.add_argument("--replicas", type=cli.integer(2), default=16, help="default: 16")
+    options.add_argument("--duration", type=cli.number(1.0), default=2000.0, help="measured time")
+    options.add_argument("--output", metavar="DIR", type=Path, default=Path("build/lorentz"))
+    given = options.parse_args(arguments)
+    folder = cli.output_folder(given.output)
+    found = measure(folder, given.replicas, given.duration)
+    (folder / "lorentz.json").write_text(json.dumps(cli.finite(found), indent=1) + "\n", "utf-8")
+    for name, rows in found.items():
+        first = [key for key in ("radius", "columns") if key in rows[0]]
+        print(f"{name}\n\n{table(rows, [*first, 'threshold', 'channel2_width'])}\n")
+    for row in found["free"]:
+        print(
+            f"free, radius {row['radius']:g}: the net current scatters over replicas by "
+            f"{row['noise'] / row['nyquist']:.2f} ± {row['noise_error'] / row['nyquist']:.2f} "
+            "of what it would without memory"
+        )
+    style.save(figure(found), folder, "lorentz")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(cli.run(main))

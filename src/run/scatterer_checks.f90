@@ -1,0 +1,83 @@
+!> Whether scatterers can stand in channel 2.
+module battery_scatterer_checks
+  use battery_kinds, only: wp
+  use battery_text, only: to_text
+  use battery_channel, only: channel_type
+  implicit none (type, external)
+  private
+  public :: wrong_type, wrong_scatterers
+
+  !> Something that is wrong, and what is allowed.
+  type :: wrong_type
+    character(len=:), allocatable :: value, allowed
+  end type wrong_type
+
+contains
+
+  !> Everything that is wrong with scatterers.
+  pure function wrong_scatterers(values, channel, least) result(problems)
+    !> z, y, radius of each in turn.
+    real(wp), intent(in) :: values(:)
+    !> Channel 2.
+    type(channel_type), intent(in) :: channel
+    !> Least radius.
+    real(wp), intent(in) :: least
+    type(wrong_type), allocatable :: problems(:)
+    real(wp) :: half_length, half_width
+    integer :: k, count, other
+
+    allocate (problems(0))
+    count = size(values)/3
+    if (size(values) /= 3*count) call add('has '//to_text(size(values))//' values', &
+      'three for each disc: z, y, radius')
+    if (.not. channel%width > 0.0_wp) then
+      call add('is given where channel 2 is closed', 'nothing, or a channel2_width above 0')
+      return
+    end if
+    half_length = 0.5_wp*channel%length
+    half_width = 0.5_wp*channel%width
+    do k = 1, count
+      associate (z => values(3*k - 2), y => values(3*k - 1), radius => values(3*k))
+        if (.not. radius >= least) then
+          call add(place(k)//' is too small', 'a radius from '//to_text(least)//' up')
+        else if (.not. abs(z) + radius < half_length) then
+          call add(place(k)//' reaches into an opening', '|z| + radius below channel2_length/2, ' &
+            //'which is '//to_text(half_length))
+        else if (.not. abs(y) - radius < half_width) then
+          call add(place(k)//' is outside of the channel', '|y| - radius below channel2_width/2, ' &
+            //'which is '//to_text(half_width))
+        end if
+        do other = 1, k - 1
+          if (abs(values(3*other - 2) - z) >= values(3*other) + radius) cycle
+          if (hypot(values(3*other - 2) - z, values(3*other - 1) - y) > values(3*other) + radius) &
+            cycle
+          call add(place(k)//' meets '//place(other), 'discs that are apart')
+        end do
+      end associate
+    end do
+
+  contains
+
+    !> One more problem.
+    pure subroutine add(value, allowed)
+      character(len=*), intent(in) :: value, allowed
+      type(wrong_type) :: problem
+
+      problem%value = value
+      if (index(value, 'is ') /= 1) problem%value = 'is wrong: '//value
+      problem%allowed = allowed
+      problems = [problems, problem]
+    end subroutine add
+
+    !> Which disc it is, and its numbers.
+    pure function place(k) result(text)
+      integer, intent(in) :: k
+      character(len=:), allocatable :: text
+
+      text = 'disc '//to_text(k)//' (values '//to_text(3*k - 2)//' to '//to_text(3*k)//': ' &
+        //to_text(values(3*k - 2))//', '//to_text(values(3*k - 1))//', '//to_text(values(3*k))//')'
+    end function place
+
+  end function wrong_scatterers
+
+end module battery_scatterer_checks

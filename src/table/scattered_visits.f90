@@ -1,0 +1,270 @@
+!> Whole visits to half of channel 2 where discs stand in it, in batches: from wall to wall.
+!>
+!> `lanes` particles fly side by side, each alone, one flight of each at a time, without branches. A
+!> lane whose particle has come to the line or to the urn takes the next one of the batch. So the
+!> result of a particle does not depend on who else is in its batch.
+module battery_scattered_visits
+  use battery_kinds, only: wp
+  use battery_motion, only: slowest, meets_nothing, meets_urn, meets_line, meets_channel_wall
+  use battery_scatterers, only: scattered_half_type, longest_part
+  implicit none (type, external)
+  private
+  public :: strays_type, reserve_strays, cross_half
+
+  !> Particles that the kernel flies side by side.
+  integer, parameter :: lanes = 8
+
+  !> A batch of visits to a half, in its frame (`battery_scatterers`), one entry a particle.
+  type :: strays_type
+    integer :: count = 0
+    !> Who.
+    integer, allocatable :: particle(:)
+    !> Place and velocity: lengths, and a vector of length 1.
+    real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
+    !> In: how long it is flown at most. Out: how long it was.
+    real(wp), allocatable :: time(:)
+    !> Out, whole numbers: wall hits; and what the visit ended with, the line or the urn as
+    !> `motion_type` has them, `meets_nothing` if its time was up, or a wall after `longest_part`
+    !> hits.
+    real(wp), allocatable :: hits(:), met(:)
+  end type strays_type
+
+  !> What flies in the lanes.
+  type :: lanes_type
+    integer :: who(lanes) = 0
+    real(wp), dimension(lanes) :: x = 0.0_wp, y = 0.0_wp, ux = 1.0_wp, uy = 0.0_wp
+    real(wp), dimension(lanes) :: time = 0.0_wp, until = 0.0_wp, wait = 0.0_wp, hits = 0.0_wp
+    !> What is met, as a whole number; and if that is a disc, where it is.
+    real(wp), dimension(lanes) :: met = 0.0_wp, met_x = 0.0_wp, met_y = 0.0_wp, met_radius = 0.0_wp
+  end type lanes_type
+
+contains
+
+  !> Makes room for `room` visits and empties the batch.
+  pure subroutine reserve_strays(strays, room)
+    type(strays_type), intent(inout) :: strays
+    integer, intent(in) :: room
+    integer :: n
+
+    strays%count = 0
+    if (allocated(strays%x)) then
+      if (size(strays%x) >= room) return
+    end if
+    n = max(64, room + room/2)
+    strays = strays_type()
+    allocate (strays%x(n), strays%y(n), strays%ux(n), strays%uy(n), strays%time(n), &
+      strays%hits(n), strays%met(n), source=0.0_wp)
+    allocate (strays%particle(n), source=0)
+  end subroutine reserve_strays
+
+  !> All visits of a batch.
+  subroutine cross_half(half, strays)
+    type(scattered_half_type), intent(in) :: half
+    type(strays_type), intent(inout) :: strays
+    type(lanes_type) :: now
+    integer :: lane, next, flying
+
+    next = 0
+    flying = 0
+    do lane = 1, lanes
+      call take_next(lane)
+    end do
+    do while (flying > 0)
+      call aim_ahead(half%length, half%half_width, now%x, now%y, now%ux, now%uy, now%met, now%wait)
+      call aim_at_discs(half%count, half%x, half%y, half%radius, now%x, now%y, now%ux, now%uy, &
+        now%met, now%wait)
+      call fly_on(now%until, now%x, now%y, now%ux, now%uy, now%met, now%wait, now%time, now%hits)
+      call look_up(half%count, half%x, half%y, half%radius, now%met, now%met_x, now%met_y, &
+        now%met_radius)
+      call bounce_off(half%half_width, now%met_x, now%met_y, now%met_radius, now%x, now%y, &
+        now%ux, now%uy, now%met)
+      do lane = 1, lanes
+        if (now%who(lane) == 0) cycle
+        if (now%met(lane) >= real(meets_channel_wall, wp) .and. now%hits(lane) < longest_part) cycle
+        call put_down(lane)
+        call take_next(lane)
+      end do
+    end do
+
+  contains
+
+    !> The result of a lane.
+    subroutine put_down(lane)
+      integer, intent(in) :: lane
+
+      associate (j => now%who(lane))
+        strays%x(j) = now%x(lane)
+        strays%y(j) = now%y(lane)
+        strays%ux(j) = now%ux(lane)
+        strays%uy(j) = now%uy(lane)
+        strays%time(j) = now%time(lane)
+        strays%hits(j) = now%hits(lane)
+        strays%met(j) = now%met(lane)
+      end associate
+      flying = flying - 1
+    end subroutine put_down
+
+    !> The next of the batch into a lane, if there is one; else the lane idles.
+    subroutine take_next(lane)
+      integer, intent(in) :: lane
+
+      now%who(lane) = 0
+      if (next == strays%count) return
+      next = next + 1
+      flying = flying + 1
+      now%who(lane) = next
+      now%x(lane) = strays%x(next)
+      now%y(lane) = strays%y(next)
+      now%ux(lane) = strays%ux(next)
+      now%uy(lane) = strays%uy(next)
+      now%until(lane) = strays%time(next)
+      now%time(lane) = 0.0_wp
+      now%hits(lane) = 0.0_wp
+    end subroutine take_next
+
+  end subroutine cross_half
+
+  !> The end of the half that a particle flies to, or the wall if that is sooner.
+  pure subroutine aim_ahead(length, half_width, x, y, ux, uy, met, wait)
+    real(wp), intent(in) :: length, half_width
+    real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
+    real(wp), dimension(lanes), intent(out) :: met, wait
+    real(wp) :: speed, ahead, at_end, px, py, v, way(lanes), to_wall(lanes)
+    integer :: j
+
+    ! Loop by loop: a condition that is asked twice in one would become a branch.
+    !GCC$ unroll 1
+    do j = 1, lanes
+      v = ux(j)
+      speed = abs(v)
+      ahead = merge(1.0_wp, 0.0_wp, v >= 0.0_wp)
+      px = ahead*length - (2.0_wp*ahead - 1.0_wp)*x(j)
+      way(j) = merge(px, 0.0_wp, px > 0.0_wp)/merge(speed, slowest, speed > slowest)
+    end do
+    !GCC$ unroll 1
+    do j = 1, lanes
+      py = y(j)
+      v = uy(j)
+      speed = abs(v)
+      py = half_width - merge(py, -py, v >= 0.0_wp)
+      to_wall(j) = merge(py, 0.0_wp, py > 0.0_wp)/merge(speed, slowest, speed > slowest)
+    end do
+    !GCC$ unroll 1
+    do j = 1, lanes
+      at_end = merge(real(meets_urn, wp), real(meets_line, wp), ux(j) >= 0.0_wp)
+      met(j) = merge(real(meets_channel_wall, wp), at_end, to_wall(j) <= way(j))
+    end do
+    !GCC$ unroll 1
+    do j = 1, lanes
+      wait(j) = merge(to_wall(j), way(j), to_wall(j) <= way(j))
+    end do
+  end subroutine aim_ahead
+
+  !> A disc instead, if one is met before.
+  pure subroutine aim_at_discs(count, disc_x, disc_y, radius, x, y, ux, uy, met, wait)
+    integer, intent(in) :: count
+    real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
+    real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
+    real(wp), dimension(lanes), intent(inout) :: met, wait
+    real(wp) :: dx, dy, ahead, beside, room, time, this, before, best, met_before
+    integer :: k, j
+
+    do k = 1, count
+      this = k
+      !GCC$ unroll 1
+      do j = 1, lanes
+        dx = disc_x(k) - x(j)
+        dy = disc_y(k) - y(j)
+        ahead = dx*ux(j) + dy*uy(j)
+        beside = abs(dx*uy(j) - dy*ux(j))
+        room = (radius(k) - beside)*(radius(k) + beside)
+        time = ahead - sqrt(max(room, 0.0_wp))
+        time = merge(time, huge(1.0_wp), room > 0.0_wp)
+        time = merge(time, huge(1.0_wp), ahead > 0.0_wp)
+        ! So written, the compiler keeps both in registers from disc to disc.
+        before = wait(j)
+        met_before = met(j)
+        best = min(time, before)
+        met(j) = merge(this, met_before, best < before)
+        wait(j) = best
+      end do
+    end do
+    ! Who is in a disc by rounding, and does not fly away from it, meets it now.
+    !GCC$ unroll 1
+    do j = 1, lanes
+      wait(j) = max(wait(j), 0.0_wp)
+    end do
+  end subroutine aim_at_discs
+
+  !> Straight on to what is met, or until time is up.
+  pure subroutine fly_on(until, x, y, ux, uy, met, wait, time, hits)
+    real(wp), dimension(lanes), intent(in) :: until, ux, uy
+    real(wp), dimension(lanes), intent(inout) :: x, y, met, wait, time, hits
+    logical :: over
+    integer :: j
+
+    !GCC$ unroll 1
+    do j = 1, lanes
+      over = time(j) + wait(j) > until(j)
+      met(j) = merge(real(meets_nothing, wp), met(j), over)
+      wait(j) = merge(until(j) - time(j), wait(j), over)
+      time(j) = time(j) + wait(j)
+      x(j) = x(j) + ux(j)*wait(j)
+      y(j) = y(j) + uy(j)*wait(j)
+      hits(j) = hits(j) + merge(1.0_wp, 0.0_wp, met(j) >= real(meets_channel_wall, wp))
+    end do
+  end subroutine fly_on
+
+  !> Where the discs are that are met; of other walls, some disc.
+  pure subroutine look_up(count, disc_x, disc_y, radius, met, met_x, met_y, met_radius)
+    integer, intent(in) :: count
+    real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
+    real(wp), intent(in) :: met(lanes)
+    real(wp), dimension(lanes), intent(out) :: met_x, met_y, met_radius
+    integer :: j, k
+
+    do j = 1, lanes
+      k = max(int(met(j)), 1)
+      met_x(j) = disc_x(k)
+      met_y(j) = disc_y(k)
+      met_radius(j) = radius(k)
+    end do
+  end subroutine look_up
+
+  !> Reflection, as in `hit_among`; whoever met the line or the urn goes on as it flew.
+  pure subroutine bounce_off(half_width, met_x, met_y, met_radius, x, y, ux, uy, met)
+    real(wp), intent(in) :: half_width
+    real(wp), dimension(lanes), intent(in) :: met_x, met_y, met_radius
+    real(wp), dimension(lanes), intent(inout) :: x, y, ux, uy
+    real(wp), intent(in) :: met(lanes)
+    real(wp) :: dx, dy, sine, cosine, along, across, norm, vx, vy, wx, wy
+    logical :: at_disc, at_wall
+    integer :: j
+
+    !GCC$ unroll 1
+    do j = 1, lanes
+      at_disc = met(j) > real(meets_channel_wall, wp)
+      at_wall = .not. abs(met(j) - real(meets_channel_wall, wp)) > 0.0_wp
+      wx = ux(j)
+      wy = uy(j)
+      dx = met_x(j) - x(j)
+      dy = met_y(j) - y(j)
+      sine = (dx*wy - dy*wx)/met_radius(j)
+      sine = merge(sine, 1.0_wp, sine < 1.0_wp)
+      sine = merge(sine, -1.0_wp, sine > -1.0_wp)
+      cosine = sqrt((1.0_wp - sine)*(1.0_wp + sine))
+      along = (sine - cosine)*(sine + cosine)
+      across = 2.0_wp*sine*cosine
+      vx = along*wx - across*wy
+      vy = along*wy + across*wx
+      norm = 1.5_wp - 0.5_wp*(vx**2 + vy**2)
+      dx = met_x(j) - met_radius(j)*(cosine*wx + sine*wy)
+      dy = met_y(j) - met_radius(j)*(cosine*wy - sine*wx)
+      x(j) = merge(dx, x(j), at_disc)
+      y(j) = merge(dy, merge(sign(half_width, wy), y(j), at_wall), at_disc)
+      ux(j) = merge(norm*vx, wx, at_disc)
+      uy(j) = merge(norm*vy, merge(-wy, wy, at_wall), at_disc)
+    end do
+  end subroutine bounce_off
+
+end module battery_scattered_visits

@@ -1,0 +1,226 @@
+!> Half of channel 2 where fixed discs stand in it: what is met there, and bounces off the discs.
+!>
+!> Frame of a half: x runs from the counted line at 0 to the urn at `length`, y as in the table; the
+!> half of urn 2 is mirrored. A disc that stands astride the line is a wall of both halves, one that
+!> reaches over a wall is cut off there.
+!>
+!> A particle is taken back to the disc that it meets, and its velocity is turned by the angle that
+!> follows from how far beside the middle of the disc it flies: no root is subtracted from a number
+!> of its own size but in the time of flight.
+module battery_scatterers
+  use battery_kinds, only: wp, pi
+  use battery_channel, only: channel_type
+  use battery_motion, only: wall_kind, slowest, meets_urn, meets_line, meets_channel_wall
+  implicit none (type, external)
+  private
+  public :: scattered_half_type, new_scattered_half, aim_among, hit_among, is_in_scatterer
+  public :: covered_area, added_perimeter, narrowest_gap, comes_back
+
+  !> So many hits in a half without leaving it are looked at as a whole: a visit with more is handed
+  !> on in parts, and a state that has not come back within as many more is taken for one that will
+  !> not.
+  integer, parameter, public :: longest_part = 10000
+
+  !> Half of a channel; `count` is 0 where nothing stands in the channel at all.
+  type :: scattered_half_type
+    integer :: count = 0
+    !> From the line to the urn, and from the axis to the walls.
+    real(wp) :: length = 0.0_wp, half_width = 0.0_wp
+    !> The middles of the discs in the frame of the half, and their radii.
+    real(wp), allocatable :: x(:), y(:), radius(:)
+  end type scattered_half_type
+
+contains
+
+  !> The half of the channel on the side that lies `along` the channel's own axis: 1, or -1 for that
+  !> of urn 2. Discs that do not reach into it are left out, but for one where all would be.
+  pure function new_scattered_half(channel, scatterers, along) result(half)
+    type(channel_type), intent(in) :: channel
+    !> (z, y, radius) of each disc.
+    real(wp), intent(in) :: scatterers(:, :)
+    real(wp), intent(in) :: along
+    type(scattered_half_type) :: half
+    logical :: here(size(scatterers, 2))
+
+    here = along*scatterers(1, :) + scatterers(3, :) > 0.0_wp
+    if (.not. any(here)) here(1:1) = .true.
+    half%count = count(here)
+    half%length = 0.5_wp*channel%length
+    half%half_width = 0.5_wp*channel%width
+    half%x = along*pack(scatterers(1, :), here)
+    half%y = pack(scatterers(2, :), here)
+    half%radius = pack(scatterers(3, :), here)
+  end function new_scattered_half
+
+  !> What a particle meets next: the wall, the line, the urn, or a disc by its number.
+  pure subroutine aim_among(half, x, y, ux, uy, next, wait)
+    type(scattered_half_type), intent(in) :: half
+    !> Place and velocity in the frame of the half.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> What, as `motion_type` has it.
+    integer(wall_kind), intent(out) :: next
+    !> Time until then.
+    real(wp), intent(out) :: wait
+    real(wp) :: to_wall, dx, dy, beside, room, ahead, time(half%count)
+    integer :: k
+
+    next = meets_line
+    wait = max(x, 0.0_wp)/max(-ux, slowest)
+    if (ux >= 0.0_wp) then
+      next = meets_urn
+      wait = max(half%length - x, 0.0_wp)/max(ux, slowest)
+    end if
+    to_wall = max(half%half_width - sign(1.0_wp, uy)*y, 0.0_wp)/max(abs(uy), slowest)
+    if (to_wall <= wait) then
+      next = meets_channel_wall
+      wait = to_wall
+    end if
+    do k = 1, half%count
+      dx = half%x(k) - x
+      dy = half%y(k) - y
+      ahead = dx*ux + dy*uy
+      beside = abs(dx*uy - dy*ux)
+      room = (half%radius(k) - beside)*(half%radius(k) + beside)
+      ! Who is in a disc by rounding meets it now, if it does not fly away from it.
+      time(k) = merge(max(ahead - sqrt(max(room, 0.0_wp)), 0.0_wp), huge(1.0_wp), &
+        room > 0.0_wp .and. ahead > 0.0_wp)
+    end do
+    do k = 1, half%count
+      if (time(k) >= wait) cycle
+      wait = time(k)
+      next = int(k, wall_kind)
+    end do
+  end subroutine aim_among
+
+  !> Reflection from the wall, or from a disc, at which it has arrived.
+  pure subroutine hit_among(half, met, x, y, ux, uy)
+    type(scattered_half_type), intent(in) :: half
+    !> `meets_channel_wall`, or the number of a disc.
+    integer, intent(in) :: met
+    !> Place and velocity in the frame of the half.
+    real(wp), intent(inout) :: x, y, ux, uy
+    real(wp) :: dx, dy, sine, cosine, along, across, norm, radius
+
+    if (met <= 0) then
+      y = sign(half%half_width, uy)
+      uy = -uy
+      return
+    end if
+    radius = half%radius(met)
+    dx = half%x(met) - x
+    dy = half%y(met) - y
+    ! Of the angle of incidence.
+    sine = max(-1.0_wp, min((dx*uy - dy*ux)/radius, 1.0_wp))
+    cosine = sqrt((1.0_wp - sine)*(1.0_wp + sine))
+    x = half%x(met) - radius*(cosine*ux + sine*uy)
+    y = half%y(met) - radius*(cosine*uy - sine*ux)
+    along = (sine - cosine)*(sine + cosine)
+    across = 2.0_wp*sine*cosine
+    dx = along*ux - across*uy
+    dy = along*uy + across*ux
+    ! Lest the speed drifts.
+    norm = 1.5_wp - 0.5_wp*(dx**2 + dy**2)
+    ux = norm*dx
+    uy = norm*dy
+  end subroutine hit_among
+
+  !> Whether a particle comes back to the very state that it has at its next hit, without leaving the
+  !> half: then it never will.
+  pure subroutine comes_back(half, x, y, ux, uy, yes)
+    type(scattered_half_type), intent(in) :: half
+    !> Place and velocity in the frame of the half.
+    real(wp), intent(in) :: x, y, ux, uy
+    logical, intent(out) :: yes
+    real(wp) :: now(4), mark(4), wait
+    integer(wall_kind) :: met
+    integer :: hit
+
+    yes = .false.
+    now = [x, y, ux, uy]
+    do hit = 0, longest_part
+      if (hit == 1) mark = now
+      call aim_among(half, now(1), now(2), now(3), now(4), met, wait)
+      if (met < meets_channel_wall) return
+      now(:2) = now(:2) + wait*now(3:)
+      call hit_among(half, int(met), now(1), now(2), now(3), now(4))
+      if (hit > 0) yes = .not. any(abs(now - mark) > 0.0_wp)
+      if (yes) return
+    end do
+  end subroutine comes_back
+
+  !> Whether a point is farther inside a disc than `tolerance`.
+  pure function is_in_scatterer(half, x, y, tolerance) result(inside)
+    type(scattered_half_type), intent(in) :: half
+    !> In the frame of the half.
+    real(wp), intent(in) :: x, y
+    real(wp), intent(in) :: tolerance
+    logical :: inside
+
+    inside = .false.
+    if (half%count > 0) inside = any(hypot(half%x - x, half%y - y) < half%radius - tolerance)
+  end function is_in_scatterer
+
+  !> What the discs take of the area of a channel.
+  pure function covered_area(channel, scatterers) result(area)
+    type(channel_type), intent(in) :: channel
+    !> (z, y, radius) of each disc.
+    real(wp), intent(in) :: scatterers(:, :)
+    real(wp) :: area
+
+    associate (h => 0.5_wp*channel%width, y => scatterers(2, :), r => scatterers(3, :))
+      area = sum(pi*r**2 - cap(r, h - y) - cap(r, h + y))
+    end associate
+
+  contains
+
+    !> What of a disc lies beyond a line at a distance from its middle.
+    elemental real(wp) function cap(radius, distance)
+      real(wp), intent(in) :: radius, distance
+      real(wp) :: cosine
+
+      cosine = max(-1.0_wp, min(distance/radius, 1.0_wp))
+      cap = radius**2*(acos(cosine) - cosine*sqrt((1.0_wp - cosine)*(1.0_wp + cosine)))
+    end function cap
+
+  end function covered_area
+
+  !> The length of the discs' walls in a channel, less that of the channel's walls that they cover.
+  pure function added_perimeter(channel, scatterers) result(length)
+    type(channel_type), intent(in) :: channel
+    !> (z, y, radius) of each disc.
+    real(wp), intent(in) :: scatterers(:, :)
+    real(wp) :: length
+
+    associate (h => 0.5_wp*channel%width, y => scatterers(2, :), r => scatterers(3, :))
+      length = sum(2.0_wp*pi*r - lost(r, h - y) - lost(r, h + y))
+    end associate
+
+  contains
+
+    !> The arc beyond a line at a distance, and what of the line is inside.
+    elemental real(wp) function lost(radius, distance)
+      real(wp), intent(in) :: radius, distance
+      real(wp) :: cosine
+
+      cosine = max(-1.0_wp, min(distance/radius, 1.0_wp))
+      lost = 2.0_wp*radius*(acos(cosine) + sqrt((1.0_wp - cosine)*(1.0_wp + cosine)))
+    end function lost
+
+  end function added_perimeter
+
+  !> The least way between two discs or two walls: no two hits of others follow faster on and on.
+  pure function narrowest_gap(channel, scatterers) result(gap)
+    type(channel_type), intent(in) :: channel
+    !> (z, y, radius) of each disc.
+    real(wp), intent(in) :: scatterers(:, :)
+    real(wp) :: gap
+    integer :: k
+
+    gap = channel%width
+    do k = 2, size(scatterers, 2)
+      gap = min(gap, minval(hypot(scatterers(1, :k - 1) - scatterers(1, k), &
+        scatterers(2, :k - 1) - scatterers(2, k)) - scatterers(3, :k - 1) - scatterers(3, k)))
+    end do
+  end function narrowest_gap
+
+end module battery_scatterers

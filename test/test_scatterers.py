@@ -1,0 +1,180 @@
+"""Scatterers from the namelist on: what is refused, what is run, kept, and said of it."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import h5py
+import numpy as np
+import pytest
+from support.program import namelist, run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DISCS = "0.03, 0.02, 0.07, -0.2, 0.19, 0.06, 0.18, -0.08, 0.05"
+TABLE = {"channel2_width": "0.4", "scatterers": DISCS}
+
+
+def write(folder: Path, name: str, table: dict[str, str], **more: dict[str, str]) -> str:
+    """Write a namelist that is `name`.nml, whose results are `name`.h5; return its name."""
+    groups = {
+        "table": table,
+        "particles": {"number": "60"},
+        "gate": {"threshold": "2"},
+        "run": {"duration": "30"},
+        "output": {"file": f"'{name}.h5'"},
+    }
+    groups |= {key: groups.get(key, {}) | value for key, value in more.items()}
+    (folder / f"{name}.nml").write_text(namelist(**groups))
+    return f"{name}.nml"
+
+
+def refused(folder: Path, table: dict[str, str], **more: dict[str, str]) -> list[str]:
+    """Return what is said of a namelist that is refused."""
+    ended = run("--check", write(folder, "c", table, **more), folder=folder)
+    assert ended.returncode == 2, ended.stdout
+    assert not list(folder.glob("c.h5*"))
+    return [line for line in ended.stderr.splitlines() if "c.nml" in line]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ("0, 0, 0.1, 0.2", ["has 4 values", "three for each disc"]),
+        ("0, 0, 0", ["disc 1 (values 1 to 3: 0, 0, 0) is too small"]),
+        ("0, 0, -0.1", ["disc 1 (values 1 to 3: 0, 0, -0.1) is too small"]),
+        ("0.4, 0, 0.1", ["disc 1", "reaches into an opening", "channel2_length/2, which is 0.5"]),
+        ("0, 0, 0.1, -0.45, 0, 0.06", ["disc 2 (values 4 to 6", "reaches into an opening"]),
+        ("0, 0.31, 0.1", ["disc 1", "outside of the channel", "channel2_width/2, which is 0.2"]),
+        ("0, 0, 0.1, 0.1, 0.1, 0.05", ["disc 2", "meets disc 1", "discs that are apart"]),
+        ("", ["has no value"]),
+    ],
+)
+def test_scatterers_that_cannot_stand_there_are_refused(
+    tmp_path: Path, values: str, words: list[str]
+) -> None:
+    """Key, index, what is allowed."""
+    (told,) = refused(tmp_path, {"channel2_width": "0.4", "scatterers": values})
+    assert "&table scatterers" in told
+    assert "allowed: " in told
+    for word in words:
+        assert word in told
+
+
+def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
+    """Each disc, and the engine that cannot."""
+    values = "0, 0, 0.1, 0.05, 0, 0.1, 0.45, 0, 0.1, 0, 1, 0.1, 7"
+    table = {"channel2_width": "0.4", "scatterers": values}
+    told = refused(tmp_path, table, run={"engine": "'reservoir'"})
+    assert len(told) == 5
+    engine = [line for line in told if "&run engine" in line]
+    assert re.search(r"'reservoir'.* scatterers; allowed: 'excursion', 'collision'", engine[0])
+    for word in ("meets", "opening", "outside", "13 values"):
+        assert sum(word in line for line in told) == 1
+
+
+@pytest.mark.parametrize("engine", ["reservoir", "timestep"])
+def test_engines_that_cannot_say_so(tmp_path: Path, engine: str) -> None:
+    """With the names of those that can."""
+    (told,) = refused(tmp_path, TABLE, run={"engine": f"'{engine}'", "time_step": "0.01"})
+    assert "allowed: 'excursion', 'collision'" in told
+
+
+def test_a_point_whose_channel_has_no_room_is_named(tmp_path: Path) -> None:
+    """Of a scan, before anything runs."""
+    table = {"channel2_width": "0.4", "scatterers": "0.3, 0, 0.1"}
+    told = refused(tmp_path, table, scan={"channel2_length": "2, 1, 0.7"})
+    assert len(told) == 1
+    assert "reaches into an opening" in told[0]
+    assert "at channel2_length = 0.7" in told[0]
+    table = {"scatterers": "0.1, 0.1, 0.06"}
+    told = refused(tmp_path, table, scan={"channel2_width": "0.4, 0.05"})
+    assert "at channel2_width = 0.05" in told[0]
+
+
+def test_a_channel_that_is_not_there_has_none(tmp_path: Path) -> None:
+    """Closed, or of the single urn."""
+    assert "closed" in refused(tmp_path, {"channel2_width": "0", "scatterers": "0, 0, 0.1"})[0]
+    assert "no channel 2" in refused(tmp_path, {"shape": "'urn'", "scatterers": "0, 0, 0.1"})[0]
+
+
+def test_the_plan_tells_of_them(tmp_path: Path) -> None:
+    """And the schema, and the list of keys."""
+    ended = run("--check", write(tmp_path, "c", TABLE), folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert "3 scatterers" in ended.stdout
+    assert '"scatterers"' in run("--schema", folder=tmp_path).stdout
+
+
+def log_of(path: Path) -> np.ndarray:
+    """Return the events of a file, one a row."""
+    with h5py.File(path) as file:
+        assert file.attrs["status"] in (b"complete", "complete")
+        return np.array([file[f"events/{name}"][()] for name in ("kind", "where", "particle")]).T
+
+
+def test_engines_tell_the_same_events(tmp_path: Path) -> None:
+    """From the namelist to the file, with those who cross the line to and fro."""
+    logs = []
+    for engine in ("excursion", "collision"):
+        (tmp_path / "i.txt").write_text(initial(600))
+        name = write(
+            tmp_path, engine, TABLE,
+            particles={"number": "600", "initial_file": "'i.txt'"},
+            run={"engine": f"'{engine}'", "duration": "4"}, output={"event_log": "T"},
+        )  # fmt: skip
+        ended = run(name, folder=tmp_path)
+        assert ended.returncode == 0, ended.stderr
+        logs.append(log_of(tmp_path / f"{engine}.h5"))
+    assert np.count_nonzero(logs[0][:, 0] == 4) > 20
+    assert np.array_equal(*logs)
+
+
+def initial(number: int) -> str:
+    """Return particles in the urns, of all directions."""
+    random = np.random.default_rng(5)
+    (angle, turn), away = random.uniform(0, 2 * np.pi, (2, number)), random.uniform(0, 0.9, number)
+    side = np.where(np.arange(number) % 2 == 0, 1.0, -1.0)
+    x, y = side * (1.48 + away * np.cos(turn)), away * np.sin(turn)
+    rows = zip(x, y, np.cos(angle), np.sin(angle), strict=True)
+    return "".join(" ".join(f"{value:.15f}" for value in row) + "\n" for row in rows)
+
+
+def test_they_are_in_the_file_and_make_another_task(tmp_path: Path) -> None:
+    """A file made without them, or with others, is not gone on with."""
+    name = write(tmp_path, "c", TABLE)
+    assert run(name, folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "c.h5") as file:
+        text = file.attrs["scatterers"]
+        seed = file["seed"][()].item()
+    text = text.decode() if isinstance(text, bytes) else text
+    assert [float(word) for word in text.split()] == [float(word) for word in DISCS.split(",")]
+    write(tmp_path, "c", TABLE | {"scatterers": DISCS.replace("0.05", "0.051")})
+    ended = run(name, folder=tmp_path)
+    assert ended.returncode == 2
+    assert "&table scatterers: was" in ended.stderr
+    ended = run("--overwrite", name, folder=tmp_path)
+    assert ended.returncode == 0
+    with h5py.File(tmp_path / "c.h5") as file:
+        assert file["seed"][()].item() != seed
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision"])
+def test_who_never_leaves_does_not_hang_the_run(tmp_path: Path, engine: str) -> None:
+    """Over the counted line between two discs, a billion times a time unit: until time is up."""
+    table = {
+        "urn_radius": "1.25", "channel1_width": "1.5", "channel2_width": "1.5",
+        "scatterers": "0.1000000005, 0, 0.1, -0.1000000005, 0, 0.1",
+    }  # fmt: skip
+    (tmp_path / "i.txt").write_text("-2.9999999999 0 1 0\n-1.5 0.1 1 0\n")
+    name = write(
+        tmp_path, "c", table,
+        particles={"number": "2", "initial_file": "'i.txt'"},
+        run={"engine": f"'{engine}'", "duration": "1000"}, limits={"wall_minutes": "0.03"},
+    )  # fmt: skip
+    ended = run(name, folder=tmp_path)
+    assert ended.returncode == 3, ended.stdout + ended.stderr
+    # The state is there, and is gone on with.
+    assert run(name, folder=tmp_path).returncode == 3
