@@ -170,7 +170,7 @@ class Results:
 
     def say_if_partial(self) -> None:
         """Tell on standard error that the run is partial, if it is."""
-        if self.remark:
+        if self.remark and self.done.any():
             print(f"{self.path}: {self.remark}, drawn with what there is", file=sys.stderr)
 
     def need_tasks(self) -> None:

@@ -259,11 +259,12 @@ def _table(
     # A head that is cut says nothing: columns share the width by the lengths of theirs.
     widths = {key: max(WIDTH_OF_NUMBER, WIDTH_OF_LETTER * len(title) + 16)
               for key, title in heads.items()}  # fmt: skip
+    columns = [TableColumn(field=key, title=title, width=widths[key])
+               for key, title in heads.items()]  # fmt: skip
     return DataTable(
         name=name,
         source=source,
-        columns=[TableColumn(field=key, title=title, width=widths[key])
-                 for key, title in heads.items()],  # fmt: skip
+        columns=columns,
         index_position=None,
         reorderable=False,
         height=28 * (rows + 1) + 16,

@@ -299,6 +299,6 @@ def test_film_needs_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_report_of_nothing_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = leave_out(results_of(tmp_path / "none.h5", scan={"replicas": 1}), (0, 0))
     assert call("report", [str(path), "--output", str(tmp_path)]) == 2
-    assert "no task is complete" in capsys.readouterr().err
+    assert capsys.readouterr().err == f"error: {path}: no task is complete yet\n"
     with Results(path) as results:
         assert results.remark == "partial run: 0 of 1 tasks"

@@ -57,8 +57,8 @@ contains
     if (allocated(error)) return
     if (rate > 0.0_dp) &
       call say('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
-    call say('time:       about '//time_text(0.0_dp)//' on '//counted(ranks, 'rank') &
-      //further_time())
+    if (size(progress%pending) > 0) call say('time:       about '//time_text(0.0_dp)//' on ' &
+      //counted(ranks, 'rank')//further_time())
     call print_memory(needs, left)
     call say('results:    '//plan%file)
     call say('nothing was written')
