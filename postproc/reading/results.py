@@ -197,7 +197,19 @@ class Results:
             gate2_threshold=other if other != threshold else None,
             **{name: float(self._of_point(name, point)) for name in LENGTHS},
             shape=self.shape,
+            **self._outlines((radius, beyond)),
         )
+
+    def _outlines(self, radii: tuple[float, float]) -> dict[str, Outline | None]:
+        """Return the outlines of urns that are polygons, from their radii if they are regular."""
+        if self.attributes.get("urn_shape", "disc") == "disc":
+            return {}
+        root = self._file.attrs
+        if "urn_sides" in root:
+            one, two = (regular(int(root["urn_sides"]), radius) for radius in radii)
+        else:
+            one, two = (outline_of(root[name]) for name in ("urn_vertices", "urn2_vertices"))
+        return {"outline": one, "urn2_outline": two if two != one else None}
 
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
         """Return the circuit of a point, with the paper's gate unless another is given.
@@ -213,6 +225,7 @@ class Results:
             **found,
             gate=gate,
             shape=self.shape,
+            **self._outlines((self._of_both("urn_radius", point),) * 2),
         )
 
     def _of_both(self, name: str, point: int) -> object:

@@ -84,6 +84,7 @@ class Walked:
 
 def effort_for(circuit: Circuit) -> Effort:
     """Return an effort of at most about `MOST_VISITS`: what is too much is taken off everything."""
+    circuit.need_discs("the one-particle model")
     radius = max(float(side.urn_radius) for side in circuit.sides)
     width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
     number = float(circuit.number)
