@@ -16,6 +16,7 @@ from postproc.cli import InputError, existing_file
 from postproc.reading.seal import check_seal
 from postproc.theory.circuit import Circuit
 from postproc.theory.gates import WINDOW
+from postproc.theory.outlines import outline_of, regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.theory.gates import Gate
+    from postproc.theory.outlines import Outline
 
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 #: Arrays up to so many bytes are read once, and whole.

@@ -55,7 +55,7 @@ class Circuit:
         2 tau, as in the circuit what gets through is in either gate.
     urn2_radius, gate2_threshold : r of urn 2 and T of its gate where they are others than those of
         urn 1. What this module computes is one side's: ask it about each of `sides`.
-    outline, urn2_outline : the corners of urns that are polygons, see `theory.outlines`; None: discs
+    outline, urn2_outline : the corners of urns that are polygons, see `outlines`; None: discs
         (and urn 2 as urn 1). Then `urn_radius` is but a size.
     """
 

@@ -6,12 +6,17 @@ import math
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from postproc import cli
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
+from postproc.theory.outlines import outline_of, regular, widest
 
 if TYPE_CHECKING:
     import argparse
+
+    from postproc.theory.outlines import Outline
 
 
 def circuit_options(name: str, description: str | None) -> argparse.ArgumentParser:
@@ -88,7 +93,7 @@ def _check(given: argparse.Namespace) -> None:
             "--urn-vertices takes two numbers for each of three corners or more",
         ),
         (sides >= 4 and sides % 2 == 0, f"--urn-sides {sides} must be even, from 4 up"),
-        (not (given.urn_vertices and given.urn_sides), "--urn-sides is given beside --urn-vertices"),
+        (not (given.urn_vertices and given.urn_sides), "--urn-sides stands beside --urn-vertices"),
         (given.number >= 1, f"--number {given.number} must be at least 1"),
         (len(given.threshold) <= 2, "--threshold takes one number or two"),
         (len(given.urn_radius) <= 2, "--urn-radius takes one number or two"),

@@ -1,6 +1,6 @@
 """Urns that are polygons: corners, area, and where the axis leaves them.
 
-An outline is a tuple of corners (x, y), counterclockwise, in a frame of its own with x to channel 1.
+An outline is a tuple of corners (x, y), counterclockwise, in a frame of its own, x to channel 1.
 """
 
 from __future__ import annotations
