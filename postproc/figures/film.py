@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import imageio_ffmpeg
 import numpy as np
 from matplotlib.patches import Rectangle
+from matplotlib.path import Path as Outline
 from PIL import Image
 
 from postproc import cli
@@ -17,6 +18,7 @@ from postproc.figures import style
 from postproc.figures.currents import binned
 from postproc.figures.scene import counted_by, draw_table
 from postproc.reading.results import Results, Snapshot
+from postproc.theory import outlines
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,6 +37,7 @@ DOTS = 100  # dots per inch
 CLOSE = 0.6  # snapshots nearer than this in time are joined by straight flight
 FLASH = 6  # frames that a flash lasts
 LONGEST_FLASH = 0.5  # and in time at most
+HALVINGS = 20  # of a flight, to find where a wall stops it
 
 
 @dataclass
@@ -85,11 +88,16 @@ def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, F
     x, y = snapshot.x + snapshot.ux * after, snapshot.y + snapshot.uy * after
     narrow = np.abs(snapshot.x) <= 0.5 * circuit.channel1_length
     half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
+    if circuit.outline is not None:  # an urn may reach over the channel
+        narrow &= np.abs(snapshot.y) <= half1
     beyond = np.abs(snapshot.x) > circuit.urn_centre + circuit.chords[1]
     beyond &= np.abs(snapshot.y) <= half2
     for inside, half in ((narrow, half1), (beyond & (half2 > 0.0), half2)):
         folded = np.abs(np.mod(y + half, 4.0 * half) - 2.0 * half) if half > 0.0 else y
         y = np.where(inside, half - folded, y) if half > 0.0 else y
+    if circuit.outline is not None:
+        x, y = _stopped_at_walls(circuit, snapshot, (x, y), ~narrow & ~beyond)
+        return _beside_scatterers(circuit, _over_the_line(circuit, x), y)
     centre = np.sign(snapshot.x) * circuit.urn_centre
     away = np.hypot(x - centre, y)
     inner = np.abs(x) < circuit.urn_centre
@@ -97,9 +105,35 @@ def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, F
     out = ~narrow & ~beyond & (away > circuit.urn_radius) & (np.abs(y) > mouth)
     shrink = np.where(out, circuit.urn_radius / np.where(away > 0.0, away, 1.0), 1.0)
     x = np.where(out, centre + (x - centre) * shrink, x)
+    return _beside_scatterers(circuit, _over_the_line(circuit, x), y * shrink)
+
+
+def _over_the_line(circuit: Circuit, x: Floats) -> Floats:
     if circuit.shape == "circuit":
-        x = np.mod(x + circuit.end, 2.0 * circuit.end) - circuit.end
-    return _beside_scatterers(circuit, x, y * shrink)
+        return np.mod(x + circuit.end, 2.0 * circuit.end) - circuit.end
+    return x
+
+
+def _stopped_at_walls(
+    circuit: Circuit, snapshot: Snapshot, flown_to: tuple[Floats, Floats], in_urn: NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
+    """Return the ends of flights that stop at the walls of a polygon, found by halving."""
+    start = np.column_stack([snapshot.x, snapshot.y])
+    end = np.column_stack(flown_to)
+    for way, side in zip((1.0, -1.0), circuit.sides, strict=True):
+        centre = [float(side.urn_centre), 0.0]
+        path = Outline((outlines.centred(side.outline) - centre) * [way, 1.0])
+        mouth = np.abs(end[:, 1]) <= 0.5 * np.where(
+            np.abs(end[:, 0]) < centre[0], circuit.channel1_width, circuit.channel2_width
+        )
+        out = in_urn & (way * snapshot.x < 0.0) & ~mouth & ~path.contains_points(end)
+        least, most = np.zeros(start.shape[0]), np.ones(start.shape[0])
+        for _ in range(HALVINGS):
+            middle = 0.5 * (least + most)
+            inside = path.contains_points(start + (end - start) * middle[:, None])
+            least, most = np.where(inside, middle, least), np.where(inside, most, middle)
+        end = np.where(out[:, None], start + (end - start) * least[:, None], end)
+    return end[:, 0], end[:, 1]
 
 
 def _beside_scatterers(circuit: Circuit, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -109,15 +109,20 @@ def _name_lengths(axes: Axes, circuit: Circuit) -> None:
         look = {"ha": "center", "va": "center", "rotation": 90}
         axes.text(0.34 * radius, 0.0, "end wall", **look)
         axes.set_xlim(right=0.45 * radius)
-    last = sides[-1][0] * float(circuit.urn_centre)
-    angle = np.radians(130.0)
-    tip = (last - radius * np.cos(angle), radius * np.sin(angle))
-    arrow = {"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tip, (last, 0.0), arrowprops=arrow)
-    axes.text(last + 0.42 * radius, 0.36 * radius, "$r$", ha="left")
+    if circuit.outline is None:
+        _name_radius(axes, circuit, sides[-1][0])
     if circuit.channel2_width > 0.0:
         start = circuit.urn_centre + circuit.chords[1]
         under = -0.5 * circuit.channel2_width - 0.1 * radius
         for side in (-1.0, 1.0):
             _measure(axes, (side * start, side * circuit.end), under, r"$\ell'/2$")
         axes.text(circuit.end + 0.06, 0.0, "$w'$", va="center")
+
+
+def _name_radius(axes: Axes, circuit: Circuit, side: float) -> None:
+    radius, last = circuit.urn_radius, side * float(circuit.urn_centre)
+    angle = np.radians(130.0)
+    tip = (last - radius * np.cos(angle), radius * np.sin(angle))
+    arrow = {"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", tip, (last, 0.0), arrowprops=arrow)
+    axes.text(last + 0.42 * radius, 0.36 * radius, "$r$", ha="left")

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.patches import Circle, Rectangle
 
 from postproc.figures import style
+from postproc.theory import outlines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,10 +19,13 @@ if TYPE_CHECKING:
     from postproc.theory.circuit import Circuit
 
 GATE_TINT = "#E8E8E8"
+ROUNDING = 1e-9  # of a place on a wall
 
 
 def walls(circuit: Circuit) -> list[NDArray[np.float64]]:
     """Return the walls as polylines of shape (vertex, 2)."""
+    if circuit.outline is not None:
+        return _walls_of_polygons(circuit)
     half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
     start, stop = (np.arcsin(half / circuit.urn_radius) for half in (half1, half2))
     angle = np.linspace(start, np.pi - stop, 400)
@@ -36,15 +40,44 @@ def walls(circuit: Circuit) -> list[NDArray[np.float64]]:
     return lines
 
 
-def gate_of(circuit: Circuit, x: NDArray[np.float64]) -> NDArray[np.int_]:
+def _walls_of_polygons(circuit: Circuit) -> list[NDArray[np.float64]]:
+    """Return the walls of urns that are polygons, with those of the channels at their openings."""
+    half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
+    lines = []
+    for way, side in zip((1.0, -1.0), circuit.sides, strict=True):
+        if way < 0.0 and circuit.shape != "circuit":
+            lines.append(np.array([[0.0, -half1], [0.0, half1]]))
+            break
+        corner = outlines.centred(side.outline) - [float(side.urn_centre), 0.0]
+        first = outlines.opening_side(side.outline, 1.0)
+        corner = np.roll(corner, -first - 1, axis=0)
+        begins, far = float(corner[0, 0]), float(-side.urn_centre - side.chords[1])
+        last = np.array([[begins, -half1], [0.0, -half1]])
+        line = [np.array([[0.0, half1], [begins, half1]])]
+        if half2 > 0.0:
+            second = outlines.opening_side(side.outline, -1.0)
+            cut = (second - first - 1) % len(corner) + 1
+            end = -float(side.end)
+            line += [corner[:cut], np.array([[far, half2], [end, half2]])]
+            lines.append(np.vstack(line) * [way, 1.0])
+            line, corner = [np.array([[end, -half2], [far, -half2]])], corner[cut:]
+        lines.append(np.vstack([*line, corner, last]) * [way, 1.0])
+    return lines
+
+
+def gate_of(
+    circuit: Circuit, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.int_]:
     """Return in which gate each particle is: 1, 2, or 0 for none; shape (particle,)."""
     inside = np.abs(x) <= 0.5 * circuit.channel1_length
+    if circuit.outline is not None:  # an urn may reach over the channel
+        inside &= np.abs(y) <= 0.5 * circuit.channel1_width * (1.0 + ROUNDING)
     return np.where(inside, np.where(x < 0.0, 1, 2), 0)
 
 
 def counted_by(circuit: Circuit, snapshot: Snapshot) -> NDArray[np.int_]:
     """Return which gate counts each particle: in it and heading for the other; 0 for none."""
-    gate = gate_of(circuit, snapshot.x)
+    gate = gate_of(circuit, snapshot.x, snapshot.y)
     heads = np.where(gate == 1, snapshot.ux > 0.0, snapshot.ux < 0.0)
     return np.where(heads, gate, 0)
 

@@ -16,6 +16,7 @@ from postproc.cli import InputError, existing_file
 from postproc.reading.seal import check_seal
 from postproc.theory.circuit import Circuit
 from postproc.theory.gates import WINDOW
+from postproc.theory.outlines import outline_of, regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.theory.gates import Gate
+    from postproc.theory.outlines import Outline
 
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 #: Arrays up to so many bytes are read once, and whole.
@@ -220,7 +222,19 @@ class Results:
             **{name: float(self._of_point(name, point)) for name in LENGTHS},
             shape=self.shape,
             scatterers=self.scatterers,
+            **self._outlines((radius, beyond)),
         )
+
+    def _outlines(self, radii: tuple[float, float]) -> dict[str, Outline | None]:
+        """Return the outlines of urns that are polygons, from their radii if they are regular."""
+        if self.attributes.get("urn_shape", "disc") == "disc":
+            return {}
+        root = self._file.attrs
+        if "urn_sides" in root:
+            one, two = (regular(int(root["urn_sides"]), radius) for radius in radii)
+        else:
+            one, two = (outline_of(root[name]) for name in ("urn_vertices", "urn2_vertices"))
+        return {"outline": one, "urn2_outline": two if two != one else None}
 
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
         """Return the circuit of a point, with the paper's gate unless another is given.
@@ -237,6 +251,7 @@ class Results:
             gate=gate,
             shape=self.shape,
             scatterers=self.scatterers,
+            **self._outlines((self._of_both("urn_radius", point),) * 2),
         )
 
     def _of_both(self, name: str, point: int) -> object:

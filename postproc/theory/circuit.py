@@ -15,12 +15,14 @@ import numpy as np
 from scipy import optimize
 
 from postproc.cli import InputError
+from postproc.theory import outlines
 from postproc.theory.gates import WINDOW
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from postproc.theory.gates import Gate
+    from postproc.theory.outlines import Outline
 
     Floats = NDArray[np.float64]
 
@@ -55,6 +57,8 @@ class Circuit:
         urn 1. What this module computes is one side's: ask it about each of `sides`.
     scatterers : z, y, radius of each disc in channel 2, z from urn 2 to urn 1. They are drawn; of
         what they do no theory knows, and each says so (`InputError`).
+    outline, urn2_outline : the corners of urns that are polygons, see `outlines`; None: discs
+        (and urn 2 as urn 1). Then `urn_radius` is but a size.
     """
 
     number: ArrayLike
@@ -70,6 +74,8 @@ class Circuit:
     urn2_radius: ArrayLike | None = None
     gate2_threshold: ArrayLike | None = None
     scatterers: tuple[tuple[float, float, float], ...] = ()
+    outline: Outline | None = None
+    urn2_outline: Outline | None = None
 
     def need_empty_channels(self) -> None:
         """Raise `InputError` if scatterers stand in channel 2: theories know straight channels."""
@@ -79,10 +85,11 @@ class Circuit:
     @property
     def sides(self) -> tuple[Circuit, Circuit]:
         """Two circuits with equal urns and gates, of urn 1's kind and of urn 2's."""
-        one = replace(self, urn2_radius=None, gate2_threshold=None)
+        one = replace(self, urn2_radius=None, gate2_threshold=None, urn2_outline=None)
+        outline = self.outline if self.urn2_outline is None else self.urn2_outline
         radius = self.urn_radius if self.urn2_radius is None else self.urn2_radius
         threshold = self.threshold if self.gate2_threshold is None else self.gate2_threshold
-        return one, replace(one, urn_radius=radius, threshold=threshold)
+        return one, replace(one, urn_radius=radius, threshold=threshold, outline=outline)
 
     @property
     def alike(self) -> bool:
@@ -93,6 +100,9 @@ class Circuit:
     @property
     def chords(self) -> tuple[Floats, Floats]:
         """Distances of the chords of channels 1 and 2 from the centre of an urn."""
+        if self.outline is not None:
+            right, left = outlines.ends(self.outline)
+            return np.asarray(0.5 * (right - left)), np.asarray(0.5 * (right - left))
         diameter = 2.0 * np.asarray(self.urn_radius, float)
         widths = (np.asarray(self.channel1_width, float), np.asarray(self.channel2_width, float))
         one, two = (0.5 * np.sqrt((diameter - width) * (diameter + width)) for width in widths)
@@ -111,7 +121,12 @@ class Circuit:
 
     @property
     def urn_area(self) -> Floats:
-        """A of eq. (eq000), the disc less the segments cut off by the chords (length squared)."""
+        """A of eq. (eq000), the disc less the segments cut off by the chords (length squared).
+
+        That of a polygon is what its corners enclose.
+        """
+        if self.outline is not None:
+            return np.asarray(outlines.area(self.outline))
         radius = np.asarray(self.urn_radius, float)
         area = np.pi * radius**2
         widths = (self.channel1_width, self.channel2_width)
@@ -119,6 +134,18 @@ class Circuit:
             half = 0.5 * np.asarray(width, float)
             area = area - radius**2 * np.arcsin(half / radius) + half * chord
         return area
+
+    @property
+    def widest(self) -> float:
+        """Below what channel 2 must be wide to fit into an urn."""
+        if self.outline is not None:
+            return outlines.widest(self.outline)
+        return 2.0 * float(np.asarray(self.urn_radius))
+
+    def need_discs(self, what: str) -> None:
+        """Raise `InputError` unless the urns are discs, which is all that `what` knows."""
+        if self.outline is not None:
+            raise InputError(f"{what} knows urns that are discs only, these are polygons")
 
     @property
     def load_per_particle(self) -> Floats:
@@ -267,9 +294,9 @@ def transition_width(circuit: Circuit) -> float:
     """Return w' of the transition line, eq. (transition), at this N, T, w; NaN if there is none.
 
     The least w' at which the homogeneous state turns stable; `channel2_width` is not used. There is
-    none where that state is stable without channel 2, or unstable for every w' < 2r.
+    none where that state is stable without channel 2, or unstable for every w' that fits.
     """
-    limit = 2.0 * float(circuit.urn_radius)
+    limit = circuit.widest
 
     def slope(width: ArrayLike) -> Floats:
         at_width = replace(circuit, channel2_width=width)

@@ -94,6 +94,7 @@ class Walked:
 
 def effort_for(circuit: Circuit, copies: int = COPIES) -> Effort:
     """Return an effort of at most about `MOST_VISITS`: what is too much is taken off the time."""
+    circuit.need_discs("the one-particle model")
     radius = max(float(side.urn_radius) for side in circuit.sides)
     width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
     transient = max(RELAXATIONS * 25.0 * radius**4 / width1**3, 2.0 * SHORTEST * radius)

@@ -6,12 +6,17 @@ import math
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from postproc import cli
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
+from postproc.theory.outlines import outline_of, regular, widest
 
 if TYPE_CHECKING:
     import argparse
+
+    from postproc.theory.outlines import Outline
 
 
 def circuit_options(name: str, description: str | None) -> argparse.ArgumentParser:
@@ -37,6 +42,13 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
         )
     told = "; ".join(f"{one}: {model.meaning}" for one, model in MODELS.items())
     options.add_argument(
+        "--urn-sides", type=int, metavar="N", help="sides of urns that are regular polygons"
+    )
+    options.add_argument(
+        "--urn-vertices", type=float, nargs="+", metavar="X",
+        help="corners x1 y1 x2 y2 ... of both urns, x to channel 1",
+    )  # fmt: skip
+    options.add_argument(
         "--model", "--gate", choices=tuple(MODELS), default="window",
         help=f"{told} (default: window)",
     )  # fmt: skip
@@ -55,14 +67,33 @@ def given_circuit(given: argparse.Namespace) -> Circuit:
     values["urn_radius"], *other_radius = given.urn_radius
     return Circuit(
         **values,
+        **_given_outlines(given),
         gate2_threshold=other_threshold[0] if other_threshold else None,
         urn2_radius=other_radius[0] if other_radius else None,
     )
 
 
+def _given_outlines(given: argparse.Namespace) -> dict[str, Outline | None]:
+    """Return the outlines of urns that are polygons."""
+    if given.urn_vertices:
+        return {"outline": outline_of(np.reshape(given.urn_vertices, (-1, 2)))}
+    if given.urn_sides:
+        one, *others = (regular(given.urn_sides, radius) for radius in given.urn_radius)
+        return {"outline": one, "urn2_outline": others[0] if others else None}
+    return {}
+
+
 def _check(given: argparse.Namespace) -> None:
     """Raise with every problem of the values given."""
+    corners = given.urn_vertices or (0.0,) * 6
+    sides = given.urn_sides or 4
     rules = [
+        (
+            len(corners) % 2 == 0 and len(corners) >= 6,
+            "--urn-vertices takes two numbers for each of three corners or more",
+        ),
+        (sides >= 4 and sides % 2 == 0, f"--urn-sides {sides} must be even, from 4 up"),
+        (not (given.urn_vertices and given.urn_sides), "--urn-sides stands beside --urn-vertices"),
         (given.number >= 1, f"--number {given.number} must be at least 1"),
         (len(given.threshold) <= 2, "--threshold takes one number or two"),
         (len(given.urn_radius) <= 2, "--urn-radius takes one number or two"),
@@ -71,6 +102,8 @@ def _check(given: argparse.Namespace) -> None:
     for radius in given.urn_radius:
         rules.append((0 < radius < math.inf, f"--urn-radius {radius} must be positive"))
     diameter = 2.0 * min(given.urn_radius)
+    if all(good for good, _ in rules) and (given.urn_vertices or given.urn_sides):
+        diameter = min(widest(one) for one in _given_outlines(given).values() if one)
     rules += [
         (
             0 < given.channel1_width < diameter,

@@ -60,7 +60,10 @@ def disc(circuit: Circuit) -> Ports:
 
     Summed are the visits through the narrower opening; the identities above give the others'. A
     closed channel 2 leaves nothing to remember.
+
+    Raises `InputError` if the urns are no discs.
     """
+    circuit.need_discs("what an urn remembers")
     widths = float(circuit.channel1_width), float(circuit.channel2_width)
     if widths[1] == 0.0:
         return well_mixed(circuit)

@@ -213,7 +213,7 @@ contains
       ! A key that was refused already is not refused again.
       if (all(place)%given .and. .not. all(place)%known) return
       joint = ' = '
-      if (index(problem%value, 'is ') == 1) joint = ' '
+      if (index(problem%value, 'is ') == 1 .or. index(problem%value, 'has ') == 1) joint = ' '
       call add_remark(settings%problems, merge(all(place)%line, 0, all(place)%given), '&' &
         //trim(all(place)%key%group)//' '//trim(all(place)%key%name)//joint//problem%value &
         //'; allowed: '//problem%allowed//place_text(plan, problem))

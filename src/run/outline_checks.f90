@@ -10,7 +10,7 @@ module battery_outline_checks
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: check_outlines, check_outline_at, has_outline
+  public :: check_outlines, check_outline_at, has_outline, is_sound
 
   !> So many sides that meet others are told.
   integer, parameter :: most_told = 8
@@ -27,6 +27,19 @@ contains
 
     has_outline = allocated(plan%outline(1)%corner) .or. allocated(plan%outline(2)%corner)
   end function has_outline
+
+  !> Whether there are polygons to compute with, if that is what the urns are.
+  pure function is_sound(plan)
+    type(plan_type), intent(in) :: plan
+    logical :: is_sound
+    integer :: at
+
+    is_sound = .true.
+    do at = 1, size(plan%problems)
+      if (index(plan%problems(at)%key, 'urn_') == 1 .or. index(plan%problems(at)%key, 'urn2_') &
+        == 1) is_sound = .false.
+    end do
+  end function is_sound
 
   !> Which keys may stand beside which, and each polygon by itself. Corners that run clockwise are
   !> turned round; urn 2 is made the mirror image of urn 1 if it has none. For `urn_radius` a polygon
@@ -196,7 +209,7 @@ contains
     real(wp) :: room
     integer :: urn, channel, side, n
 
-    if (plan%urn_shape /= 'polygon') return
+    if (plan%urn_shape /= 'polygon' .or. .not. is_sound(plan)) return
     do urn = 1, merge(1, 2, plan%shape == 'urn')
       key = trim(key_of(urn))
       if (urn == 2 .and. .not. has_other(plan, point)) cycle
@@ -205,6 +218,7 @@ contains
         do channel = 1, merge(1, 2, plan%shape == 'urn')
           if (.not. is_open(point%channel(channel))) cycle
           side = axis_side(corner, facing(channel))
+          if (side == 0) cycle
           room = 2.0_wp*min(abs(corner(2, side)), abs(corner(2, next_of(side, n))))
           if (point%channel(channel)%width > room*(1.0_wp - finest)) call refuse(plan, &
             'channel'//to_text(channel)//'_width', to_text(point%channel(channel)%width), &

@@ -7,7 +7,7 @@ submodule (battery_plan) battery_plan_checks
   use battery_table, only: longest_run
   use battery_repeats, only: first_repeat
   use battery_problems, only: gather, told_of
-  use battery_outline_checks, only: check_outlines, check_outline_at, has_outline
+  use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, is_sound
   use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
     of_powers, of_lengths, of_widths, of_times, of_clocks
   implicit none (type, external)
@@ -219,7 +219,7 @@ contains
     if (size(plan%problems) == before) call check_outline_at(plan, point)
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
-    if (point%number == not_given .or. size(plan%problems) > before) return
+    if (point%number == not_given .or. size(plan%problems) > before .or. .not. is_sound(plan)) return
     if (point%urn1_number > point%number) then
       call refuse(plan, 'urn1_number', to_text(point%urn1_number), &
         'from 0 to number, which is '//to_text(point%number))

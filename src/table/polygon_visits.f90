@@ -21,8 +21,8 @@ module battery_polygon_visits
   !> Hits of a march, and marches after which a visit is looked at alone.
   integer, parameter :: march_hits = 4, most_marches = 2500
 
-  !> Particles of a block.
-  integer, parameter :: lanes = 64
+  !> Particles of a block, and sides that are looked at in one go.
+  integer, parameter :: lanes = 64, at_once = 3
 
   !> A part of a visit is at least so long, in the reach of the polygon: longer than any lookahead.
   !> So many hits have it, whatever its length.
@@ -86,99 +86,156 @@ contains
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
     !> 1, or 0: it has left.
     real(wp), intent(inout) :: flies(n)
-    real(wp), dimension(lanes) :: normal_x, normal_y, offset, open_half, soonest
+    real(wp), dimension(lanes) :: normal_x, normal_y, offset, open_half
+    real(wp) :: corner(2, 0:at_once*((polygon%sides + at_once - 1)/at_once))
+    real(wp) :: side(4, size(corner, 2) - 1), half(2)
     integer :: first, last, count, hit
 
+    call list_sides(polygon, size(side, 2), corner, side)
+    half = merge(polygon%half_width, -1.0_wp, polygon%side > 0)
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
       do hit = 1, march_hits
         if (polygon%convex) then
-          call find_only_side(polygon%sides, polygon%x, polygon%y, polygon%normal_x, &
-            polygon%normal_y, polygon%offset, polygon%open_half, count, px(first), py(first), &
-            ux(first), uy(first), normal_x, normal_y, offset, open_half)
+          call find_only_side(size(side, 2), corner, side, half(gated), half(ungated), count, &
+            px(first), py(first), ux(first), uy(first), normal_x, normal_y, offset, open_half)
         else
-          call find_nearest_side(polygon%sides, polygon%x, polygon%y, polygon%normal_x, &
-            polygon%normal_y, polygon%offset, polygon%open_half, polygon%sharp, count, px(first), &
-            py(first), ux(first), uy(first), normal_x, normal_y, offset, open_half, soonest)
+          call find_nearest_side(polygon%sides, corner, side, polygon%sharp, count, px(first), &
+            py(first), ux(first), uy(first), normal_x, normal_y, offset, open_half)
         end if
         call bounce(count, normal_x, normal_y, offset, open_half, px(first), py(first), &
           ux(first), uy(first), hits(first), length(first), flies(first))
       end do
+      call renew(count, ux(first), uy(first))
     end do
   end subroutine march
 
+  !> Corners, the last first; of each side normal, distance from the origin and half of its opening.
+  !> Filled up with sides of no length, which nobody meets.
+  pure subroutine list_sides(polygon, n, corner, side)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: n
+    real(wp), intent(out) :: corner(2, 0:n), side(4, n)
+    integer :: k
+
+    corner(1, :) = polygon%x(1)
+    corner(2, :) = polygon%y(1)
+    side = 0.0_wp
+    do k = 1, polygon%sides
+      corner(:, k) = [polygon%x(k + 1), polygon%y(k + 1)]
+      side(:, k) = [polygon%normal_x(k), polygon%normal_y(k), polygon%offset(k), &
+        polygon%open_half(k)]
+    end do
+  end subroutine list_sides
+
   !> The side that each of a block meets, where that is the only one that a way leads out of; if
-  !> rounding hides it, none, with a normal of no length.
-  pure subroutine find_only_side(sides, x, y, side_x, side_y, side_offset, side_half, n, px, py, &
-    ux, uy, normal_x, normal_y, offset, open_half)
+  !> rounding hides it, none, with a normal of no length. Written out for `at_once` sides, with the
+  !> particles in registers. Products with 1 or 0: of a choice the compiler makes a branch.
+  pure subroutine find_only_side(sides, corner, side, half1, half2, n, px, py, ux, uy, normal_x, &
+    normal_y, offset, open_half)
     integer, intent(in) :: sides, n
-    real(wp), intent(in) :: x(sides + 1), y(sides + 1), side_x(sides), side_y(sides), &
-      side_offset(sides), side_half(sides)
+    !> As `list_sides` makes them; half of the openings on the right and on the left.
+    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), half1, half2
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
     real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
-    real(wp) :: before(lanes), after, ahead(lanes)
-    logical :: met
+    real(wp) :: before(lanes), ahead(lanes), c(2, at_once), s(4, at_once)
+    real(wp) :: was, first, second, third, met1, met2, met3
     integer :: k, j
 
-    do j = 1, n
-      ahead(j) = ux(j)*py(j) - uy(j)*px(j)
-      before(j) = ux(j)*y(1) - uy(j)*x(1) - ahead(j)
-      normal_x(j) = 0.0_wp
-      normal_y(j) = 0.0_wp
-      offset(j) = 0.0_wp
-      open_half(j) = -1.0_wp
-    end do
-    do k = 1, sides
+    call begin_with(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
+      open_half, before, ahead)
+    do k = 1, sides, at_once
+      c = corner(:, k:k + at_once - 1)
+      s = side(:, k:k + at_once - 1)
       do j = 1, n
-        after = ux(j)*y(k + 1) - uy(j)*x(k + 1) - ahead(j)
-        met = before(j) < 0.0_wp .and. after >= 0.0_wp
-        normal_x(j) = merge(side_x(k), normal_x(j), met)
-        normal_y(j) = merge(side_y(k), normal_y(j), met)
-        offset(j) = merge(side_offset(k), offset(j), met)
-        open_half(j) = merge(side_half(k), open_half(j), met)
-        before(j) = after
+        was = before(j)
+        first = ux(j)*c(2, 1) - uy(j)*c(1, 1) - ahead(j)
+        second = ux(j)*c(2, 2) - uy(j)*c(1, 2) - ahead(j)
+        third = ux(j)*c(2, 3) - uy(j)*c(1, 3) - ahead(j)
+        met1 = merge(1.0_wp, 0.0_wp, was < 0.0_wp .and. first >= 0.0_wp)
+        met2 = merge(1.0_wp, 0.0_wp, first < 0.0_wp .and. second >= 0.0_wp)
+        met3 = merge(1.0_wp, 0.0_wp, second < 0.0_wp .and. third >= 0.0_wp)
+        normal_x(j) = normal_x(j) + met1*s(1, 1) + met2*s(1, 2) + met3*s(1, 3)
+        normal_y(j) = normal_y(j) + met1*s(2, 1) + met2*s(2, 2) + met3*s(2, 3)
+        offset(j) = offset(j) + met1*s(3, 1) + met2*s(3, 2) + met3*s(3, 3)
+        before(j) = third
       end do
+    end do
+    do j = 1, n
+      ! Rounding may show one side twice, or none: then none is met.
+      met1 = merge(1.0_wp, 0.0_wp, abs(normal_x(j)**2 + normal_y(j)**2 - 1.0_wp) < 0.5_wp)
+      normal_x(j) = met1*normal_x(j)
+      normal_y(j) = met1*normal_y(j)
+      ! No other sides stand upright.
+      open_half(j) = merge(merge(half1, half2, ux(j) > 0.0_wp), -1.0_wp, .not. abs(normal_y(j)) &
+        > 0.0_wp)
     end do
   end subroutine find_only_side
 
   !> The same where a way may lead out more than once: the nearest.
-  pure subroutine find_nearest_side(sides, x, y, side_x, side_y, side_offset, side_half, sharp, n, &
-    px, py, ux, uy, normal_x, normal_y, offset, open_half, soonest)
+  pure subroutine find_nearest_side(sides, corner, side, sharp, n, px, py, ux, uy, normal_x, &
+    normal_y, offset, open_half)
     integer, intent(in) :: sides, n
-    real(wp), intent(in) :: x(sides + 1), y(sides + 1), side_x(sides), side_y(sides), &
-      side_offset(sides), side_half(sides), sharp
+    !> As `list_sides` makes them; what may be rounding.
+    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), sharp
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
-    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n), soonest(n)
-    real(wp) :: before(lanes), after, ahead(lanes), outward, time
-    logical :: met
+    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    real(wp) :: before(lanes), ahead(lanes), soonest(lanes)
+    real(wp) :: was, after, x, y, nx, ny, distance, half, outward, time, met, kept, least, far
     integer :: k, j
 
-    do j = 1, n
-      ahead(j) = ux(j)*py(j) - uy(j)*px(j)
-      before(j) = ux(j)*y(1) - uy(j)*x(1) - ahead(j)
-      normal_x(j) = 0.0_wp
-      normal_y(j) = 0.0_wp
-      offset(j) = 0.0_wp
-      open_half(j) = -1.0_wp
-      soonest(j) = huge(1.0_wp)
-    end do
+    call begin_with(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
+      open_half, before, ahead)
+    far = 1.0_wp/slowest
+    soonest(:n) = far
+    least = -sharp
     do k = 1, sides
+      x = corner(1, k)
+      y = corner(2, k)
+      nx = side(1, k)
+      ny = side(2, k)
+      distance = side(3, k)
+      half = side(4, k)
       do j = 1, n
-        after = ux(j)*y(k + 1) - uy(j)*x(k + 1) - ahead(j)
-        outward = side_x(k)*ux(j) + side_y(k)*uy(j)
-        time = (side_offset(k) - side_x(k)*px(j) - side_y(k)*py(j))/max(outward, slowest)
-        met = before(j) < 0.0_wp .and. after >= 0.0_wp .and. outward > 0.0_wp .and. &
-          time >= -sharp .and. time < soonest(j)
-        soonest(j) = merge(time, soonest(j), met)
-        normal_x(j) = merge(side_x(k), normal_x(j), met)
-        normal_y(j) = merge(side_y(k), normal_y(j), met)
-        offset(j) = merge(side_offset(k), offset(j), met)
-        open_half(j) = merge(side_half(k), open_half(j), met)
+        was = before(j)
+        after = ux(j)*y - uy(j)*x - ahead(j)
+        outward = nx*ux(j) + ny*uy(j)
+        time = (distance - nx*px(j) - ny*py(j))/max(outward, slowest)
+        met = merge(1.0_wp, 0.0_wp, was < 0.0_wp .and. after >= 0.0_wp .and. outward > 0.0_wp &
+          .and. time >= least .and. time < soonest(j))
+        kept = 1.0_wp - met
+        normal_x(j) = met*nx + kept*normal_x(j)
+        normal_y(j) = met*ny + kept*normal_y(j)
+        offset(j) = met*distance + kept*offset(j)
+        open_half(j) = met*half + kept*open_half(j)
+        soonest(j) = min(met*time + kept*far, soonest(j))
         before(j) = after
       end do
     end do
   end subroutine find_nearest_side
+
+  !> Before any side has been looked at.
+  pure subroutine begin_with(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, open_half, &
+    before, ahead)
+    integer, intent(in) :: n
+    !> The first corner.
+    real(wp), intent(in) :: x, y
+    real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
+    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    !> On which side of the way that corner lies, and what that takes of all corners.
+    real(wp), intent(out) :: before(n), ahead(n)
+    integer :: j
+
+    do j = 1, n
+      ahead(j) = ux(j)*py(j) - uy(j)*px(j)
+      before(j) = ux(j)*y - uy(j)*x - ahead(j)
+      normal_x(j) = 0.0_wp
+      normal_y(j) = 0.0_wp
+      offset(j) = 0.0_wp
+      open_half(j) = -1.0_wp
+    end do
+  end subroutine begin_with
 
   !> Moves each of a block to the side that it meets, and turns it there, unless that lets it out.
   !> Who meets none stays where it is.
@@ -187,7 +244,7 @@ contains
     integer, intent(in) :: n
     real(wp), intent(in) :: normal_x(n), normal_y(n), offset(n), open_half(n)
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), flies(n)
-    real(wp) :: outward, wait, norm, moves, out, turns, vx, vy
+    real(wp) :: outward, wait, moves, out, turns, turn
     integer :: j
 
     do j = 1, n
@@ -203,13 +260,25 @@ contains
       flies(j) = flies(j) - out
       turns = moves - out
       hits(j) = hits(j) + turns
-      vx = ux(j) - 2.0_wp*turns*outward*normal_x(j)
-      vy = uy(j) - 2.0_wp*turns*outward*normal_y(j)
-      norm = 1.5_wp - 0.5_wp*(vx**2 + vy**2)
-      ux(j) = norm*vx
-      uy(j) = norm*vy
+      turn = 2.0_wp*turns*outward
+      ux(j) = ux(j) - turn*normal_x(j)
+      uy(j) = uy(j) - turn*normal_y(j)
     end do
   end subroutine bounce
+
+  !> Speeds are set back to 1 by a Newton step.
+  pure subroutine renew(n, ux, uy)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: ux(n), uy(n)
+    real(wp) :: norm
+    integer :: j
+
+    do j = 1, n
+      norm = 1.5_wp - 0.5_wp*(ux(j)**2 + uy(j)**2)
+      ux(j) = norm*ux(j)
+      uy(j) = norm*uy(j)
+    end do
+  end subroutine renew
 
   !> Who has left hands in how; the others close ranks.
   pure subroutine close_ranks(polygon, active, visits)

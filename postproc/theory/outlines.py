@@ -1,0 +1,79 @@
+"""Urns that are polygons: corners, area, and where the axis leaves them.
+
+An outline is a tuple of corners (x, y), counterclockwise, in a frame of its own, x to channel 1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+Outline = tuple[tuple[float, float], ...]
+
+
+def outline_of(corners: Iterable[Iterable[float]]) -> Outline:
+    """Return corners as an outline that runs counterclockwise."""
+    found = tuple((float(x), float(y)) for x, y in corners)
+    return found if _enclosed(found) > 0.0 else found[::-1]
+
+
+def regular(sides: int, radius: float) -> Outline:
+    """Return a regular polygon of an even number of sides, upright where the axis leaves it."""
+    angles = math.pi * (2.0 * np.arange(sides) + 1.0) / sides
+    return tuple(zip(radius * np.cos(angles), radius * np.sin(angles), strict=True))
+
+
+def area(outline: Outline) -> float:
+    """Return the area that an outline encloses."""
+    return abs(_enclosed(outline))
+
+
+def _enclosed(outline: Outline) -> float:
+    x, y = np.transpose(outline)
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
+def opening_side(outline: Outline, way: float) -> int | None:
+    """Return the side that the axis crosses last to the right (1) or to the left (-1).
+
+    By the number of the corner, from 0, at which it begins; None if there is none.
+    """
+    farthest, found = -math.inf, None
+    for k, ((x1, y1), (x2, y2)) in enumerate(zip(outline, outline[1:] + outline[:1], strict=True)):
+        if y1 * y2 < 0.0 and way * (x := x1 - (x2 - x1) * y1 / (y2 - y1)) > farthest:
+            farthest, found = way * x, k
+    return found
+
+
+def ends(outline: Outline) -> tuple[float, float]:
+    """Return x where channel 1 begins, and where channel 2 does (or the wall farthest from it)."""
+    x = np.transpose(outline)[0]
+    sides = opening_side(outline, 1.0), opening_side(outline, -1.0)
+    right = x.max() if sides[0] is None else x[sides[0]]
+    left = x.min() if sides[1] is None else x[sides[1]]
+    return float(right), float(left)
+
+
+def widest(outline: Outline) -> float:
+    """Return below what both channels must be wide to fit into their sides."""
+    room = math.inf
+    for way in (1.0, -1.0):
+        side = opening_side(outline, way)
+        if side is None:
+            return 0.0
+        room = min(room, *(2.0 * abs(outline[(side + k) % len(outline)][1]) for k in (0, 1)))
+    return room
+
+
+def centred(outline: Outline) -> Floats:
+    """Return the corners, shape (corner, 2), about the middle between both ends."""
+    return np.asarray(outline) - [0.5 * sum(ends(outline)), 0.0]

@@ -1,0 +1,160 @@
+"""Urns that are polygons, from the namelist to results and pictures."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import h5py
+import numpy as np
+import pytest
+from support.program import run
+
+from postproc.figures import film, scene
+from postproc.reading.results import Results
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HEAD = (
+    "&particles number = 40 /\n&gate threshold = 2 /\n&run collisions = 20000 /\n"
+    "&output file = 'o.h5', snapshot_times = 0, 0.25, 5, final_state = T /\n"
+)
+SQUARE = "1,-1, 1,1, -1,1, -1,-1"
+# It reaches in, and over channel 1.
+REACHING = (
+    "1.0,-0.6, 1.0,0.6, 1.4,0.7, 1.3,1.2, -0.5,1.1, -0.6,0.3, -1.0,0.9, -1.2,0.5, -1.2,-0.5, "
+    "-0.3,-1.0, 0.2,-0.4, 0.7,-1.1"
+)
+WRONG = {
+    "shape = 'urn' urn_vertices = 1,2,3": ["urn_vertices is given; allowed: nothing, since"],
+    "urn_shape = 'polygon'": ["urn_shape = 'polygon'; allowed: with urn_vertices or urn_sides"],
+    "urn_shape = 'polygon' urn_sides = 7": ["urn_sides = 7; allowed: even numbers"],
+    "urn_shape = 'polygon' urn_sides = 2": ["urn_sides = 2"],
+    f"urn_shape = 'polygon' urn_sides = 6 urn_vertices = {SQUARE}": ["given beside corners"],
+    f"urn_shape = 'polygon' urn_radius = 1 urn_vertices = {SQUARE}": [
+        "urn_radius is given beside urn_vertices; allowed: one of the two"
+    ],
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1, 0": ["has 5 numbers"],
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1": ["has 2 corners; allowed: three corners"],
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1, 1,1, -1,1, -1,-1": [
+        "the side from corner 2 to 3, which has no length"
+    ],
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1, -1,-1, -1,1": [
+        "the side from corner 2 to 3, which meets the side from corner 4 to 1"
+    ],
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1, 1,3, 1,2, -1,1, -1,-1": [
+        "the side from corner 2 to 3, which meets the side from corner 3 to 4"
+    ],
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 1.2,1, -1,1, -1.2,-1": [
+        "the side from corner 1 to 2, which is not upright, where channel 1 is to begin",
+        "the side from corner 3 to 4, which is not upright, where channel 2 is to begin",
+    ],
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 2,0, 1,1, -1,1, -1,-1": [
+        "has a corner on the axis y = 0 or no side there, where channel 1 is to begin"
+    ],
+    "urn_shape = 'polygon' channel1_width = 1.5 channel2_width = 1.9 "
+    "urn_vertices = 1,-0.7, 1,1, -1,1, -1,-0.7": [
+        "channel1_width = 1.5; allowed: below 1.4",
+        "channel2_width = 1.9; allowed: below 1.4",
+    ],
+    f"urn_shape = 'polygon' channel1_length = 0.6 urn_vertices = {REACHING}": [
+        "has corner 3, which is 0.39",
+        "beyond the beginning of channel 1; allowed: up to its middle, which is 0.3 beyond",
+    ],
+    "urn_shape = 'polygon' channel1_width = 0.3 urn_vertices = "
+    "1,-0.6, 1,0.6, 1.2,0.1, 1.1,1.2, -1,1, -1,-1": ["lies in channel 1"],
+}
+
+
+@pytest.mark.parametrize("table", WRONG)
+def test_a_polygon_that_cannot_be_is_refused(tmp_path: Path, table: str) -> None:
+    """With its key, the corner and what is allowed; all of it at once."""
+    (tmp_path / "c.nml").write_text(f"{HEAD}&table {table} /\n")
+    ended = run("--check", "c.nml", folder=tmp_path)
+    assert ended.returncode == 2, ended.stdout + ended.stderr
+    for words in WRONG[table]:
+        assert words in ended.stderr
+
+
+def test_polygons_need_corners_in_a_scan_too(tmp_path: Path) -> None:
+    """The radius of urns that are given by their corners cannot be scanned, that of others can."""
+    text = f"{HEAD}&table urn_shape = 'polygon' WHAT /\n&scan urn_radius = 1, 1.5 /\n"
+    (tmp_path / "c.nml").write_text(text.replace("WHAT", f"urn_vertices = {SQUARE}"))
+    ended = run("--check", "c.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert "urn_radius is scanned beside urn_vertices" in ended.stderr
+    (tmp_path / "c.nml").write_text(text.replace("WHAT", "urn_sides = 6"))
+    assert run("--check", "c.nml", folder=tmp_path).returncode == 0
+
+
+def test_clockwise_corners_are_turned_round_with_a_note(tmp_path: Path) -> None:
+    """The task is the same as that of the corners the other way round."""
+    square = "-1,-1, -1,1, 1,1, 1,-1"
+    seeds = []
+    for corners, told in ((SQUARE, False), (square, True)):
+        text = f"{HEAD}&table urn_shape = 'polygon' urn_vertices = {corners} /\n"
+        (tmp_path / "c.nml").write_text(text)
+        ended = run("--check", "c.nml", folder=tmp_path)
+        assert ended.returncode == 0, ended.stderr
+        assert ("urn 1 turned round to run counterclockwise" in ended.stdout) == told
+        assert run("--overwrite", "c.nml", folder=tmp_path).returncode == 0
+        with h5py.File(tmp_path / "o.h5") as file:
+            assert file.attrs["urn_shape"] == "polygon"
+            corner = file.attrs["urn_vertices"]
+            seeds.append(file["seed"][()].item())
+        x, y = corner.T
+        assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) == 8.0
+    assert corner.shape == (4, 2)
+    assert len(seeds) == 2
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous", "reservoir"])
+@pytest.mark.parametrize(
+    "table",
+    [f"urn_vertices = {REACHING} urn2_vertices = {SQUARE}", "urn_sides = 6 urn_radius = 1, 1.3"],
+)
+def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: str) -> None:
+    """Walls are those of the run: in snapshots and between them nobody is outside of them."""
+    text = f"{HEAD}&table urn_shape = 'polygon' {table} /\n&run engine = '{engine}' /\n"
+    text = text.replace("&run collisions = 20000 /\n", "").replace(
+        "&run engine", "&run collisions = 20000 engine"
+    )
+    (tmp_path / "c.nml").write_text(text)
+    ended = run("c.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    with Results(tmp_path / "o.h5") as results:
+        circuit = results.any_circuit(0)
+        snapshots = [results.snapshot(0, 0, index) for index in range(3)]
+    walls = np.vstack(scene.walls(circuit))
+    for shot in snapshots:
+        x, y = film.flown(circuit, shot, 0.3)
+        for here, there in ((shot.x, shot.y), (x, y)):
+            near = film.Outline(_boundary(circuit, scene.walls(circuit)))
+            inside = near.contains_points(np.column_stack([here, there]), radius=1e-9)
+            inside |= near.contains_points(np.column_stack([here, there]), radius=-1e-9)
+            assert inside.all()
+    assert walls[:, 0].max() == pytest.approx(float(circuit.sides[1].end))
+    assert walls[:, 0].min() == pytest.approx(-float(circuit.sides[0].end))
+
+
+def _boundary(circuit: object, walls: list[np.ndarray]) -> np.ndarray:
+    """Return the walls of the circuit as one closed line."""
+    upper1, lower1, upper2, lower2 = walls
+    return np.vstack([upper1, lower1, lower2[::-1], upper2[::-1]])
+
+
+def test_theories_take_the_area_or_say_that_they_know_discs_only() -> None:
+    """A square of side 2 has A = 4 in the window's and the renewal gate's theory."""
+    words = ["--number", "1000", "--threshold", "7"]
+    words += ["--urn-vertices", *SQUARE.replace(",", " ").split()]
+    for model in ("window", "renewal", "two_port", "direction", "one_particle"):
+        command = [sys.executable, "-m", "postproc.theory", *words, "--model", model]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+        if model in ("window", "renewal"):
+            assert json.loads(ended.stdout)["urn_area"] == 4.0
+        else:
+            assert ended.returncode == 2, model
+            assert "discs only" in ended.stderr
