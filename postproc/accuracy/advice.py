@@ -126,7 +126,7 @@ def transient_of(circuit: Circuit, *, critical: bool) -> float:
         max(RELAXATIONS * predictions.memory_time(side), SHORTEST * float(side.urn_radius))
         for side in circuit.sides
     )
-    return max(slowest, CRITICAL) if critical else slowest
+    return 100.0 * math.ceil(0.01 * (max(slowest, CRITICAL) if critical else slowest))
 
 
 def table_of(circuit: Circuit) -> Groups:

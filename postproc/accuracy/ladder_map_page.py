@@ -57,7 +57,8 @@ not hide one of the conductance. The transitions lie at T = {places}.
 
 Errors are root mean squares over the points, of chi absolute and of the others relative, less what runs add by chance;
 "<" is a bound where none is seen. A star marks errors that cancel: a rung that has all of its physics and more is
-farther off. "Without" counts points at which the rung has no polarised state.
+farther off. "Without" counts points at which the rung has no polarised state. `timestep 0.003` goes over the map in
+full runs only.
 
 **What a run costs.** Its transient is {number(away, 4)} time units, three relaxations of directions (25 r^4/w^3), and
 {number(near, 4)} next to a transition, where chi relaxes in 3000. All of it is charged, also to a run that could begin

@@ -225,7 +225,7 @@ def test_command_line_prints_errors_where_walkers_draw(
 ) -> None:
     """JSON as of every theory, with standard errors; nothing that walkers do not tell."""
     short = replace(QUICK, copies=4, transient=300.0, duration=300.0)
-    monkeypatch.setattr(one_particle, "effort_for", lambda _: short)
+    monkeypatch.setattr(one_particle, "effort_for", lambda *_: short)
     assert call("theory", ["--number", "1000", "--threshold", "7", "--model", "one_particle"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert list(told) == ["homogeneous", "roots", "transition_width", "urn_area"]
