@@ -65,8 +65,8 @@ module battery_excursion
     procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type excursion_type
 
-  !> Where discs stand in channel 2 a window has no more hits of one particle in a narrow gap, unless
-  !> it were shorter than this share of the longest.
+  !> Where discs stand in channel 2 a window has no more hits of one particle in a narrow gap,
+  !> unless it were shorter than this share of the longest.
   real(wp), parameter :: window_hits = 1.0e6_wp, least_window = 1.0e-3_wp
 
   ! What it tells of itself, and how its state is kept: `excursion_state.f90`.
@@ -144,8 +144,8 @@ contains
       self%window = min(self%window, max(least_window*self%lookahead, window_hits &
         *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
     end if
-    self%looks_ahead = self%batches == 1 .and. .not. self%scattered .and. pays(real(self%number, wp)*self%lookahead &
-      /self%interval, self%gate%threshold)
+    self%looks_ahead = self%batches == 1 .and. .not. self%scattered .and. &
+      pays(real(self%number, wp)*self%lookahead/self%interval, self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
     call lay_out(self%flight, self%number)
     self%known_hits = 0

@@ -62,8 +62,8 @@ contains
     end associate
   end subroutine begin_travels
 
-  !> Those whose visits were too long for one part, among the first `done` of the sorted events: they
-  !> are taken out of them, and stand where that part ended.
+  !> Those whose visits were too long for one part, among the first `done` of the sorted events:
+  !> they are taken out of them, and stand where that part ended.
   module procedure set_aside
     integer :: at, i, j
 
@@ -113,7 +113,7 @@ contains
         later = 0
         do j = 1, among%count
           associate (at => among%travel(j))
-            if (at%now%time < ends .and. (at%heading == to_return .or. at%heading == under_way)) then
+            if (at%now%time < ends .and. any(at%heading == [to_return, under_way])) then
               call go_on_at_once(self, j, again, began, history)
             else
               later = later + 1
