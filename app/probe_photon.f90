@@ -1,5 +1,5 @@
-!> Probe of scatterers: problem 2 of the SIAM 100-Digit Challenge. Mirrors of radius 1/3 stand on the
-!> whole numbers of the plane, and a photon flies from (1/2, 1/10) to the east: how far from the
+!> Probe of scatterers: problem 2 of the SIAM 100-Digit Challenge. Mirrors of radius 1/3 stand on
+!> the whole numbers of the plane, and a photon flies from (1/2, 1/10) to the east: how far from the
 !> origin is it after the time 10?
 module battery_probe_photon
   use battery_kinds, only: wp, int64

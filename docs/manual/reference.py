@@ -29,6 +29,7 @@ EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
     "run/transient_duration": {"run": {"duration": "5000", "transient_duration": "2000"}},
     "run/start_time": "100",
     "run/time_step": {"run": {"engine": "'timestep'", "time_step": "0.001"}},
+    "table/scatterers": "0, 0, 0.002, 0.2, 0.004, 0.002",
     "scan/threshold": "5, 7, 9",
     "scan/threshold_range": "1, 25, 25",
     "scan/threshold2": {"scan": {"threshold": "5, 7", "threshold2": "7, 9"}},

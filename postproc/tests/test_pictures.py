@@ -12,7 +12,7 @@ import pytest
 from matplotlib.patches import Circle
 
 from postproc.cli import InputError
-from postproc.figures import currents, models, scene
+from postproc.figures import currents, film, models, scene
 from postproc.figures.scene import figure_scene
 from postproc.figures.style import VERMILION
 from postproc.reading.results import Results, Snapshot, mean_and_error
@@ -200,7 +200,7 @@ def test_scatterers_are_drawn_and_no_theory_is_asked(
     output = {"series_interval": 1.0, "snapshot_times": [5.0, 5.2]}
     path = results_of(tmp_path / "run.h5", table=table, run={"duration": 20.0}, output=output)
     here = [str(path), "--output", str(tmp_path)]
-    for command in ("scene", "currents", "report", "film"):
+    for command in ("scene", "currents"):
         assert call(command, here) == 0, command
     assert call("figures", ["model", *here]) == 0
     assert call("compare", [str(path)]) == 2
@@ -209,8 +209,11 @@ def test_scatterers_are_drawn_and_no_theory_is_asked(
         stationary_states(results.circuit(0))
     with Results(path) as results:
         drawn = figure_scene(results.circuit(0), results.snapshot(0, 0, 0)).axes[0]
-        line = float(results.circuit(0).end)
+        circuit, line = results.circuit(0), float(results.circuit(0).end)
     discs = [patch.center for patch in drawn.patches if isinstance(patch, Circle)]
+    # In a film a flight stops at a disc.
+    x, y = film.flown(circuit, Snapshot(0.0, *np.array([[0.2 - line], [0.0], [-1.0], [0.0]])), 0.15)
+    assert float(np.hypot(x + line - 0.01, y)[0]) == pytest.approx(0.05)
     # That astride the line is drawn at both ends.
     assert sorted(x for x, _ in discs) == pytest.approx([-line + 0.01, line - 0.2, line + 0.01])
 

@@ -185,8 +185,8 @@ contains
     end do
   end subroutine order_events
 
-  !> Puts all that a history tells in the order of time, and the events of one instant in that of the
-  !> log.
+  !> Puts all that a history tells in the order of time, and the events of one instant in that of
+  !> the log.
   subroutine put_in_order(history)
     type(history_type), intent(inout) :: history
     integer, allocatable :: order(:)

@@ -241,7 +241,8 @@ contains
 
     if (size(plan%scatterers) == 0) return
     if (plan%shape == 'urn') then
-      call refuse(plan, 'scatterers', 'is given', 'nothing, since the shape ''urn'' has no channel 2')
+      call refuse(plan, 'scatterers', 'is given', &
+        'nothing, since the shape ''urn'' has no channel 2')
       return
     end if
     where = ''

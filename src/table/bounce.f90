@@ -98,14 +98,16 @@ contains
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
-    associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
-      if (half%count > 0 .and. motion%chamber == in_return) then
-        call aim_among(half, urn%periodic_line + urn%way*motion%x, motion%y, &
-          urn%way*motion%ux, motion%uy, motion%next, wait)
-      else
-        call aim_in_strip(urn, motion, wait)
-      end if
-    end associate
+    if (motion%chamber == in_return) then
+      associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
+        if (half%count > 0) then
+          call aim_among(half, urn%periodic_line + urn%way*motion%x, motion%y, &
+            urn%way*motion%ux, motion%uy, motion%next, wait)
+          return
+        end if
+      end associate
+    end if
+    call aim_in_strip(table%urn(motion%side), motion, wait)
   end subroutine aim_in_channel
 
   !> The same where nothing stands in the channel.

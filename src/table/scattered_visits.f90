@@ -33,7 +33,7 @@ module battery_scattered_visits
   type :: lanes_type
     integer :: who(lanes) = 0
     real(wp), dimension(lanes) :: x = 0.0_wp, y = 0.0_wp, ux = 1.0_wp, uy = 0.0_wp
-    real(wp), dimension(lanes) :: time = 0.0_wp, until = 0.0_wp, wait = 0.0_wp, hits = 0.0_wp
+    real(wp), dimension(lanes) :: time = 0.0_wp, until = 0.0_wp, delay = 0.0_wp, hits = 0.0_wp
     !> What is met, as a whole number; and if that is a disc, where it is.
     real(wp), dimension(lanes) :: met = 0.0_wp, met_x = 0.0_wp, met_y = 0.0_wp, met_radius = 0.0_wp
   end type lanes_type
@@ -70,10 +70,10 @@ contains
       call take_next(lane)
     end do
     do while (flying > 0)
-      call aim_ahead(half%length, half%half_width, now%x, now%y, now%ux, now%uy, now%met, now%wait)
+      call aim_ahead(half%length, half%half_width, now%x, now%y, now%ux, now%uy, now%met, now%delay)
       call aim_at_discs(half%count, half%x, half%y, half%radius, now%x, now%y, now%ux, now%uy, &
-        now%met, now%wait)
-      call fly_on(now%until, now%x, now%y, now%ux, now%uy, now%met, now%wait, now%time, now%hits)
+        now%met, now%delay)
+      call fly_on(now%until, now%x, now%y, now%ux, now%uy, now%met, now%delay, now%time, now%hits)
       call look_up(half%count, half%x, half%y, half%radius, now%met, now%met_x, now%met_y, &
         now%met_radius)
       call bounce_off(half%half_width, now%met_x, now%met_y, now%met_radius, now%x, now%y, &
@@ -125,10 +125,10 @@ contains
   end subroutine cross_half
 
   !> The end of the half that a particle flies to, or the wall if that is sooner.
-  pure subroutine aim_ahead(length, half_width, x, y, ux, uy, met, wait)
+  pure subroutine aim_ahead(length, half_width, x, y, ux, uy, met, delay)
     real(wp), intent(in) :: length, half_width
     real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
-    real(wp), dimension(lanes), intent(out) :: met, wait
+    real(wp), dimension(lanes), intent(out) :: met, delay
     real(wp) :: speed, ahead, at_end, px, py, v, way(lanes), to_wall(lanes)
     integer :: j
 
@@ -156,16 +156,16 @@ contains
     end do
     !GCC$ unroll 1
     do j = 1, lanes
-      wait(j) = merge(to_wall(j), way(j), to_wall(j) <= way(j))
+      delay(j) = merge(to_wall(j), way(j), to_wall(j) <= way(j))
     end do
   end subroutine aim_ahead
 
   !> A disc instead, if one is met before.
-  pure subroutine aim_at_discs(count, disc_x, disc_y, radius, x, y, ux, uy, met, wait)
+  pure subroutine aim_at_discs(count, disc_x, disc_y, radius, x, y, ux, uy, met, delay)
     integer, intent(in) :: count
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
     real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
-    real(wp), dimension(lanes), intent(inout) :: met, wait
+    real(wp), dimension(lanes), intent(inout) :: met, delay
     real(wp) :: dx, dy, ahead, beside, room, time, this, before, best, met_before
     integer :: k, j
 
@@ -182,35 +182,35 @@ contains
         time = merge(time, huge(1.0_wp), room > 0.0_wp)
         time = merge(time, huge(1.0_wp), ahead > 0.0_wp)
         ! So written, the compiler keeps both in registers from disc to disc.
-        before = wait(j)
+        before = delay(j)
         met_before = met(j)
         best = min(time, before)
         met(j) = merge(this, met_before, best < before)
-        wait(j) = best
+        delay(j) = best
       end do
     end do
     ! Who is in a disc by rounding, and does not fly away from it, meets it now.
     !GCC$ unroll 1
     do j = 1, lanes
-      wait(j) = max(wait(j), 0.0_wp)
+      delay(j) = max(delay(j), 0.0_wp)
     end do
   end subroutine aim_at_discs
 
   !> Straight on to what is met, or until time is up.
-  pure subroutine fly_on(until, x, y, ux, uy, met, wait, time, hits)
+  pure subroutine fly_on(until, x, y, ux, uy, met, delay, time, hits)
     real(wp), dimension(lanes), intent(in) :: until, ux, uy
-    real(wp), dimension(lanes), intent(inout) :: x, y, met, wait, time, hits
+    real(wp), dimension(lanes), intent(inout) :: x, y, met, delay, time, hits
     logical :: over
     integer :: j
 
     !GCC$ unroll 1
     do j = 1, lanes
-      over = time(j) + wait(j) > until(j)
+      over = time(j) + delay(j) > until(j)
       met(j) = merge(real(meets_nothing, wp), met(j), over)
-      wait(j) = merge(until(j) - time(j), wait(j), over)
-      time(j) = time(j) + wait(j)
-      x(j) = x(j) + ux(j)*wait(j)
-      y(j) = y(j) + uy(j)*wait(j)
+      delay(j) = merge(until(j) - time(j), delay(j), over)
+      time(j) = time(j) + delay(j)
+      x(j) = x(j) + ux(j)*delay(j)
+      y(j) = y(j) + uy(j)*delay(j)
       hits(j) = hits(j) + merge(1.0_wp, 0.0_wp, met(j) >= real(meets_channel_wall, wp))
     end do
   end subroutine fly_on

@@ -124,8 +124,8 @@ contains
     uy = norm*dy
   end subroutine hit_among
 
-  !> Whether a particle comes back to the very state that it has at its next hit, without leaving the
-  !> half: then it never will.
+  !> Whether a particle comes back to the very state that it has at its next hit, without leaving
+  !> the half: then it never will.
   pure subroutine comes_back(half, x, y, ux, uy, yes)
     type(scattered_half_type), intent(in) :: half
     !> Place and velocity in the frame of the half.

@@ -45,8 +45,8 @@ module battery_table
     integer :: beyond(2) = [2, 1]
     type(urn_type) :: urn(2)
     type(channel_type) :: channel(2)
-    !> Fixed discs in channel 2: (z, y, radius) of each, z along the channel from urn 2 over the line
-    !> at 0 to urn 1; and each half of the channel with them, by side.
+    !> Fixed discs in channel 2: (z, y, radius) of each, z along the channel from urn 2 over the
+    !> line at 0 to urn 1; and each half of the channel with them, by side.
     real(wp), allocatable :: scatterers(:, :)
     type(scattered_half_type) :: scattered(2)
     !> A power of two, at least four times the longest flight from wall to wall.

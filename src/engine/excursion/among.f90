@@ -295,8 +295,9 @@ contains
     end do
   end subroutine settle
 
-  !> Where a particle is now within its visit, or in the gate before that, in the frame of the table,
-  !> and by how many wall hits `known_hits` is short for it (negative: so many are still to come).
+  !> Where a particle is now within its visit, or in the gate before that, in the frame of the
+  !> table, and by how many wall hits `known_hits` is short for it (negative: so many are still to
+  !> come).
   subroutine replay(table, leg, side, now, state, hits)
     type(table_type), intent(in) :: table
     !> How its visit began.

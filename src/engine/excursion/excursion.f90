@@ -71,8 +71,8 @@ module battery_excursion
     procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
   end type excursion_type
 
-  !> Where discs stand in channel 2 a window has no more hits of one particle in a narrow gap, unless
-  !> it were shorter than this share of the longest.
+  !> Where discs stand in channel 2 a window has no more hits of one particle in a narrow gap,
+  !> unless it were shorter than this share of the longest.
   real(wp), parameter :: window_hits = 1.0e6_wp, least_window = 1.0e-3_wp
 
   ! What it tells of itself, and how its state is kept: `excursion_state.f90`.

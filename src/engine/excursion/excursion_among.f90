@@ -105,7 +105,7 @@ contains
         later = 0
         do j = 1, among%count
           associate (at => among%travel(j))
-            if (at%now%time < ends .and. (at%heading == to_return .or. at%heading == in_parts)) then
+            if (at%now%time < ends .and. any(at%heading == [to_return, in_parts])) then
               call go_on_at_once(self, j, again, began, history)
             else
               later = later + 1

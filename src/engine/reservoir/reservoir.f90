@@ -72,7 +72,8 @@ module battery_reservoir
     !> How many move on, that is, are not parked.
     integer :: moving = 0
   contains
-    procedure :: supports, prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
+    procedure :: supports, prepare, take_over, live, turn_page, pass_own, state_of, collisions
+    procedure :: trapped
   end type reservoir_type
 
   ! What it tells of itself, and how its state is kept: `reservoir_state.f90`.
