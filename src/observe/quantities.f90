@@ -13,9 +13,12 @@ module battery_quantities
   public :: measured_type, new_measured, set_average, set_count
   public :: fingerprint_of_quantities, flow_names, unknown_real, unknown_count
 
-  !> Something that is measured.
+  !> Something that is measured. Its texts have fixed lengths: a list that is passed on as it is made
+  !> would leave allocated ones behind (gfortran 12), some kilobytes in every task.
   type :: quantity_type
-    character(len=:), allocatable :: name, unit, meaning
+    character(len=24) :: name = ''
+    character(len=40) :: unit = ''
+    character(len=96) :: meaning = ''
     !> Whether it has a standard error of its own, from blocks of the run.
     logical :: has_error = .false.
   end type quantity_type
@@ -141,7 +144,7 @@ contains
     fingerprint = fingerprint_start
     list = [averaged_quantities(), counted_quantities()]
     do k = 1, size(list)
-      call mix_word(fingerprint, fingerprint_of(list(k)%name))
+      call mix_word(fingerprint, fingerprint_of(trim(list(k)%name)))
     end do
   end function fingerprint_of_quantities
 

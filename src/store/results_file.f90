@@ -167,6 +167,7 @@ contains
     character(len=*), parameter :: blocks = ', standard error from blocks of the run'
     character(len=*), parameter :: scatter = ', standard error from the scatter of the replicas'
     type(quantity_type), allocatable :: list(:)
+    character(len=:), allocatable :: path, unit, meaning
     integer :: q
 
     call pass_dataset(file, '/seed', results%seed, '1', 'seed of the random start', error, by_task)
@@ -178,20 +179,22 @@ contains
       error)
     list = averaged_quantities()
     do q = 1, size(list)
-      associate (path => '/'//list(q)%name, unit => list(q)%unit, meaning => list(q)%meaning)
-        call pass_dataset(file, path, results%average(:, :, q), unit, meaning, error, by_task)
-        if (.not. list(q)%has_error) cycle
-        call pass_dataset(file, path//'_error', results%error(:, :, q), unit, meaning//blocks, &
-          error, by_task)
-        if (file%is_new) call write_dataset(file, path//'_spread', scatter_of(results%average(:, &
-          :, q), results%task_status), unit, meaning//scatter, error, by_point)
-      end associate
+      path = '/'//trim(list(q)%name)
+      unit = trim(list(q)%unit)
+      meaning = trim(list(q)%meaning)
+      call pass_dataset(file, path, results%average(:, :, q), unit, meaning, error, by_task)
+      if (.not. list(q)%has_error) cycle
+      call pass_dataset(file, path//'_error', results%error(:, :, q), unit, meaning//blocks, &
+        error, by_task)
+      if (file%is_new) call write_dataset(file, path//'_spread', scatter_of(results%average(:, :, &
+        q), results%task_status), unit, meaning//scatter, error, by_point)
     end do
     list = counted_quantities()
     do q = 1, size(list)
-      call pass_dataset(file, '/'//list(q)%name, results%counted(:, :, q), list(q)%unit, &
-        list(q)%meaning, error, by_task)
-      call write_attribute(file, '/'//list(q)%name, '_FillValue', unknown_count, error)
+      path = '/'//trim(list(q)%name)
+      call pass_dataset(file, path, results%counted(:, :, q), trim(list(q)%unit), &
+        trim(list(q)%meaning), error, by_task)
+      call write_attribute(file, path, '_FillValue', unknown_count, error)
     end do
   end subroutine pass_measured
 
@@ -237,8 +240,8 @@ contains
     list = averaged_quantities()
     do which = 1, 4
       associate (flow => list(place_of(flow_names(which), list)))
-        call pass_dataset(file, '/series/'//flow%name, results%series_flow(:, :, :, which), &
-          flow%unit, flow%meaning//', since the entry before', error, by_time)
+        call pass_dataset(file, '/series/'//trim(flow%name), results%series_flow(:, :, :, which), &
+          trim(flow%unit), trim(flow%meaning)//', since the entry before', error, by_time)
       end associate
     end do
   end subroutine pass_series
