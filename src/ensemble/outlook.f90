@@ -40,17 +40,19 @@ contains
     character(len=:), allocatable :: remark
     real(dp) :: seconds, rate
     logical :: complete
-    integer :: k
+    integer :: done, k, p
 
-    pending = [(k, k=1, task_count(plan))]
+    pending = pack([(k, k=1, task_count(plan))], [((k <= plan%first_replicas, k=1, &
+      plan%replicas), p=1, plan%point_count)])
+    done = 0
     remark = ''
-    if (.not. overwrite) call look_at_output(plan, complete, pending, remark, error)
+    if (.not. overwrite) call look_at_output(plan, complete, pending, done, remark, error)
     if (allocated(error)) return
     if (remark /= '') call say(remark)
     left = memory_left(sharing)
     needs = needs_of(plan, left)
     call print_parameters(plan)
-    call say('finished:   '//counted(task_count(plan) - size(pending), 'task')//'; to be done: ' &
+    call say('finished:   '//finished_text(plan, done, size(pending))//'; to be done: ' &
       //to_text(size(pending)))
     call calibrate(plan, pending, needs%number, seconds, rate, error)
     if (allocated(error)) return
@@ -145,6 +147,22 @@ contains
     end function both
 
   end subroutine print_parameters
+
+  !> How many tasks are finished. Where all are, a precision leaves open how many that was.
+  pure function finished_text(plan, done, pending) result(text)
+    type(plan_type), intent(in) :: plan
+    !> Finished tasks that were counted, and tasks that are to be done.
+    integer, intent(in) :: done, pending
+    character(len=:), allocatable :: text
+
+    if (pending > 0) then
+      text = counted(done, 'task')
+    else if (plan%first_replicas < plan%replicas) then
+      text = 'all tasks that the precision needs'
+    else
+      text = counted(task_count(plan), 'task')
+    end if
+  end function finished_text
 
   !> `1 point`, `2 points`.
   pure function counted(number, what) result(text)

@@ -63,13 +63,14 @@ contains
     integer, allocatable, intent(inout) :: pending(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: remark
+    integer :: done
 
     complete = .false.
     rank_files = 0
     call check_journal(journal_folder(plan), error)
     if (.not. allocated(error) .and. overwrite) call remove_file(plan%file, error)
     if (.not. allocated(error) .and. overwrite) call remove_journal(journal_folder(plan), error)
-    if (.not. allocated(error)) call look_at_output(plan, complete, pending, remark, error)
+    if (.not. allocated(error)) call look_at_output(plan, complete, pending, done, remark, error)
     if (allocated(error)) return
     if (remark /= '' .and. .not. quiet) call say(remark)
     if (complete) then
@@ -82,12 +83,14 @@ contains
   end subroutine begin
 
   !> Which tasks are still to be done, by what is there; writes nothing.
-  subroutine look_at_output(plan, complete, pending, remark, error)
+  subroutine look_at_output(plan, complete, pending, done, remark, error)
     type(plan_type), intent(in) :: plan
     !> Whether the results file is as it should be.
     logical, intent(out) :: complete
     !> Their numbers.
     integer, allocatable, intent(out) :: pending(:)
+    !> How many are finished; not known where all are.
+    integer, intent(out) :: done
     !> What a user should know of it; may be empty.
     character(len=:), allocatable, intent(out) :: remark
     !> Code `exit_bad_input` where something else is in the way.
@@ -98,9 +101,10 @@ contains
     type(string_type), allocatable :: failures(:)
     integer, allocatable :: wanted(:)
     logical :: found
-    integer :: done, k
+    integer :: k
 
     allocate (pending(0))
+    done = 0
     remark = ''
     call look_at_results_file(plan, complete, damage, error)
     if (.not. allocated(error)) call look_at_journal(plan, complete, found, error)
