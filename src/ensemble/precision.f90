@@ -6,8 +6,9 @@
 !> on the mean. A rule that looked at every replica would stop when s is small by chance.
 module battery_precision
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
+  use, intrinsic :: iso_c_binding, only: c_size_t
   use battery_kinds, only: wp, dp
-  use battery_gsl, only: student_quantile
+  use battery_gsl, only: student_quantile, sort_order
   use battery_plan, only: plan_type
   use battery_quantities, only: averaged_quantities, place_of, unknown_real
   use battery_results, only: results_type, task_complete, point_precise, point_not_precise, &
@@ -71,26 +72,30 @@ contains
     end do
   end subroutine decide
 
-  !> Whether values fall into two groups, each of one or more.
-  pure logical function two_states(values) result(yes)
+  !> Whether values fall into two groups, each of one or more. The best cut is one of the values
+  !> put in order; it takes n d**2/(k (n - k)) off their squares, d the sum of the lowest k.
+  logical function two_states(values) result(yes)
     !> Finite.
     real(dp), intent(in) :: values(:)
-    real(dp) :: left
-    integer :: k
+    !> Equal values differ by this share of the greatest at most.
+    real(dp), parameter :: rounding = 1.0e-12_dp
+    integer(c_size_t) :: order(size(values))
+    real(dp) :: distance(size(values)), lowest, squares, taken
+    integer :: n, k
 
-    left = huge(left)
-    do k = 1, size(values)
-      left = min(left, squares(pack(values, values <= values(k))) &
-        + squares(pack(values, values > values(k))))
+    n = size(values)
+    distance = values - sum(values)/max(n, 1)
+    squares = sum(distance**2)
+    yes = squares > n*(rounding*maxval(abs(values)))**2
+    if (.not. yes) return
+    call sort_order(order, distance, 1_c_size_t, int(n, c_size_t))
+    lowest = 0.0_dp
+    taken = 0.0_dp
+    do k = 1, n - 1
+      lowest = lowest + distance(order(k) + 1)
+      taken = max(taken, lowest**2*(real(n, dp)/(real(k, dp)*real(n - k, dp))))
     end do
-    yes = left < within*squares(values)
+    yes = squares - taken < within*squares
   end function two_states
-
-  !> Sum of the squared distances from the mean.
-  pure real(dp) function squares(values)
-    real(dp), intent(in) :: values(:)
-
-    squares = sum((values - sum(values)/max(size(values), 1))**2)
-  end function squares
 
 end module battery_precision
