@@ -207,7 +207,6 @@ def test_a_scan_over_pairs_of_radii_has_both(tmp_path: Path) -> None:
         assert data["urn_radius2"].attrs["units"] == "length"
 
 
-
 def test_a_theory_or_group_that_is_not_there_is_named(tmp_path: Path) -> None:
     path = results_of(tmp_path, {"urn_radius": "1.5, 1.0"})
     with pytest.raises(InputError, match=r"no theory 'widow'; there are window, renewal, "):
