@@ -1,8 +1,8 @@
 !> Shapes of C procedures: what takes and gives the same is declared by one of them.
 !>
-!> Texts that go to C end with a null sign; what C writes goes into `room` bytes. What takes a number
-!> alone has no shape: gfortran 12 would pass the address of a constant or of a function's result
-!> where a procedure is declared by a shape, and the number is wanted.
+!> Texts that go to C end with a null sign; what C writes goes into `room` bytes. What takes a
+!> number alone has no shape: where a procedure is declared by one, gfortran 12 passes the address
+!> of a constant or of a function's result, though the number is wanted.
 module battery_c_shapes
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_ptr, c_size_t
   implicit none (type, external)

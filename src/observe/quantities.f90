@@ -13,8 +13,8 @@ module battery_quantities
   public :: measured_type, new_measured, set_average, set_count
   public :: fingerprint_of_quantities, flow_names, unknown_real, unknown_count
 
-  !> Something that is measured. Its texts have fixed lengths: a list that is passed on as it is made
-  !> would leave allocated ones behind (gfortran 12), some kilobytes in every task.
+  !> Something that is measured. Its texts have fixed lengths: a list that is passed on as it is
+  !> made would leave allocated ones behind (gfortran 12), some kilobytes in every task.
   type :: quantity_type
     character(len=24) :: name = ''
     character(len=40) :: unit = ''
