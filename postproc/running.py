@@ -13,12 +13,13 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import contextmanager
 from functools import lru_cache
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import f90nml
 
-from postproc.cli import EXIT_BAD_INPUT, InputError, existing_file
+from postproc.cli import EXIT_BAD_INPUT, InputError, existing_file, output_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -88,19 +89,25 @@ def write_namelist(
     problems: list[str] = []
     known = _keys(find_program(program))
     for group, keys in groups.items():
+        name = str(group).lower()
         if not isinstance(keys, Mapping):
             problems.append(f"&{group}: values by key are wanted, not {keys!r}")
-        elif group.lower() not in known:
-            problems.append(f"there is no group &{group}{_choice(group, known)}")
+        elif name not in known:
+            problems.append(f"there is no group &{group}{_choice(name, known)}")
+        elif name in checked:
+            problems.append(f"&{group} is given twice")
         else:
-            checked[group.lower()] = _values(group, keys, known[group.lower()], problems)
+            checked[name] = _values(group, keys, known[name], problems)
     if problems:
         raise InputError("; ".join(problems))
     namelist = f90nml.Namelist(checked)
     namelist.column_width = 100
     text = f"{namelist}\n"
     if file is not None:
-        Path(file).write_text(text, encoding="utf-8")
+        try:
+            Path(file).write_text(text, encoding="utf-8")
+        except OSError as problem:
+            raise InputError(f"{file}: {problem.strerror}") from problem
     return text
 
 
@@ -136,11 +143,11 @@ def run(
     RunError
         The run failed in part, or was stopped early.
     """
-    if ranks < 1:
-        raise InputError(f"ranks = {ranks}: must be at least 1")
+    if not isinstance(ranks, Integral) or ranks < 1:
+        raise InputError(f"ranks = {ranks!r}: must be a whole number, at least 1")
     battery, place = find_program(program), Path(folder or ".")
     with _namelist_file(namelist, battery) as path:
-        place.mkdir(parents=True, exist_ok=True)
+        output_folder(place)
         command = [*([*launcher, str(ranks)] if ranks > 1 else []), str(battery)]
         command += [*(["--overwrite"] if overwrite else []), "--", str(path)]
         code, said, complaints = _launch(command, place, quiet)
@@ -188,19 +195,26 @@ def _values(
         plain = value.tolist() if hasattr(value, "tolist") else value
         plain = str(plain) if isinstance(plain, Path) else plain
         plain = list(plain) if isinstance(plain, (tuple, range)) else plain
-        if key.lower() not in known:
-            problems.append(f"there is no key {key} in &{group}{_choice(key, known)}")
+        name = str(key).lower()
+        if name not in known:
+            problems.append(f"there is no key {key} in &{group}{_choice(name, known)}")
+        elif name in values:
+            problems.append(f"&{group} {key} is given twice")
         elif plain is not None and not _can_be_written(plain):
             problems.append(f"&{group} {key}: a namelist cannot hold {value!r}")
         elif plain is not None:
-            values[key.lower()] = plain
+            values[name] = plain
     return values
 
 
 def _can_be_written(value: object) -> bool:
     if isinstance(value, list):
-        return bool(value) and all(isinstance(one, (bool, int, float, str)) for one in value)
-    return isinstance(value, (bool, int, float, str))
+        return bool(value) and all(
+            _can_be_written(one) and not isinstance(one, list) for one in value
+        )
+    if isinstance(value, str):
+        return value.isprintable()  # f90nml writes other signs as Python does
+    return isinstance(value, (bool, int, float))
 
 
 def _choice(word: str, known: Sequence[str] | Mapping[str, object]) -> str:

@@ -258,6 +258,15 @@ def test_stray_files_cost_nothing(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.glob("out*")) == ["out.h5"]
 
 
+def test_a_file_in_the_place_of_the_journal_is_named(tmp_path: Path) -> None:
+    """The system says why its folder cannot be made."""
+    (tmp_path / "case.nml").write_text(text_of())
+    (tmp_path / "out.h5.tasks").touch()
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert "out.h5.tasks: the folder cannot be made: File exists" in ended.stderr
+
+
 @pytest.mark.parametrize("file", ["trail.h5 ", "trail.h5"])
 def test_blanks_at_the_end_of_a_name_are_no_part_of_it(tmp_path: Path, file: str) -> None:
     """As everywhere in Fortran: what was written with them is found again without, and again."""

@@ -250,6 +250,23 @@ def test_precision_may_be_asked_for_later(tmp_path: Path, precise: Path) -> None
     assert_same(tmp_path / "out.h5", precise)
 
 
+def test_check_counts_no_replica_that_is_not_asked_for(tmp_path: Path) -> None:
+    """Neither as finished nor as to be done: the first replicas, then those that they ask for."""
+
+    def said(*words: str) -> str:
+        return run("--check", *words, "case.nml", folder=tmp_path).stdout
+
+    write(tmp_path, scan=WIDTHS, precision=ASKED)
+    assert "finished:   0 tasks; to be done: 32" in said()
+    complete(tmp_path)
+    with h5py.File(tmp_path / "out.h5") as file:
+        done = np.count_nonzero(file["task_status"][()] == 0)
+    assert "finished:   all tasks that the precision needs; to be done: 0" in said()
+    assert "finished:   0 tasks; to be done: 32" in said("--overwrite")
+    write(tmp_path, scan=WIDTHS, precision={**ASKED, "chi_replica_error": 0.002})
+    assert f"finished:   {done} tasks; to be done: " in said()
+
+
 def test_stopped_on_the_way_to_a_precision(tmp_path: Path, precise: Path) -> None:
     """Signals at any moment leave the same replicas and the same bits."""
     write(tmp_path, scan=WIDTHS, precision=ASKED)
@@ -345,6 +362,7 @@ def test_coarser_precision_is_refused(tmp_path: Path, precise: Path) -> None:
         (15, {"chi_replica_error": 0.1}, "&scan replicas = 15; allowed: from 16 up"),
         (16, {"chi_replica_error": 0.1, "largest_replicas": 15}, "largest_replicas = 15; allowed"),
         (16, {"largest_replicas": 20}, "largest_replicas is given without a precision"),
+        (16, {"chi_replica_error": 0.1, "largest_replicas": 6_000_000}, "&precision largest_repl"),
     ],
 )
 def test_precision_that_makes_no_sense_is_refused(
@@ -357,6 +375,16 @@ def test_precision_that_makes_no_sense_is_refused(
     assert ended.returncode == 2
     assert named in ended.stderr
     assert listing(tmp_path) == before
+
+
+def test_one_urn_has_no_precision(tmp_path: Path) -> None:
+    """Its chi is not known, and there is no channel 2."""
+    for key in ("chi_replica_error", "polarised_current_replica_error"):
+        scan = {"channel2_width": None, "replicas": 16}
+        write(tmp_path, table={"shape": "'urn'"}, scan=scan, precision={key: 0.1})
+        ended = run("case.nml", folder=tmp_path)
+        assert ended.returncode == 2
+        assert f"&precision {key} = 0.1; allowed: nothing" in ended.stderr
 
 
 def test_tasks_say_when_and_where_they_ran(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import os
 import resource
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from support.program import (
     ALONE,
     PATIENCE,
     PROGRAM,
+    command_of,
     finish,
     namelist,
     run,
@@ -93,6 +95,28 @@ def test_check_says_what_there_is(tmp_path: Path) -> None:
     assert "there are " in ended.stdout
     ended = run("--check", "case.nml", folder=tmp_path, prepare=room_for(2000))
     assert "(address space, ulimit -v)" in ended.stdout
+
+
+PEAK = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def test_tasks_leave_nothing_behind(tmp_path: Path) -> None:
+    """A thousand tasks more take a few bytes each: rank 0 has their results at the end."""
+
+    def kilobytes(replicas: int) -> int:
+        write(tmp_path, scan={"replicas": replicas})
+        # In a small process: the peak of a child begins with that of its parent.
+        ended = subprocess.run(
+            [sys.executable, "-c", PEAK, *command_of("--quiet", "--overwrite", "case.nml")],
+            cwd=tmp_path, env=ALONE, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return int(ended.stdout)
+
+    assert kilobytes(1200) - kilobytes(200) < 10_000
 
 
 @pytest.mark.parametrize("megabytes", [60, 80, 100, 120, 140, 160, 180, 195, 215, 240])

@@ -221,6 +221,15 @@ def test_a_bad_file_is_one_line_that_names_it(tmp_path: Path, harm: Any, message
     assert "\n" not in str(caught.value)
 
 
+def test_a_scan_over_pairs_of_radii_has_both(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"urn_radius": "1.5, 1.0", "urn_radius2": "1.0, 2.0"})
+    for data in (postproc.open_results(path), postproc.open_results(path, theory="window")):
+        assert data["urn_radius"].values.tolist() == [1.5, 1.0]
+        assert data["urn_radius2"].dims == ("urn_radius",)
+        assert data["urn_radius2"].values.tolist() == [1.0, 2.0]
+        assert data["urn_radius2"].attrs["units"] == "length"
+
+
 def test_a_theory_or_group_that_is_not_there_is_named(tmp_path: Path) -> None:
     path = results_of(tmp_path, {"urn_radius": "1.5, 1.0"})
     with pytest.raises(InputError, match=r"no theory 'widow'; there are window, renewal, "):

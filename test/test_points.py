@@ -309,3 +309,14 @@ def test_a_point_that_is_there_twice_is_refused(tmp_path: Path, case: str) -> No
     assert ended.returncode == 2, ended.stdout
     assert words in ended.stderr
     assert "every point once" in ended.stderr
+
+
+def test_large_numbers_are_shown_whole(tmp_path: Path) -> None:
+    """The table on the screen makes room for them."""
+    case = namelist(
+        particles={"number": 20}, gate={"threshold": 2147483647}, run={"collisions": 1000}
+    )
+    (tmp_path / "case.nml").write_text(case)
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines()[1].split()[:4] == ["20", "2147483647", "0.3000", "0.010000"]

@@ -76,6 +76,10 @@ WRONG = {
     r"&gate threshold: a namelist cannot hold \{7\}": {"gate": {"threshold": {7}}},
     r"&scan threshold: a namelist cannot hold \[\]": {"scan": {"threshold": []}},
     r"&particles: values by key are wanted, not 100": {"particles": 100},
+    r"&output file: a namelist cannot hold 'a.+b.h5'": {"output": {"file": "a\nb.h5"}},
+    r"&Particles is given twice": {"Particles": {"number": 100}},
+    r"&particles NUMBER is given twice": {"particles": {"number": 100, "NUMBER": 100}},
+    r"no group &1": {1: {"number": 100}},
 }
 
 
@@ -102,6 +106,20 @@ def test_what_the_program_refuses_is_a_value_error(tmp_path: Path, value: object
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("ranks", [0, 1.5, "2", None])
+def test_ranks_are_a_whole_number(tmp_path: Path, ranks: Any) -> None:
+    with pytest.raises(ValueError, match=r"ranks = .*: must be a whole number, at least 1"):
+        postproc.run(CASE, folder=tmp_path, ranks=ranks)
+
+
+def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match=r"cannot make folder .*file: File exists"):
+        postproc.run(CASE, folder=tmp_path / "file")
+    with pytest.raises(ValueError, match="Is a directory"):
+        postproc.write_namelist(tmp_path, CASE)
+
+
 def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
     other = tmp_path / "other"
     with pytest.raises(ValueError, match=f"{other}: no such file"):
@@ -112,7 +130,7 @@ def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
         postproc.write_namelist(None, CASE, program=other)
     with pytest.raises(ValueError, match="no-launcher: No such file"):
         postproc.run(CASE, ranks=2, launcher=["no-launcher"], folder=tmp_path)
-    with pytest.raises(ValueError, match="must be at least 1"):
+    with pytest.raises(ValueError, match="must be a whole number, at least 1"):
         postproc.run(CASE, ranks=0)
 
 

@@ -93,7 +93,7 @@ def open_results(
         data = _read(path, group).assign_coords(replica=data["replica"])
         points = points.drop_vars(list(data.variables), errors="ignore")
     data = data.map(lambda one: _masked(one, known)).assign_coords(points.data_vars)
-    data = _on_grid(data, axes)
+    data = _on_grid(_with_second_radius(data, axes), axes)
     if isinstance(theory, str) and "theory" in data.dims:
         data = data.isel(theory=0)
     data.attrs = attributes
@@ -111,6 +111,15 @@ def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
     if not by_task or values.dtype.kind != "f":
         return values
     return values.where(known)
+
+
+def _with_second_radius(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
+    """Keep the radius of urn 2 where the dimension `urn_radius` is that of urn 1."""
+    if not axes or "urn_radius" not in axes or "urn" not in data["urn_radius"].dims:
+        return data
+    second = data["urn_radius"].isel(urn=1, drop=True)
+    told = {"units": "length", "long_name": "radius r of urn 2"}
+    return data.assign_coords(urn_radius2=(second.dims, second.data, told))
 
 
 def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:

@@ -6,8 +6,9 @@
 !> on the mean. A rule that looked at every replica would stop when s is small by chance.
 module battery_precision
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
+  use, intrinsic :: iso_c_binding, only: c_size_t
   use battery_kinds, only: wp, dp
-  use battery_gsl, only: student_quantile
+  use battery_gsl, only: student_quantile, sort_order
   use battery_plan, only: plan_type
   use battery_quantities, only: averaged_quantities, place_of, unknown_real
   use battery_results, only: results_type, task_complete, point_precise, point_not_precise, &
@@ -72,31 +73,41 @@ contains
   end subroutine decide
 
   !> Whether values fall into two groups, each of one or more.
-  pure logical function two_states(values) result(yes)
-    !> Finite.
+  logical function two_states(values) result(yes)
+    !> Finite, one or more.
     real(dp), intent(in) :: values(:)
+    !> Equal values differ by this share of the greatest at most.
+    real(dp), parameter :: rounding = 1.0e-12_dp
     real(dp) :: cut
 
     cut = cut_of(values)
-    yes = squares(pack(values, values <= cut)) + squares(pack(values, values > cut)) &
+    yes = squares(values) > size(values)*(rounding*maxval(abs(values)))**2 .and. &
+      squares(pack(values, values <= cut)) + squares(pack(values, values > cut)) &
       < within*squares(values)
   end function two_states
 
-  !> The greatest value of the lower group, where values are best cut into two.
-  pure function cut_of(values) result(cut)
+  !> The greatest value of the lower group, where values are best cut into two. That takes
+  !> n d**2/(k (n - k)) off their squares, d the sum of the distances of the lowest k.
+  function cut_of(values) result(cut)
     !> Finite, one or more.
     real(dp), intent(in) :: values(:)
     real(dp) :: cut
-    real(dp) :: left, least
-    integer :: k
+    integer(c_size_t) :: order(size(values))
+    real(dp) :: distance(size(values)), lowest, taken, most
+    integer :: n, k
 
-    least = huge(least)
+    n = size(values)
+    distance = values - sum(values)/n
+    call sort_order(order, distance, 1_c_size_t, int(n, c_size_t))
     cut = maxval(values)
-    do k = 1, size(values)
-      left = squares(pack(values, values <= values(k))) + squares(pack(values, values > values(k)))
-      if (.not. left < least) cycle
-      least = left
-      cut = values(k)
+    lowest = 0.0_dp
+    most = 0.0_dp
+    do k = 1, n - 1
+      lowest = lowest + distance(order(k) + 1)
+      taken = lowest**2*(real(n, dp)/(real(k, dp)*real(n - k, dp)))
+      if (.not. taken > most) cycle
+      most = taken
+      cut = values(order(k) + 1)
     end do
   end function cut_of
 

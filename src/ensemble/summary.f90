@@ -184,13 +184,19 @@ contains
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, which
     character(len=:), allocatable :: text
-    character(len=64) :: row
 
-    write (row, '(i6, i5, 2a, i10)') results%point(p)%number, results%point(p)%threshold(1), &
-      column(results%point(p)%channel(gated)%width, 8, 4), &
-      column(results%point(p)%channel(ungated)%width, 11, 6), which
-    text = trim(row)
+    text = whole(results%point(p)%number, 6)//whole(results%point(p)%threshold(1), 5) &
+      //column(results%point(p)%channel(gated)%width, 8, 4) &
+      //column(results%point(p)%channel(ungated)%width, 11, 6)//whole(which, 10)
   end function head
+
+  !> A whole number in `width` places, or a blank and as many as it needs.
+  pure function whole(number, width) result(text)
+    integer, intent(in) :: number, width
+    character(len=:), allocatable :: text
+
+    text = repeat(' ', max(1, width - len(to_text(number))))//to_text(number)
+  end function whole
 
   !> chi, then currents, each with its error, as (value and error, quantity).
   pure function pairs_text(pairs) result(text)

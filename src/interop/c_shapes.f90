@@ -1,27 +1,22 @@
 !> Shapes of C procedures: what takes and gives the same is declared by one of them.
 !>
-!> Texts that go to C end with a null sign; what C writes goes into `room` bytes.
+!> Texts that go to C end with a null sign; what C writes goes into `room` bytes. What takes a
+!> number alone has no shape: where a procedure is declared by one, gfortran 12 passes the address
+!> of a constant or of a function's result, though the number is wanted.
 module battery_c_shapes
-  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_ptr, c_size_t
+  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_ptr, c_size_t
   implicit none (type, external)
   private
-  public :: action, action_on_number, action_on_address
-  public :: number_known, number_of_number, number_of_address, number_of_path, number_of_paths
-  public :: number_of_text, number_of_path_and_text, size_of_number, size_of_address
-  public :: address_known, address_of_number, address_of_path
+  public :: action, action_on_address
+  public :: number_known, number_of_address, number_of_path, number_of_paths
+  public :: number_of_text, number_of_path_and_text, size_of_address
+  public :: address_known, address_of_path
 
   abstract interface
     !> Does something.
     subroutine action() bind(c)
       implicit none (type, external)
     end subroutine action
-
-    !> Does something with a number.
-    subroutine action_on_number(number) bind(c)
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: number
-    end subroutine action_on_number
 
     !> Does something with what stands at an address.
     subroutine action_on_address(address) bind(c)
@@ -35,13 +30,6 @@ module battery_c_shapes
       import :: c_int
       implicit none (type, external)
     end function number_known
-
-    !> A number that belongs to another.
-    integer(c_int) function number_of_number(number) bind(c)
-      import :: c_int
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: number
-    end function number_of_number
 
     !> A number that belongs to what stands at an address.
     integer(c_int) function number_of_address(address) bind(c)
@@ -81,13 +69,6 @@ module battery_c_shapes
       character(kind=c_char), intent(inout) :: text(room)
     end function number_of_path_and_text
 
-    !> A size that belongs to a number.
-    integer(c_int64_t) function size_of_number(number) bind(c)
-      import :: c_int, c_int64_t
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: number
-    end function size_of_number
-
     !> A size that belongs to what stands at an address.
     integer(c_size_t) function size_of_address(address) bind(c)
       import :: c_ptr, c_size_t
@@ -100,13 +81,6 @@ module battery_c_shapes
       import :: c_ptr
       implicit none (type, external)
     end function address_known
-
-    !> An address of what belongs to a number.
-    type(c_ptr) function address_of_number(number) bind(c)
-      import :: c_int, c_ptr
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: number
-    end function address_of_number
 
     !> An address of what stands at a path.
     type(c_ptr) function address_of_path(path) bind(c)

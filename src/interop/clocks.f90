@@ -1,13 +1,12 @@
 !> Clocks, and waiting.
 module battery_clocks
   use, intrinsic :: iso_c_binding, only: c_double, c_int
-  use battery_c_shapes, only: number_of_number, number_of_text
+  use battery_c_shapes, only: number_of_text
   use battery_kinds, only: dp, int64
   implicit none (type, external)
   private
   public :: wall_seconds, cpu_seconds, utc_seconds, utc_now, rest
 
-  procedure(number_of_number), bind(c, name='usleep') :: c_usleep
   procedure(number_of_text), bind(c, name='battery_utc') :: c_utc
 
   interface
@@ -16,6 +15,12 @@ module battery_clocks
       import :: c_double
       implicit none (type, external)
     end function utc_seconds
+
+    integer(c_int) function c_usleep(microseconds) bind(c, name='usleep')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: microseconds
+    end function c_usleep
   end interface
 
 contains

@@ -1,7 +1,7 @@
 !> The whole of a file, or of what comes through a pipe, as one text.
 module battery_file_text
   use, intrinsic :: iso_c_binding, only: c_int, c_int64_t, c_char, c_null_char
-  use battery_c_shapes, only: number_of_path, number_of_number, size_of_number
+  use battery_c_shapes, only: number_of_path
   use battery_kinds, only: int64
   use battery_error, only: error_type, fatal_error, exit_stopped_early
   use battery_paths, only: is_folder, is_pipe_or_device, system_message
@@ -15,10 +15,20 @@ module battery_file_text
   integer(int64), parameter :: at_end = 0, not_yet = -2
 
   procedure(number_of_path), bind(c, name='battery_open_input') :: c_open_input
-  procedure(number_of_number), bind(c, name='battery_close') :: c_close
-  procedure(size_of_number), bind(c, name='battery_size_of') :: c_size_of
 
   interface
+    integer(c_int) function c_close(descriptor) bind(c, name='battery_close')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: descriptor
+    end function c_close
+
+    integer(c_int64_t) function c_size_of(descriptor) bind(c, name='battery_size_of')
+      import :: c_int, c_int64_t
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: descriptor
+    end function c_size_of
+
     integer(c_int64_t) function c_read_some(descriptor, bytes, room) &
       bind(c, name='battery_read_some')
       import :: c_char, c_int, c_int64_t

@@ -1,13 +1,20 @@
 !> This process: its number, and its end.
 module battery_process
-  use battery_c_shapes, only: action_on_number, number_known
+  use, intrinsic :: iso_c_binding, only: c_int
+  use battery_c_shapes, only: number_known
   implicit none (type, external)
   private
   public :: leave, process_number
 
-  !> Ends the program, without the word `STOP` that Fortran prints. Its argument is what the shell
-  !> is told, 0 to 255.
-  procedure(action_on_number), bind(c, name='exit') :: leave
+  interface
+    !> Ends the program, without the word `STOP` that Fortran prints.
+    subroutine leave(code) bind(c, name='exit')
+      import :: c_int
+      implicit none (type, external)
+      !> What the shell is told, 0 to 255.
+      integer(c_int), value, intent(in) :: code
+    end subroutine leave
+  end interface
 
   !> Number of this process, as the system has it.
   procedure(number_known), bind(c, name='getpid') :: process_number

@@ -26,8 +26,9 @@ contains
     call check_precision(plan)
     plan%point_count = 0
     if (task_total(plan) > most_tasks) then
-      call refuse(plan, 'replicas', to_text(task_total(plan))//' tasks in all', &
-        'up to '//to_text(most_tasks)//' points times replicas')
+      call refuse(plan, trim(merge('largest_replicas', 'replicas        ', plan%replicas &
+        > plan%first_replicas)), to_text(task_total(plan))//' tasks in all', 'up to ' &
+        //to_text(most_tasks)//' points times replicas')
     else
       plan%point_count = int(task_total(plan)/plan%replicas)
       call check_repeats(plan)
@@ -106,15 +107,21 @@ contains
   pure subroutine check_precision(plan)
     type(plan_type), intent(inout) :: plan
     integer, parameter :: fewest = 16
+    character(len=*), parameter :: names(2) = [character(len=31) :: 'chi_replica_error', &
+      'polarised_current_replica_error']
+    character(len=*), parameter :: lacks(2) = ['has no chi      ', 'has no channel 2']
+    integer :: at
 
     if (.not. any(plan%precision > 0.0_wp)) return
     if (plan%first_replicas < fewest) call refuse(plan, 'replicas', to_text(plan%first_replicas), &
       'from '//to_text(fewest)//' up, since a precision is asked for')
     if (plan%replicas < plan%first_replicas) call refuse(plan, 'largest_replicas', &
       to_text(plan%replicas), 'from &scan replicas up, which is '//to_text(plan%first_replicas))
-    if (plan%precision(2) > 0.0_wp .and. plan%shape == 'urn') call refuse(plan, &
-      'polarised_current_replica_error', to_text(plan%precision(2)), &
-      'nothing, since the shape ''urn'' has no channel 2')
+    if (plan%shape /= 'urn') return
+    do at = 1, 2
+      if (plan%precision(at) > 0.0_wp) call refuse(plan, trim(names(at)), &
+        to_text(plan%precision(at)), 'nothing, since the shape ''urn'' '//trim(lacks(at)))
+    end do
   end subroutine check_precision
 
   pure subroutine check_output(plan)
