@@ -144,7 +144,7 @@ contains
   end function in_two_states
 
   !> Both states of such a point, in place of a mean that no replica has.
-  pure function states_text(results, p) result(text)
+  function states_text(results, p) result(text)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p
     character(len=:), allocatable :: text
