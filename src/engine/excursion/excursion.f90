@@ -168,7 +168,8 @@ contains
     associate (v => self%visits(b))
       call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
         v%y, v%along, v%across, v%through)
-      if (self%table%urn(b)%hands_on) self%parts = self%parts + count(v%channel(:v%count) == goes_on)
+      if (self%table%urn(b)%hands_on) self%parts = self%parts &
+        + count(v%channel(:v%count) == goes_on)
     end associate
   end subroutine go_on
 
