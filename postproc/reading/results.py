@@ -243,6 +243,9 @@ class Results:
         """
         self._check_task(point, 0)
         found = {name: float(self._of_point(name, point)) for name in LENGTHS}
+        outlines = self._outlines((float(self._of_both("urn_radius", point)),) * 2)
+        if self.shape == "circuit" and outlines.get("urn2_outline"):
+            raise InputError(f"{self.path}: its urns are unlike polygons; this needs urns alike")
         return Circuit(
             number=int(self._of_point("number", point)),
             threshold=int(self._of_both("gate_threshold", point)),
@@ -251,7 +254,7 @@ class Results:
             gate=gate,
             shape=self.shape,
             scatterers=self.scatterers,
-            **self._outlines((self._of_both("urn_radius", point),) * 2),
+            **outlines,
         )
 
     def _of_both(self, name: str, point: int) -> object:

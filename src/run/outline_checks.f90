@@ -42,8 +42,8 @@ contains
   end function is_sound
 
   !> Which keys may stand beside which, and each polygon by itself. Corners that run clockwise are
-  !> turned round; urn 2 is made the mirror image of urn 1 if it has none. For `urn_radius` a polygon
-  !> has half its extent.
+  !> turned round; urn 2 is made the mirror image of urn 1 if it has none. The radius of an urn is
+  !> half its extent.
   subroutine check_outlines(plan)
     type(plan_type), intent(inout) :: plan
     integer :: before, urn
@@ -259,9 +259,9 @@ contains
       if (k == side) cycle
       a = seen(k)
       b = seen(next_of(k, n))
-      if (a(1) > beyond) call refuse(plan, key, 'has corner '//to_text(k)//', which is '//to_text( &
-        a(1))//' beyond the beginning of channel '//to_text(channel), 'up to its middle, which is ' &
-        //to_text(beyond)//' beyond')
+      if (a(1) > beyond) call refuse(plan, key, 'has corner '//to_text(k)//', which is ' &
+        //to_text(a(1))//' beyond the beginning of channel '//to_text(channel), &
+        'up to its middle, which is '//to_text(beyond)//' beyond')
       if (max(a(1), b(1)) <= 0.0_wp) cycle
       if (sides_meet(a, b, [0.0_wp, half], [beyond, half]) .or. sides_meet(a, b, [0.0_wp, -half], &
         [beyond, -half]) .or. (abs(a(2)) <= half .and. a(1) >= 0.0_wp .and. a(1) <= beyond)) &

@@ -41,8 +41,8 @@ module battery_plan
     type(channel_type) :: channel(2)
   end type point_type
 
-  !> The corners of an urn, (x, y) in columns, and whether they ran clockwise before they were turned
-  !> round.
+  !> The corners of an urn, (x, y) in columns, and whether they ran clockwise before they were
+  !> turned round.
   type :: outline_type
     real(wp), allocatable :: corner(:, :)
     logical :: was_clockwise = .false.

@@ -226,7 +226,8 @@ contains
     if (size(plan%problems) == before) call check_outline_at(plan, point)
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
-    if (point%number == not_given .or. size(plan%problems) > before .or. .not. is_sound(plan)) return
+    if (point%number == not_given .or. size(plan%problems) > before) return
+    if (.not. is_sound(plan)) return
     if (point%urn1_number > point%number) then
       call refuse(plan, 'urn1_number', to_text(point%urn1_number), &
         'from 0 to number, which is '//to_text(point%number))

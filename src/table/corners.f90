@@ -6,8 +6,8 @@ module battery_corners
   use battery_kinds, only: wp, pi
   implicit none (type, external)
   private
-  public :: most_corners, regular_corners, enclosed_area, turned_round, next_of, distance_to_side, sides_meet, &
-    side_distance, axis_side
+  public :: most_corners, regular_corners, enclosed_area, turned_round, next_of, &
+    distance_to_side, sides_meet, side_distance, axis_side
 
   !> Most corners of a polygon.
   integer, parameter :: most_corners = 1000

@@ -17,8 +17,8 @@ module battery_urn
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: urn_type, shape_disc, shape_polygon, give_form, alike, holds, try_place, cross, place_before, &
-    place_for_ever, aim, hit, put_back
+  public :: urn_type, shape_disc, shape_polygon, give_form, alike, holds, try_place, cross, &
+    place_before, place_for_ever, aim, hit, put_back
 
   !> The shapes.
   integer, parameter :: shape_disc = 1, shape_polygon = 2

@@ -4,7 +4,8 @@ module scenes
   use battery_kinds, only: wp, int64
   use battery_urn, only: shape_polygon
   use battery_corners, only: regular_corners
-  use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, chamber_at, side_at, outside, &
+  use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
+    chamber_at, side_at, outside, &
     in_urn, in_gate, x_direction
   use battery_engine, only: engine_type, particles_type
   use battery_history, only: history_type, event_entry, event_reversal, event_crossing1, &
@@ -12,7 +13,8 @@ module scenes
   use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
-  public :: qp, table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw, scatter, pick, mirrored_x, &
+  public :: qp, table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw, &
+    scatter, pick, mirrored_x, &
     mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
   public :: log_type, run_for, totals_of, tally
   public :: plain_type, plain_start, plain_run
