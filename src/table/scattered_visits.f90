@@ -59,6 +59,7 @@ contains
 
   !> All visits of a batch.
   subroutine cross_half(half, strays)
+    !> That of all of them.
     type(scattered_half_type), intent(in) :: half
     type(strays_type), intent(inout) :: strays
     type(lanes_type) :: now

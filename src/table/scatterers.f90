@@ -54,6 +54,7 @@ contains
 
   !> What a particle meets next: the wall, the line, the urn, or a disc by its number.
   pure subroutine aim_among(half, x, y, ux, uy, next, wait)
+    !> The one that the particle is in.
     type(scattered_half_type), intent(in) :: half
     !> Place and velocity in the frame of the half.
     real(wp), intent(in) :: x, y, ux, uy
@@ -94,6 +95,7 @@ contains
 
   !> Reflection from the wall, or from a disc, at which it has arrived.
   pure subroutine hit_among(half, met, x, y, ux, uy)
+    !> The one that the particle is in.
     type(scattered_half_type), intent(in) :: half
     !> `meets_channel_wall`, or the number of a disc.
     integer, intent(in) :: met
@@ -127,9 +129,11 @@ contains
   !> Whether a particle comes back to the very state that it has at its next hit, without leaving
   !> the half: then it never will.
   pure subroutine comes_back(half, x, y, ux, uy, yes)
+    !> The one that the particle is in.
     type(scattered_half_type), intent(in) :: half
     !> Place and velocity in the frame of the half.
     real(wp), intent(in) :: x, y, ux, uy
+    !> Whether it does.
     logical, intent(out) :: yes
     real(wp) :: now(4), mark(4), wait
     integer(wall_kind) :: met
@@ -150,6 +154,7 @@ contains
 
   !> Whether a point is farther inside a disc than `tolerance`.
   pure function is_in_scatterer(half, x, y, tolerance) result(inside)
+    !> The one that the particle is in.
     type(scattered_half_type), intent(in) :: half
     !> In the frame of the half.
     real(wp), intent(in) :: x, y

@@ -62,6 +62,7 @@ contains
   !> Room for so many particles, none of which is known.
   pure subroutine new_among(among, number)
     type(among_type), intent(out) :: among
+    !> How many.
     integer, intent(in) :: number
 
     allocate (among%leg(number))
@@ -82,6 +83,7 @@ contains
   !> One more visit; there is room for it.
   pure subroutine add_travel(among, particle, side, leg, hits)
     type(among_type), intent(inout) :: among
+    !> Who, and on which side of the table.
     integer, intent(in) :: particle, side
     !> Where it begins.
     type(leg_type), intent(in) :: leg
@@ -300,13 +302,14 @@ contains
   !> come).
   subroutine replay(table, leg, side, now, state, hits)
     type(table_type), intent(in) :: table
-    !> How its visit began.
+    !> How its visit began, and on which side.
     type(leg_type), intent(in) :: leg
     integer, intent(in) :: side
     !> The time, on the clock of the page.
     real(wp), intent(in) :: now
     !> x, y, u_x, u_y.
     real(wp), intent(out) :: state(4)
+    !> Of either sign.
     integer(int64), intent(out) :: hits
     type(among_type) :: whole, part
     real(wp) :: before, turned, passed
