@@ -302,8 +302,9 @@ contains
   !> come).
   subroutine replay(table, leg, side, now, state, hits)
     type(table_type), intent(in) :: table
-    !> How its visit began, and on which side.
+    !> How its visit began.
     type(leg_type), intent(in) :: leg
+    !> On which side of the table.
     integer, intent(in) :: side
     !> The time, on the clock of the page.
     real(wp), intent(in) :: now
