@@ -12,6 +12,8 @@ module battery_bench_rows
     character(len=12) :: engine = 'excursion'
     integer :: number = 1000, threshold = 7
     real(wp) :: width1 = 0.3_wp, width2 = 0.01_wp
+    !> Of urns that are regular polygons; 0: discs.
+    integer :: sides = 0
     !> Seconds a round lasts; warm-up in time units (particle time) before the first.
     real(dp) :: seconds = 0.5_dp
     real(wp) :: warm_up = 50.0_wp
@@ -50,10 +52,10 @@ contains
     type(rate_type), intent(in) :: rates(:)
     logical, intent(in) :: first
 
-    write (file, '(5a, i0, a, i0, a, es12.5, a, es12.5, a)') merge(' ', ',', first), &
+    write (file, '(5a, i0, a, i0, a, es12.5, a, es12.5, a, i0, a)') merge(' ', ',', first), &
       '{"table": "', key, '", "engine": "'//trim(one%engine), '", "number": ', one%number, &
       ', "threshold": ', one%threshold, ', "channel1_width": ', one%width1, &
-      ', "channel2_width": ', one%width2, ','
+      ', "channel2_width": ', one%width2, ', "sides": ', one%sides, ','
     call write_list('collisions_per_second', rates%collisions, ',')
     call write_list('visits_per_second', rates%visits, ',')
     call write_list('particle_time_per_second', rates%particle_time, '}')
@@ -90,7 +92,10 @@ contains
     !> Rounds of this row, and of the first row of the table.
     type(rate_type), intent(in) :: rates(:), reference(:)
     real(dp) :: collisions(3), visits(3), time(3), ratio(3)
+    character(len=11) :: name
 
+    name = one%engine
+    if (one%sides > 0) write (name, '(i0, a)') one%sides, ' sides'
     collisions = spread_of(rates%collisions)
     visits = spread_of(rates%visits)
     time = spread_of(1.0e9_dp/rates%particle_time)
@@ -103,7 +108,7 @@ contains
       ratio = spread_of(reference%particle_time/rates%particle_time)
     end select
     write (unit, '(a11, i8, i7, 2es8.1, es10.2, a, f4.1, a, es10.2, es11.3, f10.2, a, f4.1, a)') &
-      one%engine, one%number, one%threshold, one%width1, one%width2, collisions(2), &
+      name, one%number, one%threshold, one%width1, one%width2, collisions(2), &
       ' +-', percents(collisions), '%', visits(2), &
       time(2), ratio(2), ' +-', percents(ratio), '%'
     flush (unit)

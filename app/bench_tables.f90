@@ -3,7 +3,9 @@ module battery_bench
   use, intrinsic :: iso_fortran_env, only: compiler_version
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
-  use battery_table, only: new_table, shape_circuit
+  use battery_corners, only: regular_corners
+  use battery_table, only: new_table, shape_circuit, urn_type, channel_type
+  use battery_urn, only: shape_polygon
   use battery_engine, only: engine_type, particles_type
   use battery_history, only: history_type
   use battery_engines, only: new_engine
@@ -110,7 +112,14 @@ contains
     type(particles_type) :: particles
     type(error_type), allocatable :: error
 
-    associate (table => new_table(shape_circuit, 1.0_wp, one%width1, 1.0_wp, one%width2, 1.0_wp))
+    type(urn_type) :: urn
+
+    if (one%sides > 0) then
+      urn%shape = shape_polygon
+      urn%corner = regular_corners(one%sides, 1.0_wp)
+    end if
+    associate (table => new_table(shape_circuit, [urn, urn], [channel_type(one%width1, 1.0_wp), &
+      channel_type(one%width2, 1.0_wp)]))
       call new_engine(trim(one%engine), runner%engine, error)
       if (.not. allocated(error)) call random_particles(table, one%number, one%number/2, 1_int64, &
         particles, error)
@@ -217,6 +226,11 @@ contains
       [case_type('collision'), case_type('collision', 100, 1), case_type('collision', 10000, 70), &
       case_type('collision', 100000, 700), &
       case_type('collision', 1000000, 7000, seconds=1.0_dp, warm_up=5.0_wp)])
+    call table(unit, file, 'shapes', 'Shapes of urns: discs, regular polygons; many particles, '// &
+      'whose visits come in large batches', cost_of_collision, [case_type(number=100000, &
+      threshold=700), case_type(number=100000, threshold=700, sides=4), &
+      case_type(number=100000, threshold=700, sides=6), &
+      case_type(number=100000, threshold=700, sides=24)])
     call table(unit, file, 'map', 'Map of Fig. numris: 25 of its points, as its five by five '// &
       'parts have them in the middle', cost_of_collision, [(case_type(threshold=3 + k - mod(k, 5), &
       width2=0.002_wp + 0.098_wp*(0.1_wp + 0.2_wp*modulo(k, 5)), seconds=0.15_dp), k=0, 24)])

@@ -16,6 +16,7 @@ PAGES = {
     },
     "Reference": {
         "input": "docs/input.md",
+        "shapes": "docs/shapes.md",
         "output": "docs/output.md",
         "command_line": "docs/command_line.md",
         "python": "docs/python.md",
