@@ -133,7 +133,7 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
     for shot in snapshots:
         x, y = film.flown(circuit, shot, 0.3)
         for here, there in ((shot.x, shot.y), (x, y)):
-            near = film.Outline(_boundary(circuit, scene.walls(circuit)))
+            near = film.Outline(_boundary(scene.walls(circuit)))
             inside = near.contains_points(np.column_stack([here, there]), radius=1e-9)
             inside |= near.contains_points(np.column_stack([here, there]), radius=-1e-9)
             assert inside.all()
@@ -141,7 +141,7 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
     assert walls[:, 0].min() == pytest.approx(-float(circuit.sides[0].end))
 
 
-def _boundary(circuit: object, walls: list[np.ndarray]) -> np.ndarray:
+def _boundary(walls: list[np.ndarray]) -> np.ndarray:
     """Return the walls of the circuit as one closed line."""
     upper1, lower1, upper2, lower2 = walls
     return np.vstack([upper1, lower1, lower2[::-1], upper2[::-1]])
