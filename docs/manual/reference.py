@@ -14,9 +14,18 @@ import h5py
 if TYPE_CHECKING:
     from pathlib import Path
 
+# Corners of two polygons.
+SQUARE = "1, -1, 1, 1, -1, 1, -1, -1"
+HOUSE = "1, -1, 1, 1, 0, 2, -1, 1, -1, -1"
+
 # What stands in the snippet of a key: a value, or whole groups where a key needs others.
 EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
     "table/urn_radius": "1, 0.8",
+    "table/urn_sides": {"table": {"urn_shape": "'polygon'", "urn_sides": "6"}},
+    "table/urn_vertices": {"table": {"urn_shape": "'polygon'", "urn_vertices": SQUARE}},
+    "table/urn2_vertices": {
+        "table": {"urn_shape": "'polygon'", "urn_vertices": SQUARE, "urn2_vertices": HOUSE}
+    },
     "particles/number": "1000",
     "particles/urn1_number": "900",
     "particles/urn1_fraction": "0.9",

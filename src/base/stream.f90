@@ -271,7 +271,9 @@ contains
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), intent(inout) :: values(:)
+    !> Those that follow, each with its name.
     character(len=*), intent(in), optional :: name2, name3, name4, name5
+    !> Theirs.
     real(wp), intent(inout), optional :: values2(:), values3(:), values4(:), values5(:)
     integer(int64), allocatable :: words(:)
 
@@ -301,7 +303,9 @@ contains
     class(stream_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), allocatable, intent(inout) :: values(:)
+    !> Those that follow, each with its name.
     character(len=*), intent(in), optional :: name2, name3, name4
+    !> Theirs.
     real(wp), allocatable, intent(inout), optional :: values2(:), values3(:), values4(:)
     integer :: items
 

@@ -268,6 +268,7 @@ contains
   pure function corners_of(plan, point, urn) result(corner)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
+    !> 1 or 2.
     integer, intent(in) :: urn
     real(wp), allocatable :: corner(:, :)
 

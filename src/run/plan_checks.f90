@@ -190,14 +190,16 @@ contains
     type(problem_type), allocatable :: others(:)
     class(engine_type), allocatable :: engine
     type(error_type), allocatable :: error
+    logical :: sound
     integer :: at
 
     call new_engine(plan%engine, engine, error)
     if (allocated(engine)) engine%time_step = plan%time_step
+    sound = is_sound(plan)
     call move_alloc(plan%problems, others)
     allocate (plan%problems(0))
     do at = 1, plan%point_count
-      call check_point(plan, point_of(plan, at))
+      call check_point(plan, point_of(plan, at), sound)
       if (size(others) + size(plan%problems) == 0) then
         call check_engine(plan, engine, point_of(plan, at))
         call check_scatterers(plan, point_of(plan, at))
@@ -212,9 +214,11 @@ contains
   end subroutine check_points
 
   !> What is wrong with one point: lengths, times, numbers of particles.
-  subroutine check_point(plan, point)
+  subroutine check_point(plan, point, sound)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
+    !> Whether its urns are shapes to compute with.
+    logical, intent(in) :: sound
     real(wp) :: radii(2), longest
     integer :: before
 
@@ -223,11 +227,11 @@ contains
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(gated)%length, open_length(point))
     call check_lengths(plan, point, radii, longest)
-    if (size(plan%problems) == before) call check_outline_at(plan, point)
+    if (sound .and. size(plan%problems) == before) call check_outline_at(plan, point)
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
     if (point%number == not_given .or. size(plan%problems) > before) return
-    if (.not. is_sound(plan)) return
+    if (.not. (sound .and. is_sound(plan))) return
     if (point%urn1_number > point%number) then
       call refuse(plan, 'urn1_number', to_text(point%urn1_number), &
         'from 0 to number, which is '//to_text(point%number))

@@ -32,8 +32,9 @@ contains
   !> Puts the problems of one point to those of the points before.
   pure subroutine gather(gathered, problems, point)
     type(gathered_type), intent(inout) :: gathered
-    !> Of the point, and its number.
+    !> Of the point.
     type(problem_type), intent(in) :: problems(:)
+    !> Its number.
     integer, intent(in) :: point
     integer :: at
 

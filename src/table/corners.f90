@@ -42,6 +42,7 @@ contains
 
   !> Area of a polygon; negative if its corners run clockwise.
   pure function enclosed_area(corner) result(area)
+    !> (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
     real(wp) :: area
     integer :: k
@@ -55,6 +56,7 @@ contains
 
   !> The same polygon, its corners the other way round; the first stays the first.
   pure function turned_round(corner) result(turned)
+    !> (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
     real(wp) :: turned(size(corner, 1), size(corner, 2))
 
@@ -64,6 +66,7 @@ contains
 
   !> The corner after a corner.
   elemental function next_of(k, count) result(next)
+    !> Its number, and how many there are.
     integer, intent(in) :: k, count
     integer :: next
 
@@ -73,6 +76,7 @@ contains
   !> The side that the x axis crosses last on its way to the right (`way` = 1) or to the left (-1);
   !> 0 if it crosses none there, or meets a corner.
   pure function axis_side(corner, way) result(side)
+    !> (x, y) in columns; 1: to the right, -1: to the left.
     real(wp), intent(in) :: corner(:, :), way
     integer :: side
     real(wp) :: farthest, x
@@ -107,6 +111,7 @@ contains
 
   !> Whether the sides a-b and c-d have a point in common.
   pure function sides_meet(a, b, c, d) result(meet)
+    !> Their ends: lengths.
     real(wp), intent(in) :: a(2), b(2), c(2), d(2)
     logical :: meet
     real(wp) :: side_c, side_d, side_a, side_b
@@ -124,6 +129,7 @@ contains
 
   !> Distance of the sides a-b and c-d from each other.
   pure function side_distance(a, b, c, d) result(distance)
+    !> Their ends: lengths.
     real(wp), intent(in) :: a(2), b(2), c(2), d(2)
     real(wp) :: distance
 

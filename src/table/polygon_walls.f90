@@ -66,7 +66,8 @@ contains
   end subroutine next_side
 
   !> The same for a way along a side, or from a place that rounding has put on the wrong side of
-  !> one: as if it began a little farther inside.
+  !> one: as if it began a little farther inside. From the side `from`, or 0, at (`x`, `y`) with the
+  !> velocity (`ux`, `uy`) to the `side` that is met, 0 if none is, after the time `wait`.
   pure subroutine surely_next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
@@ -94,7 +95,7 @@ contains
     end do
   end subroutine surely_next_side
 
-  !> Puts a particle on a side, and turns its velocity there.
+  !> Puts a particle at (`x`, `y`) on the side number `side`, and turns its velocity (`ux`, `uy`).
   pure subroutine reflect(polygon, side, x, y, ux, uy)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
@@ -171,6 +172,7 @@ contains
     type(polygon_type), intent(in) :: polygon
     !> Place and velocity in the frame of the polygon.
     real(wp), intent(inout) :: x, y, ux, uy
+    !> Whether it was so.
     logical, intent(out) :: was_beyond
     integer, parameter :: most_sides = 16
     real(wp) :: beyond
@@ -241,7 +243,7 @@ contains
     along = min(max(along, 0.0_wp), polygon%length_of(side))
   end function along_side
 
-  !> The state of a particle on a side.
+  !> The state of a particle at (`x`, `y`) on the side number `side`; its velocity is (`ux`, `uy`).
   pure function state_on(polygon, side, x, y, ux, uy) result(state)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
@@ -268,7 +270,7 @@ contains
     y = polygon%y(side) + along*polygon%normal_x(side)
   end subroutine place_of
 
-  !> Whether two states are the same, but for rounding.
+  !> Whether a state is the same as one `before`, but for rounding.
   pure function came_back(polygon, state, before) result(same)
     type(polygon_type), intent(in) :: polygon
     type(state_type), intent(in) :: state, before
@@ -315,9 +317,11 @@ contains
     type(polygon_type), intent(in) :: polygon
     !> The channel it leaves through, at the height y, with |u_x| and u_y.
     integer, intent(in) :: channel
+    !> y, |u_x| and u_y there; the length.
     real(wp), intent(in) :: y, along, across, before
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
+    !> Of walls.
     integer(int64), intent(out) :: hits
     real(wp) :: rest
     integer :: side

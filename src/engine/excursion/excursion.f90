@@ -9,13 +9,12 @@
 !> What is known of a particle (`flight_type`) is how it will enter its next channel; where it is
 !> until then follows by going back from there.
 module battery_excursion
-  use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion, &
     is_scattered
   use battery_flight, only: gather, land, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel, in_parts
-  use battery_launch, only: launch
+  use battery_launch, only: launch, lay_out
   use battery_few, only: walk_few, few
   use battery_foresight, only: pays, recall
   use battery_among, only: among_type, new_among
@@ -27,9 +26,8 @@ module battery_excursion
   use battery_gate, only: hold, admit
   use battery_window, only: window_type, reserve_window, deal, line_up, line_of, write_log, &
     record_crossings
-  use battery_calendar, only: calendar_type, flight_type, idle, new_calendar, page_for, &
+  use battery_calendar, only: calendar_type, flight_type, new_calendar, page_for, &
     schedule, schedule_all, open_until, next_due, due_before, drop_done, turn_calendar
-  use battery_memory, only: prefer_large_pages
   use battery_engine, only: engine_type, particles_type, turn_clock
   use battery_history, only: history_type, reserve_history
   use battery_stream, only: stream_type
@@ -146,16 +144,6 @@ contains
     self%parts = 0
     self%page = page_for(self%interval)
   end subroutine prepare
-
-  !> Flights in large pages of memory, before anything is written to them.
-  subroutine lay_out(flight, number)
-    type(flight_type), allocatable, target, intent(out) :: flight(:)
-    integer, intent(in) :: number
-
-    allocate (flight(number))
-    call prefer_large_pages(c_loc(flight), int(number, c_size_t)*storage_size(flight)/8)
-    flight = idle
-  end subroutine lay_out
 
   !> Takes over the particles, and writes down their first events.
   subroutine take_over(self, particles)

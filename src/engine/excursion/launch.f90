@@ -1,16 +1,29 @@
 !> How a particle starts in the engine `excursion`: from a position and a velocity to a flight, or
 !> to a visit that will be one.
 module battery_launch
+  use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64
   use battery_table, only: table_type, passage_type, passage_at, gated, no_channel
-  use battery_calendar, only: flight_type
+  use battery_calendar, only: flight_type, idle
+  use battery_memory, only: prefer_large_pages
   use battery_flight, only: to_return, in_gate, parked_in_channel
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: launch
+  public :: launch, lay_out
 
 contains
+
+  !> Flights in large pages of memory, before anything is written to them.
+  subroutine lay_out(flight, number)
+    type(flight_type), allocatable, target, intent(out) :: flight(:)
+    !> How many particles there are.
+    integer, intent(in) :: number
+
+    allocate (flight(number))
+    call prefer_large_pages(c_loc(flight), int(number, c_size_t)*storage_size(flight)/8)
+    flight = idle
+  end subroutine lay_out
 
   !> Particle `i` at (x, y) with velocity (ux, uy) in the table's frame. One in a channel that heads
   !> for its far end is dated back to where it would have entered: its flight is written; `hits`

@@ -17,14 +17,18 @@ contains
 
   !> Takes those who only go on with a visit out of the events that are due.
   subroutine set_apart(number, flight, due_time, particle, events, others, other_time, other)
+    !> How many particles there are.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
-    !> Events in the order of time, and how many: before, and after.
+    !> Events in the order of time: when each is due.
     real(wp), intent(inout) :: due_time(:)
+    !> Whose they are, and how many: before, and after.
     integer, intent(inout) :: particle(:), events
-    !> Those taken out: how many, when and who.
+    !> How many were taken out.
     integer, intent(out) :: others
+    !> When these are due.
     real(wp), allocatable, intent(out) :: other_time(:)
+    !> Whose they are.
     integer, allocatable, intent(out) :: other(:)
     logical :: apart(events)
 
@@ -45,6 +49,7 @@ contains
     type(flight_type), intent(inout) :: flight(number)
     !> As `set_apart` gives them, for both urns.
     integer, intent(in) :: others, other(others)
+    !> When they are due.
     real(wp), intent(in) :: other_time(others)
     !> Out: those of this urn, and when each has its next event.
     type(visits_type), intent(inout) :: visits
