@@ -5,8 +5,7 @@
 !> hit, and nobody slips through. A particle is put exactly on the side that it meets; its speed is
 !> set back to 1 by a Newton step at each hit.
 !>
-!> **State on a side.** How far round the polygon, and the velocity after the hit: three numbers.
-!> A particle that stays for ever, and one whose visit is handed on, are known by it.
+!> `state_type` tells who stays for ever, and where a visit is handed on.
 module battery_polygon_walls
   use battery_kinds, only: wp, int64
   use battery_channel, only: gated, ungated, no_channel, facing
