@@ -68,7 +68,8 @@ def stationary_distribution(circuit: Circuit) -> Floats:
 def time_up(log_up: Floats, log_down: Floats, start: int, stop: int) -> float:
     """Return the mean time from state `start` to state `stop` > start of a chain closed at 0."""
     weights = log_weights(log_up, log_down)
-    below = np.logaddexp.accumulate(weights[:stop])
+    with np.errstate(invalid="ignore"):  # what is empty weighs -inf
+        below = np.logaddexp.accumulate(weights[:stop])
     steps = below - weights[:stop] - log_up[:stop]
     with np.errstate(over="ignore"):
         return float(np.exp(steps[start:]).sum())

@@ -246,7 +246,8 @@ def log_outflow(circuit: Circuit, number: ArrayLike) -> Floats:
     """Return log f(n), f(n) = n [w share(T, lambda) + w'], good where f underflows."""
     inside = in_urn(circuit, number)
     log_share = circuit.gate.log_share(circuit.threshold, gate_load(circuit, inside))
-    with np.errstate(divide="ignore"):
+    # Nothing at all, from an empty urn, is -inf + -inf to numpy.
+    with np.errstate(divide="ignore", invalid="ignore"):
         through2 = np.log(np.asarray(circuit.channel2_width, float))
         return np.log(inside) + np.logaddexp(np.log(circuit.channel1_width) + log_share, through2)
 
