@@ -207,12 +207,14 @@ def _print(heads: list[str], rows: list[list[str]]) -> None:
 
 def tell(found: Found) -> None:
     """Print all numbers as tables of Markdown."""
+    mixed = {row["threshold"]: row for row in well_mixed()}
     for kind in ("states", "shorter", "equal"):
         for name in ("chi", "polarised_current"):
             print(f"{kind}, {name}\n")
             columns = found[kind].values()
-            _print(["T", *LOOKS], [
-                [f"{rows[0]['threshold']:g}", *(_number(row, name, 4) for row in rows)]
+            _print(["T", *LOOKS, "well mixed"], [
+                [f"{rows[0]['threshold']:g}", *(_number(row, name, 4) for row in rows),
+                 f"{mixed[rows[0]['threshold']][name]:.4f}"]
                 for rows in zip(*columns, strict=True)
             ])  # fmt: skip
     print("returns through channel 2\n")
