@@ -234,7 +234,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Make the runs, print the tables, write numbers and picture."""
     options = cli.parser("shapes", __doc__)
     options.add_argument("--replicas", type=cli.integer(2), default=8, help="default: 8")
-    options.add_argument("--duration", type=cli.number(1.0), default=2500.0, help="measured time")
+    options.add_argument("--duration", type=cli.number(1.0), default=2000.0, help="measured time")
     options.add_argument("--output", metavar="DIR", type=Path, default=Path("build/shapes"))
     given = options.parse_args(arguments)
     folder = cli.output_folder(given.output)
