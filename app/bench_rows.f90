@@ -92,7 +92,7 @@ contains
     !> Rounds of this row, and of the first row of the table.
     type(rate_type), intent(in) :: rates(:), reference(:)
     real(dp) :: collisions(3), visits(3), time(3), ratio(3)
-    character(len=11) :: name
+    character(len=12) :: name
 
     name = one%engine
     if (one%sides > 0) write (name, '(i0, a)') one%sides, ' sides'

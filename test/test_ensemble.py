@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from support.program import (
     ALONE,
+    MPIRUN,
     PATIENCE,
     PROGRAM,
     assert_same,
@@ -173,9 +174,9 @@ def test_signal_to_mpirun(tmp_path: Path, undisturbed: Path, what: signal.Signal
     time.sleep(0.2)
     send([process.pid], what)
     ended = finish(process)
-    # After SIGTERM MPICH's mpirun says 0 now and then, though its ranks said 3.
+    # MPICH's mpirun says 0 now and then, though its ranks said 3.
     assert ended.returncode != 0 or "stopped early" in ended.stdout
-    if what == signal.SIGUSR1:
+    if what == signal.SIGUSR1 and "mpich" not in MPIRUN:
         assert ended.returncode == 3
     complete(tmp_path, undisturbed, 2)
 
