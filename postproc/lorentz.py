@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc import cli, running
+from postproc.accuracy.experiments import mean_of_groups
 from postproc.figures import style
 from postproc.reading.results import Results
 from postproc.theory.circuit import Circuit
@@ -72,17 +73,14 @@ class Job:
         row = {name: float(results.value(name)[point])
                for name in ("threshold", "channel2_width", "urn1_number")}  # fmt: skip
         for name in ("chi", "polarised_current"):
-            values = results.value(name)[point]
-            row[name] = float(values.mean())
-            row[f"{name}_error"] = float(values.std(ddof=1) / math.sqrt(values.size))
+            row[name], row[f"{name}_error"] = mean_of_groups(results.value(name)[point])
         # Conductance, in that of a straight channel of this width and well mixed urns.
         plain = row["channel2_width"] / (math.pi * float(Circuit(NUMBER, 1, channel2_width=row[
             "channel2_width"]).urn_area))  # fmt: skip
         ratio = results.value("polarised_current")[point] / (
             results.value("chi")[point] * NUMBER * plain
         )
-        row["conductance"] = float(ratio.mean())
-        row["conductance_error"] = float(ratio.std(ddof=1) / math.sqrt(ratio.size))
+        row["conductance"], row["conductance_error"] = mean_of_groups(ratio)
         # What the net crossings scatter by over replicas, a particle and a time unit.
         net = results.value("current2")[point]
         row["noise"] = float(net.var(ddof=1) * self.duration / NUMBER)
@@ -189,11 +187,7 @@ def table(rows: Rows, first: Iterable[str]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Make the runs, print the tables, write numbers and picture."""
-    options = cli.parser("lorentz", __doc__)
-    options.add_argument("--replicas", type=cli.integer(2), default=16, help="default: 16")
-    options.add_argument("--duration", type=cli.number(1.0), default=2000.0, help="measured time")
-    options.add_argument("--output", metavar="DIR", type=Path, default=Path("build/lorentz"))
-    given = options.parse_args(arguments)
+    given = cli.parser_of_runs("lorentz", __doc__, replicas=16).parse_args(arguments)
     folder = cli.output_folder(given.output)
     found = measure(folder, given.replicas, given.duration)
     (folder / "lorentz.json").write_text(json.dumps(cli.finite(found), indent=1) + "\n", "utf-8")

@@ -232,11 +232,7 @@ def tell(found: Found) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Make the runs, print the tables, write numbers and picture."""
-    options = cli.parser("shapes", __doc__)
-    options.add_argument("--replicas", type=cli.integer(2), default=8, help="default: 8")
-    options.add_argument("--duration", type=cli.number(1.0), default=2000.0, help="measured time")
-    options.add_argument("--output", metavar="DIR", type=Path, default=Path("build/shapes"))
-    given = options.parse_args(arguments)
+    given = cli.parser_of_runs("shapes", __doc__, replicas=8).parse_args(arguments)
     folder = cli.output_folder(given.output)
     found = measure(folder, given.replicas, given.duration)
     (folder / "shapes.json").write_text(json.dumps(cli.finite(found), indent=1) + "\n", "utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -241,31 +241,21 @@ class Results:
 
         Raises `InputError` if its urns or its gates are not alike.
         """
-        self._check_task(point, 0)
-        found = {name: float(self._of_point(name, point)) for name in LENGTHS}
-        outlines = self._outlines((float(self._of_both("urn_radius", point)),) * 2)
-        if self.shape == "circuit" and outlines.get("urn2_outline"):
-            raise InputError(f"{self.path}: its urns are unlike polygons; this needs urns alike")
-        return Circuit(
-            number=int(self._of_point("number", point)),
-            threshold=int(self._of_both("gate_threshold", point)),
-            urn_radius=float(self._of_both("urn_radius", point)),
-            **found,
-            gate=gate,
-            shape=self.shape,
-            scatterers=self.scatterers,
-            **outlines,
-        )
-
-    def _of_both(self, name: str, point: int) -> object:
-        """Return what both urns, or their gates, have in common at a point."""
-        first, *others = np.ravel(self._of_point(name, point))
-        if self.shape == "circuit" and any(other != first for other in others):
+        found = self.any_circuit(point)
+        if self.shape == "circuit" and not found.alike:
+            unlike = [
+                f"{name} is {one:g} and {other:g}"
+                for name, one, other in (
+                    ("gate_threshold", found.threshold, found.gate2_threshold),
+                    ("urn_radius", found.urn_radius, found.urn2_radius),
+                )
+                if other is not None
+            ] or ["its urns are unlike polygons"]
             raise InputError(
-                f"{self.path}: {name} is {first:g} and {others[0]:g} at point {point + 1}; "
+                f"{self.path}: {', '.join(unlike)} at point {point + 1}; "
                 "this needs two urns and two gates that are alike"
             )
-        return first
+        return replace(found.sides[0], gate=gate)
 
     def _of_point(self, name: str, point: int) -> object:
         """Return what a point has of its own."""

@@ -16,7 +16,8 @@ READERS = [["currents"], ["scene"], ["report"], ["compare"], ["mixing"], ["renew
 READERS += [["figures", name] for name in ("numris", "comp05", "app2", "lifetimes")]
 READERS += [["benchmarks", "compare", os.devnull]]
 COMMANDS = ["theory", "lifetimes", "currents", "scene", "figures", "compare", "mixing", "film"]
-COMMANDS += ["report", "accuracy", "benchmarks", "scaling", "scheduler", "renewal_fit", "shapes"]
+COMMANDS += ["report", "accuracy", "benchmarks", "scaling", "scheduler", "renewal_fit"]
+COMMANDS += ["shapes", "lorentz"]
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -5,18 +5,18 @@ module scenes
   use battery_urn, only: shape_polygon
   use battery_corners, only: regular_corners
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
-    chamber_at, side_at, outside, &
-    in_urn, in_gate, x_direction
+    chamber_at, side_at, outside, in_urn, in_gate, x_direction
   use battery_engine, only: engine_type, particles_type
+  use battery_engines, only: new_engine
+  use battery_error, only: error_type
   use battery_history, only: history_type, event_entry, event_reversal, event_crossing1, &
     event_crossing2
   use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
   public :: qp, table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw, &
-    scatter, pick, mirrored_x, &
-    mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
-  public :: log_type, run_for, totals_of, tally
+    scatter, pick, mirrored_x, mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
+  public :: begin, log_type, run_for, totals_of, tally
   public :: plain_type, plain_start, plain_run
   public :: save_engine, restore_engine
   public :: bounce_through, facing, channel_of
@@ -248,6 +248,23 @@ contains
 
     same_bits = a <= b .and. a >= b
   end function same_bits
+
+  !> An engine by its name, at the time 0; the particles are left as they are.
+  subroutine begin(name, table, threshold, particles, engine)
+    character(len=*), intent(in) :: name
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold(2)
+    type(particles_type), intent(in) :: particles
+    class(engine_type), allocatable, intent(out) :: engine
+    type(error_type), allocatable :: error
+    type(particles_type) :: given
+
+    call new_engine(trim(name), engine, error)
+    engine%time_step = 1.0e-4_wp
+    engine%seed = 5_int64
+    given = particles
+    call engine%start(table, threshold, given, 0.0_wp)
+  end subroutine begin
 
   !> Lets the engine go on for `duration`, in windows not longer than `step`, and adds to the log.
   subroutine run_for(engine, duration, log, step)
