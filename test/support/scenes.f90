@@ -14,8 +14,9 @@ module scenes
   use battery_stream, only: stream_type, new_stream, stream_of
   implicit none (type, external)
   private
-  public :: qp, table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw, &
-    scatter, pick, mirrored_x, mirrored_y, reversed, of_particles, one_particle, count_in_first, same_bits
+  public :: qp, table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw
+  public :: scatter, pick, mirrored_x, mirrored_y, reversed, of_particles, one_particle
+  public :: count_in_first, same_bits
   public :: begin, log_type, run_for, totals_of, tally
   public :: plain_type, plain_start, plain_run
   public :: save_engine, restore_engine
