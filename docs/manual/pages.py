@@ -27,7 +27,7 @@ PAGES = {
         "theory": "docs/theory.md",
         "figures": "docs/figures.md",
         "experiments": "docs/experiments.md",
-        "shapes_lorentz": "docs/shapes_lorentz.md",
+        "scatterers": "docs/scatterers.md",
         "accuracy": "docs/accuracy.md",
     },
     "How it is built": {
