@@ -1,12 +1,16 @@
 !> The pending events of many particles, one each: who is next?
 !>
-!> A winner tree. Particle i sits at leaf n - 1 + i; every node above holds the earlier of its two
-!> children; the root, node 1, holds the next event of all. A new time is played upwards from its
-!> leaf against one sibling a level. All siblings are known from the leaf, so that they are loaded
-!> ahead, and what waits from level to level is one comparison and a selection without a branch.
-!> Of events at one time the particle with the lowest number comes first, for any n.
+!> A winner tree. The particles sit at its leaves, from left to right in the order of their numbers;
+!> every node above holds the earlier of its two children; the root, node 1, holds the next event of
+!> all. A new time is played upwards from its leaf against one sibling a level. All siblings are
+!> known from the leaf, so that they are loaded ahead, and what waits from level to level is one
+!> comparison and a selection without a branch. Of events at one time the left one comes first: that
+!> of the particle with the lowest number.
+!>
+!> Times are 0 or more. Such numbers are in the same order as the whole numbers that have their
+!> bits, and to let the left one of two equal ones win is to add 1 to the right one.
 module battery_tournament
-  use battery_kinds, only: wp, int32, int64
+  use battery_kinds, only: wp, int32, int64, bits_kind
   implicit none (type, external)
   private
   public :: tournament_type, new_tournament, set_time, time_of, shift_times
@@ -20,6 +24,8 @@ module battery_tournament
   !> The events of `number` particles, in 2 `number` - 1 nodes.
   type :: tournament_type
     integer :: number = 0
+    !> Where the first of them sits: the leftmost node of the lowest level.
+    integer :: first = 1
     !> Node 1 is the root: `node(1)%time` and `node(1)%particle` are the next event.
     type(node_type), allocatable :: node(:)
   end type tournament_type
@@ -35,17 +41,28 @@ contains
 
     n = size(time)
     tournament%number = n
+    tournament%first = shiftl(1, bit_size(n) - leadz(n - 1))
     if (allocated(tournament%node)) deallocate (tournament%node)
     allocate (tournament%node(2*n - 1))
     do i = 1, n
-      tournament%node(n - 1 + i) = node_type(time(i), int(i, int32))
+      tournament%node(leaf(tournament, i)) = node_type(time(i), int(i, int32))
     end do
     do k = n - 1, 1, -1
       winner = 2*k
-      if (before(tournament%node(2*k + 1), tournament%node(2*k))) winner = 2*k + 1
+      if (tournament%node(2*k + 1)%time < tournament%node(2*k)%time) winner = 2*k + 1
       tournament%node(k) = tournament%node(winner)
     end do
   end subroutine new_tournament
+
+  !> The node where a particle sits. Those whom the lowest level has no room for sit above it.
+  elemental function leaf(tournament, particle) result(k)
+    type(tournament_type), intent(in) :: tournament
+    integer, intent(in) :: particle
+    integer :: k
+
+    k = tournament%first - 1 + particle
+    if (k >= 2*tournament%number) k = k - tournament%number
+  end function leaf
 
   !> The event of `particle` is due at `time`.
   pure subroutine set_time(tournament, particle, time)
@@ -53,46 +70,39 @@ contains
     integer, intent(in) :: particle
     real(wp), intent(in) :: time
 
-    call play(tournament%number, tournament%node, int(particle, int32), time)
+    call play(tournament%number, tournament%node, leaf(tournament, particle), &
+      int(particle, int32), time)
   end subroutine set_time
 
   !> The matches from a leaf to the root.
-  pure subroutine play(number, node, particle, time)
-    integer, intent(in) :: number
+  pure subroutine play(number, node, leaf, particle, time)
+    integer, intent(in) :: number, leaf
     type(node_type), intent(inout) :: node(2*number - 1)
     integer(int32), intent(in) :: particle
     real(wp), intent(in) :: time
-    type(node_type) :: sibling
-    real(wp) :: earliest
-    integer(int32) :: winner
+    integer(bits_kind) :: earliest, other, lost
+    integer(int32) :: winner, rival
     !> As long as an address, so that none has to be made longer.
-    integer(int64) :: k
-    logical :: lost
+    integer(int64) :: k, sibling
 
-    earliest = time
+    earliest = transfer(time, earliest)
     winner = particle
-    k = number - 1 + particle
-    node(k)%time = earliest
+    k = leaf
+    node(k)%time = time
     node(k)%particle = winner
     do while (k > 1)
-      sibling = node(ieor(k, 1_int64))
-      lost = (sibling%time < earliest) &
-        .or. (sibling%time <= earliest .and. sibling%particle < winner)
-      earliest = merge(sibling%time, earliest, lost)
-      winner = merge(sibling%particle, winner, lost)
+      sibling = ieor(k, 1_int64)
+      other = transfer(node(sibling)%time, other)
+      rival = node(sibling)%particle
+      ! All bits where the other one is earlier; the right one of two has an odd number.
+      lost = shifta(other - int(iand(k, 1_int64), bits_kind) - earliest, bit_size(earliest) - 1)
+      earliest = earliest + iand(other - earliest, lost)
+      winner = ieor(winner, iand(ieor(winner, rival), int(lost, int32)))
       k = shiftr(k, 1)
-      node(k)%time = earliest
+      node(k)%time = transfer(earliest, time)
       node(k)%particle = winner
     end do
   end subroutine play
-
-  pure function before(one, other)
-    type(node_type), intent(in) :: one, other
-    logical :: before
-
-    before = (one%time < other%time) &
-      .or. (one%time <= other%time .and. one%particle < other%particle)
-  end function before
 
   !> When the event of `particle` is due.
   elemental function time_of(tournament, particle) result(time)
@@ -100,7 +110,7 @@ contains
     integer, intent(in) :: particle
     real(wp) :: time
 
-    time = tournament%node(tournament%number - 1 + particle)%time
+    time = tournament%node(leaf(tournament, particle))%time
   end function time_of
 
   !> The clock is set back by `shift`. Winners stay winners if the times remain exact, as they do

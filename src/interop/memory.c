@@ -1,4 +1,4 @@
-/* Advice to the operating system on memory, for memory.f90. */
+/* Where arrays lie in memory, for memory.f90. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <sys/mman.h>
@@ -11,4 +11,10 @@ void battery_prefer_large_pages(void *address, size_t bytes)
   uintptr_t first = ((uintptr_t)address + page - 1) / page * page;
   uintptr_t end = ((uintptr_t)address + bytes) / page * page;
   if (end > first) madvise((void *)first, end - first, MADV_HUGEPAGE);
+}
+
+/* Bytes from `array` to the next address that a line of the cache, of 64 bytes, begins at. */
+int battery_bytes_to_next_line(const void *array)
+{
+  return (int)(-(uintptr_t)array % 64);
 }

@@ -1,9 +1,12 @@
-!> Advice to the operating system on memory.
+!> Where arrays lie in memory.
 module battery_memory
-  use, intrinsic :: iso_c_binding, only: c_ptr, c_size_t
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_size_t, c_int
   implicit none (type, external)
   private
-  public :: prefer_large_pages
+  public :: prefer_large_pages, bytes_to_next_line
+
+  !> Length of a line of the cache in bytes, on all processors that this program is likely to meet.
+  integer, parameter, public :: line_bytes = 64
 
   interface
     !> Asks for large pages for an array that is read at random and has not been written to yet:
@@ -17,6 +20,16 @@ module battery_memory
       !> Its length in bytes.
       integer(c_size_t), value, intent(in) :: bytes
     end subroutine prefer_large_pages
+
+    !> How many bytes behind its beginning the first line of the cache within an array begins.
+    pure function bytes_to_next_line(array) result(bytes) bind(c, name='battery_bytes_to_next_line')
+      import :: c_int
+      implicit none (type, external)
+      !> Of any kind.
+      type(*), intent(in) :: array(*)
+      !> From 0 to 63.
+      integer(c_int) :: bytes
+    end function bytes_to_next_line
   end interface
 
 end module battery_memory
