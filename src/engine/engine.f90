@@ -9,7 +9,7 @@
 module battery_engine
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
-  use battery_gate, only: gate_type, new_gate, shift_gate, pass_gate
+  use battery_gate, only: gate_type, new_gate, forget_entries, shift_gate, pass_gate
   use battery_history, only: history_type
   use battery_stream, only: stream_type
   implicit none (type, external)
@@ -140,6 +140,7 @@ contains
     call set_up(self, table, threshold, size(particles%x))
     self%clock_start = clock
     call self%take_over(particles)
+    call forget_entries(self%gate)
     if (allocated(particles%x)) deallocate (particles%x, particles%y, particles%ux, particles%uy)
   end subroutine start_each
 

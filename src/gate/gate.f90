@@ -20,7 +20,8 @@ module battery_gate
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
-  public :: gate_type, new_gate, hold, enter, must_turn, undecided, decide, turned_back
+  public :: gate_type, new_gate, enter, forget_entries, must_turn, undecided, decide, turned_back
+  public :: number_inside, who_is_inside, next_crossing, first_crossing
   public :: first_to_cross, cross_first, cross, shift_gate, pass_gate
   public :: stretch_type, reserve_stretch, admit
 
@@ -31,7 +32,7 @@ module battery_gate
     !> Whether somebody has entered since the gate last decided.
     logical :: entered = .false.
     !> Those counted, by when each will reach the middle line.
-    type(queue_type) :: counted
+    type(queue_type), private :: counted
   end type gate_type
 
   !> What a stretch of entries into one gate leads to (`admit`). Arrays may be longer than their
@@ -58,17 +59,6 @@ contains
     call empty_queue(gate%counted)
   end subroutine new_gate
 
-  !> Counts a particle that is inside from the start and heads for the middle line: no entry.
-  pure subroutine hold(gate, crossing_time, particle)
-    type(gate_type), intent(inout) :: gate
-    !> When it will reach the middle line, on the clock of the engine.
-    real(wp), intent(in) :: crossing_time
-    !> Its number, from 1.
-    integer, intent(in) :: particle
-
-    call push(gate%counted, crossing_time, particle)
-  end subroutine hold
-
   !> A particle enters from the urn.
   pure subroutine enter(gate, crossing_time, particle)
     type(gate_type), intent(inout) :: gate
@@ -80,6 +70,48 @@ contains
     call push(gate%counted, crossing_time, particle)
     gate%entered = .true.
   end subroutine enter
+
+  !> Who has been counted so far was inside from the start and heads for the middle line: that is no
+  !> entry.
+  elemental subroutine forget_entries(gate)
+    type(gate_type), intent(inout) :: gate
+
+    gate%entered = .false.
+  end subroutine forget_entries
+
+  !> How many are counted.
+  elemental function number_inside(gate) result(number)
+    type(gate_type), intent(in) :: gate
+    integer :: number
+
+    number = gate%counted%count
+  end function number_inside
+
+  !> One of those counted.
+  elemental function who_is_inside(gate, place) result(particle)
+    type(gate_type), intent(in) :: gate
+    !> From 1 to `number_inside`, in no order.
+    integer, intent(in) :: place
+    integer :: particle
+
+    particle = gate%counted%who(place)
+  end function who_is_inside
+
+  !> When the first of those counted reaches the middle line; huge if nobody is counted.
+  elemental function next_crossing(gate) result(time)
+    type(gate_type), intent(in) :: gate
+    real(wp) :: time
+
+    time = gate%counted%next
+  end function next_crossing
+
+  !> The same for both gates: whoever is first.
+  pure function first_crossing(gate) result(time)
+    type(gate_type), intent(in) :: gate(2)
+    real(wp) :: time
+
+    time = min(gate(1)%counted%next, gate(2)%counted%next)
+  end function first_crossing
 
   !> Whether the gate turns if nobody else enters at this instant.
   pure function must_turn(gate)
@@ -105,7 +137,7 @@ contains
     undecided = gate(1)%entered .or. gate(2)%entered
   end function undecided
 
-  !> The instant is over: whether the gate turns back those counted, `gate%counted%who(:count)`.
+  !> The instant is over: whether the gate turns back those counted, all of `who_is_inside`.
   pure subroutine decide(gate, turns)
     type(gate_type), intent(inout) :: gate
     !> Whether all those counted are to be turned back.

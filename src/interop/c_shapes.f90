@@ -10,7 +10,7 @@ module battery_c_shapes
   public :: action, action_on_address
   public :: number_known, number_of_address, number_of_path, number_of_paths
   public :: number_of_text, number_of_path_and_text, size_of_address
-  public :: address_known, address_of_path
+  public :: address_known, address_of_path, address_of_number
 
   abstract interface
     !> Does something.
@@ -88,6 +88,13 @@ module battery_c_shapes
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
     end function address_of_path
+
+    !> An address of what belongs to a number, which goes by its own address.
+    type(c_ptr) function address_of_number(number) bind(c)
+      import :: c_int, c_ptr
+      implicit none (type, external)
+      integer(c_int), intent(in) :: number
+    end function address_of_number
   end interface
 
 end module battery_c_shapes

@@ -17,6 +17,9 @@
 /* The number of the error that came last. */
 int battery_errno(void) { return errno; }
 
+/* What an error is, in words. */
+const char *battery_message(const int *number) { return strerror(*number); }
+
 /* Whether the disk is at fault for the error that came last: it fails, is full, a quota is used up,
    a file is too large. */
 int battery_is_disk_error(void) {

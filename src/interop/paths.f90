@@ -3,7 +3,7 @@ module battery_paths
   use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer, &
     c_associated
   use battery_c_shapes, only: number_known, number_of_path, number_of_paths, number_of_text, &
-    number_of_path_and_text, size_of_address
+    number_of_path_and_text, size_of_address, address_of_number
   use battery_error, only: error_type, fatal_error, exit_bad_input
   implicit none (type, external)
   private
@@ -20,15 +20,8 @@ module battery_paths
   procedure(number_of_text), bind(c, name='battery_follow') :: c_follow
   procedure(number_of_path_and_text), bind(c, name='battery_real_folder') :: c_real_folder
   procedure(number_known), bind(c, name='battery_errno') :: c_errno
+  procedure(address_of_number), bind(c, name='battery_message') :: c_message
   procedure(size_of_address), bind(c, name='strlen') :: c_strlen
-
-  interface
-    type(c_ptr) function c_strerror(number) bind(c, name='strerror')
-      import :: c_int, c_ptr
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: number
-    end function c_strerror
-  end interface
 
 contains
 
@@ -113,7 +106,7 @@ contains
   function system_message() result(message)
     character(len=:), allocatable :: message
 
-    message = text_at(c_strerror(c_errno()))
+    message = text_at(c_message(c_errno()))
   end function system_message
 
   !> An error if what C was asked for came to the number of one: its text follows `what`.
@@ -124,7 +117,7 @@ contains
     character(len=*), intent(in) :: what
     type(error_type), allocatable, intent(out) :: error
 
-    if (number /= 0) call fatal_error(error, what//': '//text_at(c_strerror(number)))
+    if (number /= 0) call fatal_error(error, what//': '//text_at(c_message(number)))
   end subroutine fail_with
 
   !> The text of C that an address points to.

@@ -22,6 +22,9 @@ module battery_observer
   public :: measure
   public :: pass_observer
 
+  !> Averages that are taken of blocks as well, for their errors.
+  integer, parameter, public :: of_chi = 1, of_current1 = 2, of_current2 = 3, of_polarised = 4
+
   !> What has been measured of a run so far.
   type :: observer_type
     integer :: number = 0
@@ -46,7 +49,7 @@ module battery_observer
     !> and those of channel 2 down the polarisation.
     real(wp) :: block_left = huge(1.0_wp), block_time = 0.0_wp, block_spread = 0.0_wp
     integer(int64) :: block_net(2) = 0, block_downward = 0
-    type(blocks_type) :: chi_blocks, current1_blocks, current2_blocks, polarised_blocks
+    type(blocks_type) :: blocks(4)
 
     !> The series: interval (0: none), what is left of it, entries so far.
     real(wp) :: series_interval = 0.0_wp, series_left = huge(1.0_wp)
@@ -80,10 +83,7 @@ contains
     observer%two_halves = two_halves
     observer%series_interval = series_interval
     if (present(unit)) then
-      observer%chi_blocks%length = unit
-      observer%current1_blocks%length = unit
-      observer%current2_blocks%length = unit
-      observer%polarised_blocks%length = unit
+      observer%blocks%length = unit
     end if
     if (present(circuit_closed)) observer%circuit_closed = circuit_closed
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
@@ -98,7 +98,7 @@ contains
     type(observer_type), intent(inout) :: observer
 
     observer%measuring = .true.
-    observer%block_left = observer%chi_blocks%length
+    observer%block_left = observer%blocks(of_chi)%length
   end subroutine begin_measuring
 
   !> The run is over: an entry that is due now, but for the rounding of the times between crossings
@@ -174,11 +174,13 @@ contains
   pure subroutine end_block(observer)
     type(observer_type), intent(inout) :: observer
 
-    call add_block(observer%chi_blocks, &
+    call add_block(observer%blocks(of_chi), &
       observer%block_spread/(observer%block_time*real(observer%number, wp)))
-    call add_block(observer%current1_blocks, real(observer%block_net(1), wp)/observer%block_time)
-    call add_block(observer%current2_blocks, real(observer%block_net(2), wp)/observer%block_time)
-    call add_block(observer%polarised_blocks, &
+    call add_block(observer%blocks(of_current1), &
+      real(observer%block_net(1), wp)/observer%block_time)
+    call add_block(observer%blocks(of_current2), &
+      real(observer%block_net(2), wp)/observer%block_time)
+    call add_block(observer%blocks(of_polarised), &
       real(observer%block_downward, wp)/observer%block_time)
     observer%time = observer%time + observer%block_time
     observer%spread = observer%spread + observer%block_spread
@@ -187,7 +189,7 @@ contains
     observer%block_time = 0.0_wp
     observer%block_spread = 0.0_wp
     observer%block_net = 0
-    observer%block_left = observer%chi_blocks%length
+    observer%block_left = observer%blocks(of_chi)%length
   end subroutine end_block
 
   pure subroutine write_entry(observer)
@@ -238,16 +240,16 @@ contains
       end do
       call set_average(measured, 'current1', &
         real(real(o%crossings(1) - o%crossings(2), wp)/time, dp), &
-        real(standard_error(o%current1_blocks), dp))
+        real(standard_error(o%blocks(of_current1)), dp))
       call set_average(measured, 'current2', &
         real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), &
-        real(standard_error(o%current2_blocks), dp))
+        real(standard_error(o%blocks(of_current2)), dp))
       if (.not. o%two_halves) return
       if (o%circuit_closed) call set_average(measured, 'polarised_current', &
         real(real(o%downward + o%block_downward, wp)/time, dp), &
-        real(standard_error(o%polarised_blocks), dp))
+        real(standard_error(o%blocks(of_polarised)), dp))
       call set_average(measured, 'chi', real((o%spread + o%block_spread)/(time*number), dp), &
-        real(standard_error(o%chi_blocks), dp))
+        real(standard_error(o%blocks(of_chi)), dp))
       if (o%collisions_seen > 0) call set_average(measured, 'chi_collision', &
         real(real(o%collision_spread_sum, wp)/(real(o%collisions_seen, wp)*number), dp))
     end associate
@@ -257,7 +259,7 @@ contains
   pure subroutine pass_observer(observer, stream)
     type(observer_type), intent(inout) :: observer
     type(stream_type), intent(inout) :: stream
-    integer :: flow
+    integer :: flow, which
 
     call stream%pass('number', observer%number)
     call stream%pass('urn1_number', observer%urn1_number)
@@ -278,10 +280,9 @@ contains
     call stream%pass('block_spread', observer%block_spread)
     call stream%pass('block_net', observer%block_net)
     call stream%pass('block_downward', observer%block_downward)
-    call pass_blocks(observer%chi_blocks, stream)
-    call pass_blocks(observer%current1_blocks, stream)
-    call pass_blocks(observer%current2_blocks, stream)
-    call pass_blocks(observer%polarised_blocks, stream)
+    do which = 1, size(observer%blocks)
+      call pass_blocks(observer%blocks(which), stream)
+    end do
     call stream%pass('series_interval', observer%series_interval)
     call stream%pass('series_left', observer%series_left)
     call stream%pass('series_crossings', observer%series_crossings)

@@ -12,7 +12,7 @@ module battery_bounce
   use battery_channel, only: facing
   use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
     meets_urn, meets_line, meets_channel_wall
-  use battery_scatterers, only: scattered_half_type, aim_among, hit_among, comes_back
+  use battery_scatterers, only: scattered_half_type, aim_in_half, hit_in_half, comes_back
   use battery_urn, only: aim, hit
   implicit none (type, external)
   private
@@ -85,8 +85,8 @@ contains
 
     x = urn%periodic_line + urn%way*motion%x
     ux = urn%way*motion%ux
-    call hit_among(half, int(motion%next), x, motion%y, ux, motion%uy)
-    call aim_among(half, x, motion%y, ux, motion%uy, motion%next, wait)
+    call hit_in_half(half, int(motion%next), x, motion%y, ux, motion%uy)
+    call aim_in_half(half, x, motion%y, ux, motion%uy, motion%next, wait)
     motion%x = urn%way*(x - urn%periodic_line)
     motion%ux = urn%way*ux
   end subroutine hit_scatterer
@@ -101,7 +101,7 @@ contains
     if (motion%chamber == in_return) then
       associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
         if (half%count > 0) then
-          call aim_among(half, urn%periodic_line + urn%way*motion%x, motion%y, &
+          call aim_in_half(half, urn%periodic_line + urn%way*motion%x, motion%y, &
             urn%way*motion%ux, motion%uy, motion%next, wait)
           return
         end if

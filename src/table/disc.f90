@@ -17,10 +17,9 @@ module battery_disc
   use battery_chamber, only: chamber_type, set_openings
   use battery_motion, only: meets_wall, meets_gate, meets_return, meets_nothing, slowest, wall_kind
   use battery_rotation, only: to_turn
-  use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: disc_type, new_disc, is_in_disc, try_point, cross_urns, position_before, place_endless
+  public :: disc_type, new_disc, is_in_disc, try_point, place_in_disc
   public :: aim_in_disc, hit_disc, put_back_in_disc
 
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
@@ -36,15 +35,6 @@ module battery_disc
     !> Whether stepping from impact to impact pays.
     logical :: step_first = .true.
   end type disc_type
-
-  interface
-    !> Whole visits of a batch: what they need and what they yield is told at `visits_type`.
-    module subroutine cross_urns(self, visits)
-      implicit none (type, external)
-      type(disc_type), intent(in) :: self
-      type(visits_type), intent(inout) :: visits
-    end subroutine cross_urns
-  end interface
 
 contains
 
@@ -118,76 +108,87 @@ contains
     end associate
   end subroutine try_point
 
-  !> Where a particle is, in the local frame, a length `before` ahead of leaving an urn, if it was
-  !> in the urn all that time, and how many walls it hits in between.
-  pure subroutine position_before(self, channel, y, along, across, before, position, velocity, &
-    hits)
-    !> The disc.
-    type(disc_type), intent(in) :: self
-    !> The channel it leaves through, at the height y, with |u_x| and u_y.
+  !> Where a particle is at a time from what is known of the end of its visit: it is in the disc.
+  pure subroutine place_in_disc(disc, channel, y, along, across, since, position, velocity, hits)
+    type(disc_type), intent(in) :: disc
+    !> The channel it leaves through, or one that is none: never.
     integer, intent(in) :: channel
-    !> Height and `before` are lengths; the velocity, of length 1, is that at the chord.
-    real(wp), intent(in) :: y, along, across, before
+    !> Height (a length), |u_x| and u_y at the chord of that channel. Of one that never leaves the
+    !> angle of an impact (radians, from the x axis), cosine and sine of the incidence.
+    real(wp), intent(in) :: y, along, across
+    !> The time since then; below 0: until then.
+    real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> How many, 0 or more.
+    !> Of walls since then, an impact itself included; below 0: so many come before.
+    integer(int64), intent(out) :: hits
+
+    if (channel == gated .or. channel == ungated) then
+      call go_back(disc, channel, y, along, across, -since, position, velocity, hits)
+      hits = -hits
+    else
+      call go_round(disc, since, y, along, across, position, velocity, hits)
+    end if
+  end subroutine place_in_disc
+
+  !> A length `before` ahead of leaving through a channel: how many `hits` come in between.
+  pure subroutine go_back(disc, channel, y, along, across, before, position, velocity, hits)
+    type(disc_type), intent(in) :: disc
+    integer, intent(in) :: channel
+    real(wp), intent(in) :: y, along, across, before
+    real(wp), intent(out) :: position(2), velocity(2)
     integer(int64), intent(out) :: hits
     real(wp) :: x, ux, s, c, ahead, turn, rest
     complex(wp) :: impact, incidence
 
-    x = merge(self%chord(gated), -self%chord(ungated), channel == gated)
+    x = merge(disc%chord(gated), -disc%chord(ungated), channel == gated)
     ux = merge(along, -along, channel == gated)
-    s = (x*across - y*ux)/self%radius
+    s = (x*across - y*ux)/disc%radius
     c = sqrt(max((1.0_wp - s)*(1.0_wp + s), 0.0_wp))
     ! The impact in the opening, which does not happen, is `ahead` of the chord.
-    ahead = self%radius*c - (x*ux + y*across)
+    ahead = disc%radius*c - (x*ux + y*across)
     incidence = cmplx(c, s, wp)
     impact = cmplx(ux, across, wp)*conjg(incidence)
     if (c > 0.0_wp) then
-      hits = int((before + ahead)/(2.0_wp*self%radius*c), int64)
+      hits = int((before + ahead)/(2.0_wp*disc%radius*c), int64)
     else
       hits = 0
     end if
     ! Within its chord even where the length is so great that rounding is longer than a chord.
-    rest = before + ahead - 2.0_wp*self%radius*c*real(hits, wp)
-    rest = min(max(rest, 0.0_wp), 2.0_wp*self%radius*c)
+    rest = before + ahead - 2.0_wp*disc%radius*c*real(hits, wp)
+    rest = min(max(rest, 0.0_wp), 2.0_wp*disc%radius*c)
     turn = atan2(2.0_wp*s*c, (s - c)*(s + c))
     turn = -modulo(real(hits, wp)*turn, 2.0_wp*pi)
     impact = impact*cmplx(cos(turn), sin(turn), wp)
     impact = impact/abs(impact)
     velocity = [real(incidence*impact, wp), aimag(incidence*impact)]
-    position = self%radius*[real(impact, wp), aimag(impact)] - rest*velocity
-  end subroutine position_before
+    position = disc%radius*[real(impact, wp), aimag(impact)] - rest*velocity
+  end subroutine go_back
 
   !> For ever along a regular star; without length of its chords, along the wall.
-  pure subroutine place_endless(self, elapsed, angle, cosine, sine, position, velocity, hits)
-    !> The disc.
-    type(disc_type), intent(in) :: self
-    !> Time since an impact, which lies at this angle (radians, from the x axis of the local frame);
-    !> cosine and sine of the incidence.
+  pure subroutine go_round(disc, elapsed, angle, cosine, sine, position, velocity, hits)
+    type(disc_type), intent(in) :: disc
     real(wp), intent(in) :: elapsed, angle, cosine, sine
-    !> x and y of each in the local frame: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Wall hits since that impact, itself included; less than 0: so many come before it.
     integer(int64), intent(out) :: hits
     real(wp) :: step, turned, rest
     complex(wp) :: impact
 
-    step = 2.0_wp*self%radius*cosine
+    step = 2.0_wp*disc%radius*cosine
     hits = 0
     if (step > 0.0_wp) hits = floor(elapsed/step, int64)
     rest = elapsed - real(hits, wp)*step
     turned = angle + modulo(real(hits, wp)*2.0_wp*acos(sine), 2.0_wp*pi)
     if (.not. step > 0.0_wp) then
       ! A chord without length: the particle glides along the wall.
-      turned = angle + sine*rest/self%radius
+      turned = angle + sine*rest/disc%radius
       rest = 0.0_wp
     end if
     impact = cmplx(cos(turned), sin(turned), wp)
     velocity = [real(impact*cmplx(-cosine, sine, wp), wp), aimag(impact*cmplx(-cosine, sine, wp))]
-    position = self%radius*[real(impact, wp), aimag(impact)] + rest*velocity
+    position = disc%radius*[real(impact, wp), aimag(impact)] + rest*velocity
     hits = hits + 1
-  end subroutine place_endless
+  end subroutine go_round
 
   !> What a particle meets first that is inside, or at an opening, and after which time: `wait`.
   pure subroutine aim_in_disc(disc, from, x, y, ux, uy, next, wait)

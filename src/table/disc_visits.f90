@@ -4,11 +4,16 @@
 !> branches: who has found an opening stands still. Between two marches the particles that still
 !> bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are tiny,
 !> are sent to `find_opening`, which needs O(log) operations for any number of impacts.
-submodule (battery_disc) battery_disc_visits
+module battery_disc_visits
+  use battery_kinds, only: wp, int64, angle_kind
+  use battery_channel, only: gated, ungated
+  use battery_disc, only: disc_type
   use battery_rotation, only: turn_of, unit_vector, full_turn
   use battery_opening_search, only: find_opening
-  use battery_visits, only: together, no_channel
+  use battery_visits, only: visits_type, together, no_channel
   implicit none (type, external)
+  private
+  public :: cross_discs
 
   !> Impacts that the kernel steps `together` particles without closing ranks.
   integer, parameter :: march_steps = 8
@@ -16,56 +21,58 @@ submodule (battery_disc) battery_disc_visits
   integer, parameter :: march_rounds = 12
   !> In the first rounds so many still bounce that ranks are closed after every second march only.
   integer, parameter :: early_rounds = 2
-  !> So few do not close ranks: a vector of what was just stored one by one would have to wait.
-  integer, parameter :: few = together
   !> Incidences with a smaller cosine are computed anew, to all their digits.
   real(wp), parameter :: grazing_cosine = 1.0e-3_wp
+
 contains
 
-  !> From (x, y) with velocity (along, across) through the urn; `hits` grows, `all_hits` is its sum.
-  module procedure cross_urns
+  !> From (x, y) with velocity (along, across) through the disc; `hits` grows, `all_hits` is its
+  !> sum.
+  subroutine cross_discs(disc, visits)
+    type(disc_type), intent(in) :: disc
+    type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
     logical :: grazing
 
     n = together*((visits%count + together - 1)/together)
     visits%all_hits = 0
     if (n == 0) return
-    call enter(n, 1.0_wp/self%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
+    call enter(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
       visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
       grazing)
-    if (grazing) call sharpen(self, visits)
+    if (grazing) call sharpen(disc, visits)
     active = visits%count
     call count_up(active, visits%slot)
-    if (self%step_first) then
+    if (disc%step_first) then
       visits%px(active + 1:n) = 1.0_wp
       visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
         n_active = together*((active + together - 1)/together)
-        call march(self%half(gated), self%half(ungated), n_active, visits%px, visits%py, &
+        call march(disc%half(gated), disc%half(ungated), n_active, visits%px, visits%py, &
           visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call march(self%half(gated), self%half(ungated), n_active, &
+        if (round <= early_rounds) call march(disc%half(gated), disc%half(ungated), n_active, &
           visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        call close_ranks(self%half(gated), self%half(ungated), active, visits%slot, visits%px, &
+        call close_ranks(disc%half(gated), disc%half(ungated), active, visits%slot, visits%px, &
           visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, &
           visits%impacts)
         if (active == 0) exit
       end do
     end if
     do j = 1, active
-      call search(self, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
+      call search(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
     end do
-    call find_exits(n, self, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
+    call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%along, visits%across, &
       visits%length, visits%through)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
         if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) &
-          call mend(self, visits, j)
+          call mend(disc, visits, j)
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
-  end procedure cross_urns
+  end subroutine cross_discs
 
   !> 1, 2, ...
   pure subroutine count_up(n, slot)
@@ -243,22 +250,6 @@ contains
     taken = merge(before, taken, open)
   end subroutine choose
 
-  !> Whether any particle stands outside the openings.
-  pure function some_bounce(n, half1, half2, px, py)
-    integer, intent(in) :: n
-    real(wp), intent(in) :: half1, half2, px(n), py(n)
-    logical :: some_bounce
-    integer(int64) :: bouncing
-    integer :: j
-
-    bouncing = 0
-    do j = 1, n
-      bouncing = bouncing + merge(1_int64, 0_int64, abs(py(j)) >= merge(half1, half2, &
-        px(j) > 0.0_wp))
-    end do
-    some_bounce = bouncing > 0
-  end function some_bounce
-
   !> Writes down where every particle stands and keeps those that still bounce, without branches.
   pure subroutine close_ranks(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &
     impacts)
@@ -397,4 +388,4 @@ contains
     visits%length(j) = visits%first(j) + 2.0_wp*disc%radius*visits%c(j)*visits%impacts(j)
   end subroutine mend
 
-end submodule battery_disc_visits
+end module battery_disc_visits

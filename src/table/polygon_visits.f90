@@ -31,8 +31,7 @@ module battery_polygon_visits
 
 contains
 
-  !> From (x, y) with velocity (along, across) through the polygon; `hits` grows, `all_hits` is its
-  !> sum.
+  !> Whole visits: what they need and what they yield is told at `visits_type`.
   subroutine cross_polygons(polygon, visits)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits

@@ -14,7 +14,7 @@ module battery_polygon_walls
   use battery_polygon, only: polygon_type, is_in_polygon, nearest_side
   implicit none (type, external)
   private
-  public :: aim_in_polygon, hit_polygon, put_back_in_polygon, polygon_before, polygon_for_ever
+  public :: aim_in_polygon, hit_polygon, put_back_in_polygon, place_in_polygon
   public :: surely_next_side, reflect, state_type, state_on, came_back
 
   !> A state that has come back to within this, in units of all walls and of 1, is the same state.
@@ -309,64 +309,55 @@ contains
     end do
   end subroutine fly_on
 
-  !> Where a particle is, in the local frame, a length `before` ahead of leaving the polygon, if it
-  !> was in it all that time, and how many walls it hits in between.
-  pure subroutine polygon_before(polygon, channel, y, along, across, before, position, velocity, &
+  !> Where a particle is at a time from what is known of the end of its visit: it is in the polygon.
+  pure subroutine place_in_polygon(polygon, channel, y, along, across, since, position, velocity, &
     hits)
     type(polygon_type), intent(in) :: polygon
-    !> The channel it leaves through, at the height y, with |u_x| and u_y.
+    !> The channel it leaves through, or one that is none.
     integer, intent(in) :: channel
-    !> y, |u_x| and u_y there; the length.
-    real(wp), intent(in) :: y, along, across, before
+    !> Height (a length), |u_x| and u_y at the side of that channel; else a state: how far round the
+    !> polygon, u_x and u_y.
+    real(wp), intent(in) :: y, along, across
+    !> The time since then; below 0: until then.
+    real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Of walls.
-    integer(int64), intent(out) :: hits
-    real(wp) :: rest
-    integer :: side
-
-    side = polygon%side(channel)
-    position = [facing(channel)*polygon%chord(channel), y]
-    velocity = [-facing(channel)*along, -across]
-    rest = before
-    call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
-    velocity = -velocity
-  end subroutine polygon_before
-
-  !> Where a particle is that has the state (round, ux, uy) on a side, some time before or after.
-  pure subroutine polygon_for_ever(polygon, elapsed, round, ux, uy, position, velocity, hits)
-    type(polygon_type), intent(in) :: polygon
-    !> Time since then; below 0: until then.
-    real(wp), intent(in) :: elapsed, round, ux, uy
-    !> x and y of each: lengths, and a vector of length 1.
-    real(wp), intent(out) :: position(2), velocity(2)
-    !> Wall hits since then; less than 0: so many come before it, itself included.
+    !> Of walls since then; below 0: so many come before, that of a state included.
     integer(int64), intent(out) :: hits
     real(wp), parameter :: long = 1000.0_wp
     real(wp) :: rest, period
     integer(int64) :: hits_each, periods
     integer :: side
+    logical :: leaves
 
-    call place_of(polygon, round, side, position(1), position(2))
-    velocity = [ux, uy]
-    if (elapsed < 0.0_wp) then
+    leaves = channel == gated .or. channel == ungated
+    if (leaves) then
+      side = polygon%side(channel)
+      position = [facing(channel)*polygon%chord(channel), y]
+      velocity = [facing(channel)*along, across]
+    else
+      call place_of(polygon, y, side, position(1), position(2))
+      velocity = [along, across]
+    end if
+    if (leaves .or. since < 0.0_wp) then
       velocity = -velocity
-      call reflect(polygon, side, position(1), position(2), velocity(1), velocity(2))
-      rest = -elapsed
+      if (.not. leaves) call reflect(polygon, side, position(1), position(2), velocity(1), &
+        velocity(2))
+      rest = -since
       call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
       velocity = -velocity
-      hits = -hits - 1
+      hits = -hits - merge(0, 1, leaves)
     else
       period = huge(1.0_wp)
       hits_each = 0
-      if (elapsed > long*polygon%reach) call find_period(polygon, state_type(round, ux, uy), &
+      if (since > long*polygon%reach) call find_period(polygon, state_type(y, along, across), &
         period, hits_each)
-      periods = int(elapsed/period, int64)
-      rest = max(elapsed - real(periods, wp)*period, 0.0_wp)
+      periods = int(since/period, int64)
+      rest = max(since - real(periods, wp)*period, 0.0_wp)
       call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
       hits = hits + periods*hits_each
     end if
-  end subroutine polygon_for_ever
+  end subroutine place_in_polygon
 
   !> After which time a state comes back, and after how many hits; huge if it does not for long.
   pure subroutine find_period(polygon, state, period, hits)

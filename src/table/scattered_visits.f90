@@ -4,30 +4,16 @@
 !> lane whose particle has come to the line or to the urn takes the next one of the batch. So the
 !> result of a particle does not depend on who else is in its batch.
 module battery_scattered_visits
-  use battery_kinds, only: wp
-  use battery_motion, only: slowest, meets_nothing, meets_urn, meets_line, meets_channel_wall
+  use battery_kinds, only: wp, int64
+  use battery_motion, only: motion_type, wall_kind, slowest, meets_nothing, meets_urn, meets_line, &
+    meets_channel_wall
   use battery_scatterers, only: scattered_half_type, longest_part
   implicit none (type, external)
   private
-  public :: strays_type, reserve_strays, cross_half
+  public :: cross_half
 
   !> Particles that the kernel flies side by side.
   integer, parameter :: lanes = 8
-
-  !> A batch of visits to a half, in its frame (`battery_scatterers`), one entry a particle.
-  type :: strays_type
-    integer :: count = 0
-    !> Who.
-    integer, allocatable :: particle(:)
-    !> Place and velocity: lengths, and a vector of length 1.
-    real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
-    !> In: how long it is flown at most. Out: how long it was.
-    real(wp), allocatable :: time(:)
-    !> Out, whole numbers: wall hits; and what the visit ended with, the line or the urn as
-    !> `motion_type` has them, `meets_nothing` if its time was up, or a wall after `longest_part`
-    !> hits.
-    real(wp), allocatable :: hits(:), met(:)
-  end type strays_type
 
   !> What flies in the lanes.
   type :: lanes_type
@@ -40,28 +26,19 @@ module battery_scattered_visits
 
 contains
 
-  !> Makes room for `room` visits and empties the batch.
-  pure subroutine reserve_strays(strays, room)
-    type(strays_type), intent(inout) :: strays
-    integer, intent(in) :: room
-    integer :: n
-
-    strays%count = 0
-    if (allocated(strays%x)) then
-      if (size(strays%x) >= room) return
-    end if
-    n = max(64, room + room/2)
-    strays = strays_type()
-    allocate (strays%x(n), strays%y(n), strays%ux(n), strays%uy(n), strays%time(n), &
-      strays%hits(n), strays%met(n), source=0.0_wp)
-    allocate (strays%particle(n), source=0)
-  end subroutine reserve_strays
-
-  !> All visits of a batch.
-  subroutine cross_half(half, strays)
+  !> All visits of a batch, of which there are `count`.
+  subroutine cross_half(half, limit, count, motion, hits)
     !> That of all of them.
     type(scattered_half_type), intent(in) :: half
-    type(strays_type), intent(inout) :: strays
+    !> Nobody is flown beyond this time.
+    real(wp), intent(in) :: limit
+    integer, intent(in) :: count
+    !> In the frame of the half (`battery_scatterers`). In: how each visit begins. Out: what it has
+    !> come to, and `next` is what ends it: the line or the urn, `meets_nothing` if its time was up,
+    !> or a wall after `longest_part` hits.
+    type(motion_type), intent(inout) :: motion(count)
+    !> Of walls.
+    integer(int64), intent(out) :: hits(count)
     type(lanes_type) :: now
     integer :: lane, next, flying
 
@@ -94,13 +71,10 @@ contains
       integer, intent(in) :: lane
 
       associate (j => now%who(lane))
-        strays%x(j) = now%x(lane)
-        strays%y(j) = now%y(lane)
-        strays%ux(j) = now%ux(lane)
-        strays%uy(j) = now%uy(lane)
-        strays%time(j) = now%time(lane)
-        strays%hits(j) = now%hits(lane)
-        strays%met(j) = now%met(lane)
+        motion(j) = motion_type(now%x(lane), now%y(lane), now%ux(lane), now%uy(lane), &
+          motion(j)%time + now%time(lane), motion(j)%side, motion(j)%chamber, &
+          nint(now%met(lane), wall_kind))
+        hits(j) = int(now%hits(lane), int64)
       end associate
       flying = flying - 1
     end subroutine put_down
@@ -110,15 +84,17 @@ contains
       integer, intent(in) :: lane
 
       now%who(lane) = 0
-      if (next == strays%count) return
+      if (next == count) return
       next = next + 1
       flying = flying + 1
       now%who(lane) = next
-      now%x(lane) = strays%x(next)
-      now%y(lane) = strays%y(next)
-      now%ux(lane) = strays%ux(next)
-      now%uy(lane) = strays%uy(next)
-      now%until(lane) = strays%time(next)
+      associate (begins => motion(next))
+        now%x(lane) = begins%x
+        now%y(lane) = begins%y
+        now%ux(lane) = begins%ux
+        now%uy(lane) = begins%uy
+        now%until(lane) = limit - begins%time
+      end associate
       now%time(lane) = 0.0_wp
       now%hits(lane) = 0.0_wp
     end subroutine take_next
@@ -232,7 +208,7 @@ contains
     end do
   end subroutine look_up
 
-  !> Reflection, as in `hit_among`; whoever met the line or the urn goes on as it flew.
+  !> Reflection, as in `hit_in_half`; whoever met the line or the urn goes on as it flew.
   pure subroutine bounce_off(half_width, met_x, met_y, met_radius, x, y, ux, uy, met)
     real(wp), intent(in) :: half_width
     real(wp), dimension(lanes), intent(in) :: met_x, met_y, met_radius

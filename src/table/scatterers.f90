@@ -13,8 +13,8 @@ module battery_scatterers
   use battery_motion, only: wall_kind, slowest, meets_urn, meets_line, meets_channel_wall
   implicit none (type, external)
   private
-  public :: scattered_half_type, new_scattered_half, aim_among, hit_among, is_in_scatterer
-  public :: covered_area, added_perimeter, narrowest_gap, comes_back
+  public :: scattered_half_type, new_scattered_half, aim_in_half, hit_in_half, is_in_scatterer
+  public :: measure_scatterers, narrowest_gap, comes_back
 
   !> So many hits in a half without leaving it are looked at as a whole: a visit with more is handed
   !> on in parts, and a state that has not come back within as many more is taken for one that will
@@ -53,7 +53,7 @@ contains
   end function new_scattered_half
 
   !> What a particle meets next: the wall, the line, the urn, or a disc by its number.
-  pure subroutine aim_among(half, x, y, ux, uy, next, wait)
+  pure subroutine aim_in_half(half, x, y, ux, uy, next, wait)
     !> The one that the particle is in.
     type(scattered_half_type), intent(in) :: half
     !> Place and velocity in the frame of the half.
@@ -91,10 +91,10 @@ contains
       wait = time(k)
       next = int(k, wall_kind)
     end do
-  end subroutine aim_among
+  end subroutine aim_in_half
 
   !> Reflection from the wall, or from a disc, at which it has arrived.
-  pure subroutine hit_among(half, met, x, y, ux, uy)
+  pure subroutine hit_in_half(half, met, x, y, ux, uy)
     !> The one that the particle is in.
     type(scattered_half_type), intent(in) :: half
     !> `meets_channel_wall`, or the number of a disc.
@@ -124,7 +124,7 @@ contains
     norm = 1.5_wp - 0.5_wp*(dx**2 + dy**2)
     ux = norm*dx
     uy = norm*dy
-  end subroutine hit_among
+  end subroutine hit_in_half
 
   !> Whether a particle comes back to the very state that it has at its next hit, without leaving
   !> the half: then it never will.
@@ -143,10 +143,10 @@ contains
     now = [x, y, ux, uy]
     do hit = 0, longest_part
       if (hit == 1) mark = now
-      call aim_among(half, now(1), now(2), now(3), now(4), met, wait)
+      call aim_in_half(half, now(1), now(2), now(3), now(4), met, wait)
       if (met < meets_channel_wall) return
       now(:2) = now(:2) + wait*now(3:)
-      call hit_among(half, int(met), now(1), now(2), now(3), now(4))
+      call hit_in_half(half, int(met), now(1), now(2), now(3), now(4))
       if (hit > 0) yes = .not. any(abs(now - mark) > 0.0_wp)
       if (yes) return
     end do
@@ -165,53 +165,39 @@ contains
     if (half%count > 0) inside = any(hypot(half%x - x, half%y - y) < half%radius - tolerance)
   end function is_in_scatterer
 
-  !> What the discs take of the area of a channel.
-  pure function covered_area(channel, scatterers) result(area)
+  !> What discs take of the area of a channel, and the length of their walls in it, less that of the
+  !> channel's walls that they cover.
+  pure subroutine measure_scatterers(channel, scatterers, area, added)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.
     real(wp), intent(in) :: scatterers(:, :)
-    real(wp) :: area
+    !> An area and a length.
+    real(wp), intent(out) :: area, added
 
     associate (h => 0.5_wp*channel%width, y => scatterers(2, :), r => scatterers(3, :))
-      area = sum(pi*r**2 - cap(r, h - y) - cap(r, h + y))
+      area = sum(pi*r**2 - beyond(.true., r, h - y) - beyond(.true., r, h + y))
+      added = sum(2.0_wp*pi*r - beyond(.false., r, h - y) - beyond(.false., r, h + y))
     end associate
 
   contains
 
-    !> What of a disc lies beyond a line at a distance from its middle.
-    elemental real(wp) function cap(radius, distance)
+    !> What of a disc lies beyond a line at a distance from its middle: the area of it, or its arc
+    !> and what of the line is inside.
+    elemental real(wp) function beyond(as_area, radius, distance)
+      logical, intent(in) :: as_area
       real(wp), intent(in) :: radius, distance
-      real(wp) :: cosine
+      real(wp) :: cosine, sine
 
       cosine = max(-1.0_wp, min(distance/radius, 1.0_wp))
-      cap = radius**2*(acos(cosine) - cosine*sqrt((1.0_wp - cosine)*(1.0_wp + cosine)))
-    end function cap
+      sine = sqrt((1.0_wp - cosine)*(1.0_wp + cosine))
+      if (as_area) then
+        beyond = radius**2*(acos(cosine) - cosine*sine)
+      else
+        beyond = 2.0_wp*radius*(acos(cosine) + sine)
+      end if
+    end function beyond
 
-  end function covered_area
-
-  !> The length of the discs' walls in a channel, less that of the channel's walls that they cover.
-  pure function added_perimeter(channel, scatterers) result(length)
-    type(channel_type), intent(in) :: channel
-    !> (z, y, radius) of each disc.
-    real(wp), intent(in) :: scatterers(:, :)
-    real(wp) :: length
-
-    associate (h => 0.5_wp*channel%width, y => scatterers(2, :), r => scatterers(3, :))
-      length = sum(2.0_wp*pi*r - lost(r, h - y) - lost(r, h + y))
-    end associate
-
-  contains
-
-    !> The arc beyond a line at a distance, and what of the line is inside.
-    elemental real(wp) function lost(radius, distance)
-      real(wp), intent(in) :: radius, distance
-      real(wp) :: cosine
-
-      cosine = max(-1.0_wp, min(distance/radius, 1.0_wp))
-      lost = 2.0_wp*radius*(acos(cosine) + sqrt((1.0_wp - cosine)*(1.0_wp + cosine)))
-    end function lost
-
-  end function added_perimeter
+  end subroutine measure_scatterers
 
   !> The least way between two discs or two walls: no two hits of others follow faster on and on.
   pure function narrowest_gap(channel, scatterers) result(gap)

@@ -17,7 +17,7 @@ module battery_table
   use battery_chamber, only: mean_visit
   use battery_motion, only: outside, in_urn, in_gate, in_return
   use battery_scatterers, only: scattered_half_type, new_scattered_half, is_in_scatterer, &
-    covered_area, added_perimeter
+    measure_scatterers
   use battery_urn, only: urn_type, give_form, alike, holds, try_place
   implicit none (type, external)
   private
@@ -138,23 +138,24 @@ contains
   !> Area |Q| of the whole table, open channels included.
   pure function area(table) result(total)
     type(table_type), intent(in) :: table
-    real(wp) :: total
+    real(wp) :: total, taken, added
 
     total = sum(table%urn(:table%sides)%area) + sum(0.5_wp*real(table%sides, wp) &
       *table%channel%length*table%channel%width)
-    if (is_scattered(table)) total = total - covered_area(table%channel(ungated), table%scatterers)
+    call measure_scatterers(table%channel(ungated), table%scatterers, taken, added)
+    if (is_scattered(table)) total = total - taken
   end function area
 
   !> Length |dQ| of all walls, the end wall of the single urn included.
   pure function perimeter(table) result(length)
     type(table_type), intent(in) :: table
-    real(wp) :: length
+    real(wp) :: length, taken, added
 
     length = sum(table%urn(:table%sides)%perimeter) + real(table%sides, wp) &
       *sum(table%channel%length, mask=is_open(table%channel))
     if (table%beyond(1) == 1) length = length + table%channel(gated)%width
-    if (is_scattered(table)) length = length + added_perimeter(table%channel(ungated), &
-      table%scatterers)
+    call measure_scatterers(table%channel(ungated), table%scatterers, taken, added)
+    if (is_scattered(table)) length = length + added
   end function perimeter
 
   !> |x| at the far end of the table, on the side that is longer.

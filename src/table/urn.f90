@@ -7,18 +7,19 @@ module battery_urn
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type
   use battery_chamber, only: chamber_type
-  use battery_disc, only: disc_type, new_disc, is_in_disc, try_point, cross_urns, position_before, &
-    place_endless, aim_in_disc, hit_disc, put_back_in_disc
+  use battery_disc, only: disc_type, new_disc, is_in_disc, try_point, place_in_disc, &
+    aim_in_disc, hit_disc, put_back_in_disc
+  use battery_disc_visits, only: cross_discs
   use battery_motion, only: wall_kind
   use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon
   use battery_polygon_visits, only: cross_polygons
-  use battery_polygon_walls, only: polygon_before, polygon_for_ever, aim_in_polygon, hit_polygon, &
+  use battery_polygon_walls, only: place_in_polygon, aim_in_polygon, hit_polygon, &
     put_back_in_polygon
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: urn_type, shape_disc, shape_polygon, give_form, alike, holds, try_place, cross, &
-    place_before, place_for_ever, aim, hit, put_back
+    place_in_visit, aim, hit, put_back
 
   !> The shapes.
   integer, parameter :: shape_disc = 1, shape_polygon = 2
@@ -112,46 +113,31 @@ contains
     case (shape_polygon)
       call cross_polygons(urn%polygon, visits)
     case default
-      call cross_urns(urn%disc, visits)
+      call cross_discs(urn%disc, visits)
     end select
   end subroutine cross
 
-  !> Where a particle is a length `before` ahead of leaving the urn, and how many walls it `hits` in
-  !> between.
-  pure subroutine place_before(urn, channel, y, along, across, before, position, velocity, hits)
+  !> Where a particle is at a time from what is known of the end of its visit.
+  pure subroutine place_in_visit(urn, channel, y, along, across, since, position, velocity, hits)
     type(urn_type), intent(in) :: urn
-    !> The channel it leaves through.
+    !> The channel it leaves through then; `no_channel` or `goes_on`.
     integer, intent(in) :: channel
-    !> Height, |u_x| and u_y there; a length.
-    real(wp), intent(in) :: y, along, across, before
+    !> Height, |u_x| and u_y there, or what `visits_type` has instead.
+    real(wp), intent(in) :: y, along, across
+    !> The time since then; below 0: until then. Who leaves has not left yet.
+    real(wp), intent(in) :: since
     !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
+    !> Of walls since then; below 0: so many are still to come.
     integer(int64), intent(out) :: hits
 
     select case (urn%shape)
     case (shape_polygon)
-      call polygon_before(urn%polygon, channel, y, along, across, before, position, velocity, hits)
+      call place_in_polygon(urn%polygon, channel, y, along, across, since, position, velocity, hits)
     case default
-      call position_before(urn%disc, channel, y, along, across, before, position, velocity, hits)
+      call place_in_disc(urn%disc, channel, y, along, across, since, position, velocity, hits)
     end select
-  end subroutine place_before
-
-  !> Where a particle is that never leaves, and how many wall `hits` it has had.
-  pure subroutine place_for_ever(urn, elapsed, y, along, across, position, velocity, hits)
-    type(urn_type), intent(in) :: urn
-    !> Time since what its visit ended with instead of a way out, and that (`visits_type`).
-    real(wp), intent(in) :: elapsed, y, along, across
-    !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
-    real(wp), intent(out) :: position(2), velocity(2)
-    integer(int64), intent(out) :: hits
-
-    select case (urn%shape)
-    case (shape_polygon)
-      call polygon_for_ever(urn%polygon, elapsed, y, along, across, position, velocity, hits)
-    case default
-      call place_endless(urn%disc, elapsed, y, along, across, position, velocity, hits)
-    end select
-  end subroutine place_for_ever
+  end subroutine place_in_visit
 
   !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
   pure subroutine aim(urn, from, x, y, ux, uy, next, wait)

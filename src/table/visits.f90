@@ -26,23 +26,23 @@ module battery_visits
     real(wp), allocatable :: time(:)
     !> When a gate turned it back in that channel; huge if none did. How long it has been in it.
     real(wp), allocatable :: turned(:), passage(:)
-    !> In: the channel it comes from; out of `cross_urns`: that which it goes to, or `no_channel`.
+    !> In: the channel it comes from; out of `cross`: that which it goes to, or `no_channel`.
     integer(int64), allocatable :: channel(:)
-    !> Out of `cross_urns`: how long it would be in that channel, from end to end.
+    !> Out of `cross`: how long it would be in that channel, from end to end.
     real(wp), allocatable :: through(:)
     !> Position in the local frame. In: y at the channel's entrance; out of `leave_channels` at the
-    !> chord where the urn begins; out of `cross_urns` on the chord where the urn ends.
+    !> chord where the urn begins; out of `cross` on the chord where the urn ends.
     real(wp), allocatable :: x(:), y(:)
     !> Velocity. In: |u_x| and u_y in the channel; out of `leave_channels` in the local frame; out
-    !> of `cross_urns` again |u_x| and u_y in the channel that is entered. For a particle that never
+    !> of `cross` again |u_x| and u_y in the channel that is entered. For a particle that never
     !> leaves: cosine and sine of the incidence, and y is the angle of an impact.
     real(wp), allocatable :: along(:), across(:)
-    !> Out of `cross_urns`: length of the way through the urn; for one that never leaves, until the
+    !> Out of `cross`: length of the way through the urn; for one that never leaves, until the
     !> impact at angle y, before which it had `impacts` of them.
     real(wp), allocatable :: length(:)
     !> Wall hits in the channel and in the urn, whole numbers.
     real(wp), allocatable :: hits(:)
-    !> Out of `cross_urns`: the sum of them.
+    !> Out of `cross`: the sum of them.
     integer(int64) :: all_hits = 0
     !> Work space of the kernel: impact, rotation, steps, and whose they are.
     real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)

@@ -23,12 +23,13 @@ module battery_walkers
   use battery_chamber, only: leave_channels
   use battery_urn, only: cross
   use battery_visits, only: visits_type, reserve_visits, no_channel
-  use battery_gate, only: gate_type, new_gate, enter, must_turn, cross_first, turned_back
+  use battery_gate, only: gate_type, new_gate, enter, must_turn, cross_first, turned_back, &
+    number_inside, who_is_inside, next_crossing
   use battery_tally, only: tally_type, new_tally, add_entry, add_turned, add_crossing
   use battery_draws, only: draws_type, new_draws, next
   implicit none (type, external)
   private
-  public :: walkers_type, new_walkers, walk_until, walkers_left
+  public :: walkers_type, new_walkers, walk_until
 
   !> Walkers that enter gates in one window, at most about.
   integer, parameter :: batch = 4096
@@ -140,7 +141,7 @@ contains
       call find_entrants(walkers, ends)
       ! At most those who enter and those who are in the gates begin a visit.
       call reserve(walkers, walkers%under_way, walkers%first(2*walkers%copies + 1) &
-        + sum(walkers%gate%counted%count))
+        + sum(number_inside(walkers%gate)))
       do side = 1, 2
         do copy = 1, walkers%copies
           bucket = (side - 1)*walkers%copies + copy
@@ -198,14 +199,14 @@ contains
     associate (gate => walkers%gate(copy, side))
       do k = 1, size(who)
         time = walkers%time(who(k))
-        do while (gate%counted%next <= time)
+        do while (next_crossing(gate) <= time)
           call cross_middle(walkers, side, gate)
         end do
         call enter(gate, time + 0.5_wp*walkers%through(who(k)), who(k))
         call add_entry(walkers%tally, side, time)
         if (must_turn(gate)) call turn(walkers, side, gate, time)
       end do
-      do while (gate%counted%next < ends)
+      do while (next_crossing(gate) < ends)
         call cross_middle(walkers, side, gate)
       end do
     end associate
@@ -247,12 +248,12 @@ contains
     real(wp), intent(in) :: time
     integer :: k
 
-    do k = 1, gate%counted%count
-      associate (i => gate%counted%who(k))
+    do k = 1, number_inside(gate)
+      associate (i => who_is_inside(gate, k))
         call leave_gate(walkers, i, side, 2.0_wp*(time - walkers%time(i)))
       end associate
     end do
-    call add_turned(walkers%tally, side, time, gate%counted%count)
+    call add_turned(walkers%tally, side, time, number_inside(gate))
     call turned_back(gate)
   end subroutine turn
 
@@ -380,15 +381,5 @@ contains
       call reserve_visits(walkers%visits(chamber, which), room)
     end do
   end subroutine reserve
-
-  !> How many walkers are on their way to a gate or counted by one: all, but for those on orbits
-  !> that never leave an urn.
-  pure function walkers_left(walkers) result(left)
-    type(walkers_type), intent(in) :: walkers
-    integer :: left
-
-    left = count(walkers%time >= walkers%now .and. walkers%time < huge(1.0_wp)) &
-      + sum(walkers%gate%counted%count)
-  end function walkers_left
 
 end module battery_walkers

@@ -17,14 +17,14 @@ module battery_excursion
   use battery_launch, only: launch, lay_out
   use battery_few, only: walk_few, few
   use battery_foresight, only: pays, recall
-  use battery_among, only: among_type, new_among
+  use battery_scattered_sides, only: sides_type, new_sides
   use battery_chamber, only: leave_channels
   use battery_scatterers, only: narrowest_gap
   use battery_urn, only: cross
   use battery_parts, only: set_apart, compute_parts
   use battery_visits, only: visits_type, reserve_visits, part_visits, goes_on
-  use battery_gate, only: hold, admit
-  use battery_window, only: window_type, reserve_window, deal, line_up, line_of, write_log, &
+  use battery_gate, only: enter, admit, number_inside, first_crossing
+  use battery_window, only: window_type, reserve_window, deal, line_up, read_ticket, write_log, &
     record_crossings
   use battery_calendar, only: calendar_type, flight_type, new_calendar, page_for, &
     schedule, schedule_all, open_until, next_due, due_before, drop_done, turn_calendar
@@ -44,6 +44,8 @@ module battery_excursion
     !> Most events of one window; the visits of a window should fit into the cache.
     integer, public :: batch = 1024
     type(flight_type), allocatable :: flight(:)
+    !> Where each is along x in the frame of the table, if any is parked in a channel: for ever.
+    real(wp), allocatable :: parked_x(:)
     type(calendar_type) :: calendar
     !> The events of a window.
     type(window_type) :: events
@@ -54,7 +56,7 @@ module battery_excursion
     logical, public :: looks_ahead = .false.
     !> Whether discs stand in channel 2, and what is known of visits then.
     logical :: scattered = .false.
-    type(among_type) :: among
+    type(sides_type) :: sides
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> How many visits are known in part; those that are gone on with now, when and who.
@@ -101,21 +103,21 @@ module battery_excursion
     end subroutine pass_own
   end interface
 
-  ! Where discs stand in channel 2: `excursion_among.f90`.
+  ! Where discs stand in channel 2: `excursion_scattered.f90`.
   interface
-    module subroutine take_over_among(self, particles)
+    module subroutine take_over_scattered(self, particles)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
       type(particles_type), intent(inout) :: particles
-    end subroutine take_over_among
+    end subroutine take_over_scattered
 
-    module subroutine go_among(self, began, ends, history)
+    module subroutine go_scattered(self, began, ends, history)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
       !> The window.
       real(wp), intent(in) :: began, ends
       type(history_type), intent(inout) :: history
-    end subroutine go_among
+    end subroutine go_scattered
   end interface
 
 contains
@@ -131,7 +133,7 @@ contains
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
     self%scattered = is_scattered(self%table)
     if (self%scattered) then
-      call new_among(self%among, self%number)
+      call new_sides(self%sides, self%number)
       self%window = min(self%window, max(least_window*self%lookahead, window_hits &
         *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
     end if
@@ -152,10 +154,12 @@ contains
     integer :: i
 
     if (self%scattered) then
-      call take_over_among(self, particles)
+      call take_over_scattered(self, particles)
     else
       call take_over_straight(self, particles)
     end if
+    if (any(self%flight%heading == parked_in_channel)) self%parked_x = particles%x
+    deallocate (particles%x, particles%y, particles%ux, particles%uy)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
       call write_down(self, i)
@@ -186,7 +190,6 @@ contains
         end do
       end do
     end do
-    deallocate (particles%x, particles%y, particles%ux, particles%uy)
   end subroutine take_over_straight
 
   !> Puts the next event of a particle into the calendar, or, inside a gate, lets that count it.
@@ -203,14 +206,14 @@ contains
       case (in_parts)
         call schedule(self%calendar, self%flight, i, flight%time - flight%through)
       case (in_gate)
-        call hold(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
+        call enter(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
       case default
         continue
       end select
     end associate
   end subroutine write_down
 
-  !> Visits of a batch: from the urn's entrance to its exit, into flights.
+  !> Visits of a batch: from the urn's entrance to its exit, and how their particles go on.
   subroutine finish_visits(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
@@ -218,22 +221,22 @@ contains
     associate (v => self%visits(b))
       call cross(self%table%urn(b), v)
       self%known_hits = self%known_hits + v%all_hits
+      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
+        v%y, v%along, v%across, v%through)
     end associate
-    call go_on(self, b)
+    call count_parts(self, b)
   end subroutine finish_visits
 
-  !> Writes down how the particles of a batch go on.
-  subroutine go_on(self, b)
+  !> Visits of a batch may be known in part only.
+  subroutine count_parts(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
-        v%y, v%along, v%across, v%through)
       if (self%table%urn(b)%hands_on) self%parts = self%parts &
         + count(v%channel(:v%count) == goes_on)
     end associate
-  end subroutine go_on
+  end subroutine count_parts
 
   !> One window of at most the time `duration`: its events, then the visits that they begin.
   subroutine live(self, duration, history)
@@ -245,8 +248,7 @@ contains
 
     began = self%now
     limit = min(self%now + duration, self%page)
-    call next_due(self%calendar, self%flight, min(limit, self%gate(1)%counted%next, &
-      self%gate(2)%counted%next), due)
+    call next_due(self%calendar, self%flight, min(limit, first_crossing(self%gate)), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
     call open_until(self%calendar, self%flight, ends)
     due_now = due_before(self%calendar%sorted, self%calendar%due_time, ends)
@@ -255,20 +257,19 @@ contains
     if (self%parts > 0 .or. self%scattered) call set_apart(self%number, self%flight, &
       self%calendar%due_time, self%calendar%particle, done, self%others, self%other_time, &
       self%other)
-    counted = [self%gate(1)%counted%count, self%gate(2)%counted%count]
+    counted = number_inside(self%gate)
     call reserve_visits(self%visits(1), done + sum(counted))
     call reserve_history(history, done + sum(counted), 0)
     if (done <= few) then
-      call walk_few(self%gate, self%table%beyond, self%number, self%flight, done, &
-        self%calendar%due_time, self%calendar%particle, began, ends, self%visits(1), history, &
-        self%known_hits)
+      call walk_few(self%gate, self%table%beyond, self%flight, self%calendar, done, began, ends, &
+        self%visits(1), history, self%known_hits)
     else
       call reserve_window(self%events, done, counted)
       call walk(self, began, ends, done, history)
     end if
     call drop_done(self%calendar, due_now)
     if (self%scattered) then
-      call go_among(self, began, ends, history)
+      call go_scattered(self, began, ends, history)
     else
       if (self%others > 0) call go_on_with_parts(self)
       call go_straight(self)
@@ -290,7 +291,7 @@ contains
         if (self%looks_ahead .and. self%parts == 0) then
           call recall(self%table%urn(1), self%number, self%flight, self%calendar%sorted, &
             self%calendar%particle, v, self%visits(2), self%known_hits)
-          call go_on(self, b)
+          call count_parts(self, b)
         else
           if (self%looks_ahead) self%visits(2)%count = 0
           call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
@@ -324,7 +325,7 @@ contains
 
     call turn_calendar(self%calendar, self%flight)
     if (self%looks_ahead) self%visits(2)%count = 0
-    if (self%scattered) self%among%leg%time = self%among%leg%time - self%page
+    if (self%scattered) self%sides%begun%time = self%sides%begun%time - self%page
     self%flight%time = self%flight%time - self%page
     call turn_clock(self)
   end subroutine turn_page
@@ -355,7 +356,7 @@ contains
         from_gate(urn) = crossed - crossed_before
         if (self%table%beyond(urn) == urn) self%known_hits = self%known_hits + from_gate(urn)
       end do
-      call line_up(w, self%number, from_gate(1), from_gate(2))
+      call line_up(w, from_gate(1), from_gate(2))
       if (history%logging) then
         call write_log(w, self%number, self%flight, began, events, due, particle, history)
       else
@@ -363,22 +364,22 @@ contains
         history%bounce_backs = v%count
         call record_crossings(w, self%number, self%flight, began, history)
       end if
-      call send(self, w%crossings, w%crosser)
+      call send(self, w%crossings, w%ticket)
     end associate
   end subroutine walk
 
   !> Puts those who have crossed a line into the batch: they go straight to the urn beyond.
-  pure subroutine send(self, crossings, crosser)
+  pure subroutine send(self, crossings, ticket)
     class(excursion_type), intent(inout) :: self
     integer, intent(in) :: crossings
     !> As in `window_type`.
-    integer, intent(in) :: crosser(crossings)
+    integer, intent(in) :: ticket(crossings)
     integer :: k, count, particle, from, channel
 
     associate (v => self%visits(1))
       count = v%count
       do k = 1, crossings
-        call line_of(self%number, self%flight, crosser(k), particle, from, channel)
+        call read_ticket(self%number, self%flight, ticket(k), particle, from, channel)
         v%particle(count + k) = particle
         v%urn(count + k) = self%table%beyond(from)
         v%channel(count + k) = channel

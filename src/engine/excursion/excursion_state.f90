@@ -1,7 +1,7 @@
 !> What the engine `excursion` tells of itself, and how its state is kept.
 submodule (battery_excursion) battery_excursion_state
-  use battery_among, only: replay, pass_legs
-  use battery_flight, only: locate
+  use battery_scattered_sides, only: replay, pass_begun
+  use battery_flight, only: locate, locate_parked
   use battery_scatterers, only: comes_back
   implicit none (type, external)
 
@@ -22,15 +22,16 @@ contains
     integer(int64), intent(out) :: hits
 
     associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
-      if (self%scattered .and. flight%heading /= in_gate .and. flight%heading /= parked_in_channel &
+      if (flight%heading == parked_in_channel) then
+        call locate_parked(urn, flight, self%parked_x(i), self%now, state, hits)
+      else if (self%scattered .and. flight%heading /= in_gate &
         .and. (flight%heading /= to_gate .or. self%now < flight%time)) then
-        call replay(self%table, self%among%leg(i), int(flight%urn), self%now, state, hits)
-        return
+        call replay(self%table, self%sides%begun(i), self%now, state, hits)
+      else
+        call locate(urn, flight, self%now, state(:2), state(3:), hits)
+        state(1) = urn%way*(state(1) - urn%centre)
+        state(3) = urn%way*state(3)
       end if
-      call locate(urn, flight, self%now, state(:2), state(3:), hits)
-      if (flight%heading == parked_in_channel) return
-      state(1) = urn%way*(state(1) - urn%centre)
-      state(3) = urn%way*state(3)
     end associate
   end subroutine locate_now
 
@@ -79,7 +80,11 @@ contains
     call stream%pass('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
     call stream%pass('along', self%flight%along, 'across', self%flight%across, &
       'length', self%flight%length, 'through', self%flight%through)
-    if (self%scattered) call pass_legs(self%among, stream)
+    if (any(self%flight%heading == parked_in_channel)) then
+      if (.not. allocated(self%parked_x)) allocate (self%parked_x(self%number))
+      call stream%pass('parked_x', self%parked_x)
+    end if
+    if (self%scattered) call pass_begun(self%sides, self%flight%urn, stream)
     if (.not. stream%reading .or. stream%failed()) return
     self%parts = merge(0, count(self%flight%heading == in_parts), self%scattered)
     call new_calendar(self%calendar, self%number, self%interval)

@@ -3,8 +3,9 @@
 module battery_few
   use battery_kinds, only: wp, int64
   use battery_table, only: gated, ungated
-  use battery_gate, only: gate_type, enter, must_turn, first_to_cross, cross_first, turned_back
-  use battery_calendar, only: flight_type
+  use battery_gate, only: gate_type, enter, must_turn, first_to_cross, cross_first, turned_back, &
+    number_inside, who_is_inside, next_crossing, first_crossing
+  use battery_calendar, only: calendar_type, flight_type
   use battery_flight, only: middle_time, never, to_gate, in_gate
   use battery_visits, only: visits_type
   use battery_history, only: history_type, record_crossing, record_event, record_reversal, &
@@ -19,63 +20,62 @@ module battery_few
 contains
 
   !> All events before `ends`, and the crossings of the middle line; adds the visits they begin.
-  subroutine walk_few(gate, beyond, number, flight, events, due_time, particle, began, ends, &
-    visits, history, end_wall_hits)
+  subroutine walk_few(gate, beyond, flight, calendar, events, began, ends, visits, history, &
+    end_wall_hits)
     type(gate_type), intent(inout) :: gate(2)
     !> Where one is that has crossed a line from each side.
     integer, intent(in) :: beyond(2)
-    !> How many particles and events there are.
-    integer, intent(in) :: number, events
-    type(flight_type), intent(inout) :: flight(number)
-    !> Events in the order of time: when each is due,
-    real(wp), intent(in) :: due_time(events)
-    !> and whose it is.
-    integer, intent(in) :: particle(events)
+    type(flight_type), intent(inout) :: flight(:)
+    type(calendar_type), intent(in) :: calendar
+    !> So many of its sorted events.
+    integer, intent(in) :: events
     !> The window.
     real(wp), intent(in) :: began, ends
     type(visits_type), intent(inout) :: visits
     type(history_type), intent(inout) :: history
     !> Grows by the hits of the end wall of a single urn.
     integer(int64), intent(inout) :: end_wall_hits
+    real(wp) :: now
     integer :: at, i, urn
 
     do at = 1, events
-      i = particle(at)
-      do while (min(gate(1)%counted%next, gate(2)%counted%next) <= due_time(at))
+      i = calendar%particle(at)
+      now = calendar%due_time(at)
+      do while (first_crossing(gate) <= now)
         call cross_middle(gate, beyond, began, visits, history, end_wall_hits)
       end do
       urn = flight(i)%urn
       if (flight(i)%heading == to_gate) then
         flight(i)%heading = in_gate
-        call enter(gate(urn), middle_time(due_time(at), flight(i)%through), i)
-        if (history%logging) call record_event(history, due_time(at) - began, event_entry, urn, i)
+        call enter(gate(urn), middle_time(now, flight(i)%through), i)
+        if (history%logging) call record_event(history, now - began, event_entry, urn, i)
         if (must_turn(gate(urn))) then
-          if (.not. more_enter_now(events, due_time, particle, number, flight, at)) &
-            call reverse(gate(urn), urn, due_time(at), began, visits, history)
+          if (.not. more_enter_now(events, calendar, flight, at)) &
+            call reverse(gate(urn), urn, now, began, visits, history)
         end if
       else
-        call record_crossing(history, due_time(at) - began, crossing_of(urn, ungated), i)
+        call record_crossing(history, now - began, crossing_of(urn, ungated), i)
         call send(visits, i, beyond(urn), ungated)
       end if
     end do
-    do while (min(gate(1)%counted%next, gate(2)%counted%next) < ends)
+    do while (first_crossing(gate) < ends)
       call cross_middle(gate, beyond, began, visits, history, end_wall_hits)
     end do
   end subroutine walk_few
 
   !> Whether another particle enters the same gate at the very same time as the event `at`.
-  pure function more_enter_now(events, due_time, particle, number, flight, at) result(more)
-    integer, intent(in) :: events, particle(events), number, at
-    real(wp), intent(in) :: due_time(events)
-    type(flight_type), intent(in) :: flight(number)
+  pure function more_enter_now(events, calendar, flight, at) result(more)
+    integer, intent(in) :: events, at
+    type(calendar_type), intent(in) :: calendar
+    type(flight_type), intent(in) :: flight(:)
     logical :: more
     integer :: other, i
 
     more = .false.
     do other = at + 1, events
-      if (due_time(other) > due_time(at)) exit
-      i = particle(other)
-      more = flight(i)%heading == to_gate .and. flight(i)%urn == flight(particle(at))%urn
+      if (calendar%due_time(other) > calendar%due_time(at)) exit
+      i = calendar%particle(other)
+      more = flight(i)%heading == to_gate .and. flight(i)%urn == flight(calendar%particle(at))%urn
       if (more) exit
     end do
   end function more_enter_now
@@ -89,9 +89,9 @@ contains
     type(history_type), intent(inout) :: history
     integer :: k
 
-    call record_reversal(history, time - began, urn, gate%counted%count)
-    do k = 1, gate%counted%count
-      call send(visits, gate%counted%who(k), urn, gated)
+    call record_reversal(history, time - began, urn, number_inside(gate))
+    do k = 1, number_inside(gate)
+      call send(visits, who_is_inside(gate, k), urn, gated)
       visits%turned(visits%count) = time
     end do
     call turned_back(gate)
@@ -109,7 +109,7 @@ contains
     integer :: urn, i
 
     urn = first_to_cross(gate)
-    time = gate(urn)%counted%next
+    time = next_crossing(gate(urn))
     call cross_first(gate(urn), i)
     call record_crossing(history, time - began, crossing_of(urn, gated), i)
     if (beyond(urn) == urn) end_wall_hits = end_wall_hits + 1

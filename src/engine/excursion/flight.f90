@@ -5,17 +5,18 @@
 module battery_flight
   use battery_kinds, only: wp, int16, int64
   use battery_calendar, only: flight_type
-  use battery_channel, only: fold, gated, ungated, facing
-  use battery_urn, only: urn_type, place_before, place_for_ever
+  use battery_channel, only: fold, gated, ungated, no_channel, facing
+  use battery_urn, only: urn_type, place_in_visit
   use battery_visits, only: goes_on
   implicit none (type, external)
   private
-  public :: gather, land, locate, middle_time, never
+  public :: gather, land, locate, locate_parked, middle_time, never
   public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel, in_parts
 
   !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
   !> flight holds time and angle of an impact, cosine and sine of the incidence.
-  !> `parked_in_channel`: time, y, x, u_y. `in_parts`: as `parked_in_urn`, but for a while only.
+  !> `parked_in_channel`: time, y and u_y; x is kept elsewhere. `in_parts`: as `parked_in_urn`, but
+  !> for a while only.
   integer(int16), parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
     parked_in_channel = 5, in_parts = 6
 
@@ -100,8 +101,8 @@ contains
     end do
   end subroutine land
 
-  !> Where a particle is now, in the local frame of its urn (`parked_in_channel`: of the table), and
-  !> by how many wall hits `known_hits` is short for it (negative: so many are still to come).
+  !> Where a particle is now that is not parked in a channel, in the local frame of its urn, and by
+  !> how many wall hits `known_hits` is short for it (negative: so many are still to come).
   pure subroutine locate(urn, flight, now, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
@@ -115,52 +116,32 @@ contains
     integer :: channel
 
     elapsed = now - flight%time
-    select case (flight%heading)
-    case (parked_in_channel)
-      channel = merge(gated, ungated, abs(flight%along) <= 0.5_wp*urn%length(gated))
-      call fold(flight%y + flight%across*elapsed, urn%width(channel), position(2), turned, &
-        passed)
-      position(1) = flight%along
-      velocity = [0.0_wp, turned*flight%across]
+    channel = merge(ungated, gated, flight%heading == to_return)
+    if (any(flight%heading == [parked_in_urn, in_parts])) channel = no_channel
+    if (channel /= no_channel .and. elapsed >= 0.0_wp) then
+      call fold(flight%y + flight%across*elapsed, urn%width(channel), position(2), turned, passed)
+      position(1) = facing(channel)*(urn%chord(channel) + flight%along*elapsed)
+      velocity = [facing(channel)*flight%along, turned*flight%across]
       hits = int(passed, int64)
-    case (parked_in_urn)
-      call place_for_ever(urn, elapsed, flight%y, flight%along, flight%across, position, &
+    else
+      if (flight%heading /= parked_in_urn) elapsed = -min(flight%time - now, flight%length)
+      call place_in_visit(urn, channel, flight%y, flight%along, flight%across, elapsed, position, &
         velocity, hits)
-    case default
-      channel = merge(ungated, gated, flight%heading == to_return)
-      if (elapsed >= 0.0_wp .and. flight%heading /= in_parts) then
-        call fold(flight%y + flight%across*elapsed, urn%width(channel), position(2), turned, &
-          passed)
-        position(1) = facing(channel)*(urn%chord(channel) + flight%along*elapsed)
-        velocity = [facing(channel)*flight%along, turned*flight%across]
-        hits = int(passed, int64)
-      else
-        call locate_before(urn, flight, now, channel, position, velocity, hits)
-      end if
-    end select
+      if (flight%heading /= parked_in_urn) call go_back_to_channel(urn, flight%time - now &
+        - flight%length, position, velocity, hits)
+    end if
   end subroutine locate
 
-  !> The same for a particle that has not yet left its urn, or is still in the channel before it.
-  pure subroutine locate_before(urn, flight, now, channel, position, velocity, hits)
+  !> From where a visit began back into the channel before it, if it is to begin only after the time
+  !> `before`.
+  pure subroutine go_back_to_channel(urn, before, position, velocity, hits)
     type(urn_type), intent(in) :: urn
-    type(flight_type), intent(in) :: flight
-    real(wp), intent(in) :: now
-    !> That which it goes to, if that is known.
-    integer, intent(in) :: channel
-    real(wp), intent(out) :: position(2), velocity(2)
-    integer(int64), intent(out) :: hits
-    real(wp) :: before, turned, passed, height
+    real(wp), intent(in) :: before
+    real(wp), intent(inout) :: position(2), velocity(2)
+    integer(int64), intent(inout) :: hits
+    real(wp) :: turned, passed, height
     integer :: from
 
-    if (flight%heading == in_parts) then
-      call place_for_ever(urn, -min(flight%time - now, flight%length), flight%y, flight%along, &
-        flight%across, position, velocity, hits)
-    else
-      call place_before(urn, channel, flight%y, flight%along, flight%across, &
-        min(flight%time - now, flight%length), position, velocity, hits)
-      hits = -hits
-    end if
-    before = flight%time - now - flight%length
     if (before <= 0.0_wp) return
     from = merge(gated, ungated, position(1) > 0.0_wp)
     call fold(position(2) - velocity(2)*before, urn%width(from), height, turned, passed)
@@ -170,6 +151,26 @@ contains
     position(2) = height
     velocity(2) = turned*velocity(2)
     hits = hits - int(passed, int64)
-  end subroutine locate_before
+  end subroutine go_back_to_channel
+
+  !> The same for one that is parked in a channel, in the frame of the table.
+  pure subroutine locate_parked(urn, flight, x, now, state, hits)
+    type(urn_type), intent(in) :: urn
+    type(flight_type), intent(in) :: flight
+    !> Where it is along the channel; the time, on the clock of the flight.
+    real(wp), intent(in) :: x, now
+    !> x, y, u_x, u_y.
+    real(wp), intent(out) :: state(4)
+    !> Since it was parked.
+    integer(int64), intent(out) :: hits
+    real(wp) :: height, turned, passed
+    integer :: channel
+
+    channel = merge(gated, ungated, abs(x) <= 0.5_wp*urn%length(gated))
+    call fold(flight%y + flight%across*(now - flight%time), urn%width(channel), height, turned, &
+      passed)
+    state = [x, height, 0.0_wp, turned*flight%across]
+    hits = int(passed, int64)
+  end subroutine locate_parked
 
 end module battery_flight

@@ -48,7 +48,7 @@ contains
     if (passage%endless) then
       flight%heading = parked_in_channel
       flight%y = y
-      flight%along = x
+      flight%along = abs(ux)
       flight%across = uy
     else if (passage%inward) then
       flight%heading = merge(in_gate, to_return, passage%channel == gated)

@@ -7,8 +7,8 @@ module battery_parts
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type
   use battery_flight, only: in_parts, land
-  use battery_urn, only: urn_type, cross, place_for_ever
-  use battery_visits, only: visits_type, reserve_visits
+  use battery_urn, only: urn_type, cross, place_in_visit
+  use battery_visits, only: visits_type, reserve_visits, goes_on
   implicit none (type, external)
   private
   public :: set_apart, compute_parts
@@ -65,8 +65,8 @@ contains
         if (flown%urn /= side) cycle
         j = visits%count + 1
         visits%count = j
-        call place_for_ever(urn, 0.0_wp, flown%y, flown%along, flown%across, position, velocity, &
-          hits)
+        call place_in_visit(urn, int(goes_on), flown%y, flown%along, flown%across, 0.0_wp, &
+          position, velocity, hits)
         visits%particle(j) = other(k)
         visits%urn(j) = side
         visits%time(j) = other_time(k)

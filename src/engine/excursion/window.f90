@@ -10,11 +10,14 @@ module battery_window
     crossing_of, event_entry
   implicit none (type, external)
   private
-  public :: window_type, reserve_window, deal, line_up, line_of, record_crossings, &
+  public :: window_type, reserve_window, deal, line_up, read_ticket, record_crossings, &
     write_log
 
   !> Where events are dealt out to: the gates of urn 1 and 2, and the periodic line.
   integer, parameter, public :: periodic_line = 3
+
+  !> Bits of a ticket that tell who crosses: more than 2e8 particles cannot be asked for.
+  integer, parameter :: particle_bits = 28
 
   !> What happens in a window, dealt out.
   type :: window_type
@@ -25,11 +28,11 @@ module battery_window
     integer, allocatable :: particle(:, :)
     !> What the entries into each gate led to.
     type(stretch_type) :: stretch(2)
-    !> Crossings of all lines: when, and who; after `line_up` in order, and the number of all
-    !> particles is added once for gate 2 and twice for the periodic line.
+    !> Crossings of all lines: when, and who, as the gates tell; `line_up` gives each a ticket, and
+    !> puts time and ticket in order.
     integer :: crossings = 0
     real(wp), allocatable :: crossing_time(:)
-    integer, allocatable :: crosser(:)
+    integer, allocatable :: crosser(:), ticket(:)
   end type window_type
 
 contains
@@ -50,11 +53,12 @@ contains
     room = events + sum(counted)
     if (allocated(window%crosser)) then
       if (size(window%crosser) >= room) return
-      deallocate (window%due, window%middle, window%particle, window%crossing_time, window%crosser)
+      deallocate (window%due, window%middle, window%particle, window%crossing_time, &
+        window%crosser, window%ticket)
     end if
     room = max(64, 2*room)
     allocate (window%due(room, 3), window%middle(room, 3), window%particle(room, 3), &
-      window%crossing_time(room), window%crosser(room))
+      window%crossing_time(room), window%crosser(room), window%ticket(room))
   end subroutine reserve_window
 
   !> Deals out the events that are due: those who enter a gate are inside from now on. Without
@@ -95,38 +99,59 @@ contains
 
   !> Puts the crossings of all lines into order: by time, at one time those of gate 1, of gate 2, of
   !> the periodic line, then by number. The first are those who crossed from the gates.
-  pure subroutine line_up(window, number, from_gate1, from_gate2)
+  pure subroutine line_up(window, from_gate1, from_gate2)
     type(window_type), intent(inout) :: window
-    !> How many particles there are; how many crossed from each gate.
-    integer, intent(in) :: number, from_gate1, from_gate2
+    !> How many crossed from each gate.
+    integer, intent(in) :: from_gate1, from_gate2
     integer :: crossed, returned
 
     crossed = from_gate1 + from_gate2
     returned = window%dealt(periodic_line)
-    window%crosser(from_gate1 + 1:crossed) = window%crosser(from_gate1 + 1:crossed) + number
-    window%crossing_time(crossed + 1:crossed + returned) = window%due(:returned, periodic_line)
-    window%crosser(crossed + 1:crossed + returned) = 2*number &
-      + window%particle(:returned, periodic_line)
-    window%crossings = crossed + returned
-    call put_in_order(window%crossings, window%crossing_time, window%crosser)
+    associate (last => crossed + returned)
+      window%ticket(:from_gate1) = ticket_of(1, window%crosser(:from_gate1))
+      window%ticket(from_gate1 + 1:crossed) = ticket_of(2, window%crosser(from_gate1 + 1:crossed))
+      window%ticket(crossed + 1:last) = ticket_of(periodic_line, &
+        window%particle(:returned, periodic_line))
+      window%crossing_time(crossed + 1:last) = window%due(:returned, periodic_line)
+      window%crossings = last
+    end associate
+    call put_in_order(window%crossings, window%crossing_time, window%ticket)
   end subroutine line_up
 
+  !> A crossing in one number, which is read without a branch: nobody can guess which line is next.
+  !> At one time the lesser number comes first.
+  elemental function ticket_of(line, particle) result(ticket)
+    !> Gate 1 or 2, or `periodic_line`; who crosses.
+    integer, intent(in) :: line, particle
+    integer :: ticket
+
+    ticket = shiftl(line - 1, particle_bits) + particle
+  end function ticket_of
+
+  !> The other way round: the line of a ticket.
+  elemental function line_of(ticket) result(line)
+    !> As `ticket_of` gives it.
+    integer, intent(in) :: ticket
+    integer :: line
+
+    line = 1 + shiftr(ticket, particle_bits)
+  end function line_of
+
   !> Who crosses which line, from which side.
-  pure subroutine line_of(number, flight, crosser, particle, urn, channel)
+  pure subroutine read_ticket(number, flight, ticket, particle, urn, channel)
     !> Of all particles.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
     !> As in `window_type`.
-    integer, intent(in) :: crosser
+    integer, intent(in) :: ticket
     !> Who; the urn it comes from, and the channel.
     integer, intent(out) :: particle, urn, channel
-    integer :: line
 
-    line = 1 + merge(1, 0, crosser > number) + merge(1, 0, crosser > 2*number)
-    particle = crosser - (line - 1)*number
-    channel = merge(ungated, gated, line == periodic_line)
-    urn = merge(int(flight(particle)%urn), line, line == periodic_line)
-  end subroutine line_of
+    particle = ibits(ticket, 0, particle_bits)
+    channel = merge(ungated, gated, line_of(ticket) == periodic_line)
+    ! Whoever has crossed from a gate is told to be in its urn until it is sent on.
+    urn = flight(particle)%urn
+  end subroutine read_ticket
 
   !> Tells a history of the crossings; there is room for them.
   pure subroutine record_crossings(window, number, flight, began, history)
@@ -140,7 +165,7 @@ contains
     integer :: k, particle, from, channel
 
     do k = 1, window%crossings
-      call line_of(number, flight, window%crosser(k), particle, from, channel)
+      call read_ticket(number, flight, window%ticket(k), particle, from, channel)
       history%crossing_time(k) = window%crossing_time(k) - began
       history%crossing(k) = int(crossing_of(from, channel), int8)
     end do
@@ -169,7 +194,8 @@ contains
       ! Of the same instant, crossings of the middle line come first.
       do while (next <= window%crossings)
         if (window%crossing_time(next) > due_time(k)) exit
-        if (window%crossing_time(next) >= due_time(k) .and. window%crosser(next) > 2*number) exit
+        if (window%crossing_time(next) >= due_time(k) .and. line_of(window%ticket(next)) &
+          == periodic_line) exit
         call tell_crossing()
       end do
       if (flight(who(k))%heading /= in_gate) then
@@ -195,7 +221,7 @@ contains
     subroutine tell_crossing()
       integer :: particle, from, channel
 
-      call line_of(number, flight, window%crosser(next), particle, from, channel)
+      call read_ticket(number, flight, window%ticket(next), particle, from, channel)
       call record_crossing(history, window%crossing_time(next) - began, &
         crossing_of(from, channel), particle)
       next = next + 1

@@ -15,19 +15,20 @@
 !> Ticks belong to the order of events and to the seed alone, not to the windows.
 !>
 !> **What is not there.** There are no walls in an urn. `collisions` takes the mean for them,
-!> (walls)/(pi A) hits per time spent in an urn, and the true hits in the channels: so a
-!> run of so many collisions is about as long as that of another engine. Nobody has a place in an
-!> urn: `particles` draws one, uniform in the urn, from the seed, the time and the particle's
-!> number; it is another one at each time.
+!> (walls)/(pi A) hits per time spent in an urn, and the true hits in the channels: so a run of so
+!> many collisions is about as long as that of another engine. Nobody has a place in an urn:
+!> `particles` draws one, from the seed, the time and the particle's number.
 module battery_reservoir
   use battery_kinds, only: wp, int32, int64, pi
   use battery_powers, only: power_above
   use battery_table, only: table_type, gated, ungated, alike, mean_visit, is_scattered
   use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, &
-    passed_walls, from_gate, from_return, in_gate, to_return, parked
+    hits_to_come, whereabouts, where_parked, look_outside, pass_stays, pass_draws, &
+    is_parked, from_gate, from_return, in_gate, to_return
   use battery_random, only: new_random
-  use battery_queue, only: queue_type, empty_queue, push, pop, shift_queue
-  use battery_gate, only: hold, enter, must_turn, first_to_cross, cross_first, turned_back
+  use battery_queue, only: queue_type, empty_queue, push, pop, shift_queue, pass_queue
+  use battery_gate, only: enter, must_turn, first_to_cross, cross_first, turned_back, &
+    number_inside, who_is_inside, next_crossing, first_crossing
   use battery_engine, only: engine_type, particles_type, turn_clock, what_all_need
   use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry
@@ -36,11 +37,8 @@ module battery_reservoir
   private
   public :: reservoir_type
 
-  !> About so many events make a window.
-  real(wp), parameter :: window_events = 100.0_wp
-
-  !> And no more ticks than this.
-  real(wp), parameter :: window_ticks = 1.0e6_wp
+  !> About so many events make a window, and no more ticks than this.
+  real(wp), parameter :: window_events = 100.0_wp, window_ticks = 1.0e6_wp
 
   !> The engine: a stay for each particle, and those that tick.
   type, extends(engine_type) :: reservoir_type
@@ -49,6 +47,8 @@ module battery_reservoir
     !> When each enters its urn, if it is not on its way into a channel. Apart from the rest, since
     !> each tick asks for it, of anybody.
     real(wp), allocatable :: entered(:)
+    !> Where each is along x in the frame of the table, if any is parked: it stays there.
+    real(wp), allocatable :: parked_x(:)
     !> Those that tick: `member(:members)`.
     integer :: members = 0
     integer(int32), allocatable :: member(:)
@@ -76,34 +76,6 @@ module battery_reservoir
     procedure :: trapped
   end type reservoir_type
 
-  ! What it tells of itself, and how its state is kept: `reservoir_state.f90`.
-  interface
-    module function state_of(self, i) result(state)
-      implicit none (type, external)
-      class(reservoir_type), intent(in) :: self
-      integer, intent(in) :: i
-      real(wp) :: state(4)
-    end function state_of
-
-    module function collisions(self) result(total)
-      implicit none (type, external)
-      class(reservoir_type), intent(in) :: self
-      integer(int64) :: total
-    end function collisions
-
-    module function trapped(self) result(total)
-      implicit none (type, external)
-      class(reservoir_type), intent(in) :: self
-      integer(int64) :: total
-    end function trapped
-
-    module subroutine pass_own(self, stream)
-      implicit none (type, external)
-      class(reservoir_type), intent(inout) :: self
-      type(stream_type), intent(inout) :: stream
-    end subroutine pass_own
-  end interface
-
 contains
 
   !> A channel where particles are scattered has no fixed way through.
@@ -120,11 +92,8 @@ contains
   subroutine prepare(self)
     class(reservoir_type), intent(inout) :: self
     real(wp) :: stay(2), interval
-    integer :: side
 
-    do side = 1, 2
-      stay(side) = mean_visit(self%table%urn(side))
-    end do
+    stay = [mean_visit(self%table%urn(1)), mean_visit(self%table%urn(2))]
     self%urn_rate = self%table%urn%perimeter/(pi*self%table%urn%area)
     self%uneven = .not. alike(self%table%urn)
     self%mean_stay = minval(stay)
@@ -142,8 +111,7 @@ contains
     call empty_queue(self%returning)
     self%members = 0
     self%next_tick = huge(1.0_wp)
-    self%draws%next_tick = block_length + 1
-    self%draws%next_exit = block_length + 1
+    self%draws = draws_type()
     self%known_hits = 0
     self%told_hits = 0
     self%fraction = 0.0_wp
@@ -162,33 +130,23 @@ contains
       associate (stay => self%stay(i))
         select case (stay%heading)
         case (in_gate)
-          call hold(self%gate(stay%urn), stay%time + self%half(gated)/stay%along, i)
-          self%known_hits = self%known_hits + hits_to_come(self, stay)
+          call enter(self%gate(stay%urn), stay%time + self%half(gated)/stay%along, i)
         case (to_return)
           call push(self%returning, stay%time + self%half(ungated)/stay%along, i)
-          self%known_hits = self%known_hits + hits_to_come(self, stay)
         case (from_gate, from_return)
           call join(self, i)
-          self%known_hits = self%known_hits + int(stay%hits, int64)
         case default
           continue
         end select
+        self%known_hits = self%known_hits + hits_to_come(self%table, stay)
         ! The time in the channel before the start is no time of this run.
-        if (stay%heading /= parked) self%fraction = self%fraction - self%hit_rate*stay%time
+        if (.not. is_parked(stay)) self%fraction = self%fraction - self%hit_rate*stay%time
       end associate
     end do
-    self%moving = self%number - count(self%stay%heading == parked)
+    self%moving = self%number - count(is_parked(self%stay))
+    if (self%moving < self%number) self%parked_x = particles%x
     call wind_up(self, 0.0_wp)
   end subroutine take_over
-
-  !> Wall hits of the passage of a particle after the start.
-  pure function hits_to_come(self, stay) result(hits)
-    type(reservoir_type), intent(in) :: self
-    type(stay_type), intent(in) :: stay
-    integer(int64) :: hits
-
-    hits = int(stay%hits, int64) - passed_walls(self%table, stay, -stay%time)
-  end function hits_to_come
 
   !> One window of at most the time `duration`; hits of urns are their mean.
   subroutine live(self, duration, history)
@@ -233,7 +191,7 @@ contains
     logical :: leaves
 
     do
-      crossing = min(self%gate(1)%counted%next, self%gate(2)%counted%next, self%returning%next)
+      crossing = min(first_crossing(self%gate), self%returning%next)
       time = self%next_tick
       if (crossing <= time) then
         if (crossing >= ends) exit
@@ -334,19 +292,17 @@ contains
     integer :: place, i
 
     per_width = 1.0_wp/self%table%channel(gated)%width
-    associate (counted => self%gate(urn)%counted)
-      call record_reversal(history, time - began, urn, counted%count)
-      do place = 1, counted%count
-        i = counted%who(place)
-        hits = aint(abs(self%stay(i)%y + self%stay(i)%across*(2.0_wp*(time - self%stay(i)%time))) &
-          *per_width + 0.5_wp)
-        self%fraction = self%fraction + (hits - self%stay(i)%hits)
-        self%stay(i)%hits = hits
-        self%entered(i) = 2.0_wp*time - self%stay(i)%time
-        self%stay(i)%heading = from_gate
-        call join(self, i)
-      end do
-    end associate
+    call record_reversal(history, time - began, urn, number_inside(self%gate(urn)))
+    do place = 1, number_inside(self%gate(urn))
+      i = who_is_inside(self%gate(urn), place)
+      hits = aint(abs(self%stay(i)%y + self%stay(i)%across*(2.0_wp*(time - self%stay(i)%time))) &
+        *per_width + 0.5_wp)
+      self%fraction = self%fraction + (hits - self%stay(i)%hits)
+      self%stay(i)%hits = hits
+      self%entered(i) = 2.0_wp*time - self%stay(i)%time
+      self%stay(i)%heading = from_gate
+      call join(self, i)
+    end do
     call turned_back(self%gate(urn))
   end subroutine reverse
 
@@ -359,7 +315,7 @@ contains
     integer :: i, urn, channel
 
     urn = first_to_cross(self%gate)
-    channel = merge(gated, ungated, self%gate(urn)%counted%next <= time)
+    channel = merge(gated, ungated, next_crossing(self%gate(urn)) <= time)
     if (channel == gated) then
       call cross_first(self%gate(urn), i)
     else
@@ -381,5 +337,64 @@ contains
         /real(self%members, wp))
     end if
   end subroutine cross_line
+
+  !> Where particle `i` is now; in an urn a place is drawn.
+  function state_of(self, i) result(state)
+    class(reservoir_type), intent(in) :: self
+    integer, intent(in) :: i
+    real(wp) :: state(4)
+    integer(int64) :: key
+
+    key = self%seed + ishft(self%pages, 20) + int(self%now/self%page*2.0_wp**61, int64)
+    if (is_parked(self%stay(i))) then
+      state = where_parked(self%table, self%stay(i), self%parked_x(i), self%now)
+    else
+      state = whereabouts(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
+    end if
+  end function state_of
+
+  !> Wall hits from the start until now: those known, put right for where each particle is.
+  function collisions(self) result(total)
+    class(reservoir_type), intent(in) :: self
+    integer(int64) :: total
+    integer(int64) :: passed
+    real(wp) :: outside
+
+    call look_outside(self%table, self%stay, self%entered, self%now, self%urn_rate/self%hit_rate, &
+      outside, passed)
+    total = self%known_hits + passed
+    total = max(total + floor(self%fraction - self%hit_rate*outside + 0.5_wp, int64), 0_int64)
+    total = min(total, self%known_hits + merge(huge(total) - self%known_hits, 0_int64, &
+      self%moving < self%number))
+  end function collisions
+
+  !> How many are parked.
+  function trapped(self) result(total)
+    class(reservoir_type), intent(in) :: self
+    integer(int64) :: total
+
+    total = self%number - self%moving
+  end function trapped
+
+  !> The stays, those that tick, the numbers drawn ahead and the counts, through a stream.
+  subroutine pass_own(self, stream)
+    class(reservoir_type), intent(inout) :: self
+    type(stream_type), intent(inout) :: stream
+
+    call pass_stays(self%stay, self%entered, stream)
+    call stream%pass('members', self%members)
+    call stream%pass('member', self%member(:self%members))
+    call stream%pass('next_tick', self%next_tick)
+    call pass_queue(self%returning, stream)
+    call pass_draws(self%draws, stream)
+    call stream%pass('known_hits', self%known_hits)
+    call stream%pass('told_hits', self%told_hits)
+    call stream%pass('fraction', self%fraction)
+    call stream%pass('moving', self%moving)
+    if (self%moving < self%number) then
+      if (.not. allocated(self%parked_x)) allocate (self%parked_x(self%number))
+      call stream%pass('parked_x', self%parked_x)
+    end if
+  end subroutine pass_own
 
 end module battery_reservoir

@@ -9,20 +9,21 @@ module battery_stay
   implicit none (type, external)
   private
   public :: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, whereabouts, &
-    passed_walls, pass_draws
-  public :: from_gate, from_return, in_gate, to_return, parked
+    where_parked, is_parked, hits_to_come, look_outside, pass_stays, pass_draws
+  public :: from_gate, from_return, in_gate, to_return
 
   !> Random numbers are drawn so many at a time.
   integer, parameter :: block_length = 512
 
   !> In an urn, or on the way into it from channel 1 or 2; counted in a gate; on the way to the
-  !> periodic line; flying to and fro across a channel for ever.
-  integer, parameter :: from_gate = 1, from_return = 2, in_gate = 3, to_return = 4, parked = 5
+  !> periodic line; flying to and fro across channel 1 or 2 for ever.
+  integer, parameter :: from_gate = 1, from_return = 2, in_gate = 3, to_return = 4, &
+    parked_in_gate = 5, parked_in_return = 6
 
   !> What is known of a particle, but for when it enters its urn.
   type :: stay_type
     !> When it entered the channel it is or was last in, at which height, with |u_x| and u_y.
-    !> `parked`: time, y, x, u_y.
+    !> Of one that is parked: since when and at which height it has been flying to and fro.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
     !> Wall hits of the whole way through the channel it is in.
     real(wp) :: hits = 0.0_wp
@@ -103,8 +104,7 @@ contains
     entered = 0.0_wp
     stay = stay_type(y=y, along=abs(ux), across=uy, urn=int(passage%side, int32))
     if (passage%endless) then
-      stay%heading = int(parked, int32)
-      stay%along = x
+      stay%heading = int(merge(parked_in_gate, parked_in_return, passage%channel == gated), int32)
     else if (passage%inward) then
       stay%time = passage%time
       stay%y = passage%height
@@ -135,14 +135,92 @@ contains
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     real(wp) :: width
-    logical :: in_channel1
 
-    in_channel1 = stay%heading == from_gate .or. stay%heading == in_gate
-    if (stay%heading == parked) in_channel1 = abs(stay%along) <= 0.5_wp*table%channel(gated)%length
-    width = table%channel(merge(gated, ungated, in_channel1))%width
+    width = table%channel(merge(gated, ungated, any(stay%heading == [from_gate, in_gate, &
+      parked_in_gate])))%width
   end function width_of
 
-  !> x, y, u_x, u_y of a particle. In an urn they are drawn, for this key and count alone.
+  !> Whether a particle flies to and fro across a channel for ever.
+  elemental function is_parked(stay)
+    type(stay_type), intent(in) :: stay
+    logical :: is_parked
+
+    is_parked = any(stay%heading == [parked_in_gate, parked_in_return])
+  end function is_parked
+
+  !> Wall hits of the passage of a particle after the time 0.
+  elemental function hits_to_come(table, stay) result(hits)
+    type(table_type), intent(in) :: table
+    type(stay_type), intent(in) :: stay
+    integer(int64) :: hits
+
+    hits = int(stay%hits, int64) - passed_walls(table, stay, -stay%time)
+  end function hits_to_come
+
+  !> What all have done but for being in an urn.
+  pure subroutine look_outside(table, stay, entered, now, rate, outside, passed)
+    type(table_type), intent(in) :: table
+    type(stay_type), intent(in) :: stay(:)
+    !> When each enters its urn, if it goes there or is there; the time now, on the same clock.
+    real(wp), intent(in) :: entered(:), now
+    !> Hits per time in each urn, that in the urn of more hits being 1.
+    real(wp), intent(in) :: rate(2)
+    !> How long all of them that are not parked have been in the channels since they entered those;
+    !> if the urns differ, the time is added that would have as many hits as are missed in one.
+    real(wp), intent(out) :: outside
+    !> Wall hits since then, less those of whole passages; of who is parked, all.
+    integer(int64), intent(out) :: passed
+    integer :: i
+
+    outside = 0.0_wp
+    passed = 0
+    do i = 1, size(stay)
+      associate (its => stay(i))
+        if (is_parked(its)) then
+          passed = passed + passed_walls(table, its, now - its%time)
+        else if (any(its%heading == [in_gate, to_return])) then
+          outside = outside + (now - its%time)
+          passed = passed + passed_walls(table, its, now - its%time) - int(its%hits, int64)
+        else
+          outside = outside + (min(entered(i), now) - its%time)
+          if (now < entered(i)) passed = passed + passed_walls(table, its, now - its%time) &
+            - int(its%hits, int64)
+        end if
+      end associate
+    end do
+    if (any(rate < 1.0_wp)) outside = outside + missed_time(stay, entered, now, rate)
+  end subroutine look_outside
+
+  !> The time in the urn of more hits that would have as many as are missed in the other.
+  pure function missed_time(stay, entered, now, rate) result(time)
+    type(stay_type), intent(in) :: stay(:)
+    real(wp), intent(in) :: entered(:), now, rate(2)
+    real(wp) :: time
+    integer :: i
+
+    time = 0.0_wp
+    do i = 1, size(stay)
+      if (all(stay(i)%heading /= [from_gate, from_return])) cycle
+      time = time + (1.0_wp - rate(stay(i)%urn))*max(now - entered(i), 0.0_wp)
+    end do
+  end function missed_time
+
+  !> x, y, u_x, u_y of one that is parked.
+  pure function where_parked(table, stay, x, now) result(place)
+    type(table_type), intent(in) :: table
+    type(stay_type), intent(in) :: stay
+    !> Where it is along the channel, in the frame of the table; the time now.
+    real(wp), intent(in) :: x, now
+    real(wp) :: place(4)
+    real(wp) :: turned, hits
+
+    ! The zero has the sign that it has always had.
+    place = [x, 0.0_wp, sign(0.0_wp, x), 0.0_wp]
+    call fold(stay%y + stay%across*(now - stay%time), width_of(table, stay), place(2), turned, hits)
+    place(4) = turned*stay%across
+  end function where_parked
+
+  !> x, y, u_x, u_y of one that is not parked. In an urn they are drawn, for this key and count.
   pure function whereabouts(table, stay, entered, now, key, count) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
@@ -157,9 +235,6 @@ contains
     gone = stay%along*(now - stay%time)
     left = stay%along*(entered - now)
     select case (stay%heading)
-    case (parked)
-      place = in_channel(stay%along, 0.0_wp)
-      return
     case (in_gate)
       place = in_channel(0.5_wp*table%channel(gated)%length - gone, -1.0_wp)
     case (to_return)
@@ -214,6 +289,19 @@ contains
     angle = 2.0_wp*pi*hashed_uniform(key, turn)
     place(3:) = [cos(angle), sin(angle)]
   end function drawn_in_urn
+
+  !> The stays, and when each has `entered` its urn, through a stream.
+  subroutine pass_stays(stay, entered, stream)
+    type(stay_type), intent(inout) :: stay(:)
+    real(wp), intent(inout) :: entered(:)
+    type(stream_type), intent(inout) :: stream
+
+    call stream%pass('time', stay%time, 'y', stay%y, 'along', stay%along, 'across', stay%across, &
+      'entered', entered)
+    call stream%pass('hits', stay%hits)
+    call stream%pass('heading', stay%heading)
+    call stream%pass('urn', stay%urn)
+  end subroutine pass_stays
 
   !> The numbers drawn ahead, and the generator, through a stream.
   pure subroutine pass_draws(draws, stream)

@@ -10,21 +10,14 @@ module battery_collision
   use battery_motion, only: motion_type, fly, meets_channel_wall, meets_nothing
   use battery_bounce, only: hit_wall, turn_back
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
-    meet, end_instant, count_hits, longest_window
+    meet, end_instant, count_hits, longest_window, end_of_window, window_events, most_hits
   use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, shift_times
   use battery_engine, only: particles_type, turn_clock
-  use battery_history, only: history_type, reserve_history
+  use battery_history, only: history_type
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
   public :: collision_type
-
-  !> A window is at most so many urn radii long, and has about so many events at most.
-  real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp
-
-  !> A window ends after so many wall collisions, far more than usual: in a channel that is hardly
-  !> wider than nothing a single particle would keep the run from hearing a signal.
-  integer(int64), parameter :: most_hits = 2_int64**24
 
   !> The engine: where each was at its last event, and when each has its next.
   type, extends(wall_by_wall_type) :: collision_type
@@ -34,10 +27,8 @@ module battery_collision
     type(tournament_type) :: tournament
     !> The same where there is no tournament yet.
     real(wp), allocatable :: due(:)
-    !> Longest window.
-    real(wp) :: window = 0.0_wp
   contains
-    procedure :: prepare, take_over, live, turn_page, pass_own
+    procedure :: prepare, take_over, go_on, turn_page, pass_own
     procedure :: turn_particle, motion_now, write_down
   end type collision_type
 
@@ -48,7 +39,7 @@ contains
     class(collision_type), intent(inout) :: self
 
     call prepare_walls(self)
-    self%window = longest_window(self, window_radii, window_events)
+    self%window = longest_window(self, window_events)
     if (allocated(self%motion)) deallocate (self%motion)
     if (allocated(self%due)) deallocate (self%due)
     allocate (self%motion(self%number))
@@ -71,17 +62,16 @@ contains
     deallocate (self%due)
   end subroutine begin_tournament
 
-  !> One window of at most the time `duration`, event by event.
-  subroutine live(self, duration, history)
+  !> Event by event, each at its particle alone, for the time `duration` at most.
+  subroutine go_on(self, history, duration)
     class(collision_type), intent(inout) :: self
-    real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
-    real(wp) :: began, ends
+    real(wp), intent(in) :: duration
+    real(wp) :: ends, wait
     integer(int64) :: hits
+    integer :: i, first
 
-    began = self%now
-    ends = min(began + min(duration, self%window), self%page)
-    call reserve_history(history, 64, 64)
+    ends = end_of_window(self, duration)
     do
       call bounce_until(self%table, self%number, self%motion, self%tournament, ends, hits)
       call count_hits(self, history, hits)
@@ -91,12 +81,20 @@ contains
         exit
       end if
       self%now = self%tournament%node(1)%time
-      call live_instant(self, began, history)
+      self%since = self%now - self%began
+      first = history%events + 1
+      do while (self%tournament%node(1)%time <= self%now)
+        i = self%tournament%node(1)%particle
+        call fly(self%motion(i), self%now - self%motion(i)%time)
+        self%motion(i)%time = self%now
+        call meet(self, history, i, self%motion(i), wait)
+        call set_time(self%tournament, i, self%now + wait)
+      end do
+      call end_instant(self, first, history)
     end do
     self%now = ends
-    history%duration = ends - began
-    history%collisions = history%collisions_seen
-  end subroutine live
+    self%since = ends - self%began
+  end subroutine go_on
 
   !> The hot loop: wall collisions, until something else is due or the window ends. They touch only
   !> the particle that has one.
@@ -122,26 +120,6 @@ contains
       hits = hits + 1
     end do
   end subroutine bounce_until
-
-  !> Everything that is due now, then what the gates decide.
-  subroutine live_instant(self, began, history)
-    type(collision_type), intent(inout) :: self
-    real(wp), intent(in) :: began
-    type(history_type), intent(inout) :: history
-    real(wp) :: time, wait
-    integer :: i, first
-
-    first = history%events + 1
-    time = self%now
-    do while (self%tournament%node(1)%time <= time)
-      i = self%tournament%node(1)%particle
-      call fly(self%motion(i), time - self%motion(i)%time)
-      self%motion(i)%time = time
-      call meet(self, history, time - began, i, self%motion(i), wait)
-      call set_time(self%tournament, i, time + wait)
-    end do
-    call end_instant(self, time - began, first, history)
-  end subroutine live_instant
 
   !> Turns particle `i` of a gate back, where it is kept.
   subroutine turn_particle(self, i)

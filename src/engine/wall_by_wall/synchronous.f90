@@ -16,9 +16,9 @@ module battery_synchronous
   use battery_kinds, only: wp, int8, int64
   use battery_motion, only: motion_type, meets_nothing, wall_kind
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
-    meet, end_instant, longest_window
+    meet, end_instant, longest_window, end_of_window, window_events, most_hits
   use battery_engine, only: particles_type
-  use battery_history, only: history_type, reserve_history
+  use battery_history, only: history_type
   use battery_memory, only: bytes_to_next_line, line_bytes
   use battery_stream, only: stream_type
   implicit none (type, external)
@@ -33,13 +33,8 @@ module battery_synchronous
   !> What is known of a particle: position, velocity, time left until its next event.
   integer, parameter :: in_x = 1, in_y = 2, in_ux = 3, in_uy = 4, in_left = 5
 
-  !> A window is at most so many urn radii long, and has about so many events at most.
-  real(wp), parameter :: window_radii = 2.0_wp, window_events = 65536.0_wp, &
-    window_moves = 1.0e9_wp
-
-  !> A window ends after so many wall collisions, far more than usual: in a channel that is hardly
-  !> wider than nothing a single particle would keep the run from hearing a signal.
-  integer(int64), parameter :: most_hits = 2_int64**24
+  !> A window has at most so many moves of particles.
+  real(wp), parameter :: window_moves = 1.0e9_wp
 
   !> The engine: all particles as they are now, in rows.
   type, extends(wall_by_wall_type) :: synchronous_type
@@ -56,10 +51,8 @@ module battery_synchronous
     real(wp), allocatable :: kept_ux(:), kept_uy(:)
     !> Least time left in each lane.
     real(wp) :: least(row_length) = 0.0_wp
-    !> Longest window.
-    real(wp) :: window = 0.0_wp
   contains
-    procedure :: prepare, take_over, live, pass_own, motion_now, write_down
+    procedure :: prepare, take_over, go_on, pass_own, motion_now, write_down
   end type synchronous_type
 
 contains
@@ -73,8 +66,7 @@ contains
     number = self%number
     self%rows = (number + row_length - 1)/row_length
     bytes = storage_size(1.0_wp)/8
-    self%window = longest_window(self, window_radii, min(window_events, &
-      window_moves/real(number, wp)))
+    self%window = longest_window(self, min(window_events, window_moves/real(number, wp)))
     if (allocated(self%field)) deallocate (self%field, self%side, self%chamber, self%next, &
       self%kept_ux, self%kept_uy)
     allocate (self%field(row_length*in_left*self%rows + line_bytes/bytes - 1), source=0.0_wp)
@@ -106,36 +98,32 @@ contains
     call pass(self, 0.0_wp)
   end subroutine take_over
 
-  !> One window of at most the time `duration`, event by event.
-  subroutine live(self, duration, history)
+  !> All from event to event, not beyond `duration`.
+  subroutine go_on(self, history, duration)
     class(synchronous_type), intent(inout) :: self
-    real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
-    real(wp) :: began, ends, wait
-    integer(int64) :: hits
+    real(wp), intent(in) :: duration
+    real(wp) :: ends, wait
 
-    began = self%now
-    hits = self%hits
-    ends = min(began + min(duration, self%window), self%page)
-    call reserve_history(history, 64, 64)
+    ends = end_of_window(self, duration)
     do
       wait = earliest(self%least)
       if (self%now + wait >= ends) exit
-      if (self%hits - hits >= most_hits) then
+      if (history%collisions_seen >= most_hits) then
         ends = self%now
         exit
       end if
       call pass(self, wait)
       self%now = self%now + wait
-      call live_instant(self, self%now - began, history)
+      self%since = self%now - self%began
+      call live_instant(self, history)
     end do
     ! Not by more than what is left, lest the event lie in the past by rounding.
     wait = min(wait, ends - self%now)
     call pass(self, wait)
     self%now = ends
-    history%duration = ends - began
-    history%collisions = self%hits - hits
-  end subroutine live
+    self%since = ends - self%began
+  end subroutine go_on
 
   !> Moves everyone by `time`.
   subroutine pass(self, time)
@@ -186,9 +174,8 @@ contains
   end function earliest
 
   !> Everything that is due now, then what the gates decide.
-  subroutine live_instant(self, since, history)
+  subroutine live_instant(self, history)
     type(synchronous_type), intent(inout) :: self
-    real(wp), intent(in) :: since
     type(history_type), intent(inout) :: history
     type(motion_type) :: motion
     real(wp) :: wait
@@ -201,12 +188,12 @@ contains
       call who_is_due(self, i)
       if (i == 0) exit
       motion = self%motion_now(i)
-      call meet(self, history, since, i, motion, wait)
+      call meet(self, history, i, motion, wait)
       call self%write_down(i, motion, wait)
       call renew_lane(self%rows, modulo(i - 1, row_length) + 1, self%field(self%begins), &
         self%least)
     end do
-    call end_instant(self, since, first, history)
+    call end_instant(self, first, history)
     if (history%reversals > reversals) call renew_all(self%rows, self%field(self%begins), &
       self%least)
   end subroutine live_instant

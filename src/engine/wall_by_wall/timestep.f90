@@ -27,9 +27,9 @@ module battery_timestep
   use battery_motion, only: motion_type
   use battery_urn, only: holds, put_back
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, pass_counts, end_instant, &
-    count_hits, enter_gate, cross_over
+    count_hits, enter_gate, cross_over, window_reaches
   use battery_engine, only: what_all_need
-  use battery_history, only: history_type, reserve_history
+  use battery_history, only: history_type
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -39,8 +39,8 @@ module battery_timestep
   !> almost nothing.
   real(wp), parameter :: stretch = 1.0e-3_wp
 
-  !> A window is at most so many urn radii long, and has about so many moves of particles.
-  real(wp), parameter :: window_radii = 2.0_wp, window_moves = 262144.0_wp
+  !> A window has about so many moves of particles at most.
+  real(wp), parameter :: window_moves = 262144.0_wp
 
   !> The engine: all particles as they are now, array by array.
   type, extends(wall_by_wall_type) :: timestep_type
@@ -52,9 +52,9 @@ module battery_timestep
     !> Who is not well inside an urn.
     logical, allocatable :: busy(:)
     !> Steps in a window.
-    integer :: window = 1
+    integer :: steps = 1
   contains
-    procedure :: supports, prepare, live, pass_own, motion_now, write_down
+    procedure :: supports, prepare, go_on, pass_own, motion_now, write_down
   end type timestep_type
 
 contains
@@ -84,8 +84,8 @@ contains
 
     call prepare_walls(self)
     number = self%number
-    self%window = int(max(1.0_wp, min(window_moves/real(number, wp), &
-      window_radii*maxval(self%table%urn%reach)/self%time_step)))
+    self%steps = int(max(1.0_wp, min(window_moves/real(number, wp), &
+      window_reaches*maxval(self%table%urn%reach)/self%time_step)))
     self%slips = 0
     if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%side, self%chamber, &
       self%busy)
@@ -93,34 +93,28 @@ contains
     allocate (self%side(number), self%chamber(number), self%busy(number))
   end subroutine prepare
 
-  !> Some steps, not beyond the time `duration`.
-  subroutine live(self, duration, history)
+  !> Some steps, within the time `duration`.
+  subroutine go_on(self, history, duration)
     class(timestep_type), intent(inout) :: self
-    real(wp), intent(in) :: duration
     type(history_type), intent(inout) :: history
-    real(wp) :: began, step, since
-    integer(int64) :: hits
+    real(wp), intent(in) :: duration
+    real(wp) :: step
     integer :: turn
 
-    began = self%now
-    hits = self%hits
-    since = 0.0_wp
-    call reserve_history(history, 64, 64)
-    do turn = 1, self%window
-      if (began + since >= self%page) exit
+    self%since = 0.0_wp
+    do turn = 1, self%steps
+      if (self%began + self%since >= self%page) exit
       step = self%time_step
-      if (duration - since < (1.0_wp + stretch)*step) step = max(duration - since, 0.0_wp)
+      if (duration - self%since < (1.0_wp + stretch)*step) step = max(duration - self%since, 0.0_wp)
       if (turn > 1 .and. .not. step > 0.0_wp) exit
-      since = since + step
-      self%now = began + since
+      self%since = self%since + step
+      self%now = self%began + self%since
       call move_all(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
         self%chamber, self%busy)
       if (.not. alike(self%table%urn)) call look_again(self)
-      call look_around(self, since, history)
+      call look_around(self, history)
     end do
-    history%duration = since
-    history%collisions = self%hits - hits
-  end subroutine live
+  end subroutine go_on
 
   !> Straight on by `step`; who may have met something is busy.
   pure subroutine move_all(urn, number, step, x, y, ux, uy, chamber, busy)
@@ -171,9 +165,8 @@ contains
   end subroutine look_again
 
   !> Puts the particles right at the end of a step, and lets the gates decide.
-  subroutine look_around(self, since, history)
+  subroutine look_around(self, history)
     type(timestep_type), intent(inout) :: self
-    real(wp), intent(in) :: since
     type(history_type), intent(inout) :: history
     integer :: i, first
 
@@ -181,19 +174,18 @@ contains
     do i = 1, self%number
       if (.not. self%busy(i)) cycle
       if (self%chamber(i) == in_urn) then
-        call live_in_urn(self, i, since, history)
+        call live_in_urn(self, i, history)
       else
-        call live_in_channel(self, i, since, history)
+        call live_in_channel(self, i, history)
       end if
     end do
-    call end_instant(self, since, first, history)
+    call end_instant(self, first, history)
   end subroutine look_around
 
   !> A particle of an urn that may be beyond a wall or beyond a chord.
-  subroutine live_in_urn(self, i, since, history)
+  subroutine live_in_urn(self, i, history)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
-    real(wp), intent(in) :: since
     type(history_type), intent(inout) :: history
     real(wp) :: x, ux
     logical :: was_beyond
@@ -203,7 +195,7 @@ contains
       ux = urn%way*self%ux(i)
       if (x >= urn%chord(gated) .and. ux > 0.0_wp .and. abs(y) < urn%half_width(gated)) then
         call go_through(self, i, in_gate, urn%half_width(gated), (x - urn%chord(gated))/ux)
-        call enter_gate(self, history, since, i, self%motion_now(i))
+        call enter_gate(self, history, i, self%motion_now(i))
       else if (x <= -urn%chord(ungated) .and. ux < 0.0_wp .and. abs(y) &
         < urn%half_width(ungated)) then
         call go_through(self, i, in_return, urn%half_width(ungated), (x + urn%chord(ungated))/ux)
@@ -228,10 +220,9 @@ contains
   end subroutine go_through
 
   !> A particle of a channel: walls, lines, and the way out.
-  subroutine live_in_channel(self, i, since, history)
+  subroutine live_in_channel(self, i, history)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
-    real(wp), intent(in) :: since
     type(history_type), intent(inout) :: history
     real(wp) :: out, depth, ahead, half, ago
     integer :: channel
@@ -258,7 +249,7 @@ contains
         ! In the wall beside the channel.
         if (depth < 0.0_wp) call go_through(self, i, in_urn, half, 0.0_wp)
       else if (ahead < 0.0_wp) then
-        call go_over(self, i, since, history)
+        call go_over(self, i, history)
       end if
     end associate
   end subroutine live_in_channel
@@ -278,10 +269,9 @@ contains
   end subroutine mirror
 
   !> Over the line of its channel, or back from the end wall.
-  subroutine go_over(self, i, since, history)
+  subroutine go_over(self, i, history)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
-    real(wp), intent(in) :: since
     type(history_type), intent(inout) :: history
     integer :: from
 
@@ -294,7 +284,7 @@ contains
       ! From one end of the table to the other.
       self%x(i) = self%x(i) - x_direction(from)*sum(self%table%urn%periodic_line)
     end if
-    call cross_over(self, history, since, i, from, int(self%chamber(i)))
+    call cross_over(self, history, i, from, int(self%chamber(i)))
   end subroutine go_over
 
   !> Particle `i` as it is now; what it meets next is not known.
