@@ -40,9 +40,9 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     !> Paths of its dimension scales, in Fortran order.
     character(len=*), intent(in) :: scales(:)
-    !> Extents of the dataset in Fortran order, and what stands for a value that is not known, of the
-    !> kind of the values; both or none. Absent: the dataset has the extents of the values.
+    !> Extents of the dataset in Fortran order; absent: those of the values.
     integer, intent(in), optional :: extents(:)
+    !> What stands for a value that is not known, of the kind of the values; beside `extents`.
     type(*), intent(in), target, optional :: unknown
     type(memory_type) :: memory
     integer(hsize_t), allocatable :: whole(:)
