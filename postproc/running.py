@@ -128,7 +128,8 @@ def run(
     Parameters
     ----------
     namelist : a file, or values by group and key (as in `write_namelist`).
-    ranks : MPI ranks; 1: without a launcher.
+    ranks : MPI ranks; 1: without a launcher. More than there are tasks, and processors here, are
+        refused.
     folder : where it is called, made if need be; names of files in the namelist are relative to
         it. None: here.
     overwrite : discard results that are there.
@@ -148,8 +149,9 @@ def run(
     battery, place = find_program(program), Path(folder or ".")
     with _namelist_file(namelist, battery) as path:
         output_folder(place)
-        command = [*([*launcher, str(ranks)] if ranks > 1 else []), str(battery)]
-        command += [*(["--overwrite"] if overwrite else []), "--", str(path)]
+        words = [*(["--overwrite"] if overwrite else []), "--", str(path)]
+        _check_ranks(ranks, [str(battery), "--check", *words], place)
+        command = [*([*launcher, str(ranks)] if ranks > 1 else []), str(battery), *words]
         code, said, complaints = _launch(command, place, quiet)
     if isinstance(namelist, Mapping):
         complaints = complaints.replace(str(path), "the namelist")
@@ -160,6 +162,23 @@ def run(
         raise RunError(code, _reason(code, complaints, said))
     found = list(RESULTS.finditer(said))[-1]
     return place / (found["made"] or found["there"])
+
+
+def _check_ranks(ranks: int, check: list[str], folder: Path) -> None:
+    """Refuse ranks that neither a task nor a processor waits for: launchers hang at a million.
+
+    `check` is the command that prints the plan. What else is wrong is told by the run itself.
+    """
+    processors = os.cpu_count() or 1
+    if ranks <= processors:
+        return
+    code, said, _ = _launch(check, folder, quiet=True)
+    tasks = re.search(r"^tasks: +(\d+)", said, re.M)
+    if code == 0 and tasks and ranks > int(tasks[1]):
+        raise InputError(
+            f"ranks = {ranks}: at most one for each task ({tasks[1]}), or for each processor of "
+            f"this machine ({processors})"
+        )
 
 
 def _reason(code: int, complaints: str, said: str) -> str:

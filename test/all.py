@@ -23,6 +23,7 @@ ENVIRONMENT = {
     **os.environ,
     "OMPI_MCA_mpi_yield_when_idle": "1",
     "OMPI_MCA_hwloc_base_binding_policy": "none",
+    "OPENBLAS_NUM_THREADS": "1",
 }
 # Many tests wait for a program that they have started, so two share a core.
 WORKERS = str(min(16, 2 * (os.cpu_count() or 1)))
@@ -42,7 +43,8 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     fortran = [sys.executable, "test/run", f"--ldflags={arguments.ldflags}"]
     style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml"]
     style += ["postproc", "test", "docs"]
-    python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "worksteal"]
+    # A file goes to one worker, so that what its tests share is made once.
+    python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "loadfile"]
     if not arguments.full:
         python += ["-m", "not full"]
     folders = ("src", "app", "test", "docs")

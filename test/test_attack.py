@@ -6,14 +6,17 @@ import pytest
 from attack import damage, extremes, kills, together
 from attack.common import trials
 
-ATTACKS = {"kills": (kills.campaign, 2), "damage": (damage.attack, 8),
-           "extremes": (extremes.attack, 8), "together": (together.attack, 2)}
+# What attacks, how many trials are made always, and how many if there are minutes.
+ATTACKS = {"kills": (kills.campaign, 1, 4), "damage": (damage.attack, 4, 16),
+           "extremes": (extremes.attack, 4, 16), "together": (together.attack, 1, 4)}
 
 
 @pytest.mark.parametrize("name", ATTACKS)
-def test_attack(name: str) -> None:
+@pytest.mark.parametrize("more", [False, pytest.param(True, marks=pytest.mark.full)])
+def test_attack(name: str, *, more: bool) -> None:
     """Nothing is found; what is tried is the same each time."""
-    attack, count = ATTACKS[name]
-    outcome = trials(name, attack, 20261121, range(count))
-    assert outcome.tried >= count
+    attack, few, many = ATTACKS[name]
+    numbers = range(few, many) if more else range(few)
+    outcome = trials(name, attack, 20261121, numbers)
+    assert outcome.tried >= len(numbers)
     assert not outcome.findings, "\n".join(outcome.findings)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
 TASKS = 4
-COLLISIONS = 60_000_000
+COLLISIONS = 40_000_000
 CASE: dict[str, dict[str, Any]] = {
     "particles": {"number": 200},
     "gate": {"threshold": 3},
@@ -136,7 +136,7 @@ def test_more_ranks_than_tasks(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("what", "delay"),
-    [(signal.SIGTERM, 0.0), (signal.SIGTERM, 0.4), (signal.SIGINT, 0.2), (signal.SIGUSR1, 0.1)],
+    [(signal.SIGTERM, 0.0), (signal.SIGTERM, 0.25), (signal.SIGINT, 0.1), (signal.SIGUSR1, 0.05)],
 )
 def test_stopped_by_a_signal(
     tmp_path: Path, undisturbed: Path, what: signal.Signals, delay: float
@@ -147,7 +147,7 @@ def test_stopped_by_a_signal(
     assert "going on" in complete(tmp_path, undisturbed)
 
 
-@pytest.mark.parametrize(("delay", "ranks_after"), [(0.0, 0), (0.3, 3)])
+@pytest.mark.parametrize(("delay", "ranks_after"), [(0.0, 0), (0.15, 3)])
 def test_two_ranks_stopped_by_a_signal(
     tmp_path: Path, undisturbed: Path, delay: float, ranks_after: int
 ) -> None:
@@ -171,7 +171,7 @@ def test_signal_to_mpirun(tmp_path: Path, undisturbed: Path, what: signal.Signal
     """A signal to mpirun, as from a batch system, loses nothing."""
     write(tmp_path)
     process, _ = under_way(tmp_path, 2)
-    time.sleep(0.2)
+    time.sleep(0.1)
     send([process.pid], what)
     ended = finish(process)
     # MPICH's mpirun says 0 now and then, though its ranks said 3.
@@ -201,14 +201,14 @@ def test_stopped_again_and_again(tmp_path: Path, undisturbed: Path) -> None:
     """Every start gets further, and the bits stay the same."""
     write(tmp_path)
     for _ in range(3):
-        stopped(tmp_path, signal.SIGTERM, 0.15)
+        stopped(tmp_path, signal.SIGTERM, 0.1)
     complete(tmp_path, undisturbed)
 
 
 @pytest.mark.parametrize("ranks", [0, 2])
 def test_wall_minutes(tmp_path: Path, undisturbed: Path, ranks: int) -> None:
     """The time limit stops a run cleanly; without it, the run goes on."""
-    write(tmp_path, limits={"checkpoint_minutes": 10, "wall_minutes": 0.005})
+    write(tmp_path, limits={"checkpoint_minutes": 10, "wall_minutes": 0.003})
     before = time.monotonic()
     ended = run("case.nml", folder=tmp_path, ranks=ranks)
     assert ended.returncode == 3, (ended.stdout, ended.stderr)
@@ -225,8 +225,8 @@ KILLS = random.Random(2021)
     [
         (
             KILLS.choice([0, 2, 3]),
-            KILLS.uniform(0.0, 0.9),
-            KILLS.uniform(0.2, 0.6),
+            KILLS.uniform(0.0, 0.6),
+            KILLS.uniform(0.15, 0.4),
             KILLS.choice([None, 0, 1]),
             KILLS.choice([0, 1, 2]),
         )
@@ -254,7 +254,7 @@ def test_killed_in_the_middle_of_a_write(tmp_path: Path) -> None:
     """A run that does little but save a large state survives any number of kills."""
     changes: dict[str, dict[str, Any]] = {
         "particles": {"number": 50_000},
-        "run": {"collisions": 400_000_000},
+        "run": {"collisions": 300_000_000},
         "scan": {"channel2_width": 0.1, "replicas": 1},
         "output": {"series_interval": 1},
         "limits": {"checkpoint_minutes": 1.0e-6},
@@ -277,10 +277,22 @@ def test_killed_in_the_middle_of_a_write(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a folder with a run killed after some finished tasks, with states of the next."""
-    folder = tmp_path_factory.mktemp("interrupted") / "case"
-    write(folder)
-    process, _ = under_way(folder, 0, "--quiet")
-    journal = folder / "out.h5.tasks"
+    # On a busy machine the run may get by between two looks: then there is another.
+    for _ in range(5):
+        folder = tmp_path_factory.mktemp("interrupted") / "case"
+        write(folder)
+        process, _ = under_way(folder, 0, "--quiet")
+        if stopped_in_the_third_task(process, folder / "out.h5.tasks"):
+            send([process.pid], signal.SIGKILL)
+            finish(process)
+            assert (folder / "out.h5.tasks/rank_0").stat().st_size > 0
+            return folder
+        finish(process)
+    return pytest.fail("no run was seen in its third task")
+
+
+def stopped_in_the_third_task(process: Popen[str], journal: Path) -> bool:
+    """Stop a run where it has both states of its third task; false if it has ended before."""
     seen: set[str] = set()
 
     def both_are_there() -> bool:
@@ -294,11 +306,7 @@ def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
         send([process.pid], signal.SIGCONT)
         return False
 
-    assert wait_for(both_are_there, process)
-    send([process.pid], signal.SIGKILL)
-    finish(process)
-    assert (journal / "rank_0").stat().st_size > 0
-    return folder
+    return wait_for(both_are_there, process)
 
 
 def copy_of(interrupted: Path, tmp_path: Path) -> Path:
@@ -445,7 +453,7 @@ def test_edited_initial_file(tmp_path: Path) -> None:
     write(tmp_path, particles={"number": 5, "initial_file": "'start.txt'"})
     case = (tmp_path / "case.nml").read_text()
     (tmp_path / "case.nml").write_text(case.replace("threshold = 3", "threshold = 1"))
-    stopped(tmp_path, signal.SIGTERM, 0.2)
+    stopped(tmp_path, signal.SIGTERM, 0.1)
     lines[0] = "-1.1 0.2 1 0.9\n"
     (tmp_path / "start.txt").write_text("".join(lines))
     ended = run("case.nml", folder=tmp_path)

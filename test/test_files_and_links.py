@@ -153,7 +153,7 @@ TEMPORARY = ["out.h5.part", "out.h5.tasks/plan.new", "out.h5.tasks/rank_0", "out
 
 def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
     """What is temporary is made anew; the target of a link of that name stays as it was."""
-    write(tmp_path, run={"collisions": 300_000_000}, limits={"checkpoint_minutes": 0.0001})
+    write(tmp_path, run={"collisions": 100_000_000}, limits={"checkpoint_minutes": 0.0001})
     (tmp_path / "out.h5.tasks").mkdir()
     targets = {name: tmp_path / f"precious{at}" for at, name in enumerate(TEMPORARY)}
     for name, target in targets.items():

@@ -82,7 +82,7 @@ def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:
 
 def test_run_under_way_grows(tmp_path: Path) -> None:
     """A run that is stopped in the middle of tasks goes on with a larger namelist."""
-    longer = {"duration": 1_000_000}
+    longer = {"duration": 400_000}
     folder = tmp_path / "grown"
     write(folder, run=longer)
     process = start("case.nml", folder=folder)
@@ -265,6 +265,47 @@ def test_check_counts_no_replica_that_is_not_asked_for(tmp_path: Path) -> None:
     assert "finished:   0 tasks; to be done: 32" in said("--overwrite")
     write(tmp_path, scan=WIDTHS, precision={**ASKED, "chi_replica_error": 0.002})
     assert f"finished:   {done} tasks; to be done: " in said()
+
+
+def test_what_points_may_still_ask_for_is_told_where_a_run_goes_on(tmp_path: Path) -> None:
+    """Of one whose first replicas are not complete."""
+    write(tmp_path, scan={**WIDTHS, "channel2_width": "0.01"})
+    complete(tmp_path)
+    write(tmp_path, scan=WIDTHS, precision={"chi_replica_error": 1.0, "largest_replicas": 50})
+    words = "going on: 16 of 32 tasks are finished, and up to 34 more as the first replicas tell"
+    assert words in run("--check", "case.nml", folder=tmp_path).stdout
+    assert words in run("case.nml", folder=tmp_path).stdout
+
+
+@pytest.mark.parametrize("more", [None, 0.012])
+def test_there_is_no_room_for_replicas_that_nobody_asks_for(
+    tmp_path: Path, more: float | None
+) -> None:
+    """Series and states are as large as those that are there, and read as if all had been kept."""
+    kept = {"series_interval": 0.5, "snapshot_times": "0, 20", "final_state": ".true."}
+    sizes = []
+    for allowed in (50, 4000):
+        folder = tmp_path / str(allowed)
+        asked = {"chi_replica_error": 0.02, "largest_replicas": allowed}
+        for error in (0.02, more) if more else (0.02,):
+            write(folder, scan=WIDTHS, precision=asked | {"chi_replica_error": error}, output=kept)
+            complete(folder)
+        with h5py.File(folder / "out.h5") as file:
+            names = ["series/urn1_number", "series/flow1_12", "snapshots/x", "final/uy"]
+            sizes.append(sum(file[name].id.get_storage_size() for name in names))
+            most = np.max(np.flatnonzero((file["task_status"][()] == 0).any(axis=0))) + 1
+            assert 16 <= most < 50
+            found = {name: file[name][:, :50] for name in names}
+            for name in names:
+                assert file[name].shape[:2] == (2, allowed)
+                last = file[name][:, -1]
+                assert (np.isnan(last) if last.dtype.kind == "f" else last == -1).all()
+            assert file["series/urn1_number"].shape[2] == 401
+        if allowed == 50:
+            few = found
+    for name in few:
+        np.testing.assert_array_equal(found[name], few[name])
+    assert sizes[1] < 2 * sizes[0]
 
 
 def test_stopped_on_the_way_to_a_precision(tmp_path: Path, precise: Path) -> None:

@@ -49,21 +49,24 @@ def names(folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("ranks", [0, 2])
-@pytest.mark.parametrize("other", ["case.nml", "other.nml"])
-def test_a_second_run_is_told_who_has_the_output(tmp_path: Path, ranks: int, other: str) -> None:
+def test_a_second_run_is_told_who_has_the_output(tmp_path: Path, ranks: int) -> None:
     """The same input, or another with --overwrite, exits with 2; the first goes on undisturbed."""
     write(tmp_path, collisions=LONG)
     write(tmp_path, "other.nml", seed=2)
     process, numbers = under_way(tmp_path, "case.nml", ranks=ranks)
-    options = ["--overwrite"] if other == "other.nml" else []
-    second = program.run(*options, other, folder=tmp_path, ranks=ranks)
+    others = [
+        program.start(*words, folder=tmp_path, ranks=ranks)
+        for words in (["case.nml"], ["--overwrite", "other.nml"])
+    ]
+    seconds = [program.finish(other) for other in others]
     at_work = process.poll() is None
     program.send(numbers, signal.SIGTERM)
     ended = program.finish(process)
-    assert second.returncode == 2, (second.returncode, second.stdout, second.stderr)
-    assert "out.h5: another run is at work on it" in second.stderr
-    assert f"on {socket.gethostname()}, process " in second.stderr
-    assert any(f"process {number}, since 20" in second.stderr for number in numbers)
+    for second in seconds:
+        assert second.returncode == 2, (second.returncode, second.stdout, second.stderr)
+        assert "out.h5: another run is at work on it" in second.stderr
+        assert f"on {socket.gethostname()}, process " in second.stderr
+        assert any(f"process {number}, since 20" in second.stderr for number in numbers)
     assert at_work
     assert ended.returncode == 3, (ended.stdout, ended.stderr)
     assert names(tmp_path) == ["case.nml", "other.nml", "out.h5", "out.h5.tasks"]

@@ -113,6 +113,16 @@ def test_ranks_are_a_whole_number(tmp_path: Path, ranks: Any) -> None:
         postproc.run(CASE, folder=tmp_path, ranks=ranks)
 
 
+def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
+    """Before the launcher is asked for a million; one for each task is taken."""
+    unasked = ["false"]
+    with pytest.raises(ValueError, match=r"^ranks = 1000000: at most one for each task \(4\)"):
+        postproc.run(CASE, folder=tmp_path, ranks=1_000_000, launcher=unasked, overwrite=True)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(RunError):
+        postproc.run(CASE, folder=tmp_path, ranks=4, launcher=unasked)
+
+
 def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match=r"cannot make folder .*file: File exists"):

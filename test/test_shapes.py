@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from typing import TYPE_CHECKING
 
 import h5py
@@ -14,6 +12,7 @@ from support.program import run
 
 from postproc.figures import film, scene
 from postproc.reading.results import Results
+from postproc.tests.commands import call
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -147,15 +146,17 @@ def _boundary(walls: list[np.ndarray]) -> np.ndarray:
     return np.vstack([upper1, lower1, lower2[::-1], upper2[::-1]])
 
 
-def test_theories_take_the_area_or_say_that_they_know_discs_only() -> None:
+def test_theories_take_the_area_or_say_that_they_know_discs_only(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """A square of side 2 has A = 4 in the window's and the renewal gate's theory."""
     words = ["--number", "1000", "--threshold", "7"]
     words += ["--urn-vertices", *SQUARE.replace(",", " ").split()]
     for model in ("window", "renewal", "two_port", "direction", "one_particle"):
-        command = [sys.executable, "-m", "postproc.theory", *words, "--model", model]
-        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+        code = call("theory", [*words, "--model", model])
+        said = capsys.readouterr()
         if model in ("window", "renewal"):
-            assert json.loads(ended.stdout)["urn_area"] == 4.0
+            assert json.loads(said.out)["urn_area"] == 4.0
         else:
-            assert ended.returncode == 2, model
-            assert "discs only" in ended.stderr
+            assert code == 2, model
+            assert "discs only" in said.err

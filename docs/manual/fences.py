@@ -41,6 +41,13 @@ ENVIRONMENT = {
 }
 
 
+# For the program without mpirun: it starts in half the time without a daemon of Open MPI beside it.
+ALONE = ENVIRONMENT | {
+    "OMPI_MCA_ess_singleton_isolated": "1",
+    "OMPI_MCA_orte_create_session_dirs": "0",
+}
+
+
 @dataclass
 class Fences:
     """What is tried for one page, and what was wrong.
@@ -94,12 +101,14 @@ class Fences:
     def _namelist(self, body: str) -> list[str]:
         (self.folder / "checked.nml").write_text(reference.completed(body))
         program = str(self.root / "build/bin/battery")
-        done = self._done([program, "--check", "checked.nml"])
+        done = self._done([program, "--check", "checked.nml"], ALONE)
         return [] if done.returncode == 0 else [f"battery --check: {done.stderr.strip()}"]
 
-    def _done(self, command: list[str]) -> subprocess.CompletedProcess[str]:
+    def _done(
+        self, command: list[str], environment: dict[str, str] = ENVIRONMENT
+    ) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            command, check=False, cwd=self.folder, env=ENVIRONMENT, text=True, timeout=PATIENCE,
+            command, check=False, cwd=self.folder, env=environment, text=True, timeout=PATIENCE,
             stdin=subprocess.DEVNULL, capture_output=True,
         )
 

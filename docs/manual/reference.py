@@ -83,6 +83,8 @@ START = "-2 0.5 1 0\n2 -0.5 0 1\n"
 TOLD = re.compile(
     r"(.*?); ((?:one (?:whole number|number|text)|whole numbers|numbers|first, last|'|\.true).*)"
 )
+# The keys that say how long a run is.
+LENGTHS = {"collisions", "transient_collisions", "duration", "transient_duration"}
 # A key and what takes its place.
 EITHER = {"threshold_fraction": ("gate", "threshold")}
 
@@ -124,6 +126,9 @@ def completed(text: str) -> str:
             instead = [other for other, place in EITHER.items() if place == (group, name)]
             if not any(one in there for one in (name, *instead)):
                 groups.setdefault(group, {})[name] = int(value)
+    # `--check` tries how fast a run is, for as long as it may last.
+    if not LENGTHS & groups.setdefault("run", {}).keys():
+        groups["run"] |= {"collisions": 100000, "transient_collisions": 0}
     scanned = groups.get("scan", {})
     if any(name.startswith("threshold_fraction") for name in scanned):
         groups["gate"] = {"threshold_fraction": 0.007}

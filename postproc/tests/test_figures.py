@@ -42,6 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path = made / f"{name}.h5"
         results_of(path, scan=grid, particles={"urn1_number": first}, output=BARE)
     leave_out(made / "polarised.h5", (2, 0), (11, 0))
+    results_of(made / "point.h5", scan={"threshold": 2, "replicas": 1}, output=BARE)
     urns = {"number": [500, 1000], "channel1_width": [0.1, 0.3], "threshold": [3, 9, 15]}
     results_of(
         made / "urn.h5", table={"shape": "urn"}, particles={"number": None}, scan=urns, output=BARE
@@ -177,15 +178,16 @@ def test_net_currents_have_a_sign_unless_a_polarity_gives_them_one(folder: Path)
 
 
 def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path) -> None:
+    mixed = models.named(["window", "renewal"])
     with opened([folder / "slices.h5"]) as files:
-        made = circuits.figure_comp01(files)
+        made = circuits.figure_comp01(files, mixed)
         gathered = points.gather(files)
     left, right = made.axes
     assert left.get_xlabel() == "$T/N$"
     assert left.get_ylabel() == "net current (per unit time)"
     assert right.get_xlabel() == r"mass spread $\chi$"
     assert right.get_xlim() == (0.0, 1.0)
-    theories = [f"theory, {one.label}" for one in models.best()]
+    theories = [f"theory, {one.label}" for one in mixed]
     assert labels_of(made) == ["$w' = 0.0102$", "$w' = 0.0306$", *theories]
     for at, width in enumerate((0.0102, 0.0306)):
         group = gathered.where(gathered.channel2_width == width)
@@ -193,13 +195,21 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
             np.array([group.threshold / 1000.0, group.current])
         )
         assert marks_of(right)[at] == pytest.approx(np.array([group.chi, group.current]))
+        for one in mixed:
+            circuit = replace(Circuit(1000, 4), channel2_width=width)
+            spread, current = models.spread_and_current(one, circuit, range(4, 19))
+            assert np.isfinite(current).sum() > 5
+            drawn = lines_of(left, one.dashes)[at], lines_of(right, one.dashes)[at]
+            expected = (np.arange(4, 19) / 1000.0, current), (spread, current)
+            assert np.array(drawn) == pytest.approx(np.array(expected), nan_ok=True)
 
 
 def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
+    mixed = models.named(["window", "renewal_occupation"])
     with opened([folder / "homogeneous.h5", folder / "polarised.h5"]) as files:
-        made = maps.figure_numris(files)
+        made = maps.figure_numris(files, mixed)
         parts = [part for _, part in maps.by_start(points.gather(files))]
-        lines = maps.transition_lines(parts[0], files[0].circuit(0), models.ALL)
+        lines = maps.transition_lines(parts[0], files[0].circuit(0), mixed)
     panels, bars = made.axes[:6], made.axes[6:]
     values = [part.chi for part in parts], [part.current for part in parts]
     for column, (start, final) in enumerate(values):
@@ -219,7 +229,18 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
         for label in (r"mass spread $\chi$", "net current (per unit time)")
     }
     assert [axes.get_xlabel() for axes in panels[4:]] == ["$T/N$"] * 2
-    assert labels_of(made) == [f"transition, {one.label}" for one in models.ALL]
+    assert labels_of(made) == [f"transition, {one.label}" for one in mixed]
+
+
+def test_unless_told_otherwise_the_best_theory_is_drawn_too(folder: Path) -> None:
+    with opened([folder / "point.h5"]) as files:
+        slices, plane = circuits.figure_comp01(files), maps.figure_numris(files)
+        circuit = files[0].circuit(0)
+    remembering = models.ALL[-1]
+    assert labels_of(slices)[1:] == [f"theory, {one.label}" for one in models.best()]
+    assert labels_of(plane) == [f"transition, {one.label}" for one in models.ALL]
+    (line,) = lines_of(plane.axes[0], remembering.dashes)
+    assert line[1] == pytest.approx(remembering.transition_line(circuit, 1, 3)[1])
 
 
 def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
@@ -319,8 +340,7 @@ def test_transition_line_goes_through_whole_thresholds_and_ends_on_the_axis(name
 def test_lines_of_urns_that_remember_are_where_stability_changes(name: str) -> None:
     """They are interpolated between a dozen w'; memory moves them down."""
     model, circuit = models.MODELS[name], Circuit(1000, 7)
-    thresholds, widths = model.transition_line(circuit, 6, 8)
-    width = float(widths[thresholds == 7.0][0])
+    _, (width,) = model.transition_line(circuit, 7, 7)
     assert 0.054 < width < 0.066  # runs: between 0.055 and 0.066; the renewal gate: 0.084
     for factor, kind in ((0.97, "unstable"), (1.03, "stable")):
         assert model.homogeneous_kind(replace(circuit, channel2_width=width * factor)) == kind

@@ -257,7 +257,8 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
         assert call(command, [str(path), "--output", str(tmp_path)]) == 0
         assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
     for name in ("comp05", "comp06"):
-        assert call("figures", [name, str(path), "--output", str(tmp_path)]) == 0
+        words = [name, str(path), "--model", "window", "--output", str(tmp_path)]
+        assert call("figures", words) == 0
     assert call("currents", [str(path), "--point", "1", "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
 

@@ -251,8 +251,12 @@ def _excess(held: Held) -> float:
     return math.log(held.sent[0] / held.sent[1])
 
 
-def scan(circuit: Circuit) -> list[tuple[float, Held]]:
-    """Return (share of urn 1, the circuit held there), the share falling; past 1/2 if unlike."""
+@lru_cache(maxsize=8)
+def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
+    """Return (share of urn 1, the circuit held there), the share falling; past 1/2 if unlike.
+
+    States, flows and what is sent come from it: it is kept for those who ask next.
+    """
     equations, shares = Directions(circuit), list(_shares())
     if not circuit.alike:
         shares = [*(1.0 - one for one in reversed(shares)), *shares]
@@ -266,7 +270,7 @@ def scan(circuit: Circuit) -> list[tuple[float, Held]]:
             shares, tries = [0.5 * (found[-1][0] + shares[0])], tries - 1
         else:
             shares.pop(0)
-    return found
+    return tuple(found)
 
 
 def growth(circuit: Circuit) -> float:

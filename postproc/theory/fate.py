@@ -23,6 +23,7 @@ the law of stays at hand and the cosine law; for the latter `renewal` knows <q>.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +50,7 @@ def cosine_law(half_length: float, count: int = ANGLES) -> tuple[Floats, Floats]
     return half_length / np.sqrt((1.0 - sine) * (1.0 + sine)), shares
 
 
+@cache
 def directions(count: int = ANGLES) -> tuple[Floats, Floats]:
     """Return nodes s = sin(theta) between 0 and 1 and their weights, Gauss's in theta.
 

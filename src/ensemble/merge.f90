@@ -238,7 +238,7 @@ contains
       if (.not. whole) return
       entries = size(found%series_urn1_number)
       if (entries > 0) then
-        call room_for_series(entries, plan, results)
+        call room_for_series(entries, r, plan, results)
         results%series_urn1_number(:entries, r, p) = found%series_urn1_number
         do k = 1, 4
           results%series_flow(:entries, r, p, k) = found%series_flow(k::4)
@@ -270,15 +270,16 @@ contains
     type(task_type), intent(in) :: task
     real(dp), allocatable, intent(inout) :: states(:, :, :, :, :)
     real(dp), allocatable :: longer(:, :, :, :, :)
-    integer :: n, before, time, which
+    integer :: n, before(2), time, which
     integer(int64) :: at
 
     n = task%number
     before = 0
-    if (allocated(states)) before = size(states, 1)
-    if (n > before) then
-      allocate (longer(n, times, plan%replicas, plan%point_count, 4), source=unknown_real())
-      if (before > 0) longer(:before, :, :, :, :) = states
+    if (allocated(states)) before = [size(states, 1), size(states, 3)]
+    if (n > before(1) .or. task%replica > before(2)) then
+      allocate (longer(max(n, before(1)), times, room_for_replicas(plan, task%replica, &
+        before(2)), plan%point_count, 4), source=unknown_real())
+      if (allocated(states)) longer(:before(1), :, :before(2), :, :) = states
       call move_alloc(longer, states)
     end if
     at = 0
@@ -290,27 +291,41 @@ contains
     end do
   end subroutine place_states
 
-  !> Series arrays with room for `entries` entries of every task; keeps what is there.
-  subroutine room_for_series(entries, plan, results)
-    integer, intent(in) :: entries
+  !> For how many replicas of a point there should be room where `replica` comes next and there is
+  !> room for `before`: few points get as many as a precision allows.
+  pure integer function room_for_replicas(plan, replica, before) result(room)
+    type(plan_type), intent(in) :: plan
+    integer, intent(in) :: replica, before
+
+    room = before
+    if (replica > before) room = min(plan%replicas, max(replica, plan%first_replicas, &
+      before + before/2))
+  end function room_for_replicas
+
+  !> Series arrays with room for `entries` entries of a replica; keeps what is there.
+  subroutine room_for_series(entries, replica, plan, results)
+    integer, intent(in) :: entries, replica
     type(plan_type), intent(in) :: plan
     type(results_type), intent(inout) :: results
     integer, allocatable :: urn1_number(:, :, :)
     real(dp), allocatable :: flow(:, :, :, :)
-    integer :: before, k
+    integer :: before(2), most, room, k
 
     before = 0
-    if (allocated(results%series_time)) before = size(results%series_time)
-    if (entries <= before) return
-    allocate (urn1_number(entries, plan%replicas, plan%point_count), source=-1)
-    allocate (flow(entries, plan%replicas, plan%point_count, 4), source=unknown_real())
-    if (before > 0) then
-      urn1_number(:before, :, :) = results%series_urn1_number
-      flow(:before, :, :, :) = results%series_flow
+    if (allocated(results%series_time)) before = [size(results%series_time), &
+      size(results%series_flow, 2)]
+    if (entries <= before(1) .and. replica <= before(2)) return
+    most = max(entries, before(1))
+    room = room_for_replicas(plan, replica, before(2))
+    allocate (urn1_number(most, room, plan%point_count), source=-1)
+    allocate (flow(most, room, plan%point_count, 4), source=unknown_real())
+    if (allocated(results%series_time)) then
+      urn1_number(:before(1), :before(2), :) = results%series_urn1_number
+      flow(:before(1), :before(2), :, :) = results%series_flow
     end if
     call move_alloc(urn1_number, results%series_urn1_number)
     call move_alloc(flow, results%series_flow)
-    results%series_time = [(real(k - 1, dp)*real(plan%series_interval, dp), k=1, entries)]
+    results%series_time = [(real(k - 1, dp)*real(plan%series_interval, dp), k=1, most)]
   end subroutine room_for_series
 
 end module battery_merge

@@ -7,7 +7,7 @@ module battery_outlook
   use battery_error, only: error_type
   use battery_limits, only: memory_type, memory_left
   use battery_needs, only: needs_type, needs_of
-  use battery_preparation, only: progress_type, look_at_output
+  use battery_preparation, only: progress_type, look_at_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_room, only: base_bytes, size_text
   use battery_screen, only: duration_text, rate_text
@@ -96,16 +96,6 @@ contains
       < plan%first_replicas, k=1, task_count(plan))])
     progress%further = task_count(plan) - size(progress%pending)
   end function nothing_done
-
-  !> How many tasks may come on top.
-  function further_text(progress) result(text)
-    type(progress_type), intent(in) :: progress
-    character(len=:), allocatable :: text
-
-    text = ''
-    if (progress%further > 0) text = ', and up to '//to_text(progress%further) &
-      //' more as the first replicas tell'
-  end function further_text
 
   !> What a rank takes while it runs, what rank 0 takes at the end, and what there is.
   subroutine print_memory(needs, left)

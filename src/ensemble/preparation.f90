@@ -19,7 +19,7 @@ module battery_preparation
   use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
   private
-  public :: prepare, progress_type, look_at_output
+  public :: prepare, progress_type, look_at_output, further_text
 
   !> How far an ensemble is.
   type :: progress_type
@@ -141,8 +141,18 @@ contains
     if (allocated(results%point_status)) call foresee(plan, results%point_status /= &
       point_undecided, wanted, progress)
     if (found) remark = remark//'going on: '//to_text(progress%finished)//' of ' &
-      //to_text(progress%finished + size(progress%pending))//' tasks are finished'
+      //to_text(progress%finished + size(progress%pending))//' tasks are finished'//further_text(progress)
   end subroutine look_at_output
+
+  !> How many tasks may come on top of those that are known to be needed; empty: none.
+  function further_text(progress) result(text)
+    type(progress_type), intent(in) :: progress
+    character(len=:), allocatable :: text
+
+    text = ''
+    if (progress%further > 0) text = ', and up to '//to_text(progress%further) &
+      //' more as the first replicas tell'
+  end function further_text
 
   !> What points may still ask for whose first replicas are not complete.
   pure subroutine foresee(plan, decided, wanted, progress)

@@ -366,10 +366,12 @@ contains
     type(reader_type), intent(inout) :: reader
     integer, intent(in) :: next
     character(len=:), allocatable, intent(out) :: text
+    integer :: last
 
-    text = reader%text(reader%at:)
-    if (next > 0) text = text(:next - 1)
-    reader%at = reader%at + len(text)
+    last = len(reader%text)
+    if (next > 0) last = reader%at + next - 2
+    text = reader%text(reader%at:last)
+    reader%at = last + 1
   end subroutine take_before
 
   !> The next sign; a null sign at the end.

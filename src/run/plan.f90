@@ -120,8 +120,15 @@ contains
     type(plan_type), intent(in) :: plan
     !> Its name.
     character(len=*), intent(in) :: key
+    integer :: at
 
-    yes = size(values_of(plan, key)) > 0
+    yes = .false.
+    do at = 1, size(plan%scanned)
+      associate (scanned => plan%scanned(at))
+        yes = yes .or. scanned%key == key .or. (scanned%key//'2' == key .and. &
+          allocated(scanned%second))
+      end associate
+    end do
   end function is_scanned
 
   !> The values of a key that is scanned; none if it is not.

@@ -4,12 +4,12 @@
 !> All types and ranks go through one procedure, as an address and extents. Extents are in Fortran
 !> order; readers in C or Python see them reversed.
 module battery_hdf5_datasets
-  use, intrinsic :: iso_c_binding, only: c_associated
+  use, intrinsic :: iso_c_binding, only: c_associated, c_loc, c_ptr
   use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dread_f, h5dwrite_f, &
     h5dget_space_f, h5sget_simple_extent_dims_f, h5sget_simple_extent_ndims_f, h5pcreate_f, &
-    h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5screate_simple_f, h5tget_size_f, &
-    h5zfilter_avail_f, h5kind_to_type
-  use hdf5, only: h5p_dataset_create_f, h5z_filter_deflate_f, h5_integer_kind
+    h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5pset_fill_value_f, h5screate_simple_f, &
+    h5sselect_hyperslab_f, h5tget_size_f, h5zfilter_avail_f, h5kind_to_type
+  use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, h5_integer_kind
   use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
   use battery_kinds, only: int32, int64
   use battery_error, only: error_type
@@ -26,38 +26,73 @@ module battery_hdf5_datasets
 contains
 
   !> A dataset, into a new file or out of one that is read, so that one procedure says what is in
-  !> both. Does nothing after an error.
-  subroutine pass_dataset(file, path, values, units, long_name, error, scales)
+  !> both. The values may be the first of it alone, in every dimension: then the others are not
+  !> known, and a large dataset has no room for them. Does nothing after an error.
+  subroutine pass_dataset(file, path, values, units, long_name, error, scales, extents, unknown)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
     !> From the root.
     character(len=*), intent(in) :: path
-    !> As `memory_of` takes them; read with the extents that they have in the file.
+    !> As `memory_of` takes them.
     type(*), intent(inout), target, contiguous :: values(..)
     !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
     !> Paths of its dimension scales, in Fortran order.
     character(len=*), intent(in) :: scales(:)
+    !> Extents of the dataset in Fortran order; absent: those of the values.
+    integer, intent(in), optional :: extents(:)
+    !> What stands for a value that is not known, of the kind of the values; beside `extents`.
+    type(*), intent(in), target, optional :: unknown
     type(memory_type) :: memory
-    integer(hid_t) :: dataset
+    integer(hsize_t), allocatable :: whole(:)
+    integer(hid_t) :: dataset, space, part
     integer :: status
 
     memory = memory_of(values)
+    whole = memory%extents
+    if (present(extents)) whole = int(extents, hsize_t)
     if (allocated(error)) then
       return
     else if (file%is_new) then
-      call write_memory(file, path, memory, units, long_name, error, scales)
+      if (present(unknown)) then
+        call write_memory(file, path, memory, units, long_name, error, scales, whole=whole, &
+          unknown=c_loc(unknown))
+      else
+        call write_memory(file, path, memory, units, long_name, error, scales)
+      end if
     else if (product(memory%extents) > 0) then
       status = -1
       dataset = no_handle
-      if (all(extents_of(file, path, size(memory%extents)) == memory%extents)) &
+      space = no_handle
+      part = no_handle
+      if (all(extents_of(file, path, size(whole)) == whole)) &
         call h5dopen_f(file%id, path, dataset, status)
-      if (status == 0) call h5dread_f(dataset, memory%value_type, memory%address, status)
+      if (status == 0) call select_first(whole, memory%extents, space, part, status)
+      if (status == 0) call h5dread_f(dataset, memory%value_type, memory%address, status, part, &
+        space)
+      call release(part, status)
+      call release(space, status)
       call release(dataset, status)
       call check(file, path, 'cannot be read', status, error)
     end if
   end subroutine pass_dataset
+
+  !> The first of a dataset in every dimension, as a space of its own and as a part of the whole.
+  subroutine select_first(whole, first, space, part, status)
+    !> Extents of the dataset, and how many of each.
+    integer(hsize_t), intent(in) :: whole(:), first(:)
+    !> To be released.
+    integer(hid_t), intent(out) :: space, part
+    integer, intent(out) :: status
+    integer :: k
+
+    part = no_handle
+    call h5screate_simple_f(size(whole), whole, space, status)
+    if (status == 0) call h5screate_simple_f(size(first), first, part, status)
+    if (status == 0 .and. any(first < whole)) call h5sselect_hyperslab_f(space, h5s_select_set_f, &
+      [(0_hsize_t, k=1, size(first))], first, status)
+  end subroutine select_first
 
   !> Extents of a dataset in Fortran order; -1 where it is not there, or of another rank.
   function extents_of(file, path, rank) result(extents)
@@ -140,30 +175,39 @@ contains
   end subroutine write_dimension
 
   !> A new dataset from values in memory, or without values if their address is null. A scale if it
-  !> has a name as one.
-  subroutine write_memory(file, path, memory, units, long_name, error, scales, scale_name)
+  !> has a name as one. Of a `whole` that is larger, the values are the first.
+  subroutine write_memory(file, path, memory, units, long_name, error, scales, scale_name, whole, &
+    unknown)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, units, long_name
     type(memory_type), intent(in) :: memory
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), intent(in), optional :: scales(:), scale_name
-    integer(hid_t) :: space, layout, dataset
+    !> Extents of the dataset, and where what fills it stands.
+    integer(hsize_t), intent(in), optional :: whole(:)
+    type(c_ptr), intent(in), optional :: unknown
+    integer(hsize_t), allocatable :: extents(:)
+    integer(hid_t) :: space, part, layout, dataset
     integer :: status
 
     if (allocated(error)) return
-    space = no_handle
     layout = no_handle
     dataset = no_handle
-    call h5screate_simple_f(size(memory%extents), memory%extents, space, status)
-    if (status == 0) call new_layout(memory, layout, status)
+    extents = memory%extents
+    if (present(whole)) extents = whole
+    call select_first(extents, memory%extents, space, part, status)
+    if (status == 0) call new_layout(memory, extents, layout, status)
+    if (status == 0 .and. any(extents > memory%extents) .and. present(unknown)) &
+      call h5pset_fill_value_f(layout, memory%value_type, unknown, status)
     if (status == 0) call h5dcreate_f(file%id, path, memory%value_type, space, dataset, status, &
       dcpl_id=layout)
     if (status == 0 .and. c_associated(memory%address) .and. product(memory%extents) > 0) &
-      call h5dwrite_f(dataset, memory%value_type, memory%address, status)
+      call h5dwrite_f(dataset, memory%value_type, memory%address, status, part, space)
     if (present(scale_name) .and. status == 0) call h5dsset_scale_f(dataset, status, scale_name)
     if (present(scales)) call attach_scales(file, dataset, scales, status)
     call release(dataset, status)
     call release(layout, status)
+    call release(part, status)
     call release(space, status)
     call check(file, path, 'cannot be written', status, error)
     call write_text(file, path, 'units', units, error)
@@ -189,11 +233,13 @@ contains
   end subroutine attach_scales
 
   !> How a dataset lies in the file: as it is, or, if large, in compressed pieces.
-  subroutine new_layout(memory, layout, status)
+  subroutine new_layout(memory, extents, layout, status)
     type(memory_type), intent(in) :: memory
+    !> Of the dataset.
+    integer(hsize_t), intent(in) :: extents(:)
     integer(hid_t), intent(out) :: layout
     integer, intent(out) :: status
-    integer(hsize_t) :: piece(size(memory%extents))
+    integer(hsize_t) :: piece(size(extents))
     integer(size_t) :: bytes
     integer :: k
     logical :: can_deflate
@@ -202,7 +248,7 @@ contains
     call h5pcreate_f(h5p_dataset_create_f, layout, status)
     if (status == 0) call h5tget_size_f(memory%value_type, bytes, status)
     if (status /= 0 .or. .not. c_associated(memory%address)) return
-    piece = memory%extents
+    piece = extents
     if (product(piece)*bytes <= large) return
     call h5zfilter_avail_f(h5z_filter_deflate_f, can_deflate, status)
     if (status /= 0 .or. .not. can_deflate) return

@@ -43,6 +43,7 @@ module battery_results
     integer(int32), allocatable :: point_status(:)
     real(dp), allocatable :: replica_error(:, :)
 
+    !> Of what follows only the first replicas need be there: of the others nothing is known.
     !> Series, if asked for: times since the start; N1 as (time, replica, point); crossings per unit
     !> time since the entry before as (time, replica, point, which), which is 1_12, 1_21, 2_12,
     !> 2_21.

@@ -14,7 +14,7 @@ module battery_results_file
   use battery_hdf5_datasets, only: pass_dataset, write_dataset, write_scale, &
     write_dimension, extents_of
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
-    flow_names, unknown_count
+    flow_names, unknown_count, unknown_real
   use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
     task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
     point_undecided
@@ -100,6 +100,7 @@ contains
     type(error_type), allocatable :: other
     type(hdf5_file_type) :: file
     integer(int64) :: two(2), three(3), four(4)
+    integer :: held, r
     character(len=:), allocatable :: hosts
 
     call check_seal(name, error)
@@ -111,15 +112,17 @@ contains
     call read_text(file, '/provenance', 'hosts', hosts, error)
     results%host = lines_of(hosts)
     if (whole) then
+      held = findloc([(any(results%task_status(r, :) == task_complete), r=1, int(two(1)))], &
+        .true., dim=1, back=.true.)
       three = extents_of(file, '/series/urn1_number', 3)
       if (three(1) > 0) then
-        allocate (results%series_time(three(1)), results%series_flow(three(1), two(1), two(2), 4))
-        allocate (results%series_urn1_number(three(1), two(1), two(2)))
+        allocate (results%series_time(three(1)), results%series_flow(three(1), held, two(2), 4))
+        allocate (results%series_urn1_number(three(1), held, two(2)))
       end if
       four = extents_of(file, '/snapshots/x', 4)
-      if (four(1) > 0) allocate (results%snapshots(four(1), four(2), two(1), two(2), 4))
+      if (four(1) > 0) allocate (results%snapshots(four(1), four(2), held, two(2), 4))
       three = extents_of(file, '/final/x', 3)
-      if (three(1) > 0) allocate (results%final_state(three(1), 1, two(1), two(2), 4))
+      if (three(1) > 0) allocate (results%final_state(three(1), 1, held, two(2), 4))
       call pass_series(file, results, error)
       call pass_states(file, results, error)
     end if
@@ -226,22 +229,24 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', by_task]
     type(quantity_type), allocatable :: list(:)
-    integer :: which
+    integer :: which, extents(3)
 
     if (.not. allocated(results%series_time)) return
+    extents = [size(results%series_time), shape(results%seed)]
     if (file%is_new) then
       call make_group(file, '/series', error)
       call write_scale(file, '/series/time', results%series_time, 'time', since_start, error)
     end if
     call pass_dataset(file, '/series/urn1_number', results%series_urn1_number, '1', &
-      'particles at x < 0', error, by_time)
+      'particles at x < 0', error, by_time, extents, int(unknown_count, int32))
     call write_attribute(file, '/series/urn1_number', '_FillValue', int(unknown_count, int32), &
       error)
     list = averaged_quantities()
     do which = 1, 4
       associate (flow => list(place_of(flow_names(which), list)))
         call pass_dataset(file, '/series/'//trim(flow%name), results%series_flow(:, :, :, which), &
-          trim(flow%unit), trim(flow%meaning)//', since the entry before', error, by_time)
+          trim(flow%unit), trim(flow%meaning)//', since the entry before', error, by_time, &
+          extents, unknown_real())
       end associate
     end do
   end subroutine pass_series
@@ -272,9 +277,11 @@ contains
     do which = 1, 4
       if (allocated(results%snapshots)) call pass_dataset(file, &
         '/snapshots/'//trim(names(which)), results%snapshots(:, :, :, :, which), &
-        trim(units(which)), meanings(which), error, by_particle)
+        trim(units(which)), meanings(which), error, by_particle, [shape(results%snapshots(:, :, &
+        1, 1, 1)), shape(results%seed)], unknown_real())
       if (allocated(results%final_state)) call pass_dataset(file, '/final/'//trim(names(which)), &
-        results%final_state(:, 1, :, :, which), trim(units(which)), meanings(which), error, by_last)
+        results%final_state(:, 1, :, :, which), trim(units(which)), meanings(which), error, &
+        by_last, [size(results%final_state, 1), shape(results%seed)], unknown_real())
     end do
   end subroutine pass_states
 

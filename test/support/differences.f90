@@ -12,7 +12,8 @@ module differences
   use battery_stream, only: stream_type, new_stream
   use battery_task_result, only: task_result_type, to_record
   use battery_text, only: to_text
-  use scenes, only: log_type, same_bits
+  use scenes, only: same_bits
+  use engine_runs, only: log_type
   implicit none (type, external)
   private
   public :: first_difference

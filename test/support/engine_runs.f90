@@ -1,0 +1,172 @@
+!> Engines in tests: begun, run with a log of all that they tell, saved and restored.
+module engine_runs
+  use battery_kinds, only: wp, int64
+  use battery_table, only: table_type
+  use battery_engine, only: engine_type, particles_type
+  use battery_engines, only: new_engine
+  use battery_error, only: error_type
+  use battery_history, only: history_type
+  use battery_stream, only: stream_type, new_stream, stream_of
+  implicit none (type, external)
+  private
+  public :: begin, log_type, run_for, totals_of, tally, make_room, note
+  public :: save_engine, restore_engine
+
+  !> Events in the order of their happening, with their times since the start.
+  type :: log_type
+    integer :: events = 0
+    real(wp), allocatable :: time(:)
+    integer, allocatable :: kind(:), where(:), particle(:)
+    !> Time that has passed; windows; sum of what the histories tell.
+    real(wp) :: elapsed = 0.0_wp
+    integer :: windows = 0
+    integer(int64) :: collisions = 0, reversals = 0, bounce_backs = 0
+    !> How many crossings of each kind.
+    integer :: crossings(4) = 0
+    !> Integral of |N1 - N2| over time, and N1 as the crossings tell it.
+    real(wp) :: spread = 0.0_wp
+    integer :: first = 0
+  end type log_type
+
+contains
+
+  !> An engine by its name, at the time 0; the particles are left as they are.
+  subroutine begin(name, table, threshold, particles, engine)
+    character(len=*), intent(in) :: name
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold(2)
+    type(particles_type), intent(in) :: particles
+    class(engine_type), allocatable, intent(out) :: engine
+    type(error_type), allocatable :: error
+    type(particles_type) :: given
+
+    call new_engine(trim(name), engine, error)
+    engine%time_step = 1.0e-4_wp
+    engine%seed = 5_int64
+    given = particles
+    call engine%start(table, threshold, given, 0.0_wp)
+  end subroutine begin
+
+  !> Lets the engine go on for `duration`, in windows not longer than `step`, and adds to the log.
+  subroutine run_for(engine, duration, log, step)
+    class(engine_type), intent(inout) :: engine
+    real(wp), intent(in) :: duration
+    type(log_type), intent(inout) :: log
+    real(wp), intent(in), optional :: step
+    type(history_type) :: history
+    real(wp) :: rest, began
+
+    call make_room(log, 0)
+    history%logging = .true.
+    began = log%elapsed
+    rest = duration
+    do while (rest > 16.0_wp*epsilon(1.0_wp)*(began + duration))
+      if (present(step)) rest = min(rest, step)
+      call engine%advance(rest, history)
+      call tally(history, engine%number, log)
+      rest = duration - (log%elapsed - began)
+    end do
+  end subroutine run_for
+
+  !> Adds one window to the log.
+  subroutine tally(history, number, log)
+    type(history_type), intent(in) :: history
+    integer, intent(in) :: number
+    type(log_type), intent(inout) :: log
+    integer :: i, n
+    real(wp) :: before
+
+    n = history%events
+    if (n > 0) call append_events()
+    before = 0.0_wp
+    do i = 1, history%crossings
+      log%spread = log%spread + (history%crossing_time(i) - before)*abs(2*log%first - number)
+      before = history%crossing_time(i)
+      log%first = log%first + merge(1, -1, modulo(int(history%crossing(i)), 2) == 0)
+      log%crossings(history%crossing(i)) = log%crossings(history%crossing(i)) + 1
+    end do
+    log%spread = log%spread + (history%duration - before)*abs(2*log%first - number)
+    log%elapsed = log%elapsed + history%duration
+    log%windows = log%windows + 1
+    log%collisions = log%collisions + history%collisions
+    log%reversals = log%reversals + history%reversals
+    log%bounce_backs = log%bounce_backs + history%bounce_backs
+
+  contains
+
+    subroutine append_events()
+      call make_room(log, log%events + n)
+      log%time(log%events + 1:log%events + n) = log%elapsed + history%event_time(:n)
+      log%kind(log%events + 1:log%events + n) = history%event_kind(:n)
+      log%where(log%events + 1:log%events + n) = history%event_where(:n)
+      log%particle(log%events + 1:log%events + n) = history%event_particle(:n)
+      log%events = log%events + n
+    end subroutine append_events
+
+  end subroutine tally
+
+  !> Makes the log, or makes it longer: room for so many events.
+  subroutine make_room(log, events)
+    type(log_type), intent(inout) :: log
+    integer, intent(in) :: events
+    integer :: more
+
+    if (.not. allocated(log%time)) then
+      allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
+    end if
+    more = max(events, 2*size(log%time), 64) - size(log%time)
+    if (events <= size(log%time)) return
+    log%time = [log%time, spread(0.0_wp, 1, more)]
+    log%kind = [log%kind, spread(0, 1, more)]
+    log%where = [log%where, spread(0, 1, more)]
+    log%particle = [log%particle, spread(0, 1, more)]
+  end subroutine make_room
+
+  !> Adds one event to the log.
+  subroutine note(log, time, kind, where, particle)
+    type(log_type), intent(inout) :: log
+    real(wp), intent(in) :: time
+    integer, intent(in) :: kind, where, particle
+
+    call make_room(log, log%events + 1)
+    log%events = log%events + 1
+    log%time(log%events) = time
+    log%kind(log%events) = kind
+    log%where(log%events) = where
+    log%particle(log%events) = particle
+  end subroutine note
+
+  !> What a run adds up to: wall collisions, reversals, turned back, crossings of each kind.
+  pure function totals_of(log, collisions) result(totals)
+    type(log_type), intent(in) :: log
+    !> As the engine counts them; the log tells of some before they happen.
+    integer(int64), intent(in) :: collisions
+    real(wp) :: totals(7)
+
+    totals = real([collisions, log%reversals, log%bounce_backs, int(log%crossings, int64)], wp)
+  end function totals_of
+
+  !> The state of an engine, written and ready to be read.
+  subroutine save_engine(engine, state)
+    class(engine_type), intent(inout) :: engine
+    type(stream_type), intent(out) :: state
+
+    state = new_stream()
+    call engine%pass_state(engine%table, engine%gate%threshold, state)
+    state = stream_of(state%word(:state%length))
+  end subroutine save_engine
+
+  !> An engine that goes on from a state; step and seed are set already.
+  subroutine restore_engine(engine, table, threshold, state)
+    class(engine_type), intent(inout) :: engine
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: threshold
+    type(stream_type), intent(in) :: state
+    type(stream_type) :: stream
+
+    stream = state
+    call engine%pass_state(table, [threshold, threshold], stream)
+    if (stream%failed()) error stop 'a state was not restored'
+  end subroutine restore_engine
+
+end module engine_runs
