@@ -4,7 +4,7 @@
 !> the table is one chamber with two openings: the gate, and the line. A visit begins at either, or
 !> wherever a particle was, and goes through the urn and its half of channel 2 by turns until it
 !> ends at either. A flight to channel 2 ends at the line: its `through` is 0. A visit of too many
-!> hits ends in the channel (`in_parts`) and is gone on with.
+!> hits ends in the channel or in the urn (`in_parts`) and is gone on with.
 !>
 !> Paths among discs part so fast that going back along them leads elsewhere. So it is kept how each
 !> visit began (`leg_type`); where a particle is within it is found by flying it once more.
@@ -179,10 +179,13 @@ contains
     at%hits = at%hits + int(v%hits(k), int64)
     stays = v%channel(k) /= gated .and. v%channel(k) /= ungated
     if (v%channel(k) == goes_on .and. leaves < limit) then
-      ! The rest of a long visit to the urn is flown at once.
-      call place_for_ever(table%urn(at%side), 0.0_wp, v%y(k), v%along(k), v%across(k), position, &
-        velocity, later)
-      at%now = leg_type(leaves, position(1), position(2), velocity(1), velocity(2), in_urn)
+      ! Gone on with from half the part, so that what comes after is no sooner than the lookahead.
+      call place_for_ever(table%urn(at%side), -v%through(k), v%y(k), v%along(k), v%across(k), &
+        position, velocity, later)
+      at%now = leg_type(leaves - v%through(k), position(1), position(2), velocity(1), velocity(2), &
+        in_urn)
+      at%heading = in_parts
+      at%hits = at%hits + later
     else if (limit < huge(1.0_wp) .and. (stays .or. leaves > limit)) then
       if (stays) then
         call place_for_ever(table%urn(at%side), limit - leaves, v%y(k), v%along(k), v%across(k), &
