@@ -263,8 +263,10 @@ contains
       case_type(number=100000, threshold=700, sides=6), &
       case_type(number=100000, threshold=700, sides=24)])
     call table(unit, file, 'visits', 'Visits alone, in batches of 1024: discs, regular hexagons', &
-      cost_of_collision, [case_type(visits_alone), case_type(visits_alone, sides=6), &
-      case_type(visits_alone, width2=0.3_wp), case_type(visits_alone, width2=0.3_wp, sides=6)])
+      cost_of_collision, [case_type(visits_alone, 1024, 0), &
+      case_type(visits_alone, 1024, 0, sides=6), &
+      case_type(visits_alone, 1024, 0, width2=0.3_wp), &
+      case_type(visits_alone, 1024, 0, width2=0.3_wp, sides=6)])
     call table(unit, file, 'lorentz', '20 discs in channel 2, w'' = 0.3', cost_of_collision, &
       [case_type('excursion', width2=0.3_wp, scatterers=20), &
       case_type('collision', width2=0.3_wp, scatterers=20)])
