@@ -100,8 +100,7 @@ class Job:
                                    for one in looks])  # fmt: skip
                 binder, binder_error = cumulant(spread)
                 found.append({
-                    "number": number, "radius": radius, "urn1_number": start * number,
-                    "chi": chi,
+                    "number": number, "radius": radius, "urn1_number": start * number, "chi": chi,
                     "chi_error": error, "binder": binder, "binder_error": binder_error,
                 })  # fmt: skip
         return found
