@@ -44,6 +44,7 @@ CLOSE = {
 }
 LONG = 8.0  # so many times as long, the transient too
 APART = 20.0  # time between two looks
+HALFWAY, BETWEEN = 0.3, (0.2, 0.5)  # chi between homogeneous and polarised
 
 
 def lattice(columns: int, radius: float, width: float = WIDTH, length: float = 1.0) -> list[float]:
@@ -96,12 +97,17 @@ class Job:
                 chi, error = mean_of_groups(results.value("chi")[point])
                 looks = [results.series(point, replica) for replica in range(results.replicas)]
                 since = float(results.value("transient_time")[point].max())
-                spread = np.array([2.0 * one.urn1_number[one.time >= since] / number - 1.0
-                                   for one in looks])  # fmt: skip
-                binder, binder_error = cumulant(spread)
+                spread = np.array([2.0 * one.urn1_number / number - 1.0 for one in looks])
+                late = spread[:, looks[0].time >= since]
+                binder, binder_error = cumulant(late)
+                beyond = (np.abs(spread) > HALFWAY) if start == STARTS[0] else (
+                    np.abs(spread) < HALFWAY)  # fmt: skip
+                low, high = BETWEEN
                 found.append({
                     "number": number, "radius": radius, "urn1_number": start * number, "chi": chi,
                     "chi_error": error, "binder": binder, "binder_error": binder_error,
+                    "stay": int((~beyond.any(axis=1)).sum()), "runs": len(looks),
+                    "between": float(((np.abs(late) > low) & (np.abs(late) < high)).mean()),
                 })  # fmt: skip
         return found
 
@@ -242,12 +248,14 @@ def table(rows: Rows, first: Iterable[str]) -> str:
 def close_table(rows: Rows) -> str:
     """Return chi from both starts and Binder's cumulant close to the transition, in Markdown."""
     head = ["N", "radius", "chi, from equal urns", "chi, from one full urn", "cumulant, equal",
-            "cumulant, full"]  # fmt: skip
+            "cumulant, full", "stay, equal", "stay, full", "time in between"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for equal, full in zip(rows[::2], rows[1::2], strict=True):
         parts = [f"{equal['number']:g}", f"{equal['radius']:g}"]
         parts += [f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
                   for name, digits in (("chi", 3), ("binder", 2)) for row in (equal, full)]
+        parts += [f"{row['stay']:g} of {row['runs']:g}" for row in (equal, full)]
+        parts.append(f"{50.0 * (equal['between'] + full['between']):.1f} %")
         lines.append("| " + " | ".join(parts) + " |")
     return "\n".join(lines)
 
