@@ -34,7 +34,7 @@ program accuracy
       'NUMBER THRESHOLD CLOCK DURATION', &
       '       accuracy reversal ENGINE STEP FILE NUMBER TIME ...', &
       '       accuracy lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]', &
-      '       accuracy visits WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]', &
+      '       accuracy visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]', &
       '       accuracy stability ENGINE COLLISIONS SECONDS', &
       '       accuracy photon ENGINE'
   end select

@@ -14,6 +14,8 @@ module battery_bench_rows
     real(wp) :: width1 = 0.3_wp, width2 = 0.01_wp
     !> Of urns that are regular polygons; 0: discs.
     integer :: sides = 0
+    !> Discs in channel 2.
+    integer :: scatterers = 0
     !> Seconds a round lasts; warm-up in time units (particle time) before the first.
     real(dp) :: seconds = 0.5_dp
     real(wp) :: warm_up = 50.0_wp
@@ -52,10 +54,11 @@ contains
     type(rate_type), intent(in) :: rates(:)
     logical, intent(in) :: first
 
-    write (file, '(5a, i0, a, i0, a, es12.5, a, es12.5, a, i0, a)') merge(' ', ',', first), &
+    write (file, '(5a, i0, a, i0, a, es12.5, a, es12.5, a, i0, a, i0, a)') merge(' ', ',', first), &
       '{"table": "', key, '", "engine": "'//trim(one%engine), '", "number": ', one%number, &
       ', "threshold": ', one%threshold, ', "channel1_width": ', one%width1, &
-      ', "channel2_width": ', one%width2, ', "sides": ', one%sides, ','
+      ', "channel2_width": ', one%width2, ', "sides": ', one%sides, ', "scatterers": ', &
+      one%scatterers, ','
     call write_list('collisions_per_second', rates%collisions, ',')
     call write_list('visits_per_second', rates%visits, ',')
     call write_list('particle_time_per_second', rates%particle_time, '}')

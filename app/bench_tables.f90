@@ -10,8 +10,9 @@ module battery_bench
   use battery_history, only: history_type
   use battery_engines, only: new_engine
   use battery_initial_state, only: random_particles
-  use battery_clocks, only: wall_seconds
+  use battery_clocks, only: cpu_seconds
   use battery_bench_board, only: bench_board
+  use battery_bench_visits, only: visitors_type, invite, receive
   use battery_bench_rows, only: case_type, rate_type, cost_of_collision, cost_of_visit, &
     cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor, &
     peak_memory
@@ -19,12 +20,16 @@ module battery_bench
   private
   public :: bench_main
 
-  !> An engine that has been warmed up and goes on from round to round.
+  !> An engine that has been warmed up and goes on from round to round, or visits alone.
   type :: runner_type
     class(engine_type), allocatable :: engine
+    type(visitors_type) :: visitors
   end type runner_type
 
   integer, parameter :: rounds = 5
+
+  !> In place of an engine.
+  character(len=*), parameter :: visits_alone = 'visits'
 
   !> Step of the engine `timestep`, with which it is off by half a per cent after 10 time units.
   real(wp), parameter :: time_step = 1.0e-3_wp
@@ -111,7 +116,6 @@ contains
     type(runner_type), intent(inout) :: runner
     type(particles_type) :: particles
     type(error_type), allocatable :: error
-
     type(urn_type) :: urn
 
     if (one%sides > 0) then
@@ -119,7 +123,11 @@ contains
       urn%corner = regular_corners(one%sides, 1.0_wp)
     end if
     associate (table => new_table(shape_circuit, [urn, urn], [channel_type(one%width1, 1.0_wp), &
-      channel_type(one%width2, 1.0_wp)]))
+      channel_type(one%width2, 1.0_wp)], lattice(one%scatterers)))
+      if (one%engine == visits_alone) then
+        call invite(runner%visitors, table)
+        return
+      end if
       call new_engine(trim(one%engine), runner%engine, error)
       if (.not. allocated(error)) call random_particles(table, one%number, one%number/2, 1_int64, &
         particles, error)
@@ -129,16 +137,35 @@ contains
     end associate
   end subroutine prepare
 
+  !> Discs of radius 0.025 in two rows by turns, as in `namelists/lorentz.nml`.
+  pure function lattice(scatterers) result(discs)
+    !> How many of them; even.
+    integer, intent(in) :: scatterers
+    real(wp) :: discs(3, scatterers)
+    integer :: k, column
+
+    do k = 1, scatterers
+      column = (k - 1)/2
+      discs(:, k) = [-0.45_wp + 0.1_wp*column, -0.1125_wp + 0.075_wp*modulo(column, 2) &
+        + 0.15_wp*modulo(k - 1, 2), 0.025_wp]
+    end do
+  end function lattice
+
   subroutine warm_up(one, runner)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
     type(history_type) :: history
     real(wp) :: time
     real(dp) :: began
+    type(rate_type) :: rate
 
+    if (one%engine == visits_alone) then
+      call receive(runner%visitors, one%seconds, rate)
+      return
+    end if
     time = 0.0_wp
-    began = wall_seconds()
-    do while (time < one%warm_up .and. wall_seconds() - began < 4.0_dp*one%seconds)
+    began = cpu_seconds()
+    do while (time < one%warm_up .and. cpu_seconds() - began < 4.0_dp*one%seconds)
       call runner%engine%advance(one%warm_up - time, history)
       time = time + history%duration
     end do
@@ -155,17 +182,21 @@ contains
     real(dp) :: began, spent, time, visits
     integer :: k
 
+    if (one%engine == visits_alone) then
+      call receive(runner%visitors, one%seconds, rate)
+      return
+    end if
     before = runner%engine%collisions()
     time = 0.0_dp
     visits = 0.0_dp
-    began = wall_seconds()
+    began = cpu_seconds()
     do
       do k = 1, 8
         call runner%engine%advance(huge(1.0_wp), history)
         time = time + real(history%duration, dp)
         visits = visits + real(history%bounce_backs + history%crossings, dp)
       end do
-      spent = wall_seconds() - began
+      spent = cpu_seconds() - began
       if (spent > one%seconds) exit
     end do
     rate%collisions = real(runner%engine%collisions() - before, dp)/spent
@@ -231,6 +262,14 @@ contains
       threshold=700), case_type(number=100000, threshold=700, sides=4), &
       case_type(number=100000, threshold=700, sides=6), &
       case_type(number=100000, threshold=700, sides=24)])
+    call table(unit, file, 'visits', 'Visits alone, in batches of 1024: discs, regular hexagons', &
+      cost_of_collision, [case_type(visits_alone, 1024, 0), &
+      case_type(visits_alone, 1024, 0, sides=6), &
+      case_type(visits_alone, 1024, 0, width2=0.3_wp), &
+      case_type(visits_alone, 1024, 0, width2=0.3_wp, sides=6)])
+    call table(unit, file, 'lorentz', '20 discs in channel 2, w'' = 0.3', cost_of_collision, &
+      [case_type('excursion', width2=0.3_wp, scatterers=20), &
+      case_type('collision', width2=0.3_wp, scatterers=20)])
     call table(unit, file, 'map', 'Map of Fig. numris: 25 of its points, as its five by five '// &
       'parts have them in the middle', cost_of_collision, [(case_type(threshold=3 + k - mod(k, 5), &
       width2=0.002_wp + 0.098_wp*(0.1_wp + 0.2_wp*modulo(k, 5)), seconds=0.15_dp), k=0, 24)])

@@ -1,6 +1,6 @@
 !> What the probes of the program `accuracy` share: arguments, JSON, an engine on its way.
 module battery_probe
-  use, intrinsic :: iso_fortran_env, only: output_unit
+  use, intrinsic :: iso_fortran_env, only: output_unit, real32
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
   use battery_text, only: to_text
@@ -10,7 +10,7 @@ module battery_probe
   use battery_engines, only: new_engine
   implicit none (type, external)
   private
-  public :: argument, real_argument, integer_argument, precision_name, paper_table, started
+  public :: argument, real_argument, integer_argument, given, precision_name, paper_table, started
   public :: run_for, list, say, stop_at, now_seconds
 
 contains
@@ -47,6 +47,16 @@ contains
     read (word, *, iostat=status) number
     if (status /= 0) call stop_at('argument '//to_text(k)//' is not a whole number')
   end function integer_argument
+
+  !> A length as a number of so many bits: the same in each precision that has them.
+  elemental function given(length, bits) result(rounded)
+    real(wp), intent(in) :: length
+    integer, intent(in) :: bits
+    real(wp) :: rounded
+
+    rounded = real(real(length, dp), wp)
+    if (bits < 24) rounded = real(real(length, real32), wp)
+  end function given
 
   function precision_name() result(name)
     character(len=:), allocatable :: name

@@ -5,25 +5,28 @@
 !> opening by K_y eps, and changes its length by K_l eps, with n the wall hits, s and c the sine and
 !> cosine of the incidence, q and u place and direction at the way out:
 !>   K_u = 1 + 2 n/c,  K_y = (|q.u| K_u + r)/|u_x|,  K_l = 2 r (n |s|/c + 1) + r K_u + |u_y| K_y.
-!> The error of a visit over these is what is held against the precision. Visits that end at
-!> another wall hit than the reference are told apart: those that come so close to a corner that
-!> the way in, known to `corner_tolerance`, cannot say on which side, and those that are wrong.
+!> The error of a visit over these is what is held against the precision. (`battery_probe_polygon`
+!> has them for polygons.) Visits that end at another wall hit than the reference are told apart:
+!> those that come so close to a corner that the way in, known to `corner_tolerance`, cannot say on
+!> which side, and those that are wrong.
 module battery_probe_visits
-  use, intrinsic :: iso_fortran_env, only: real32
   use battery_kinds, only: wp, dp, int64
   use battery_text, only: to_text
   use battery_table, only: table_type, gated, ungated
   use battery_random, only: hashed_uniform
-  use battery_urn, only: cross
+  use battery_urn, only: cross, shape_polygon
   use battery_visits, only: visits_type, reserve_visits
-  use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    say, stop_at, now_seconds
+  use battery_probe, only: argument, real_argument, integer_argument, given, precision_name, &
+    paper_table, say, stop_at, now_seconds
+  use battery_probe_polygon, only: polygon_table, polygon_conditions, polygon_tolerance, &
+    least_room_beside_corners
   implicit none (type, external)
   private
   public :: visits_main
 
   integer, parameter :: chunk = 4096
-  !> Numbers of a visit in the file: opening, y, |u_x|, u_y, length, wall hits.
+  !> Numbers of a visit in the file: opening (1, -1, or 0 if it was handed on before it came to
+  !> one), y, |u_x|, u_y, length, wall hits.
   integer, parameter :: numbers = 6
   !> A tie at a corner, in units of the change of the way in.
   real(wp), parameter :: corner_tolerance = 8.0_wp
@@ -32,7 +35,9 @@ module battery_probe_visits
 
   !> What the comparison found.
   type :: finding_type
-    integer(int64) :: same = 0, corner = 0, wrong = 0
+    integer(int64) :: same = 0, corner = 0, wrong = 0, handed_on = 0
+    !> Farthest from a corner of those that end elsewhere, over its condition and the precision.
+    real(wp) :: farthest = 0.0_wp
     !> Greatest error over its condition, and greatest and mean log10 of the condition itself.
     real(wp) :: worst = 0.0_wp, condition = 0.0_wp
     !> The same by place, direction and time.
@@ -42,25 +47,31 @@ module battery_probe_visits
 
 contains
 
-  !> `visits WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]`: computes visits whose ways in have so
+  !> `visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]`: computes visits whose ways in have so
   !> many bits and writes them to FILE; with OTHER, the FILE of the same visits in another
-  !> precision, tells how far the two are apart.
+  !> precision, tells how far the two are apart. URN is `disc`, or the corners x1,y1,x2,y2,... of a
+  !> polygon, in a word.
   subroutine visits_main()
     type(table_type) :: table
     type(finding_type) :: finding
     real(dp), allocatable :: mine(:, :), other(:, :)
     real(dp) :: began, spent
-    real(wp) :: unit_error
+    real(wp) :: unit_error, width(2)
     integer(int64) :: count, first
     integer :: bits, n, file, other_file
     logical :: comparing
 
-    bits = int(integer_argument(5))
-    table = paper_table(given_width(real_argument(2), bits), given_width(real_argument(3), bits))
-    count = integer_argument(4)
-    open (newunit=file, file=argument(6), access='stream', form='unformatted', status='replace')
-    comparing = argument(7) /= ''
-    if (comparing) open (newunit=other_file, file=argument(7), access='stream', &
+    bits = int(integer_argument(6))
+    width = [given(real_argument(3), bits), given(real_argument(4), bits)]
+    if (argument(2) == 'disc') then
+      table = paper_table(width(1), width(2))
+    else
+      table = polygon_table(argument(2), bits, width)
+    end if
+    count = integer_argument(5)
+    open (newunit=file, file=argument(7), access='stream', form='unformatted', status='replace')
+    comparing = argument(8) /= ''
+    if (comparing) open (newunit=other_file, file=argument(8), access='stream', &
       form='unformatted', status='old', action='read')
     unit_error = 0.5_wp**(bits + 1)
     spent = 0.0_dp
@@ -73,23 +84,13 @@ contains
       write (file) mine
       if (comparing) then
         read (other_file) other
-        call compare(table, n, unit_error, mine, other, finding)
+        call compare(table, first, bits, unit_error, mine, other, finding)
       end if
       deallocate (mine, other)
     end do
     close (file)
     call tell(finding, count, bits, table, spent, comparing)
   end subroutine visits_main
-
-  !> A width as a number of so many bits.
-  pure function given_width(width, bits) result(rounded)
-    real(wp), intent(in) :: width
-    integer, intent(in) :: bits
-    real(wp) :: rounded
-
-    rounded = real(real(width, dp), wp)
-    if (bits < 24) rounded = real(real(width, real32), wp)
-  end function given_width
 
   !> The visits `first` + 1 ... `first` + n.
   subroutine visit(table, first, n, bits, found)
@@ -98,34 +99,54 @@ contains
     integer, intent(in) :: n, bits
     real(dp), intent(out) :: found(numbers, n)
     type(visits_type) :: visits
-    real(wp) :: place, sine, width1, width2
     integer :: j
 
-    width1 = table%channel(1)%width
-    width2 = table%channel(2)%width
     call reserve_visits(visits, n)
     visits%count = n
     do j = 1, n
-      place = (width1 + width2)*drawn(first + j, 1_int64, bits)
-      sine = 2.0_wp*drawn(first + j, 2_int64, bits) - 1.0_wp
       visits%particle(j) = j
       visits%urn(j) = 1
       visits%time(j) = 0.0_wp
       visits%passage(j) = 0.0_wp
       visits%hits(j) = 0.0_wp
-      visits%channel(j) = merge(gated, ungated, place < width1)
-      visits%y(j) = merge(place - 0.5_wp*width1, place - width1 - 0.5_wp*width2, place < width1)
-      visits%x(j) = merge(table%urn(1)%chord(1), -table%urn(1)%chord(2), place < width1)
-      visits%along(j) = merge(-1.0_wp, 1.0_wp, place < width1)*sqrt((1.0_wp - sine) &
-        *(1.0_wp + sine))
-      visits%across(j) = sine
+      call way_in(table, first + j, bits, visits%channel(j), visits%x(j), visits%y(j), &
+        visits%along(j), visits%across(j))
     end do
     call cross(table%urn(1), visits)
     do j = 1, n
-      found(:, j) = real([merge(1.0_wp, -1.0_wp, visits%channel(j) == gated), visits%y(j), &
+      found(:, j) = real([opening(visits%channel(j)), visits%y(j), &
         visits%along(j), visits%across(j), visits%length(j), visits%hits(j)], dp)
     end do
   end subroutine visit
+
+  !> How visit number `k` begins, in the frame of the urn.
+  subroutine way_in(table, k, bits, channel, x, y, ux, uy)
+    type(table_type), intent(in) :: table
+    integer(int64), intent(in) :: k
+    integer, intent(in) :: bits
+    integer(int64), intent(out) :: channel
+    real(wp), intent(out) :: x, y, ux, uy
+    real(wp) :: place, sine, width1, width2
+
+    width1 = table%channel(1)%width
+    width2 = table%channel(2)%width
+    place = (width1 + width2)*drawn(k, 1_int64, bits)
+    sine = 2.0_wp*drawn(k, 2_int64, bits) - 1.0_wp
+    channel = merge(gated, ungated, place < width1)
+    y = merge(place - 0.5_wp*width1, place - width1 - 0.5_wp*width2, place < width1)
+    x = merge(table%urn(1)%chord(1), -table%urn(1)%chord(2), place < width1)
+    ux = merge(-1.0_wp, 1.0_wp, place < width1)*sqrt((1.0_wp - sine)*(1.0_wp + sine))
+    uy = sine
+  end subroutine way_in
+
+  !> What the file says of where a visit ended.
+  elemental function opening(channel) result(sign)
+    integer(int64), intent(in) :: channel
+    real(wp) :: sign
+
+    sign = merge(1.0_wp, -1.0_wp, channel == gated)
+    if (channel /= gated .and. channel /= ungated) sign = 0.0_wp
+  end function opening
 
   !> A number in (0, 1) of so many bits: the same in each precision that has them.
   elemental function drawn(visit, what, bits) result(number)
@@ -137,17 +158,24 @@ contains
   end function drawn
 
   !> How far `other` is from `mine`, the reference.
-  subroutine compare(table, n, unit_error, mine, other, finding)
+  subroutine compare(table, first, bits, unit_error, mine, other, finding)
     type(table_type), intent(in) :: table
-    integer, intent(in) :: n
+    !> The number of the visit before them; bits of their ways in.
+    integer(int64), intent(in) :: first
+    integer, intent(in) :: bits
     real(wp), intent(in) :: unit_error
-    real(dp), intent(in) :: mine(numbers, n), other(numbers, n)
+    real(dp), intent(in) :: mine(:, :), other(:, :)
     type(finding_type), intent(inout) :: finding
-    real(wp) :: k(3), error(3), room
+    real(wp) :: k(3), error(3), room, tolerance
     integer :: j, bin
     logical :: same
 
-    do j = 1, n
+    tolerance = merge(polygon_tolerance, corner_tolerance, table%urn(1)%shape == shape_polygon)
+    do j = 1, size(mine, 2)
+      if (nint(mine(1, j)) == 0 .and. nint(other(1, j)) == 0) then
+        finding%handed_on = finding%handed_on + 1
+        cycle
+      end if
       same = nint(mine(1, j)) == nint(other(1, j)) &
         .and. nint(mine(6, j), int64) == nint(other(6, j), int64)
       if (same) then
@@ -162,8 +190,9 @@ contains
         bin = bins + floor(10.0_wp*log10(max(maxval(error), 1.0e-37_wp)))
         finding%histogram(max(bin, 1)) = finding%histogram(max(bin, 1)) + 1
       else
-        room = least_room(table, mine(:, j), other(:, j), k)
-        if (room <= corner_tolerance*unit_error*k(2)) then
+        room = least_room(table, first + j, bits, mine(:, j), other(:, j))/unit_error
+        finding%farthest = max(finding%farthest, room)
+        if (room <= tolerance) then
           finding%corner = finding%corner + 1
         else
           finding%wrong = finding%wrong + 1
@@ -179,6 +208,11 @@ contains
     real(wp) :: k(3)
     real(wp) :: x, y, ux, uy, s, c, n, radius
 
+    if (table%urn(1)%shape == shape_polygon) then
+      k = polygon_conditions(table%urn(1)%polygon, real(visit(5), wp), real(visit(6), wp), &
+        real(visit(3), wp), real(visit(4), wp))
+      return
+    end if
     radius = table%urn(1)%radius
     x = merge(table%urn(1)%chord(1), -table%urn(1)%chord(2), visit(1) > 0.0_dp)
     y = visit(2)
@@ -192,20 +226,27 @@ contains
     k(3) = 2.0_wp*radius*(n*abs(s)/c + 1.0_wp) + radius*k(2) + abs(uy)*k(1)
   end function conditions
 
-  !> Distance from the corner of whichever of the two left first, and its conditions.
-  function least_room(table, mine, other, k) result(room)
+  !> Distance from the corner of whichever of the two left first, over its condition.
+  function least_room(table, number, bits, mine, other) result(room)
     type(table_type), intent(in) :: table
+    !> Which visit it is, and the bits of its way in.
+    integer(int64), intent(in) :: number
+    integer, intent(in) :: bits
     real(dp), intent(in) :: mine(numbers), other(numbers)
-    real(wp), intent(out) :: k(3)
-    real(wp) :: room
+    real(wp) :: room, k(3), x, y, ux, uy
     real(dp) :: first(numbers)
+    integer(int64) :: channel
 
+    if (table%urn(1)%shape == shape_polygon) then
+      call way_in(table, number, bits, channel, x, y, ux, uy)
+      room = least_room_beside_corners(table%urn(1)%polygon, x, y, ux, uy, nint(mine(6)))
+      return
+    end if
     first = mine
     if (other(6) < mine(6)) first = other
     k = conditions(table, first)
-    k(2) = k(1)
-    room = 0.5_wp*merge(table%channel(1)%width, table%channel(2)%width, first(1) > 0.0_dp) &
-      - abs(first(2))
+    room = (0.5_wp*merge(table%channel(1)%width, table%channel(2)%width, first(1) > 0.0_dp) &
+      - abs(first(2)))/k(1)
   end function least_room
 
   subroutine tell(finding, count, bits, table, spent, comparing)
@@ -224,7 +265,9 @@ contains
       //to_text(real(table%channel(2)%width, dp))//', "seconds_per_visit": '//to_text(spent/count)
     if (comparing) then
       text = text//', "same": '//to_text(finding%same)//', "corner": '//to_text(finding%corner) &
-        //', "wrong": '//to_text(finding%wrong)//', "worst": '//to_text(real(finding%worst, dp)) &
+        //', "wrong": '//to_text(finding%wrong)//', "handed_on": '//to_text(finding%handed_on) &
+        //', "farthest": '//to_text(real(finding%farthest, dp)) &
+        //', "worst": '//to_text(real(finding%worst, dp)) &
         //', "worst_place": '//to_text(real(finding%worst_of(1), dp))//', "worst_direction": ' &
         //to_text(real(finding%worst_of(2), dp))//', "worst_time": ' &
         //to_text(real(finding%worst_of(3), dp))//', "greatest_condition": ' &

@@ -2,7 +2,8 @@
 
 `run` (`make bench`) lets build/bin/bench print its tables, takes the peak memory of a run of 1e7
 particles, counts instructions where valgrind is installed, prints the figures beside their bounds
-and writes everything as JSON in build/bench. All times are taken by the Fortran program itself.
+and writes everything as JSON in build/bench. All times are taken by the Fortran program itself,
+processor time.
 `compare OLD.json NEW.json` prints the ratio of each figure of two such files with its spread: from
 the least of one file's rounds over the greatest of the other's to the reverse. What is wholly off 1
 is marked. Rounds of one run share the state of the machine: between two runs of the same program on

@@ -11,6 +11,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from postproc import cli, running
 from postproc.accuracy.experiments import mean_of_groups
 from postproc.figures import style
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
     Rows = list[dict[str, float]]
 
@@ -34,6 +37,14 @@ WIDTHS = (0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08)
 THRESHOLDS = (3, 5, 6, 7, 8, 9, 11, 13, 14)
 FREE_RADII = (0.0, 0.02, 0.04)
 STARTS = (0.5, 1.0)
+# Where the transition is looked at closely: radii by N, all at the same T/N.
+CLOSE = {
+    1000: (0.012, 0.013, 0.014, 0.015, 0.016, 0.017, 0.018),
+    4000: (0.008, 0.009, 0.010, 0.011, 0.012, 0.013, 0.014),
+}
+LONG = 8.0  # so many times as long, the transient too
+APART = 20.0  # time between two looks
+HALFWAY, BETWEEN = 0.3, (0.2, 0.5)  # chi between homogeneous and polarised
 
 
 def lattice(columns: int, radius: float, width: float = WIDTH, length: float = 1.0) -> list[float]:
@@ -68,6 +79,38 @@ class Job:
         with Results(made) as results:
             return [self._row(results, point) for point in range(results.points)]
 
+    def close_rows(self, number: int, radius: float) -> Rows:
+        """Run long from both starts; return chi and Binder's cumulant of each."""
+        groups: dict[str, dict[str, object]] = {
+            "table": {"channel2_width": WIDTH, "scatterers": lattice(6, radius)},
+            "particles": {"number": number},
+            "gate": {"threshold": THRESHOLD * number // NUMBER},
+            "run": {"duration": 1.5 * LONG * self.duration,
+                    "transient_duration": 0.5 * LONG * self.duration},
+            "scan": {"replicas": max(self.replicas // 2, 2), "urn1_fraction": list(STARTS)},
+            "output": {"file": f"close_{number}_{radius:g}.h5", "series_interval": APART},
+        }  # fmt: skip
+        made = running.run(groups, folder=self.folder, quiet=True)
+        found = []
+        with Results(made) as results:
+            for point, start in enumerate(STARTS):
+                chi, error = mean_of_groups(results.value("chi")[point])
+                looks = [results.series(point, replica) for replica in range(results.replicas)]
+                since = float(results.value("transient_time")[point].max())
+                spread = np.array([2.0 * one.urn1_number / number - 1.0 for one in looks])
+                late = spread[:, looks[0].time >= since]
+                binder, binder_error = cumulant(late)
+                beyond = (np.abs(spread) > HALFWAY) if start == STARTS[0] else (
+                    np.abs(spread) < HALFWAY)  # fmt: skip
+                low, high = BETWEEN
+                found.append({
+                    "number": number, "radius": radius, "urn1_number": start * number, "chi": chi,
+                    "chi_error": error, "binder": binder, "binder_error": binder_error,
+                    "stay": int((~beyond.any(axis=1)).sum()), "runs": len(looks),
+                    "between": float(((np.abs(late) > low) & (np.abs(late) < high)).mean()),
+                })  # fmt: skip
+        return found
+
     def _row(self, results: Results, point: int) -> dict[str, float]:
         """Return what a point says, with standard errors over its replicas."""
         row = {name: float(results.value(name)[point])
@@ -86,6 +129,21 @@ class Job:
         row["noise"] = float(net.var(ddof=1) * self.duration / NUMBER)
         row["noise_error"] = row["noise"] * math.sqrt(2.0 / (net.size - 1))
         return row
+
+
+def cumulant(spread: NDArray[np.float64]) -> tuple[float, float]:
+    """Return 1 - <m^4>/(3 <m^2>^2) of m, shape (replica, look), and its error by jackknife.
+
+    0 if m is spread as a Gaussian about 0, 2/3 if it is m0 or -m0. Where states m = 0 and m0 take
+    turns, at a transition that is not continuous, it is below 0.
+    """
+    second, fourth = (spread**2).mean(axis=1), (spread**4).mean(axis=1)
+    count = second.size
+    left_out = 1.0 - (fourth.sum() - fourth) / (count - 1) / (
+        3.0 * ((second.sum() - second) / (count - 1)) ** 2
+    )
+    error = math.sqrt((count - 1) * left_out.var())
+    return float(1.0 - fourth.mean() / (3.0 * second.mean() ** 2)), error
 
 
 def measure(folder: Path, replicas: int, duration: float) -> dict[str, Rows]:
@@ -111,6 +169,8 @@ def measure(folder: Path, replicas: int, duration: float) -> dict[str, Rows]:
         chance = nyquist(found["radius"], radius)
         found["free"] += [{"radius": radius, "nyquist": chance} | row
                           for row in job.rows(f"free_{radius:g}", scan, **discs)]  # fmt: skip
+    found["close"] = [row for number, radii in CLOSE.items() for radius in radii
+                      for row in job.close_rows(number, radius)]  # fmt: skip
     return found
 
 
@@ -185,6 +245,21 @@ def table(rows: Rows, first: Iterable[str]) -> str:
     return "\n".join(lines)
 
 
+def close_table(rows: Rows) -> str:
+    """Return chi from both starts and Binder's cumulant close to the transition, in Markdown."""
+    head = ["N", "radius", "chi, from equal urns", "chi, from one full urn", "cumulant, equal",
+            "cumulant, full", "stay, equal", "stay, full", "time in between"]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for equal, full in zip(rows[::2], rows[1::2], strict=True):
+        parts = [f"{equal['number']:g}", f"{equal['radius']:g}"]
+        parts += [f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
+                  for name, digits in (("chi", 3), ("binder", 2)) for row in (equal, full)]
+        parts += [f"{row['stay']:g} of {row['runs']:g}" for row in (equal, full)]
+        parts.append(f"{50.0 * (equal['between'] + full['between']):.1f} %")
+        lines.append("| " + " | ".join(parts) + " |")
+    return "\n".join(lines)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Make the runs, print the tables, write numbers and picture."""
     given = cli.parser_of_runs("lorentz", __doc__, replicas=16).parse_args(arguments)
@@ -192,6 +267,8 @@ def main(arguments: list[str] | None = None) -> int:
     found = measure(folder, given.replicas, given.duration)
     (folder / "lorentz.json").write_text(json.dumps(cli.finite(found), indent=1) + "\n", "utf-8")
     for name, rows in found.items():
+        if name == "close":
+            continue
         first = [key for key in ("radius", "columns") if key in rows[0]]
         print(f"{name}\n\n{table(rows, [*first, 'threshold', 'channel2_width'])}\n")
     for row in found["free"]:
@@ -200,6 +277,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"{row['noise'] / row['nyquist']:.2f} ± {row['noise_error'] / row['nyquist']:.2f} "
             "of what it would without memory"
         )
+    print(f"\nclose\n\n{close_table(found['close'])}")
     style.save(figure(found), folder, "lorentz")
     return 0
 

@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise cli.InputError(f"--snapshot {given.snapshot} must be at least 1")
         point, replica = results.task(given.point, given.replica)
         snapshot = results.snapshot(point, replica, index)
-        made = figure_scene(results.circuit(point), snapshot)
+        made = figure_scene(results.any_circuit(point), snapshot)
         style.note(made.axes[0], results.remark)
         results.say_if_partial()
     style.save(made, given.output, "scene")

@@ -42,8 +42,6 @@ WIDTH = 0.01  # of channel 2
 THRESHOLDS = (1, 2, 3, 5, 7, 9, 11, 13, 15, 17, 20, 24)
 PASSAGES = (0.01, 0.05)  # widths of channel 2 at which returns are counted
 LAGS = (1, 2, 5, 10, 20, 40, 80)  # visits
-# Slopes of its sides are fractions other than 0, 1 and -1, so all angles are irrational parts of pi
-CROOKED = ((0.9, -0.55), (0.9, 0.48), (0.13, 1.07), (-0.85, 0.44), (-0.85, -0.52), (-0.21, -0.97))
 DISC, SQUARE, REGULAR, IRRATIONAL = "disc", "square", "regular hexagon", "crooked hexagon"
 LOOKS = {
     DISC: ("o", style.BLUE), SQUARE: ("s", style.VERMILION), REGULAR: ("h", style.ORANGE),
@@ -54,7 +52,7 @@ LOOKS = {
 def tables(width: float) -> dict[str, dict[str, object]]:
     """Return the keys of `&table` by shape: all urns have the area of the disc of radius 1."""
     area = float(Circuit(NUMBER, 1, channel2_width=width).urn_area)
-    stretch = math.sqrt(area / outlines.area(CROOKED))
+    stretch = math.sqrt(area / outlines.area(outlines.CROOKED))
     radii = {sides: math.sqrt(area / outlines.area(outlines.regular(sides, 1.0)))
              for sides in (4, 6)}  # fmt: skip
     polygon = {"urn_shape": "polygon"}
@@ -62,7 +60,8 @@ def tables(width: float) -> dict[str, dict[str, object]]:
         DISC: {},
         SQUARE: polygon | {"urn_sides": 4, "urn_radius": radii[4]},
         REGULAR: polygon | {"urn_sides": 6, "urn_radius": radii[6]},
-        IRRATIONAL: polygon | {"urn_vertices": [stretch * one for xy in CROOKED for one in xy]},
+        IRRATIONAL: polygon
+        | {"urn_vertices": [stretch * one for xy in outlines.CROOKED for one in xy]},
     }
 
 

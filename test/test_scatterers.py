@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+import signal
 from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 import pytest
-from support.program import namelist, run
+from support.program import finish, namelist, run, send, start, wait_for
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -178,3 +179,24 @@ def test_who_never_leaves_does_not_hang_the_run(tmp_path: Path, engine: str) -> 
     assert ended.returncode == 3, ended.stdout + ended.stderr
     # The state is there, and is gone on with.
     assert run(name, folder=tmp_path).returncode == 3
+
+
+def test_a_state_of_other_walls_is_not_gone_on_with(tmp_path: Path) -> None:
+    """Other discs, or another polygon: exit 2, and the state stays for the task that it is of."""
+    corners = "1, -0.6, 1, 0.7, -0.1, 1.1, -1, 0.6, -1, -0.5"
+    table = TABLE | {"urn_shape": "'polygon'", "urn_vertices": corners}
+    long = {"run": {"duration": "1e6"}, "limits": {"checkpoint_minutes": "0.002"}}
+    name = write(tmp_path, "c", table, **long)
+    process = start(name, folder=tmp_path)
+    kept = tmp_path / "c.h5.tasks"
+    assert wait_for(lambda: any(kept.glob("task_*")), process)
+    send([process.pid], signal.SIGTERM)
+    assert finish(process).returncode == 3
+    states = {path.name: path.read_bytes() for path in kept.glob("task_*")}
+    for key, value in (("scatterers", DISCS.replace("0.05", "0.051")),
+                       ("urn_vertices", corners.replace("1.1", "1.11"))):  # fmt: skip
+        write(tmp_path, "c", table | {key: value}, **long)
+        ended = run(name, folder=tmp_path)
+        assert ended.returncode == 2
+        assert f"&table {key}: was" in ended.stderr
+    assert {path.name: path.read_bytes() for path in kept.glob("task_*")} == states

@@ -114,8 +114,11 @@ def test_clockwise_corners_are_turned_round_with_a_note(tmp_path: Path) -> None:
 @pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous", "reservoir"])
 @pytest.mark.parametrize(
     "table",
-    [f"urn_vertices = {REACHING}", "urn_sides = 6 urn_radius = 1.3"],
-)
+    [
+        f"urn_vertices = {REACHING}", "urn_sides = 6 urn_radius = 1.3",
+        f"urn_vertices = {REACHING} urn2_vertices = {SQUARE}", "urn_sides = 4 urn_radius = 1.3, 1",
+    ],
+)  # fmt: skip
 def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: str) -> None:
     """Walls are those of the run: in snapshots and between them nobody is outside of them."""
     text = f"{HEAD}&table urn_shape = 'polygon' {table} /\n&run engine = '{engine}' /\n"
@@ -126,7 +129,7 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
     ended = run("c.nml", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
     with Results(tmp_path / "o.h5") as results:
-        circuit = results.circuit(0)
+        circuit = results.any_circuit(0)
         snapshots = [results.snapshot(0, 0, index) for index in range(3)]
     walls = np.vstack(scene.walls(circuit))
     for shot in snapshots:

@@ -16,8 +16,8 @@ from postproc.figures import style
 
 # each a module of this package with run(job); the page comes last, from what the others kept
 PARTS = (
-    "trajectories", "stability", "reversal", "gated_reversal", "pasts", "tail", "observables",
-    "ladder_map", "page",
+    "trajectories", "stability", "polygons", "reversal", "gated_reversal", "pasts", "tail",
+    "observables", "ladder_map", "page",
 )  # fmt: skip
 
 

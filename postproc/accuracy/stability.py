@@ -209,7 +209,8 @@ def visit_questions(job: Job) -> list[Question]:
     for precision, bits in BITS.items():
         for width1, width2 in VISITS:
             name = f"visits-{precision}-{width1:g}"
-            words = ("visits", str(width1), str(width2), str(int(job.pick(1e6, 1e7))), str(bits))
+            count = str(int(job.pick(1e6, 1e7)))
+            words = ("visits", "disc", str(width1), str(width2), count, str(bits))
             own.append(Question(name, precision, (*words, f"{name}.bin"), 3600))
             reference = f"visits-real128-for-{precision}-{width1:g}"
             words = (*words, f"{reference}.bin", f"{name}.bin")

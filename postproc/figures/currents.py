@@ -178,11 +178,11 @@ def figure_currents(
     results: Results, point: int = 0, replica: int = 0, models: Sequence[Model] = PAIR
 ) -> Figure:
     """Return the picture of one task of `results`."""
-    circuit, series = results.circuit(point), results.series(point, replica)
+    circuit, series = results.any_circuit(point), results.series(point, replica)
     made = style.figure(style.PAGE, 3.7)
     left, right = made.add_gridspec(1, 2, width_ratios=(2.2, 1.0))
-    # No theory knows scatterers: then what was measured stands alone.
-    said = () if circuit.scatterers else models
+    # What no theory knows stands alone.
+    said = () if results.beyond_theory(point) else models
     axes = draw_currents(made, left, circuit, series, said)[0]
     if said:
         balance = made.add_subplot(right)
@@ -191,7 +191,7 @@ def figure_currents(
         explain_eta(balance)
         balance.legend(fontsize=6.5, loc="best", handletextpad=0.2)
     axes.set_title(
-        f"$N = {circuit.number}$, $T = {circuit.threshold}$, "
+        f"$N = {circuit.number}$, $T = {circuit.thresholds}$, "
         f"$w = {circuit.channel1_width:g}$, $w' = {circuit.channel2_width:g}$"
     )
     made.legend(

@@ -16,7 +16,7 @@ from PIL import Image
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.currents import binned
-from postproc.figures.scene import counted_by, draw_table
+from postproc.figures.scene import counted_by, draw_table, of_side
 from postproc.reading.results import Results, Snapshot
 from postproc.theory import outlines
 
@@ -69,7 +69,7 @@ def read_scenes(results: Results, point: int, replica: int) -> Scenes:
     snapshots = [results.snapshot(point, replica, index) for index in range(times.size)]
     if len(snapshots) < 2:
         raise cli.InputError(f"{results.path}: a film needs at least two snapshots")
-    scenes = Scenes(results.circuit(point), snapshots)
+    scenes = Scenes(results.any_circuit(point), snapshots)
     if results.has("series/time"):
         scenes.series = results.series(point, replica)
     log = results.events()
@@ -90,7 +90,7 @@ def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, F
     half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
     if circuit.outline is not None:  # an urn may reach over the channel
         narrow &= np.abs(snapshot.y) <= half1
-    beyond = np.abs(snapshot.x) > circuit.urn_centre + circuit.chords[1]
+    beyond = np.abs(snapshot.x) > _mouth(circuit, snapshot.x)
     beyond &= np.abs(snapshot.y) <= half2
     for inside, half in ((narrow, half1), (beyond & (half2 > 0.0), half2)):
         folded = np.abs(np.mod(y + half, 4.0 * half) - 2.0 * half) if half > 0.0 else y
@@ -98,19 +98,26 @@ def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, F
     if circuit.outline is not None:
         x, y = _stopped_at_walls(circuit, snapshot, (x, y), ~narrow & ~beyond)
         return _beside_scatterers(circuit, _over_the_line(circuit, x), y)
-    centre = np.sign(snapshot.x) * circuit.urn_centre
+    far = of_side(circuit, snapshot.x, lambda side: side.urn_centre)
+    radius = of_side(circuit, snapshot.x, lambda side: side.urn_radius)
+    centre = np.sign(snapshot.x) * far
     away = np.hypot(x - centre, y)
-    inner = np.abs(x) < circuit.urn_centre
-    mouth = np.where(inner, half1, half2)
-    out = ~narrow & ~beyond & (away > circuit.urn_radius) & (np.abs(y) > mouth)
-    shrink = np.where(out, circuit.urn_radius / np.where(away > 0.0, away, 1.0), 1.0)
+    mouth = np.where(np.abs(x) < far, half1, half2)
+    out = ~narrow & ~beyond & (away > radius) & (np.abs(y) > mouth)
+    shrink = np.where(out, radius / np.where(away > 0.0, away, 1.0), 1.0)
     x = np.where(out, centre + (x - centre) * shrink, x)
     return _beside_scatterers(circuit, _over_the_line(circuit, x), y * shrink)
 
 
+def _mouth(circuit: Circuit, x: Floats) -> Floats:
+    """Return how far out channel 2 begins on the side of each particle."""
+    return of_side(circuit, x, lambda side: side.urn_centre + side.chords[1])
+
+
 def _over_the_line(circuit: Circuit, x: Floats) -> Floats:
     if circuit.shape == "circuit":
-        return np.mod(x + circuit.end, 2.0 * circuit.end) - circuit.end
+        one, two = (float(side.end) for side in circuit.sides)
+        return np.mod(x + one, one + two) - one
     return x
 
 
@@ -138,8 +145,8 @@ def _stopped_at_walls(
 
 def _beside_scatterers(circuit: Circuit, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return where the particles are if a flight stops at the disc that it meets."""
-    line = -np.sign(x) * circuit.end
-    behind = np.abs(x) > circuit.urn_centre + circuit.chords[1]
+    line = -np.sign(x) * of_side(circuit, x, lambda side: side.end)
+    behind = np.abs(x) > _mouth(circuit, x)
     for z, height, radius in circuit.scatterers:
         dx, dy = x + line - z, y - height
         away = np.hypot(dx, dy)
@@ -246,7 +253,7 @@ class Stage:
             flash.set_alpha(0.6 * max(fade, 0.0))
         first = int(np.count_nonzero(x < 0.0))
         self.title.set_text(
-            f"$t = {time:.2f}$    $T = {scenes.circuit.threshold}$    "
+            f"$t = {time:.2f}$    $T = {scenes.circuit.thresholds}$    "
             f"$N_1 = {first}$    $N_2 = {x.size - first}$"
         )
         self.now.set_xdata([time, time])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.figures import style
-from postproc.figures.scene import counted_by, draw_table
+from postproc.figures.scene import counted_by, draw_table, ways
 from postproc.reading.results import Snapshot
 from postproc.theory.circuit import Circuit
 
@@ -67,7 +67,7 @@ def figure_app1(files: Sequence[Results]) -> Figure:
 def _figure(files: Sequence[Results], circuit: Circuit) -> Figure:
     snapshot = None
     if files:
-        circuit, full = files[0].circuit(0), files[0].snapshot(0, 0, 0)
+        circuit, full = files[0].any_circuit(0), files[0].snapshot(0, 0, 0)
         step = max(full.x.size // SHOWN, 1)
         parts = (part[::step] for part in (full.x, full.y, full.ux, full.uy))
         snapshot = Snapshot(full.time, *parts)
@@ -94,14 +94,17 @@ def _figure(files: Sequence[Results], circuit: Circuit) -> Figure:
 
 
 def _name_lengths(axes: Axes, circuit: Circuit) -> None:
-    radius, half1 = circuit.urn_radius, 0.5 * circuit.channel1_width
-    below = -half1 - 0.1 * radius
-    reach = 0.5 * circuit.channel1_length
-    sides = ((-1.0, 1), (1.0, 2)) if circuit.shape == "circuit" else ((-1.0, 1),)
-    for side, number in sides:
-        _measure(axes, (min(side * reach, 0.0), max(side * reach, 0.0)), below, r"$\ell/2$")
-        axes.text(side * 0.5 * reach, half1 + 0.06 * radius, f"gate {number}", ha="center")
-        axes.text(side * circuit.urn_centre, radius * 1.06, f"urn {number}", ha="center")
+    half1, reach = 0.5 * circuit.channel1_width, 0.5 * circuit.channel1_length
+    for number, (way, side) in enumerate(ways(circuit), start=1):
+        radius = side.urn_radius
+        ends = sorted((way * reach, 0.0))
+        _measure(axes, ends, -half1 - 0.1 * radius, r"$\ell/2$")
+        axes.text(way * 0.5 * reach, half1 + 0.06 * radius, f"gate {number}", ha="center")
+        top = radius if side.outline is None else max(y for _, y in side.outline)
+        axes.text(way * side.urn_centre, top + 0.06 * radius, f"urn {number}", ha="center")
+        if circuit.channel2_width > 0.0:
+            start, under = side.urn_centre + side.chords[1], -0.5 * circuit.channel2_width
+            _measure(axes, (way * start, way * side.end), under - 0.1 * radius, r"$\ell'/2$")
     if circuit.shape == "circuit":
         _measure(axes, (-half1, half1), 0.6 * reach, "$w$", vertical=True)
     else:
@@ -110,19 +113,22 @@ def _name_lengths(axes: Axes, circuit: Circuit) -> None:
         axes.text(0.34 * radius, 0.0, "end wall", **look)
         axes.set_xlim(right=0.45 * radius)
     if circuit.outline is None:
-        _name_radius(axes, circuit, sides[-1][0])
+        _name_radii(axes, circuit)
     if circuit.channel2_width > 0.0:
-        start = circuit.urn_centre + circuit.chords[1]
-        under = -0.5 * circuit.channel2_width - 0.1 * radius
-        for side in (-1.0, 1.0):
-            _measure(axes, (side * start, side * circuit.end), under, r"$\ell'/2$")
-        axes.text(circuit.end + 0.06, 0.0, "$w'$", va="center")
+        axes.text(side.end + 0.06, 0.0, "$w'$", va="center")
 
 
-def _name_radius(axes: Axes, circuit: Circuit, side: float) -> None:
-    radius, last = circuit.urn_radius, side * float(circuit.urn_centre)
-    angle = np.radians(130.0)
-    tip = (last - radius * np.cos(angle), radius * np.sin(angle))
-    arrow = {"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tip, (last, 0.0), arrowprops=arrow)
-    axes.text(last + 0.42 * radius, 0.36 * radius, "$r$", ha="left")
+def _name_radii(axes: Axes, circuit: Circuit) -> None:
+    """Name r at the last urn, or that of each if they differ."""
+    sides = ways(circuit)
+    alike = len({float(side.urn_radius) for _, side in sides}) == 1
+    for number, (way, side) in enumerate(sides, start=1):
+        if alike and number < len(sides):
+            continue
+        radius, last = side.urn_radius, way * float(side.urn_centre)
+        angle = np.radians(130.0)
+        tip = (last - radius * np.cos(angle), radius * np.sin(angle))
+        arrow = {"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", tip, (last, 0.0), arrowprops=arrow)
+        name = "$r$" if alike else f"$r_{number}$"
+        axes.text(last + 0.42 * radius, 0.36 * radius, name, ha="left")

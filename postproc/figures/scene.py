@@ -11,9 +11,11 @@ from postproc.figures import style
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from postproc.reading.results import Snapshot
     from postproc.theory.circuit import Circuit
@@ -22,19 +24,34 @@ GATE_TINT = "#E8E8E8"
 ROUNDING = 1e-9  # of a place on a wall
 
 
+def ways(circuit: Circuit) -> list[tuple[float, Circuit]]:
+    """Return each side that there is, by the way along x to it, as a circuit of two like it."""
+    sides = zip((-1.0, 1.0), circuit.sides, strict=True)
+    return list(sides) if circuit.shape == "circuit" else [(-1.0, circuit)]
+
+
+def of_side(
+    circuit: Circuit, x: NDArray[np.float64], what: Callable[[Circuit], ArrayLike]
+) -> NDArray[np.float64]:
+    """Return what each particle's side has, shape (particle,)."""
+    one, two = (float(what(side)) for side in circuit.sides)
+    return np.where(x < 0.0, one, two)
+
+
 def walls(circuit: Circuit) -> list[NDArray[np.float64]]:
     """Return the walls as polylines of shape (vertex, 2)."""
     if circuit.outline is not None:
         return _walls_of_polygons(circuit)
     half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
-    start, stop = (np.arcsin(half / circuit.urn_radius) for half in (half1, half2))
-    angle = np.linspace(start, np.pi - stop, 400)
-    x = np.append(0.0, circuit.urn_radius * np.cos(angle) - circuit.urn_centre)
-    y = np.append(half1, circuit.urn_radius * np.sin(angle))
-    if circuit.channel2_width > 0.0:
-        x, y = np.append(x, -circuit.end), np.append(y, half2)
-    sides = (1.0, -1.0) if circuit.shape == "circuit" else (1.0,)
-    lines = [np.column_stack([side * x, flip * y]) for side in sides for flip in (1.0, -1.0)]
+    lines = []
+    for way, side in ways(circuit):
+        start, stop = (np.arcsin(half / side.urn_radius) for half in (half1, half2))
+        angle = np.linspace(start, np.pi - stop, 400)
+        x = np.append(0.0, side.urn_centre - side.urn_radius * np.cos(angle))
+        y = np.append(half1, side.urn_radius * np.sin(angle))
+        if circuit.channel2_width > 0.0:
+            x, y = np.append(x, side.end), np.append(y, half2)
+        lines += [np.column_stack([way * x, flip * y]) for flip in (1.0, -1.0)]
     if circuit.shape != "circuit":
         lines.append(np.array([[0.0, -half1], [0.0, half1]]))
     return lines
@@ -44,10 +61,9 @@ def _walls_of_polygons(circuit: Circuit) -> list[NDArray[np.float64]]:
     """Return the walls of urns that are polygons, with those of the channels at their openings."""
     half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
     lines = []
-    for way, side in zip((1.0, -1.0), circuit.sides, strict=True):
-        if way < 0.0 and circuit.shape != "circuit":
-            lines.append(np.array([[0.0, -half1], [0.0, half1]]))
-            break
+    if circuit.shape != "circuit":
+        lines.append(np.array([[0.0, -half1], [0.0, half1]]))
+    for way, side in ways(circuit):
         corner = outlines.centred(side.outline) - [float(side.urn_centre), 0.0]
         first = outlines.opening_side(side.outline, 1.0)
         corner = np.roll(corner, -first - 1, axis=0)
@@ -59,9 +75,9 @@ def _walls_of_polygons(circuit: Circuit) -> list[NDArray[np.float64]]:
             cut = (second - first - 1) % len(corner) + 1
             end = -float(side.end)
             line += [corner[:cut], np.array([[far, half2], [end, half2]])]
-            lines.append(np.vstack(line) * [way, 1.0])
+            lines.append(np.vstack(line) * [-way, 1.0])
             line, corner = [np.array([[end, -half2], [far, -half2]])], corner[cut:]
-        lines.append(np.vstack([*line, corner, last]) * [way, 1.0])
+        lines.append(np.vstack([*line, corner, last]) * [-way, 1.0])
     return lines
 
 
@@ -83,31 +99,31 @@ def counted_by(circuit: Circuit, snapshot: Snapshot) -> NDArray[np.int_]:
 
 
 def next_gate(circuit: Circuit, snapshot: Snapshot) -> int:
-    """Return the gate whose count is nearer to exceeding T (the fuller one); 0: both are empty."""
+    """Return the gate whose count is nearer to exceeding its T; 0: both are empty."""
     gate = counted_by(circuit, snapshot)
     first, second = np.count_nonzero(gate == 1), np.count_nonzero(gate == 2)
     if first == second == 0:
         return 0
-    return 1 if first >= second else 2
+    one, two = circuit.sides
+    return 1 if one.threshold - first <= two.threshold - second else 2
 
 
 def draw_table(axes: Axes, circuit: Circuit) -> None:
     """Draw walls, shaded gates, the middle line and the periodic lines."""
     half1 = 0.5 * circuit.channel1_width
     reach = 0.5 * circuit.channel1_length
-    sides = (-1.0, 1.0) if circuit.shape == "circuit" else (-1.0,)
-    for side in sides:
-        left = -reach if side < 0 else 0.0
+    for way, _ in ways(circuit):
+        left = -reach if way < 0 else 0.0
         axes.add_patch(Rectangle((left, -half1), reach, 2 * half1, fc=GATE_TINT, lw=0, zorder=0))
-        axes.plot([side * reach] * 2, [-half1, half1], color=style.GREY, lw=0.7, ls=":", zorder=1)
+        axes.plot([way * reach] * 2, [-half1, half1], color=style.GREY, lw=0.7, ls=":", zorder=1)
     for wall in walls(circuit):
         axes.plot(*wall.T, color=style.BLACK, lw=1.0, solid_joinstyle="miter", zorder=2)
     if circuit.shape == "circuit":
         axes.plot([0, 0], [-half1, half1], color=style.BLACK, lw=0.8, ls="--", zorder=1)
         if circuit.channel2_width > 0.0:
-            high = max(0.5 * circuit.channel2_width, 0.06 * circuit.urn_radius)
-            for side in sides:
-                end = side * circuit.end
+            for way, side in ways(circuit):
+                high = max(0.5 * circuit.channel2_width, 0.06 * side.urn_radius)
+                end = way * side.end
                 axes.plot([end, end], [-high, high], color=style.BLACK, lw=0.8, ls="--")
     draw_scatterers(axes, circuit)
     axes.set_aspect("equal")
@@ -117,13 +133,13 @@ def draw_table(axes: Axes, circuit: Circuit) -> None:
 def draw_scatterers(axes: Axes, circuit: Circuit) -> None:
     """Draw the discs in channel 2, cut off at its walls; one astride the line at both ends."""
     half, length = 0.5 * float(circuit.channel2_width), 0.5 * float(circuit.channel2_length)
-    for side in (1.0, -1.0):
+    for way, side in ways(circuit):
         # Urn 1 and its half, z > 0, lie at x < 0.
-        line = -side * float(circuit.end)
-        corner = min(line, line + side * length), -half
+        line = way * float(side.end)
+        corner = min(line, line - way * length), -half
         room = Rectangle(corner, length, 2.0 * half, transform=axes.transData)
         for z, y, radius in circuit.scatterers:
-            if side * z + radius > 0.0:
+            if radius - way * z > 0.0:
                 disc = Circle((line + z, y), radius, fc=style.GREY, ec=style.BLACK, lw=0.6)
                 axes.add_patch(disc).set_clip_path(room)
                 disc.set_in_layout(False)  # its own clip path does not tell how far it reaches
@@ -173,10 +189,9 @@ def _draw_channel(axes: Axes, circuit: Circuit, snapshot: Snapshot) -> None:
 
 def _count_text(circuit: Circuit, snapshot: Snapshot) -> list[str]:
     counted = counted_by(circuit, snapshot)
-    gates = (1, 2) if circuit.shape == "circuit" else (1,)
     return [
-        f"gate {gate}: {np.count_nonzero(counted == gate)} counted, $T = {circuit.threshold}$"
-        for gate in gates
+        f"gate {gate}: {np.count_nonzero(counted == gate)} counted, $T = {side.threshold}$"
+        for gate, (_, side) in enumerate(ways(circuit), start=1)
     ]
 
 

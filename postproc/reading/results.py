@@ -213,6 +213,8 @@ class Results:
             [one.item() for one in np.ravel(self._of_point(name, point))]
             for name in ("gate_threshold", "urn_radius")
         )
+        if self.shape != "circuit":
+            other, beyond = threshold, radius
         return Circuit(
             number=int(self._of_point("number", point)),
             threshold=threshold,
@@ -235,6 +237,11 @@ class Results:
         else:
             one, two = (outline_of(root[name]) for name in ("urn_vertices", "urn2_vertices"))
         return {"outline": one, "urn2_outline": two if two != one else None}
+
+    def beyond_theory(self, point: int) -> bool:
+        """Tell whether a table is one that theories do not know: scatterers, or unlike sides."""
+        unlike = self.shape == "circuit" and not self.any_circuit(point).alike
+        return bool(self.scatterers) or unlike
 
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
         """Return the circuit of a point, with the paper's gate unless another is given.

@@ -121,7 +121,7 @@ def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
 
 def _expected(results: Results, model: Model, point: int, chi: float) -> tuple[float, float]:
     """Return chi and net current of the theory's stable state nearest to the measured chi."""
-    if results.scatterers:
+    if results.beyond_theory(point):
         return math.nan, math.nan
     circuit = results.circuit(point)
     if results.shape != "circuit":
@@ -148,7 +148,8 @@ def map_lines(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
     Over T and w' they are the theory's own; over other keys they run between points of the scan.
     """
     rows: list[dict[str, object]] = []
-    drawn = results.shape == "circuit" and scan.up and not results.scatterers
+    drawn = results.shape == "circuit" and scan.up
+    drawn = drawn and not any(map(results.beyond_theory, range(results.points)))
     for chosen, there in scan.slices() if drawn else ():
         for model in models.values():
             find = _transition if _own_axes(scan) else _between
@@ -239,7 +240,7 @@ def series_of(results: Results) -> tuple[Floats, Columns]:
     spread = np.full((results.points, results.replicas, kept.size), np.nan, np.float32)
     current = spread.copy()
     for point, replica in np.argwhere(results.done)[: ROOM // samples]:
-        one, number = results.series(int(point), int(replica)), results.circuit(int(point)).number
+        one, number = results.series(int(point), int(replica)), results.value("number")[point]
         flows = one.flows["flow1_12"] - one.flows["flow1_21"]
         past = np.searchsorted(one.time, time[kept], side="left")
         past = np.minimum(past, one.time.size - 1)

@@ -63,7 +63,7 @@ def axial(circuit: Circuit, snapshot: Snapshot) -> int:
     half = 0.5 * circuit.channel2_width
     slope = snapshot.uy / np.where(snapshot.ux == 0.0, np.inf, snapshot.ux)
     steep = np.abs(snapshot.uy) >= np.abs(snapshot.ux)
-    reach = np.abs(slope) * 2.0 * circuit.end
+    reach = np.abs(slope) * sum(side.end for side in circuit.sides)
     return int(np.count_nonzero(~steep & (np.abs(snapshot.y) + reach < half)))
 
 
@@ -121,8 +121,8 @@ def explanations(results: Results) -> list[str]:
 
 
 def _name(results: Results, point: int) -> str:
-    circuit = results.circuit(point)
-    return f"T = {circuit.threshold}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
+    circuit = results.any_circuit(point)
+    return f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
 
 
 def _unfinished(results: Results) -> list[str]:
@@ -151,7 +151,7 @@ def _excess(results: Results, point: int) -> tuple[float, float]:
 
     What chi accounts for is the conductance of well mixed urns; -1 where nothing can be said.
     """
-    if results.shape != "circuit" or results.scatterers:
+    if results.shape != "circuit" or results.beyond_theory(point):
         return -1.0, 0.0
     circuit = results.circuit(point)
     chi = results.replica_mean("chi")[0][point]
@@ -178,7 +178,7 @@ def _of_current(results: Results, point: int) -> list[str]:
 
 
 def _of_series(results: Results, point: int) -> list[str]:
-    number = float(results.circuit(point).number)
+    number = float(results.value("number")[point])
     moving = []
     for replica in np.flatnonzero(results.done[point]):
         try:
@@ -197,6 +197,6 @@ def _axial_of(results: Results, point: int) -> int:
     if not results.done[point].any() or results.shape != "circuit" or results.scatterers:
         return 0
     try:
-        return axial(results.circuit(point), results.snapshot(point, 0, -1))
+        return axial(results.any_circuit(point), results.snapshot(point, 0, -1))
     except InputError:
         return 0

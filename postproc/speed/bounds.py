@@ -30,7 +30,7 @@ SUBJECTS = {
     "collision": "time",
     "map": "collisions",
 }
-CASE = ("engine", "number", "threshold", "channel1_width", "channel2_width")
+CASE = ("engine", "number", "threshold", "channel1_width", "channel2_width", "sides")
 
 MAP_POINTS, MAP_COLLISIONS = 25 * 25, 1e8
 
@@ -75,7 +75,7 @@ class Rows:
         self._rows: dict[Key, dict[str, Any]] = {}
         self._first: dict[str, Key] = {}
         for row in rows:
-            key = (row["table"], *(row[name] for name in CASE))
+            key = (row["table"], *(({"sides": 0} | row)[name] for name in CASE))
             self._rows[key] = row
             self._first.setdefault(row["table"], key)
 
@@ -136,6 +136,8 @@ def figures(
     others = [rows.find("engines", engine=name) for name in ("collision", "synchronous")]
     wide, tiny = (rows.find("openings", channel1_width=width) for width in (0.3, 1e-6))
     few, many = (rows.find("number", number=number) for number in (1000, 1_000_000))
+    discs = [rows.find("lorentz", engine=name) for name in ("excursion", "collision")]
+    hexagon = rows.find("visits", sides=6, channel2_width=0.01)
     samples = [rows.rates(key, "collisions") for key in rows if key[0] == "map"]
     minutes = [
         MAP_POINTS * statistics.mean(MAP_COLLISIONS / rate for rate in turn) / 60.0
@@ -149,6 +151,10 @@ def figures(
         Figure("instructions a wall collision", tuple(instructions), 22.0, aim=15.0, note=no_count),
         Figure("ratio to collision", rows.costs(others[0], excursion), 15.0, at_least=True),
         Figure("ratio to synchronous", rows.costs(others[1], excursion), 40.0, at_least=True),
+        Figure("ratio to collision, 20 scatterers", rows.costs(discs[1], discs[0]), 5.0,
+               at_least=True),
+        Figure("wall hits a second, visits to hexagons", rows.rates(hexagon, "collisions"), 1e8,
+               at_least=True),
         Figure("visit, w = w' = 1e-6 over 0.3", rows.costs(tiny, wide), 3.0),
         Figure("time unit and particle, 1e6 over 1e3", rows.costs(many, few), 2.0),
         Figure("bytes a particle, N = 1e7", tuple(memory), 100.0),

@@ -101,7 +101,9 @@ def change(
 
 def name_of(key: Key) -> str:
     """Return a row's table and case in words."""
-    return "{:9s} {:11s} N={:<7d} T={:<4d} w={:<5.2g} w'={:.2g}".format(*key)
+    table, engine, *numbers, sides = key
+    flown = f"{sides} sides" if sides else engine
+    return "{:9s} {:11s} N={:<7d} T={:<4d} w={:<5.2g} w'={:.2g}".format(table, flown, *numbers)
 
 
 def changes(old: Run, new: Run) -> list[tuple[str, list[Change]]]:

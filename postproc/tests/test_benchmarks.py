@@ -25,7 +25,7 @@ DRIFT = (1.0, 0.8, 0.9, 1.1, 0.7)
 def _row(table: str, cost: float = 1.0, **case: Any) -> dict[str, Any]:
     """Return a row that is `cost` times as slow as 2e8 collisions a second."""
     known = {"engine": "excursion", "number": 1000, "threshold": 7}
-    known |= {"channel1_width": 0.3, "channel2_width": 0.01}
+    known |= {"channel1_width": 0.3, "channel2_width": 0.01, "sides": 0}
     rates = {
         "collisions_per_second": [2e8 * drift / cost for drift in DRIFT],
         "visits_per_second": [1e7 * drift / cost for drift in DRIFT],
@@ -43,6 +43,11 @@ def _rows() -> list[dict[str, Any]]:
         _row("number", 1.5, number=1_000_000, threshold=7000),
         _row("openings", channel1_width=0.3, channel2_width=0.3),
         _row("openings", 4.0, channel1_width=1e-6, channel2_width=1e-6),
+        _row("visits"),
+        _row("visits", 1.8, sides=6),
+        _row("visits", 2.2, sides=6, channel2_width=0.3),
+        _row("lorentz", channel2_width=0.3),
+        _row("lorentz", 5.5, engine="collision", channel2_width=0.3),
         _row("map", 1.0, threshold=3),
         _row("map", 3.0, threshold=23),
     ]
@@ -67,6 +72,10 @@ def test_figures_are_ratios_of_the_rounds_in_one_run() -> None:
     found = _by_name(figures(Rows(_rows()), [95.0], [23.0]))
     assert found["ratio to collision"].values == pytest.approx([16.0] * 5)
     assert found["ratio to synchronous"].values == pytest.approx([30.0] * 5)
+    assert found["ratio to collision, 20 scatterers"].values == pytest.approx([5.5] * 5)
+    assert found["wall hits a second, visits to hexagons"].values == pytest.approx(
+        [2e8 * drift / 1.8 for drift in DRIFT]
+    )
     assert found["visit, w = w' = 1e-6 over 0.3"].values == pytest.approx([4.0] * 5)
     assert found["time unit and particle, 1e6 over 1e3"].values == pytest.approx([1.5] * 5)
     # 625 points of half a second and three halves a point, in the round without drift
@@ -79,6 +88,8 @@ def test_bounds_tell_what_is_reached() -> None:
     assert reached == {
         "wall collisions a second, excursion",
         "ratio to collision",
+        "ratio to collision, 20 scatterers",
+        "wall hits a second, visits to hexagons",
         "time unit and particle, 1e6 over 1e3",
         "bytes a particle, N = 1e7",
         "half the map, minutes",
@@ -236,6 +247,8 @@ def test_history_has_the_medians_of_all_runs_oldest_first(tmp_path: Path) -> Non
     # Round 0.9 of the drift is the median.
     assert found["wall collisions a second, excursion"] == ["1.80e8", "7.20e8", "3.60e8"]
     assert found["bytes a particle, N = 1e7"] == ["95", "95", "95"]
+    names = [name for name, _ in lines_of(runs)]
+    assert len(set(names)) == len(names)
     rows = [values for name, values in lines_of(runs) if name.startswith("engines   excursion")]
     assert rows == [pytest.approx([1.8e8, 7.2e8, 3.6e8])]
 

@@ -24,7 +24,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, lore
     with pytest.MonkeyPatch.context() as patch:
         for name, values in (
             ("RADII", (0.0, 0.02)), ("COLUMNS", (0, 2)), ("WIDTHS", (0.03, 0.06)),
-            ("THRESHOLDS", (7, 9)), ("FREE_RADII", (0.0, 0.02)),
+            ("THRESHOLDS", (7, 9)), ("FREE_RADII", (0.0, 0.02)), ("CLOSE", {200: (0.015, 0.03)}),
         ):  # fmt: skip
             patch.setattr(lorentz, name, values)
         assert lorentz.main(["--replicas=2", "--duration=20", f"--output={folder}"]) == 0
@@ -50,6 +50,34 @@ def test_without_memory_two_conductors_scatter_by_the_weaker() -> None:
     assert equal == pytest.approx(0.15 / (math.pi * area), rel=0.1)
     weak = lorentz.nyquist([{"radius": 0.02, "conductance": 1e-3}], 0.02)
     assert weak == pytest.approx(equal * 2e-3 / 1.5, rel=1e-2)
+
+
+def test_cumulant_tells_one_state_from_two_and_from_three() -> None:
+    random = np.random.default_rng(5)
+    one = random.normal(0.0, 0.1, (8, 20000))
+    value, error = lorentz.cumulant(one)
+    assert 0.0 < error < 0.02
+    assert abs(value) < 4.0 * error
+    two = np.where(random.random(one.shape) < 0.5, -0.7, 0.7)
+    assert lorentz.cumulant(two)[0] == pytest.approx(2.0 / 3.0)
+    # m = 0 most of the time, and m0 now and then.
+    value, error = lorentz.cumulant(np.where(random.random(one.shape) < 0.8, 0.0, two))
+    assert value == pytest.approx(1.0 - 1.0 / 0.6, abs=4.0 * error)
+
+
+def test_close_to_the_transition_both_starts_stand_side_by_side(
+    made: tuple[Path, dict[str, lorentz.Rows]],
+) -> None:
+    folder, found = made
+    with Results(folder / "close_200_0.03.h5") as results:
+        assert results.value("threshold").tolist() == [1, 1]
+        assert results.value("urn1_number").tolist() == [100, 200]
+        assert len(results.scatterers) == 15
+    assert [row["urn1_number"] for row in found["close"]] == [100.0, 200.0] * 2
+    lines = lorentz.close_table(found["close"]).splitlines()
+    assert [line.split("|")[2].strip() for line in lines[2:]] == ["0.015", "0.03"]
+    chi = found["close"][3]["chi"]
+    assert f"{chi:.3f} ±" in lines[3].split("|")[4]
 
 
 def test_every_row_has_its_discs(made: tuple[Path, dict[str, lorentz.Rows]]) -> None:

@@ -263,18 +263,50 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
 
 
-@pytest.mark.parametrize("group", [("table", "urn_radius"), ("gate", "threshold")])
-def test_urns_or_gates_that_are_not_alike_are_refused_with_a_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], group: tuple[str, str]
+@pytest.fixture(scope="module")
+def unlike_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return results of unequal urns and gates, with a disc near urn 2 and one astride the line."""
+    discs = [-0.2, 0.05, 0.04, 0.01, 0.0, 0.05]
+    return results_of(
+        tmp_path_factory.mktemp("unlike") / "unlike.h5", run={"duration": 50.0},
+        table={"urn_radius": [1.2, 0.8], "channel2_width": 0.2, "scatterers": discs},
+        gate={"threshold": [4, 6]}, scan={"threshold": None, "replicas": 1},
+        output={"snapshot_times": [5.0, 5.3], "series_interval": 0.5},
+    )  # fmt: skip
+
+
+def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -> None:
+    film_of = ["film", "--gif", "--seconds", "0.2"]
+    for command in (["currents"], film_of, ["report"], ["figures", "model"]):
+        assert call(command[0], [*command[1:], str(unlike_file), "--output", str(tmp_path)]) == 0
+    with Results(unlike_file) as results:
+        table, shot = results.any_circuit(0), results.snapshot(0, 0, 0)
+    chord, beyond = (np.sqrt(radius**2 - 0.15**2) for radius in (1.2, 0.8))
+    ends = [0.5 + chord + np.sqrt(radius**2 - 0.1**2) + 0.5
+            for chord, radius in ((chord, 1.2), (beyond, 0.8))]  # fmt: skip
+    x, y = np.vstack(scene.walls(table)).T
+    assert [x.min(), x.max()] == pytest.approx([-ends[0], ends[1]])
+    assert np.hypot(x[x < -0.5] + 0.5 + chord, y[x < -0.5]).min() == pytest.approx(1.2, abs=1e-4)
+    assert np.hypot(x[x > 0.5] - 0.5 - beyond, y[x > 0.5]).min() == pytest.approx(0.8, abs=1e-4)
+    drawn = figure_scene(table, shot)
+    discs = sorted(patch.center[0] for patch in drawn.axes[0].patches if isinstance(patch, Circle))
+    assert discs == pytest.approx([0.01 - ends[0], ends[1] - 0.2, ends[1] + 0.01])
+    titles = [drawn.axes[1].get_title(where) for where in ("left", "right")]
+    assert ["$T = 4$" in titles[0], "$T = 6$" in titles[1]] == [True, True]
+    # Who flies over the line comes in at the other end; in urn 2 a flight stops at its wall.
+    there = Snapshot(0.0, np.array([0.01 - ends[0], 0.5 + beyond]), np.array([0.09, 0.7]),
+                     np.array([-1.0, 0.0]), np.array([0.0, 1.0]))  # fmt: skip
+    x, y = film.flown(table, there, 0.3)
+    assert x[0] == pytest.approx(ends[1] - 0.29)
+    assert [x[1], y[1]] == pytest.approx([0.5 + beyond, 0.8])
+
+
+def test_theory_of_unlike_sides_is_refused_with_a_line(
+    unlike_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    changes = {group[0]: {group[1]: [1, 2]}, "scan": {"threshold": None, "replicas": 1}}
-    if group[0] == "table":
-        changes["gate"] = {"threshold": 7}
-    path = results_of(tmp_path / "unequal.h5", run={"duration": 50.0}, **changes)
-    for command in ("currents", "scene", "report"):
-        assert call(command, [str(path), "--output", str(tmp_path)]) == 2
-        (line,) = capsys.readouterr().err.strip().splitlines()
-        assert f"{group[1]} is 1 and 2 at point 1" in line
+    assert call("figures", ["comp05", str(unlike_file), "--output", str(tmp_path)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "gate_threshold is 4 and 6, urn_radius is 1.2 and 0.8 at point 1" in line
 
 
 def test_error_of_replicas_covers_their_spread() -> None:

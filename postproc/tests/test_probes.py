@@ -10,7 +10,7 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from postproc.accuracy import reversal, stability, trajectories
+from postproc.accuracy import polygons, reversal, stability, trajectories
 from postproc.accuracy.job import ROOT, Job
 from postproc.accuracy.probes import PRECISIONS, Question, ask
 
@@ -47,13 +47,25 @@ def places(job: Job, precision: str, engine: str, step: float = 0.0, threshold: 
 
 @pytest.mark.parametrize(("width1", "width2"), [(0.3, 0.01), (1e-6, 1e-6)])
 def test_visits_agree_with_quadruple_precision(job: Job, width1: float, width2: float) -> None:
-    words = ("visits", width1, width2, 20000, 52)
+    words = ("visits", "disc", width1, width2, 20000, 52)
     run_probe(job, "real64", *words, "double.bin")
     (found,) = run_probe(job, "real128", *words, "quadruple.bin", "double.bin")
     assert found["wrong"] == 0
     assert found["same"] + found["corner"] == 20000
     assert found["corner"] < 100
     assert found["worst"] < 1e-15  # required is 1e-12
+
+
+@pytest.mark.parametrize("urn", polygons.POLYGONS)
+def test_visits_to_polygons_agree_with_quadruple_precision(job: Job, urn: str) -> None:
+    corners = ",".join(str(float(one)) for corner in polygons.POLYGONS[urn] for one in corner)
+    words = ("visits", corners, 0.3, 0.01, 5000, 52)
+    run_probe(job, "real64", *words, "double.bin")
+    (found,) = run_probe(job, "real128", *words, "quadruple.bin", "double.bin")
+    assert found["same"] + found["corner"] == 5000
+    assert found["corner"] < 5
+    assert found["greatest_condition"] > 1e4
+    assert 1e-17 < found["worst"] < 1e-15
 
 
 @pytest.mark.parametrize("engine", EXACT)
@@ -69,7 +81,7 @@ def test_the_photon_of_the_hundred_digits(engine: str) -> None:
 
 
 def test_visits_in_single_precision_are_as_good_as_it_is(job: Job) -> None:
-    words = ("visits", 0.3, 0.01, 20000, 23)
+    words = ("visits", "disc", 0.3, 0.01, 20000, 23)
     run_probe(job, "real32", *words, "single.bin")
     (found,) = run_probe(job, "real128", *words, "quadruple.bin", "single.bin")
     assert found["wrong"] == 0

@@ -32,7 +32,7 @@ def test_all_urns_have_the_area_of_the_disc() -> None:
 
 
 def test_crooked_hexagon_is_convex_with_irrational_angles() -> None:
-    corners = [[Fraction(str(one)) for one in xy] for xy in shapes.CROOKED]
+    corners = [[Fraction(str(one)) for one in xy] for xy in outlines.CROOKED]
     following = corners[1:] + corners[:1]
     sides = [(c - a, d - b) for (a, b), (c, d) in zip(corners, following, strict=True)]
     for (a, b), (c, d) in zip(sides, sides[1:] + sides[:1], strict=True):

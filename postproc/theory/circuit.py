@@ -98,6 +98,11 @@ class Circuit:
         return one == two
 
     @property
+    def thresholds(self) -> str:
+        """T of both gates in words: once if they are alike."""
+        return ", ".join(dict.fromkeys(str(side.threshold) for side in self.sides))
+
+    @property
     def chords(self) -> tuple[Floats, Floats]:
         """Distances of the chords of channels 1 and 2 from the centre of an urn."""
         if self.outline is not None:

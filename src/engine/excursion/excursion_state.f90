@@ -3,6 +3,7 @@ submodule (battery_excursion) battery_excursion_state
   use battery_scattered_sides, only: replay, pass_begun
   use battery_flight, only: locate, locate_parked
   use battery_scatterers, only: comes_back
+  use battery_table, only: chamber_at, in_return
   implicit none (type, external)
 
 contains
@@ -61,6 +62,7 @@ contains
     do i = 1, self%number
       if (self%flight(i)%heading /= in_parts) cycle
       call locate_now(self, i, state, hits)
+      if (chamber_at(self%table, state(1), state(2), huge(1.0_wp)) /= in_return) cycle
       associate (urn => self%table%urn(self%flight(i)%urn))
         call comes_back(self%table%scattered(self%flight(i)%urn), urn%periodic_line &
           + urn%way*state(1), state(2), urn%way*state(3), state(4), yes)

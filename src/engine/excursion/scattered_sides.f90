@@ -4,7 +4,7 @@
 !> the table is one chamber with two openings: the gate, and the line. A visit begins at either, or
 !> wherever a particle was, and goes through the urn and its half of channel 2 by turns until it
 !> ends at either. A flight to channel 2 ends at the line: its `through` is 0. A visit of too many
-!> hits ends in the channel (`in_parts`) and is gone on with.
+!> hits ends in the channel or in the urn (`in_parts`) and is gone on with.
 !>
 !> Paths among discs part so fast that going back along them leads elsewhere. So it is kept how each
 !> visit began, in the frame of the urn or in that of its half of channel 2 (`battery_scatterers`);
@@ -181,20 +181,23 @@ contains
     integer, intent(in) :: k
     real(wp), intent(in) :: limit
     type(travel_type), intent(inout) :: at
-    real(wp) :: position(2), velocity(2), leaves, until
+    real(wp) :: position(2), velocity(2), leaves, after, until
     integer(int64) :: later
     logical :: stays, goes_on_now
 
     leaves = at%now%time + v%length(k)
     at%hits = at%hits + int(v%hits(k), int64)
     stays = v%channel(k) /= gated .and. v%channel(k) /= ungated
-    ! The rest of a long visit to the urn is flown at once.
+    ! A long visit is gone on with from half its part, so that what comes after is no sooner than
+    ! the lookahead.
     goes_on_now = v%channel(k) == goes_on .and. leaves < limit
     if (goes_on_now .or. (limit < huge(1.0_wp) .and. (stays .or. leaves > limit))) then
-      until = merge(leaves, limit, goes_on_now)
+      after = merge(-v%through(k), limit - leaves, goes_on_now)
+      until = merge(leaves - v%through(k), limit, goes_on_now)
       call place_in_visit(table%urn(at%now%side), int(v%channel(k)), v%y(k), v%along(k), &
-        v%across(k), until - leaves, position, velocity, later)
+        v%across(k), after, position, velocity, later)
       at%hits = at%hits + later
+      if (goes_on_now) at%heading = in_parts
       at%now = begins_at(until, int(at%now%side), in_urn, position(1), position(2), velocity(1), &
         velocity(2))
     else if (v%channel(k) == ungated) then

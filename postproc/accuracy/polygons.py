@@ -1,0 +1,54 @@
+"""Single visits to polygons in single and double precision, against quadruple precision."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+from postproc.accuracy.probes import EPSILON, Question, ask
+from postproc.accuracy.stability import BITS
+from postproc.theory import outlines
+
+if TYPE_CHECKING:
+    from postproc.accuracy.job import Job
+    from postproc.theory.outlines import Outline
+
+WIDTHS = ("0.3", "0.01")  # w, w'
+# Upright to the last digit of the highest precision.
+POLYGONS: dict[str, Outline] = {
+    "regular hexagon": tuple((round(x, 12), round(y, 12)) for x, y in outlines.regular(6, 1.0)),
+    "crooked hexagon": outlines.CROOKED,
+    "twelve sides, some reach in": (
+        (1.0, -0.6), (1.0, 0.6), (1.4, 0.7), (1.3, 1.2), (-0.5, 1.1), (-0.6, 0.3), (-1.0, 0.9),
+        (-1.2, 0.5), (-1.2, -0.5), (-0.3, -1.0), (0.2, -0.4), (0.7, -1.1),
+    ),
+}  # fmt: skip
+
+
+def questions(job: Job) -> tuple[list[Question], list[Question]]:
+    """Return the visits in each precision, then the same in real128, held against them."""
+    own, compared = [], []
+    count = str(int(job.pick(1e5, 1e6)))
+    for (k, outline), (precision, bits) in itertools.product(
+        enumerate(POLYGONS.values()), BITS.items()
+    ):
+        corners = ",".join(repr(float(one)) for corner in outline for one in corner)
+        words = ("visits", corners, *WIDTHS, count, str(bits))
+        name = f"polygons-{k}-{precision}"
+        own.append(Question(name, precision, (*words, f"{name}.bin"), 3600))
+        words = (*words, f"{name}-real128.bin", f"{name}.bin")
+        compared.append(Question(f"{name}-real128", "real128", words, 36000))
+    return own, compared
+
+
+def run(job: Job) -> None:
+    """Ask, and keep what each precision says of each polygon."""
+    own, compared = questions(job)
+    ask(job, own, exact=False)
+    told = ask(job, compared, exact=False)
+    rows = [
+        {"urn": urn, "input": precision, "unit": EPSILON[precision]}
+        | {key: value for key, value in line.items() if key != "histogram"}
+        for (urn, precision), (line,) in zip(itertools.product(POLYGONS, BITS), told, strict=True)
+    ]
+    job.keep("polygons", {"visits": rows})
