@@ -19,9 +19,9 @@ from postproc.theory.renewal import RENEWAL
 from postproc.theory.renewal_fit import share_of_one
 
 LOW, HIGH = 0.2, 0.7  # chi of the passages, as `figures.passages` has them
-# T = 1, 32 runs of 40000 time units a point (namelists/lifetimes_one.nml), and where few of them had
-# any 32 of 400000 (lifetimes_rare_one.nml): first passages from chi = 0 to 0.7 and from 1 to 0.2;
-# T = 2 likewise
+# T = 1, 32 runs of 40000 time units a point (namelists/lifetimes_one.nml), and where few of them
+# had any 32 of 400000 as well (lifetimes_rare_one.nml): first passages from chi = 0 to 0.7 and from
+# 1 to 0.2; T = 2 likewise
 MEASURED = (
     (1, 340, 5.5e3, math.nan), (1, 360, 7.8e3, 2.6e5), (1, 380, 1.61e4, 2.69e4),
     (1, 400, 1.47e5, 1.0e4), (1, 420, math.nan, 5.15e3), (1, 480, math.nan, 2.12e3),

@@ -60,18 +60,16 @@ class Settling:
         second = np.clip(number2, self.places2[0], self.places2[-1])
         there = np.clip(settled, self.settled2[0], self.settled2[-1])
         up, down = (
-            np.exp(
-                interpolate.RectBivariateSpline(self.places2, self.settled2, one)(second, there)
-            )
+            np.exp(interpolate.RectBivariateSpline(self.places2, self.settled2, one)(second, there))
             for one in np.moveaxis(self.sent, 2, 0)
         )
         up[number2 == self.number], down[number2 == 0] = 0.0, 0.0
         return up, down
 
     def passage(self, start: int, stop: int) -> float:
-        """Return the mean time from N2 = ceil(N/2) + start, settled, to where |N2 - N/2| is of stop.
+        """Return the mean time from one |N2 - N/2|, settled, to another.
 
-        States count as those of `chain.folded`; infinite beyond `LONGEST`.
+        Both count as the states of `chain.folded`; infinite beyond `LONGEST`.
         """
         offset = (self.number + 1) // 2
         if stop > start:
@@ -117,7 +115,7 @@ def _mirrored(held: Held) -> Held:
 
 
 def _sent(equations: Directions, held: Held, settled: Held) -> float:
-    """Return the logarithm of what half 1 sends with its numbers of one and directions of another."""
+    """Return the logarithm of what half 1 sends: its number is `held`, directions `settled`."""
     more = held.in_half[0] / settled.in_half[0]
     law = np.maximum(more * settled.entries[0] @ equations.basis, 0.0) * equations.weights
     rate = law.sum()
