@@ -53,7 +53,7 @@ FULL    ?= 0
 
 # Runs behind the figures; quick ones have a tenth of the collisions (lifetimes take their time).
 CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn \
-           lifetimes_one lifetimes_two lifetimes_long_gate
+           lifetimes_one lifetimes_two lifetimes_long_gate lifetimes_rare_one lifetimes_rare_long_gate
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 # Planes of the one-channel model: quick ones have ten values of each key; with fewer collisions they
@@ -178,7 +178,7 @@ figures: build ## every figure of the paper, quick; FULL=1: at the paper's own l
 	figure numris $(FIGURES)/phase_diagram.h5 $(FIGURES)/phase_diagram_polarised.h5
 	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
 	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
-	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate}.h5
+	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate,rare_one,rare_long_gate}.h5
 	figure one_channel $(FIGURES)/one_channel_*.h5
 	echo "The figures are in $(FIGURES)"
 

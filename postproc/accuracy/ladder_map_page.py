@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from postproc.accuracy.ladder import QUANTITIES
-from postproc.accuracy.text import number, percent, seconds, table
+from postproc.accuracy.text import measured, number, percent, seconds, table
 
 HEADS = {"chi": "chi", "current": "current over chi", "transition": "transition T"}
 SHOWN = {"chi": lambda value: number(value, 2), "current": percent, "transition": percent}
@@ -31,8 +31,8 @@ def ladder_map(numbers: dict) -> str:
     ]
     widths = sorted({point[0] for point in numbers["points"]})
     places = ", ".join(
-        f"{number(value, 4)} at w' = {width:g}"
-        for width, value in zip(widths, numbers["transitions"][0], strict=True)
+        f"{measured(value, error)} at w' = {width:g}"
+        for width, value, error in zip(widths, *numbers["transitions"], strict=True)
     )
     twice = numbers["doubling"]
     away, near = numbers["transients"]

@@ -94,7 +94,7 @@ def run(job: Job) -> None:
     rows = [measure(answer) for answer in answers]
     job.keep("reversal", {
         "lyapunov": rate, "number": NUMBER,
-        "predicted_horizon": {name: math.log(1 / eps) / rate for name, eps in EPSILON.items()},
+        "predicted_horizon": {name: math.log(ASTRAY / eps) / rate for name, eps in EPSILON.items()},
         "horizon": {f"{row['engine']} {row['precision']}": horizon(row) for row in rows},
         "rows": rows,
     })  # fmt: skip

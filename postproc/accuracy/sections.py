@@ -56,7 +56,8 @@ step. Some particles it sends astray
 - **Errors grow** as exp(lambda t). The tangent map of the free billiard gives lambda = {growth} directly
 ({number(numbers["lyapunov_same_start"], 3)} over the time that these particles fly); the column lambda is fitted
 to the errors themselves.
-- **The horizon** of a precision is where the median error reaches the size of the table; predicted are
+- **The horizon** of a precision is where the median error passes 0.1: half of the particles have taken another way.
+Half a unit in the last place grows to that in
 {predicted}. With gates it is nearer, since one particle that goes astray makes a gate fire, or not, for all the
 others.
 
@@ -176,9 +177,9 @@ def reversal(numbers: dict) -> str:
         )  # fmt: skip
         lines.append([f"`{engine}`", precision, predicted, number(time, 3)])
     return f"""Run for a time t, turn all velocities, run as long again: without gates everyone arrives where he
-began, until rounding, grown by exp(lambda t), has become as large as the table
-(predicted from the tangent map's lambda = {number(numbers["lyapunov"], 3)}: the time in which half a unit in the
-last place grows to 1). A fixed step is lost much sooner, since its errors are not rounding.
+began, until rounding, grown by exp(lambda t), sends him another way (predicted as the horizons above, from the
+tangent map's lambda = {number(numbers["lyapunov"], 3)}: the time in which half a unit in the
+last place grows to 0.1). A fixed step is lost much sooner, since its errors are not rounding.
 
 {table(["engine", "precision", "predicted", "half are astray after"], lines)}
 

@@ -17,7 +17,7 @@ from scipy import interpolate
 from postproc.cli import InputError
 from postproc.theory import direction, one_particle, two_port
 from postproc.theory import models as theories
-from postproc.theory.chain import passage_times
+from postproc.theory.chain import between, passage_times
 from postproc.theory.circuit import (
     eta,
     flow1,
@@ -193,14 +193,11 @@ class Remembering(Model):
         second = np.asarray(number2, float)
         if not self.balanced:
             return np.full(second.shape, math.nan)
-        places, (one, two) = self._theory.outflows(self.of(circuit))
-        places, order = np.unique(places, return_index=True)
+        places, sent = self._theory.outflows(self.of(circuit))
         # what each urn sends is smooth and keeps its sign; their difference has peaks in between
-        sent = [
-            np.exp(interpolate.PchipInterpolator(places, log[order], extrapolate=False)(second))
-            for log in (one, two)
-        ]
-        return sent[0] - sent[1]
+        one, two = np.exp(between(places, sent, second))
+        known = (second >= places.min()) & (second <= places.max())
+        return np.where(known, one - two, math.nan)
 
     def levels(self, circuit: Circuit, number2: float) -> dict[str, float]:
         """Return flows and net current of the stable state nearest to `number2`.

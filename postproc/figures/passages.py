@@ -102,22 +102,29 @@ def first_passage(series: Series, number: int, barrier: float, below: bool) -> t
 
 
 def measured(files: Sequence[Results]) -> list[Lifetime]:
-    """Return the lifetimes at all points, by the first passages of their replicas."""
-    points, found = gather(files), []
+    """Return the lifetimes at all points, by the first passages of their replicas.
+
+    What several files have of one circuit and one start is taken together.
+    """
+    points = gather(files)
+    passages: dict[tuple[Circuit, bool], list[tuple[float, bool]]] = {}
     for at in range(points.number.size):
         results, point = files[points.file[at]], int(points.point[at])
         polarised = bool(points.start[at] > MIDDLE)
         number, level = int(points.number[at]), LOW if polarised else HIGH
-        passages = [
+        found = passages.setdefault((results.circuit(point), polarised), [])
+        found += [
             first_passage(results.series(point, int(replica)), number, level, polarised)
             for replica in np.flatnonzero(results.done[point])
         ]
-        if passages:
-            times, passed = zip(*passages, strict=True)
+    lifetimes = []
+    for (circuit, polarised), found in passages.items():
+        if found:
+            times, passed = zip(*found, strict=True)
             count, total = int(np.count_nonzero(passed)), len(times)
             estimated = estimate(times, passed)
-            found.append(Lifetime(results.circuit(point), polarised, count, total, *estimated))
-    return found
+            lifetimes.append(Lifetime(circuit, polarised, count, total, *estimated))
+    return lifetimes
 
 
 def table(found: Sequence[Lifetime], models: Sequence[Model] = ALL) -> str:

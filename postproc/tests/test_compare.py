@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from postproc.figures import passages
-from postproc.figures.models import MODELS
+from postproc.figures.models import MODELS, WELL_MIXED
 from postproc.reading.results import Results
 from postproc.report import compare
 from postproc.tests.commands import call
@@ -72,7 +72,7 @@ def test_lifetimes_are_measured_and_drawn(
     path = results_of(tmp_path / "run.h5", particles={"number": None}, scan=scan)
     with Results(path) as results:
         found = passages.measured([results])
-        made = passages.figure_lifetimes([results])
+        made = passages.figure_lifetimes([results], WELL_MIXED)
     assert [life.polarised for life in found] == [True, False] * 2
     assert [(life.passages, life.replicas) for life in found] == [(2, 2), (0, 2)] * 2
     assert all(0.0 < life.low <= life.time <= life.high < 500.0 for life in found[::2])

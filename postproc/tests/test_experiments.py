@@ -13,6 +13,7 @@ import pytest
 from postproc.accuracy import experiments, experiments_page, predictions
 from postproc.accuracy.events import Log, stories
 from postproc.accuracy.job import ROOT, Job
+from postproc.theory import ports, two_port
 from postproc.theory.circuit import Circuit, in_urn
 from postproc.theory.renewal import RENEWAL
 
@@ -116,6 +117,19 @@ def test_verdict_counts_what_is_met() -> None:
     assert len(lines) == 5
     assert all("1 of 2 numbers within 3 standard errors" in line for line in lines)
     assert all(line.endswith("the worst off by -5.0.") for line in lines)
+
+
+def test_predictions_on_the_page_are_those_of_the_present_theory() -> None:
+    """They need no run: of what a port returns, and of the conductance at the measured chi."""
+    rows = json.loads((ROOT / "docs/experiments.json").read_text())["rows"]
+    found = ports.disc(Circuit(1000, 1000))
+    predicted = [one["predicted"] for one in rows if one["experiment"] == 2]
+    assert predicted == pytest.approx([found.return_chance, found.stay2], rel=1e-6)
+    sizes = [one for one in rows if one["what"].startswith("conductance")]
+    for row, threshold in zip(sizes[:3], (7, 10, 13), strict=True):
+        circuit = Circuit(1000, threshold, gate=RENEWAL)
+        ratio = two_port.conductance(circuit) / predictions.mixed_conductance(circuit)
+        assert row["predicted"] == pytest.approx(ratio * row["mixed"], rel=1e-6)
 
 
 def test_page_of_the_docs_says_what_was_measured() -> None:

@@ -36,6 +36,15 @@ def test_distribution_is_stationary_and_symmetric(threshold: int) -> None:
     assert weights == pytest.approx(weights[::-1], rel=1e-9)
 
 
+def test_peaks_between_places_are_kept() -> None:
+    """Two equal neighbours next to a peak: what is sent goes on rising between them."""
+    places = np.linspace(0.0, 1.1, 12)
+    values = np.stack([-(((places - 0.55) / 0.3) ** 2), places**3])
+    found = chain.between(places[::-1], values[:, ::-1], [0.55, 0.2, -3.0, 7.0])
+    assert found[0] == pytest.approx([0.0, -1.3611, values[0, 0], values[0, -1]], abs=1e-3)
+    assert found[1] == pytest.approx([0.55**3, 0.008, 0.0, 1.1**3], abs=1e-9)
+
+
 def test_mean_passage_time_solves_the_linear_equations() -> None:
     circuit = Circuit(40, 2, channel1_length=8.0)
     stop = 30

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import xarray as xr
 
+from postproc.accuracy import comp01_check
+from postproc.accuracy.comp01_check import HOLLOW, hollow, root_mean_square
 from postproc.cli import InputError
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, results_of
@@ -26,6 +28,9 @@ from postproc.theory.one_particle import (
 )
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 PAPER = Circuit(number=1000, threshold=7, channel2_width=0.0102)
 QUICK = Effort(copies=8, batches=4, transient=1000.0, duration=1500.0)
@@ -82,52 +87,46 @@ def test_it_meets_the_points_of_the_paper(
     assert 0.0 < state.net_current_error < 0.03 * current
 
 
-COMP01 = json.loads(Path(__file__).with_name("comp01_polarised.json").read_text())["points"]
 FEW = [(0.0102, 5), (0.0102, 14), (0.0204, 7), (0.0306, 13)]
-
-
-def inner() -> list[list[float]]:
-    """Return the polarised points of Fig. comp01 but the first and the last T of each w'."""
-    ends = {
-        (width, end([one[1] for one in COMP01 if one[0] == width]))
-        for width in {one[0] for one in COMP01}
-        for end in (min, max)
-    }
-    return [one for one in COMP01 if tuple(one[:2]) not in ends]
-
-
-def off(points: list[list[float]], effort: Effort | None = None) -> tuple[float, float, float]:
-    """Return root mean squares of chi, and of current and current over chi, relative, less one."""
-    found = []
-    for width, threshold, spread, _, current, _ in points:
-        circuit = replace(PAPER, threshold=threshold, channel2_width=width)
-        (state,) = stationary_states(circuit, effort)
-        ratio = state.net_current / current
-        found.append((state.mass_spread - spread, ratio - 1.0,
-                      ratio * spread / state.mass_spread - 1.0))  # fmt: skip
-    return tuple(np.sqrt(np.mean(np.square(found), axis=0)))
 
 
 def test_it_meets_some_polarised_points_of_comp01() -> None:
     """At the paper's length; `test_it_meets_all_polarised_points_of_comp01` has the others."""
     effort = replace(QUICK, batches=6, transient=3000.0, duration=2500.0)
-    spread, current, _ = off([one for one in COMP01 if tuple(one[:2]) in FEW], effort)
+    few = [one for one in comp01_check.POINTS if (one.channel2_width, one.threshold) in FEW]
+    spread, current = root_mean_square([comp01_check.off(one, effort) for one in few])
+    assert len(few) == len(FEW)
     assert spread < 0.005
     assert current < 0.03
+
+
+def test_points_next_to_a_transition_are_told_by_the_distribution_of_chi() -> None:
+    """Those that have no polarised state, and the next T; an even state has its mode at 0."""
+    points = comp01_check.POINTS
+    assert len(points) == 46
+    assert len(comp01_check.but_ends(points)) == 38
+    kept = comp01_check.inner(points)
+    assert len(kept) == 34
+    assert {one.threshold for one in kept if one.channel2_width == 0.0612} == set(range(9, 14))
+    random = np.random.default_rng(1)
+    even = np.abs(random.normal(0.0, 0.1, 20_000))
+    assert hollow(even) == 1.0
+    assert hollow(np.abs(random.normal(0.3, 0.08, 20_000))) < 0.05 < HOLLOW
+    assert hollow(np.abs(random.normal(0.1, 0.09, 20_000))) > HOLLOW
 
 
 @pytest.mark.full
 def test_it_meets_all_polarised_points_of_comp01() -> None:
-    """The 46 with chi > 0.15 but the last ones before either transition; chi but for one."""
-    assert len(COMP01) == 46
-    assert len(inner()) == 38
-    spread, current, ratio = off(inner())
+    """The 34 that have a polarised state in runs, but the last ones before either transition."""
+    found = {one: comp01_check.off(one) for one in comp01_check.but_ends(comp01_check.POINTS)}
+    inner = comp01_check.inner(comp01_check.POINTS)
+    assert np.isfinite(list(found.values())).all()
+    spread, current = root_mean_square([found[one] for one in inner])
+    assert spread < 0.005
+    assert current < 0.03
+    spread, current = root_mean_square(list(found.values()))
     assert spread < 0.007
     assert current < 0.03
-    assert ratio < 0.02
-    spread, current, _ = off([one for one in inner() if tuple(one[:2]) != (0.0612, 14)])
-    assert spread < 0.005
-    assert current < 0.02
 
 
 @pytest.mark.parametrize(

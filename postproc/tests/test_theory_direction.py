@@ -19,19 +19,19 @@ from postproc.theory.renewal import RENEWAL
 from postproc.theory.renewal_fit import share_of_one
 
 LOW, HIGH = 0.2, 0.7  # chi of the passages, as `figures.passages` has them
-# T = 1, 32 runs of 40000 time units a point (namelists/lifetimes_one.nml): first passages from
-# chi = 0 to 0.7 and from 1 to 0.2, NaN where fewer than four runs had any; T = 2 likewise
+# T = 1, 32 runs of 40000 time units a point (namelists/lifetimes_one.nml), and where few of them
+# had any 32 of 400000 as well (lifetimes_rare_one.nml): first passages from chi = 0 to 0.7 and from
+# 1 to 0.2; T = 2 likewise
 MEASURED = (
-    (1, 340, 5.5e3, math.nan), (1, 360, 7.5e3, 2.3e5), (1, 380, 1.61e4, 2.69e4),
-    (1, 400, 3.1e5, 8.97e3), (1, 420, math.nan, 5.15e3), (1, 480, math.nan, 2.12e3),
-    (2, 860, math.nan, 2.63e3), (2, 1000, math.nan, 1.44e3),
+    (1, 340, 5.5e3, math.nan), (1, 360, 7.65e3, 2.58e5), (1, 380, 1.61e4, 2.69e4),
+    (1, 400, 1.59e5, 9.58e3), (1, 420, math.nan, 5.15e3), (1, 480, math.nan, 2.12e3),
+    (2, 860, math.nan, 2.63e3),
 )  # fmt: skip
-# T = 2, l = 4 likewise; above 1e5 (N = 160 polarised, 190 homogeneous) it is off by 4.6 and 6.7
+# T = 2, l = 4 likewise (lifetimes_long_gate.nml, lifetimes_rare_long_gate.nml)
 LONG_GATE = (
-    (160, 5.97e3, math.nan), (170, 1.3e4, 7.34e4), (180, 7.27e4, 1.76e4), (190, math.nan, 7.86e3),
-    (200, math.nan, 4.3e3), (240, math.nan, 1.71e3),
+    (160, 5.81e3, 4.86e5), (180, 7.27e4, 1.76e4), (190, 4.68e5, 8.39e3),
 )  # fmt: skip
-CROSSING = 382.5  # N at which both lifetimes are equal, T = 1, by these runs
+CROSSING = 383.1  # N at which both lifetimes are equal, T = 1, by these runs
 
 
 def near(circuit: Circuit, *measured: float) -> None:

@@ -1,4 +1,8 @@
-"""Finite N: N2 as a birth-death chain with the theory's rates, its distribution and lifetimes."""
+"""Finite N: N2 as a birth-death chain with the theory's rates, its distribution and lifetimes.
+
+A theory whose urns take their time to settle after N2 brings a chain in two variables of its own
+(`Theory.settling`).
+"""
 
 from __future__ import annotations
 
@@ -7,12 +11,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import interpolate
 
 from postproc.theory.circuit import flow1, flow2, log_outflow
 from postproc.theory.states import WELL_MIXED
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
 
     from postproc.theory.circuit import Circuit
     from postproc.theory.states import Theory
@@ -29,7 +36,8 @@ class Lifetimes:
     homogeneous, polarised : lifetimes; infinite where there is no state to go to, zero where there
         is no such state.
     barrier : chi of the unstable state between them, NaN without one.
-    polarised_share : probability of the stationary chain to be beyond the barrier.
+    polarised_share : probability of the stationary chain to be beyond the barrier; of urns that
+        take their time to settle, as the two lifetimes have it.
     """
 
     homogeneous: float
@@ -38,12 +46,22 @@ class Lifetimes:
     polarised_share: float
 
 
+def between(places: Floats, values: Floats, wanted: ArrayLike) -> Floats:
+    """Return values, shape (..., place), at other places: cubic splines; beyond the ends the ends.
+
+    What an urn sends has a peak that is no wider than a few places: what keeps the peak at one of
+    them, or joins them by straight lines, is off by a tenth there.
+    """
+    places, order = np.unique(places, return_index=True)
+    inside = np.clip(wanted, places[0], places[-1])
+    return interpolate.CubicSpline(places, np.asarray(values)[..., order], axis=-1)(inside)
+
+
 def log_rates(circuit: Circuit, theory: Theory = WELL_MIXED) -> tuple[Floats, Floats]:
     """Return the logarithms of the rates of N2 -> N2 + 1 and N2 -> N2 - 1 for N2 = 0 ... N."""
     number = int(circuit.number)
     if theory.outflows is not None:
-        second, sent = theory.outflows(circuit)
-        up, down = (np.interp(np.arange(number + 1), second, one) for one in sent)
+        up, down = between(*theory.outflows(circuit), np.arange(number + 1))
         up[-1], down[0] = -np.inf, -np.inf
         return up, down
     out = np.full(number + 1, -np.inf)
@@ -85,6 +103,24 @@ def folded(log_up: Floats, log_down: Floats) -> tuple[Floats, Floats]:
     return up, down
 
 
+def passages(circuit: Circuit, theory: Theory = WELL_MIXED) -> Callable[[int, int], float]:
+    """Return what tells the mean time from one state of `folded` to another, farther out or in."""
+    if theory.settling is not None:
+        return theory.settling(circuit).passage
+    return _of_chain(*folded(*log_rates(circuit, theory)))
+
+
+def _of_chain(up: Floats, down: Floats) -> Callable[[int, int], float]:
+    last = up.size - 1
+
+    def passage(start: int, stop: int) -> float:
+        if stop > start:
+            return time_up(up, down, start, stop)
+        return time_up(down[::-1], up[::-1], last - start, last - stop)
+
+    return passage
+
+
 def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     """Return the lifetimes of the homogeneous and of the (outermost) polarised state.
 
@@ -101,18 +137,16 @@ def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     barrier = max(state.urn2_number for state in states if state.kind == "unstable")
     if not homogeneous:
         barrier = 0.5 * number
-    up, down = folded(*log_rates(circuit, theory))
-    offset = (number + 1) // 2
-    wall = int(np.clip(round(barrier) - offset, 1, up.size - 1))
-    far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, up.size - 1))
-    weights = np.exp(log_weights(up, down))
-    last = up.size - 1
-    return Lifetimes(
-        time_up(up, down, 0, wall) if homogeneous else 0.0,
-        time_up(down[::-1], up[::-1], last - far, last - wall),
-        2.0 * barrier / number - 1.0,
-        float(weights[wall:].sum()),
-    )
+    offset, last = (number + 1) // 2, number // 2
+    wall = int(np.clip(round(barrier) - offset, 1, last))
+    far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, last))
+    passage = passages(circuit, theory)
+    times = (passage(0, wall) if homogeneous else 0.0, passage(far, wall))
+    share = times[1] / sum(times)
+    if theory.settling is None:
+        weights = np.exp(log_weights(*folded(*log_rates(circuit, theory))))
+        share = float(weights[wall:].sum())
+    return Lifetimes(*times, 2.0 * barrier / number - 1.0, share)
 
 
 def passage_times(
@@ -128,8 +162,9 @@ def passage_times(
     factors of what the sparser urn sends through channels 1 and 2, if it is well mixed.
     """
     number = int(circuit.number)
-    up, down = folded(*log_rates(circuit, theory))
+    passage = passages(circuit, theory)
     if sparse != (1.0, 1.0):
+        up, down = folded(*log_rates(circuit, theory))
         fewer = number // 2 - np.arange(up.size)  # how many the sparser urn of each state has
         apart = (fewer > 0) & (2 * fewer < number)
         through1, through2 = (
@@ -138,7 +173,8 @@ def passage_times(
         )
         kept = (sparse[0] * through1 + sparse[1] * through2) / (through1 + through2)
         up[apart] += np.log(kept)
-    offset, last = (number + 1) // 2, up.size - 1
+        passage = _of_chain(up, down)
+    offset, last = (number + 1) // 2, number // 2
     above = int(np.clip(np.ceil(0.5 * number * (1.0 + high) - 1e-9) - offset, 1, last))
     below = int(np.clip(np.floor(0.5 * number * (1.0 + low) + 1e-9) - offset, 0, last - 1))
-    return time_up(up, down, 0, above), time_up(down[::-1], up[::-1], 0, last - below)
+    return passage(0, above), passage(last, below)

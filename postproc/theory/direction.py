@@ -29,6 +29,7 @@ import numpy as np
 from scipy import optimize
 
 from postproc.theory import fate, ports
+from postproc.theory.chain import between
 from postproc.theory.circulation import circulating_current
 from postproc.theory.ports import stays
 from postproc.theory.states import State
@@ -49,7 +50,7 @@ KEPT = 0.3  # of the fates of the round before, against overshooting
 LEAST_SHARE = (
     1e-3  # of the particles in urns, in the emptier one, down to which states are looked for
 )
-LOOKED_AT = 14  # places, and
+EVENLY, FALLING = 10, 10  # places down to a tenth, from there on, and
 NEARER = 5  # halvings of the last step towards what channel 2 alone keeps in an urn
 NEXT_TO_EQUAL = 0.02  # how far off equal urns the first is
 
@@ -243,8 +244,8 @@ class Directions:
 
 def _shares() -> Floats:
     """Return shares of urn 1 at which a circuit is held, falling from next to 1/2."""
-    even = np.linspace(0.5 * (1.0 - NEXT_TO_EQUAL), 0.1, LOOKED_AT - 4)
-    return np.concatenate([even, np.geomspace(0.1, LEAST_SHARE, 7)[1:]])
+    even = np.linspace(0.5 * (1.0 - NEXT_TO_EQUAL), 0.1, EVENLY)
+    return np.concatenate([even, np.geomspace(0.1, LEAST_SHARE, FALLING + 1)[1:]])
 
 
 def _excess(held: Held) -> float:
@@ -335,10 +336,7 @@ def flows(circuit: Circuit, number2: float) -> Floats:
     if circuit.alike:  # the mirror images
         second = np.concatenate([float(circuit.number) - second[::-1], second])
         carried = np.concatenate([carried[::-1, :, ::-1], carried])
-    return np.array(
-        [[np.interp(number2, second, carried[:, channel, way]) for way in (0, 1)]
-         for channel in (0, 1)]
-    )  # fmt: skip
+    return between(second, np.moveaxis(carried, 0, -1), number2)
 
 
 def outflows(circuit: Circuit) -> tuple[Floats, Floats]:

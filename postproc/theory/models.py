@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from postproc.cli import finite
-from postproc.theory import direction, one_particle, ports, two_port
+from postproc.theory import direction, one_particle, ports, settling, two_port
 from postproc.theory.circuit import transition_width
 from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
@@ -83,8 +83,9 @@ _PORTS = Theory(
     two_port.stationary_states, two_port.homogeneous_kind, _line_of_two_ports, two_port.outflows
 )
 _DIRECTIONS = Theory(
-    direction.stationary_states, direction.homogeneous_kind, _no_line, direction.outflows
-)
+    direction.stationary_states, direction.homogeneous_kind, _no_line, direction.outflows,
+    settling.settling,
+)  # fmt: skip
 _WALKERS = Theory(
     one_particle.stationary_states, _walked_kind, _no_line, two_port.outflows
 )

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from postproc.theory.settling import Settling
+
     Balance = Callable[[ArrayLike], NDArray[np.float64]]
 
     Outflows = Callable[[Circuit], tuple[NDArray[np.float64], NDArray[np.float64]]]
@@ -184,12 +186,14 @@ class Theory:
     transition_width : w' of the transition line, NaN without one.
     outflows : N2, shape (case,), and the logarithms of what halves 1 and 2 send to each other
         there, shape (half, case); None: `circuit.log_outflow`.
+    settling : how urns settle after N2 has changed; None: at once.
     """
 
     states: Callable[[Circuit], list[State]] = stationary_states
     homogeneous_kind: Callable[[Circuit], str] = homogeneous_kind
     transition_width: Callable[[Circuit], float] = transition_width
     outflows: Outflows | None = None
+    settling: Callable[[Circuit], Settling] | None = None
 
 
 WELL_MIXED = Theory()

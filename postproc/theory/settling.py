@@ -1,0 +1,133 @@
+"""How long states last where directions settle no faster than N2 goes: a chain in two variables.
+
+Directions take some hundred units of time to settle, and N2 gets as far as a barrier in no more. So
+they lag: M is the N2 to which they have settled, and dM/dt = (N2 - M)/tau. What urn i holds by
+direction is that of the circuit held at M, times as many as there are: F_i(s; M) n_i(N2)/n_i(M),
+and likewise what it sends through channel 2. Gates are those of these entries. For N2 = M these are
+the rates of `direction.outflows`.
+
+tau: a deviation of the directions in one urn, and its negative in the other, becomes K11 (1 - 2 q)
+of itself with each visit, in the circuit of equal halves. Its slowest part has the largest
+eigenvalue of that, less those that change numbers; a visit and what follows it in the gate take
+n_i/e_i.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import interpolate, sparse
+from scipy.sparse import linalg
+
+from postproc.theory import direction, fate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
+    from postproc.theory.direction import Directions, Held
+
+    Floats = NDArray[np.float64]
+
+STEPS = 100  # of M
+LONGEST = 1e12  # lifetimes beyond this are not told from endless ones
+
+
+@dataclass(frozen=True)
+class Settling:
+    """A circuit whose directions lag behind N2.
+
+    Attributes
+    ----------
+    number : N.
+    places2 : N2 at which rates are known, increasing.
+    settled2 : M at which they are.
+    sent : logarithms of what halves send each other, shape (N2, M, half).
+    time : tau, in units of length/v.
+    """
+
+    number: int
+    places2: Floats
+    settled2: Floats
+    sent: Floats
+    time: float
+
+    def rates(self, number2: Floats, settled: Floats) -> tuple[Floats, Floats]:
+        """Return the rates of N2 -> N2 + 1 and N2 -> N2 - 1 at each N2 and each M: (N2, M)."""
+        second = np.clip(number2, self.places2[0], self.places2[-1])
+        there = np.clip(settled, self.settled2[0], self.settled2[-1])
+        up, down = (
+            np.exp(interpolate.RectBivariateSpline(self.places2, self.settled2, one)(second, there))
+            for one in np.moveaxis(self.sent, 2, 0)
+        )
+        up[number2 == self.number], down[number2 == 0] = 0.0, 0.0
+        return up, down
+
+    def passage(self, start: int, stop: int) -> float:
+        """Return the mean time from one |N2 - N/2|, settled, to another.
+
+        Both count as the states of `chain.folded`; infinite beyond `LONGEST`.
+        """
+        offset = (self.number + 1) // 2
+        if stop > start:
+            second = np.arange(self.number - offset - stop + 1, offset + stop)
+        else:
+            second = np.arange(offset + stop + 1, self.number + 1)
+        settled = np.linspace(second[0], second[-1], STEPS + 1)
+        up, down = self.rates(second, settled)
+        lag = second[:, None] - settled
+        if second.size > 1:
+            lag = lag / (self.time * (settled[1] - settled[0]))
+        rise, fall = np.maximum(lag, 0.0), np.maximum(-lag, 0.0)
+        rise[:, -1], fall[:, 0] = 0.0, 0.0
+        state = np.arange(lag.size).reshape(lag.shape)
+        moves = (
+            (up[:-1], state[:-1], state[1:]), (down[1:], state[1:], state[:-1]),
+            (rise[:, :-1], state[:, :-1], state[:, 1:]), (fall[:, 1:], state[:, 1:], state[:, :-1]),
+        )  # fmt: skip
+        rate, here, there = (np.concatenate([one[k].ravel() for one in moves]) for k in range(3))
+        leaving = sparse.diags((up + down + rise + fall).ravel())
+        equations = leaving - sparse.csc_matrix((rate, (here, there)), shape=leaving.shape)
+        times = linalg.spsolve(equations.tocsc(), np.ones(lag.size)).reshape(lag.shape)
+        first = offset + start
+        found = float(np.interp(first, settled, times[first - second[0]]))
+        return found if 0.0 < found < LONGEST else math.inf
+
+
+def settling(circuit: Circuit) -> Settling:
+    """Return how directions of a circuit with equal urns and gates lag behind its N2."""
+    equations = direction.Directions(circuit)
+    held = [one for _, one in direction.scan(circuit)]
+    circuits = [*(_mirrored(one) for one in held[::-1]), equations.held(0.5), *held]
+    kept = circuits[len(held) % 2 :: 2]  # the even one among them, and the ends or nearly so
+    half = np.array([[_sent(equations, one, other) for other in kept] for one in circuits])
+    sent = np.stack([half, half[::-1, ::-1]], axis=2)
+    second, settled = (np.array([one.in_half[1] for one in few]) for few in (circuits, kept))
+    time = _time(equations, circuits[len(held)])
+    return Settling(int(circuit.number), second, settled, sent, time)
+
+
+def _mirrored(held: Held) -> Held:
+    return direction.Held(*(one[::-1] for one in vars(held).values()))
+
+
+def _sent(equations: Directions, held: Held, settled: Held) -> float:
+    """Return the logarithm of what half 1 sends: its number is `held`, directions `settled`."""
+    more = held.in_half[0] / settled.in_half[0]
+    law = np.maximum(more * settled.entries[0] @ equations.basis, 0.0) * equations.weights
+    rate = law.sum()
+    threshold = int(equations.sides[0].threshold)
+    through = fate.passing(threshold, rate, equations.stays, law / rate) @ law
+    return math.log(through + more * max(settled.across[0, 0], 0.0))
+
+
+def _time(equations: Directions, even: Held) -> float:
+    """Return tau of a circuit held with equal halves."""
+    basis, share = equations.basis, 1.0 - 2.0 * even.passing.mean(axis=0)
+    gate = (basis * (equations.weights * share)) @ basis.T
+    visit = (equations.urns[0].kernel[0, 0].T @ gate)[1:, 1:]
+    kept = np.abs(np.linalg.eigvals(visit)).max()
+    return float(even.in_half[0] / even.entries[0, 0] / -math.log(kept))
