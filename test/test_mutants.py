@@ -1,4 +1,4 @@
-"""The lists of mutations name lines that are there: one that rots would look like one that holds."""
+"""Lists of mutations name lines that are there: one that rots would look like one that holds."""
 
 import pytest
 from mutants.__main__ import HERE, found_again, listed
