@@ -51,8 +51,8 @@ def test_settled_directions_send_what_is_sent(slow: Settling) -> None:
 
 
 def test_directions_that_settle_at_once_are_the_settled_chain(slow: Settling) -> None:
-    settled = replace(THEORY, settling=None)
-    quick = replace(THEORY, settling=lambda _: replace(slow, time=0.01))
+    settled = replace(THEORY, passages=None)
+    quick = replace(THEORY, passages=lambda _: replace(slow, time=0.01).passage)
     for one, other in zip(
         chain.passage_times(ONE, 0.2, 0.7, theory=quick),
         chain.passage_times(ONE, 0.2, 0.7, theory=settled),
@@ -65,7 +65,7 @@ def test_lag_shortens_what_fluctuations_must_bring_about(slow: Settling) -> None
     """An urn that fills by chance is not yet crowded by oblique particles, and is held less."""
     assert 100.0 < slow.time < 900.0
     late = chain.passage_times(ONE, 0.2, 0.7, theory=THEORY)
-    settled = chain.passage_times(ONE, 0.2, 0.7, theory=replace(THEORY, settling=None))
+    settled = chain.passage_times(ONE, 0.2, 0.7, theory=replace(THEORY, passages=None))
     assert late[0] < 0.9 * settled[0]
     assert late[1] < 0.9 * settled[1]
 

@@ -25,6 +25,8 @@ from scipy.sparse import linalg
 from postproc.theory import direction, fate
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from postproc.theory.circuit import Circuit
@@ -95,6 +97,11 @@ class Settling:
         first = offset + start
         found = float(np.interp(first, settled, times[first - second[0]]))
         return found if 0.0 < found < LONGEST else math.inf
+
+
+def passages(circuit: Circuit) -> Callable[[int, int], float]:
+    """Return what tells the mean time from one |N2 - N/2| to another (`Settling.passage`)."""
+    return settling(circuit).passage
 
 
 def settling(circuit: Circuit) -> Settling:
