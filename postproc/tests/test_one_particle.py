@@ -237,6 +237,13 @@ def test_command_line_prints_errors_where_walkers_draw(
     assert 0.0 < root["net_current_error"] < 0.1
 
 
+def test_numbers_of_any_kind_are_understood() -> None:
+    """Those of numpy, too, which call themselves by their kind."""
+    short = Effort(1, 2, np.float64(5.0), np.float64(5.0))
+    walked = walk(replace(PAPER, number=20), np.float64(0.5), short)
+    assert walked.half2_number.shape == (2,)
+
+
 def test_a_program_that_is_not_there_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,7 +1,7 @@
 """Finite N: N2 as a birth-death chain with the theory's rates, its distribution and lifetimes.
 
 A theory whose urns take their time to settle after N2 brings a chain in two variables of its own
-(`Theory.settling`).
+(`Theory.passages`).
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ def folded(log_up: Floats, log_down: Floats) -> tuple[Floats, Floats]:
 
 def passages(circuit: Circuit, theory: Theory = WELL_MIXED) -> Callable[[int, int], float]:
     """Return what tells the mean time from one state of `folded` to another, farther out or in."""
-    if theory.settling is not None:
-        return theory.settling(circuit).passage
+    if theory.passages is not None:
+        return theory.passages(circuit)
     return _of_chain(*folded(*log_rates(circuit, theory)))
 
 
@@ -143,7 +143,7 @@ def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     passage = passages(circuit, theory)
     times = (passage(0, wall) if homogeneous else 0.0, passage(far, wall))
     share = times[1] / sum(times)
-    if theory.settling is None:
+    if theory.passages is None:
         weights = np.exp(log_weights(*folded(*log_rates(circuit, theory))))
         share = float(weights[wall:].sum())
     return Lifetimes(*times, 2.0 * barrier / number - 1.0, share)

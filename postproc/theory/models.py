@@ -84,7 +84,7 @@ _PORTS = Theory(
 )
 _DIRECTIONS = Theory(
     direction.stationary_states, direction.homogeneous_kind, _no_line, direction.outflows,
-    settling.settling,
+    settling.passages,
 )  # fmt: skip
 _WALKERS = Theory(
     one_particle.stationary_states, _walked_kind, _no_line, two_port.outflows

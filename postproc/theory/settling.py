@@ -1,15 +1,15 @@
 """How long states last where directions settle no faster than N2 goes: a chain in two variables.
 
 Directions take some hundred units of time to settle, and N2 gets as far as a barrier in no more. So
-they lag: M is the N2 to which they have settled, and dM/dt = (N2 - M)/tau. What urn i holds by
-direction is that of the circuit held at M, times as many as there are: F_i(s; M) n_i(N2)/n_i(M),
-and likewise what it sends through channel 2. Gates are those of these entries. For N2 = M these are
-the rates of `direction.outflows`.
+they lag: M is the N2 to which they have settled, and dM/dt = (N2 - M)/tau. How many an urn sends
+is settled within a visit, and follows N2; by which directions follows M: F_i(s; M) e_i(N2)/e_i(M).
+Gates are those of these entries. For N2 = M these are the rates of `direction.outflows`, and where
+gates ask for no direction they are so for any M.
 
 tau: a deviation of the directions in one urn, and its negative in the other, becomes K11 (1 - 2 q)
-of itself with each visit, in the circuit of equal halves. Its slowest part has the largest
-eigenvalue of that, less those that change numbers; a visit and what follows it in the gate take
-n_i/e_i.
+of itself with each visit, in the circuit of equal halves; a visit and what follows it in the gate
+take n_i/e_i, more or less. So its slowest part goes in n_i/e_i/(1 - kappa), kappa the largest
+eigenvalue, the part that changes numbers left out.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from scipy.sparse import linalg
 from postproc.theory import direction, fate
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from postproc.theory.circuit import Circuit
@@ -97,6 +99,11 @@ class Settling:
         return found if 0.0 < found < LONGEST else math.inf
 
 
+def passages(circuit: Circuit) -> Callable[[int, int], float]:
+    """Return what tells the mean time from one |N2 - N/2| to another (`Settling.passage`)."""
+    return settling(circuit).passage
+
+
 def settling(circuit: Circuit) -> Settling:
     """Return how directions of a circuit with equal urns and gates lag behind its N2."""
     equations = direction.Directions(circuit)
@@ -115,13 +122,13 @@ def _mirrored(held: Held) -> Held:
 
 
 def _sent(equations: Directions, held: Held, settled: Held) -> float:
-    """Return the logarithm of what half 1 sends: its number is `held`, directions `settled`."""
-    more = held.in_half[0] / settled.in_half[0]
+    """Return the logarithm of what half 1 sends: as many as `held`, directions as `settled`."""
+    more = held.entries[0, 0] / settled.entries[0, 0]
     law = np.maximum(more * settled.entries[0] @ equations.basis, 0.0) * equations.weights
     rate = law.sum()
     threshold = int(equations.sides[0].threshold)
     through = fate.passing(threshold, rate, equations.stays, law / rate) @ law
-    return math.log(through + more * max(settled.across[0, 0], 0.0))
+    return math.log(through + max(held.across[0, 0], 0.0))
 
 
 def _time(equations: Directions, even: Held) -> float:
@@ -129,5 +136,5 @@ def _time(equations: Directions, even: Held) -> float:
     basis, share = equations.basis, 1.0 - 2.0 * even.passing.mean(axis=0)
     gate = (basis * (equations.weights * share)) @ basis.T
     visit = (equations.urns[0].kernel[0, 0].T @ gate)[1:, 1:]
-    kept = np.abs(np.linalg.eigvals(visit)).max()
-    return float(even.in_half[0] / even.entries[0, 0] / -math.log(kept))
+    kept = np.linalg.eigvals(visit).real.max()
+    return float(even.in_half[0] / even.entries[0, 0] / (1.0 - kept))

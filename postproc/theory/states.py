@@ -28,10 +28,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from postproc.theory.settling import Settling
-
     Balance = Callable[[ArrayLike], NDArray[np.float64]]
 
+    Passages = Callable[[int, int], float]
     Outflows = Callable[[Circuit], tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 NEAREST = 1e-6  # states closer to N/2 than this, relative to it, are the homogeneous one
@@ -186,14 +185,15 @@ class Theory:
     transition_width : w' of the transition line, NaN without one.
     outflows : N2, shape (case,), and the logarithms of what halves 1 and 2 send to each other
         there, shape (half, case); None: `circuit.log_outflow`.
-    settling : how urns settle after N2 has changed; None: at once.
+    passages : what tells the mean time from one |N2 - N/2| to another, as `chain.passages`, of urns
+        that take their time to settle after N2; None: that of a chain with these outflows.
     """
 
     states: Callable[[Circuit], list[State]] = stationary_states
     homogeneous_kind: Callable[[Circuit], str] = homogeneous_kind
     transition_width: Callable[[Circuit], float] = transition_width
     outflows: Outflows | None = None
-    settling: Callable[[Circuit], Settling] | None = None
+    passages: Callable[[Circuit], Passages] | None = None
 
 
 WELL_MIXED = Theory()
