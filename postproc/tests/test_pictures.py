@@ -283,7 +283,7 @@ def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -
     for command in (["currents"], film_of, ["report"], ["figures", "model"]):
         assert call(command[0], [*command[1:], str(unlike_file), "--output", str(tmp_path)]) == 0
     told = (tmp_path / "unlike.html").read_text()
-    assert "No theory knows this table" in told
+    assert "of equal urns and gates" in told
     assert "renewal gate" not in told
     picture = re.search(r'src="data:image/png;base64,([^"]+)"', told)[1]
     assert plt.imread(io.BytesIO(base64.b64decode(picture)))[..., :3].min() == 0.0
