@@ -239,7 +239,7 @@ class Results:
         return {"outline": one, "urn2_outline": two if two != one else None}
 
     def beyond_theory(self, point: int) -> bool:
-        """Tell whether a table is one that theories do not know: scatterers, or unlike sides."""
+        """Tell whether a table has scatterers or unlike sides: theories of figures know neither."""
         unlike = self.shape == "circuit" and not self.any_circuit(point).alike
         return bool(self.scatterers) or unlike
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +30,8 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 
+from postproc.figures import style
+from postproc.figures.scene import draw_table
 from postproc.figures.style import CYCLE
 from postproc.report import data
 from postproc.report.warn import explanations, warnings
@@ -39,6 +43,7 @@ if TYPE_CHECKING:
     from postproc.figures.models import Model
     from postproc.reading.results import Results
     from postproc.report.data import Columns, Scan
+    from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
 
@@ -49,6 +54,9 @@ IDLE = "Put the mouse on a point; click one to see its replicas."
 PALETTES = {"chi": "Viridis256", "current": "Inferno256"}
 ERRORS = "Cividis256"
 KEPT = ("version", "git_commit", "created", "status", "mpi_ranks", "mpi_library", "compiler")
+KNOWN = "Theory: the stable state nearest to what was measured."
+UNKNOWN = "Theories beside it would be of equal urns and gates, without scatterers: none is shown."
+DOTS = 110  # an inch, of the picture of the table
 HOVERED = """
 const [at] = cb_data.index.indices
 reading.text = at === undefined ? idle : points.data.told[at]
@@ -288,14 +296,27 @@ def _run(results: Results) -> dict[str, str]:
 
 
 def _lines(scan: Scan, models: dict[str, Model]) -> str:
+    if not models:
+        return ""
     named = ", ".join(f"{one.label} ({data.dash(one)})" for one in models.values())
     what = "where the homogeneous state turns stable" if scan.up else "theory"
     return f"Lines, {what}: {named}."
 
 
+def _picture(circuit: Circuit) -> str:
+    """Return the table to scale as a PNG in base 64."""
+    made = style.figure(style.PAGE, 2.6)
+    draw_table(made.subplots(), circuit)
+    with io.BytesIO() as file:
+        made.savefig(file, format="png", dpi=DOTS)
+        return base64.b64encode(file.getvalue()).decode("ascii")
+
+
 def page(results: Results, models: dict[str, Model]) -> str:
-    """Return the whole page, with theories by name."""
+    """Return the whole page, with theories by name; without them where none knows the tables."""
     results.need_tasks()
+    if all(map(results.beyond_theory, range(results.points))):
+        models = {}
     scan = data.scanned(results)
     parts = Page(results, scan, models, data.points_of(results, scan, models))
     panels, choices, detail = parts.panels(), parts.choices(), parts.detail()
@@ -316,6 +337,8 @@ def page(results: Results, models: dict[str, Model]) -> str:
         template_variables={
             "remarks": {heading: items for heading, items in remarks.items() if items},
             "lines": _lines(scan, models),
+            "theory": KNOWN if models else UNKNOWN,
+            "picture": _picture(results.any_circuit(0)),
             "panels": [one.name for one in panels],
             "choices": [one.name for one in choices],
             "series": [one.name for one in parts.series],

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import os
+import re
 import stat
 from typing import TYPE_CHECKING
 
 import h5py
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.patches import Circle
@@ -279,6 +283,11 @@ def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -
     film_of = ["film", "--gif", "--seconds", "0.2"]
     for command in (["currents"], film_of, ["report"], ["figures", "model"]):
         assert call(command[0], [*command[1:], str(unlike_file), "--output", str(tmp_path)]) == 0
+    told = (tmp_path / "unlike.html").read_text()
+    assert "of equal urns and gates" in told
+    assert "renewal gate" not in told
+    picture = re.search(r'src="data:image/png;base64,([^"]+)"', told)[1]
+    assert plt.imread(io.BytesIO(base64.b64decode(picture)))[..., :3].min() == 0.0
     with Results(unlike_file) as results:
         table, shot = results.any_circuit(0), results.snapshot(0, 0, 0)
     chord, beyond = (np.sqrt(radius**2 - 0.15**2) for radius in (1.2, 0.8))
