@@ -4,11 +4,12 @@
 !> the run has been.
 module battery_history
   use battery_kinds, only: wp, int8, int32, int64
+  use battery_channel, only: gated, ungated
   use battery_ordering, only: put_times_in_order => put_in_order
   implicit none (type, external)
   private
   public :: history_type, reserve_history, make_room, record_crossing, record_event, &
-    record_reversal, order_events, crossing_of, put_in_order
+    record_reversal, order_events, crossing_of, channel_of, put_in_order
   public :: channel1_12, channel1_21, channel2_12, channel2_21
   public :: event_entry, event_reversal, event_crossing1, event_crossing2
 
@@ -50,6 +51,15 @@ module battery_history
   end type history_type
 
 contains
+
+  !> The channel of a crossing.
+  elemental function channel_of(crossing) result(channel)
+    !> `channel1_12` ...
+    integer, intent(in) :: crossing
+    integer :: channel
+
+    channel = merge(gated, ungated, crossing == channel1_12 .or. crossing == channel1_21)
+  end function channel_of
 
   !> Empties the history and makes room for `crossings` crossings and as many as `events` events.
   subroutine reserve_history(history, crossings, events)

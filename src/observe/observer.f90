@@ -13,7 +13,8 @@
 module battery_observer
   use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
-  use battery_history, only: history_type, channel1_12, channel2_12
+  use battery_channel, only: gated, ungated
+  use battery_history, only: history_type, channel1_12, channel2_12, channel_of
   use battery_quantities, only: measured_type, set_average, set_count, flow_names
   use battery_stream, only: stream_type
   implicit none (type, external)
@@ -82,9 +83,7 @@ contains
     observer%urn1_number = urn1_number
     observer%two_halves = two_halves
     observer%series_interval = series_interval
-    if (present(unit)) then
-      observer%blocks%length = unit
-    end if
+    if (present(unit)) observer%blocks%length = unit
     if (present(circuit_closed)) observer%circuit_closed = circuit_closed
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
     if (series_interval > 0.0_wp) then
@@ -116,7 +115,7 @@ contains
     type(observer_type), intent(inout) :: observer
     type(history_type), intent(in) :: history
     real(wp) :: last
-    integer :: k, crossing, way, down
+    integer :: k, crossing, channel, way, down
 
     last = 0.0_wp
     do k = 1, history%crossings
@@ -130,10 +129,9 @@ contains
       if (observer%two_halves) observer%urn1_number = observer%urn1_number - way
       if (observer%measuring) then
         observer%crossings(crossing) = observer%crossings(crossing) + 1
-        associate (net => observer%block_net(merge(1, 2, crossing < channel2_12)))
-          net = net + way
-        end associate
-        if (crossing >= channel2_12) observer%block_downward = observer%block_downward + down
+        channel = channel_of(crossing)
+        observer%block_net(channel) = observer%block_net(channel) + way
+        if (channel == ungated) observer%block_downward = observer%block_downward + down
       end if
     end do
     call pass_time(observer, history%duration - last)
@@ -177,9 +175,9 @@ contains
     call add_block(observer%blocks(of_chi), &
       observer%block_spread/(observer%block_time*real(observer%number, wp)))
     call add_block(observer%blocks(of_current1), &
-      real(observer%block_net(1), wp)/observer%block_time)
+      real(observer%block_net(gated), wp)/observer%block_time)
     call add_block(observer%blocks(of_current2), &
-      real(observer%block_net(2), wp)/observer%block_time)
+      real(observer%block_net(ungated), wp)/observer%block_time)
     call add_block(observer%blocks(of_polarised), &
       real(observer%block_downward, wp)/observer%block_time)
     observer%time = observer%time + observer%block_time

@@ -273,18 +273,17 @@ contains
     end if
   end subroutine choose_opening
 
-  !> A particle that a step has taken beyond the arc is mirrored in the circle, along the ray from
-  !> the centre, and its velocity is reflected there.
-  pure subroutine put_back_in_disc(disc, x, y, ux, uy, hit)
+  !> A particle that a step has taken beyond the arc (it `was_beyond`) is mirrored in the circle,
+  !> along the ray from the centre, and its velocity is reflected there.
+  pure subroutine put_back_in_disc(disc, x, y, ux, uy, was_beyond)
     type(disc_type), intent(in) :: disc
     !> Place and velocity in the frame of the disc.
     real(wp), intent(inout) :: x, y, ux, uy
-    !> Whether it was beyond.
-    logical, intent(out) :: hit
+    logical, intent(out) :: was_beyond
     real(wp) :: distance, outward, factor
 
-    hit = x**2 + y**2 > disc%radius**2
-    if (.not. hit) return
+    was_beyond = x**2 + y**2 > disc%radius**2
+    if (.not. was_beyond) return
     distance = hypot(x, y)
     ! In a segment beyond a chord it may have come out of the channel into the wall.
     outward = max((x*ux + y*uy)/distance, 0.0_wp)

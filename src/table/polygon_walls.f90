@@ -165,13 +165,12 @@ contains
     call aim_from(polygon, side, x, y, ux, uy, next, wait)
   end subroutine hit_polygon
 
-  !> Mirrors a particle that a step has taken beyond a side in the side that it has crossed, and
-  !> reflects its velocity there; again, if that takes it beyond another.
+  !> Mirrors a particle that a step has taken beyond a side (it `was_beyond`) in the side that it
+  !> has crossed, and reflects its velocity there; again, if that takes it beyond another.
   pure subroutine put_back_in_polygon(polygon, x, y, ux, uy, was_beyond)
     type(polygon_type), intent(in) :: polygon
     !> Place and velocity in the frame of the polygon.
     real(wp), intent(inout) :: x, y, ux, uy
-    !> Whether it was so.
     logical, intent(out) :: was_beyond
     integer, parameter :: most_sides = 16
     real(wp) :: beyond

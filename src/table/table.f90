@@ -202,7 +202,6 @@ contains
     !> In the frame of the table, lengths.
     real(wp), intent(in) :: x, y, tolerance
     integer :: chamber
-    logical :: beside
 
     chamber = outside
     associate (urn => table%urn(side_at(table, x)))
@@ -218,8 +217,8 @@ contains
       end if
       if (urn%overhangs .and. chamber /= in_urn) then
         ! Beside a channel, or beyond its end, there may be urn.
-        beside = abs(y) > urn%half_width(merge(gated, ungated, abs(x) <= urn%begins(gated)))
-        if (beside .and. holds(urn, urn%centre - abs(x), y, 0.0_wp)) chamber = in_urn
+        if (abs(y) > urn%half_width(merge(gated, ungated, abs(x) <= urn%begins(gated))) &
+          .and. holds(urn, urn%centre - abs(x), y, 0.0_wp)) chamber = in_urn
         if (chamber == outside .and. holds(urn, urn%centre - abs(x), y, tolerance)) chamber = in_urn
       end if
     end associate

@@ -237,7 +237,7 @@ contains
 
     call cross_first(gate, i)
     call add_crossing(walkers%tally, side, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
-    call leave_gate(walkers, i, 3 - side, walkers%through(i))
+    call leave_gate(walkers, i, walkers%table%beyond(side), walkers%through(i))
   end subroutine cross_middle
 
   !> A gate turns all those counted back: each is as long on its way out as it was on its way in.
@@ -347,7 +347,7 @@ contains
   subroutine land(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(in) :: v
-    integer :: j, i, urn
+    integer :: j, i, urn, beyond
     real(wp) :: leaves
 
     do j = 1, v%count
@@ -366,7 +366,8 @@ contains
         cycle
       end if
       call add_crossing(walkers%tally, urn, ungated, leaves + 0.5_wp*v%through(j))
-      call send(walkers%visits(min(3 - urn, walkers%chambers), 3 - walkers%under_way), i, 3 - urn, &
+      beyond = walkers%table%beyond(urn)
+      call send(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%under_way), i, beyond, &
         ungated, leaves, v%through(j), v%y(j), v%along(j), v%across(j))
     end do
   end subroutine land

@@ -213,7 +213,7 @@ contains
     end associate
   end subroutine write_down
 
-  !> Visits of a batch: from the urn's entrance to its exit, and how their particles go on.
+  !> Visits of a batch: from the urn's entrance to its exit, into flights.
   subroutine finish_visits(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
@@ -221,22 +221,22 @@ contains
     associate (v => self%visits(b))
       call cross(self%table%urn(b), v)
       self%known_hits = self%known_hits + v%all_hits
-      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
-        v%y, v%along, v%across, v%through)
     end associate
-    call count_parts(self, b)
+    call go_on(self, b)
   end subroutine finish_visits
 
-  !> Visits of a batch may be known in part only.
-  subroutine count_parts(self, b)
+  !> Writes down how the particles of a batch go on.
+  subroutine go_on(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
+      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
+        v%y, v%along, v%across, v%through)
       if (self%table%urn(b)%hands_on) self%parts = self%parts &
         + count(v%channel(:v%count) == goes_on)
     end associate
-  end subroutine count_parts
+  end subroutine go_on
 
   !> One window of at most the time `duration`: its events, then the visits that they begin.
   subroutine live(self, duration, history)
@@ -291,7 +291,7 @@ contains
         if (self%looks_ahead .and. self%parts == 0) then
           call recall(self%table%urn(1), self%number, self%flight, self%calendar%sorted, &
             self%calendar%particle, v, self%visits(2), self%known_hits)
-          call count_parts(self, b)
+          call go_on(self, b)
         else
           if (self%looks_ahead) self%visits(2)%count = 0
           call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
@@ -342,14 +342,14 @@ contains
 
     associate (v => self%visits(1), w => self%events, due => self%calendar%due_time, &
       particle => self%calendar%particle)
-      call deal(self%number, self%flight, events, due, particle, size(w%crosser), w%dealt, w%due, &
+      call deal(self%number, self%flight, events, due, particle, size(w%ticket), w%dealt, w%due, &
         w%middle, w%particle)
       crossed = 0
       do urn = 1, 2
         before = v%count
         crossed_before = crossed
         call admit(self%gate(urn), w%stretch(urn), w%dealt(urn), w%due(:, urn), w%middle(:, urn), &
-          w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, w%crosser, &
+          w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, w%ticket, &
           w%crossing_time)
         v%urn(before + 1:v%count) = urn
         v%channel(before + 1:v%count) = gated

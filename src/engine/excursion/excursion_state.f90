@@ -75,6 +75,10 @@ contains
   module procedure pass_own
     integer :: i
 
+    ! In a state x of who is parked in a channel stands with `along`.
+    if (allocated(self%parked_x) .and. .not. stream%reading) then
+      where (self%flight%heading == parked_in_channel) self%flight%along = self%parked_x
+    end if
     call stream%pass('known_hits', self%known_hits)
     call stream%pass('told_hits', self%told_hits)
     call stream%pass('heading', self%flight%heading)
@@ -83,8 +87,8 @@ contains
     call stream%pass('along', self%flight%along, 'across', self%flight%across, &
       'length', self%flight%length, 'through', self%flight%through)
     if (any(self%flight%heading == parked_in_channel)) then
-      if (.not. allocated(self%parked_x)) allocate (self%parked_x(self%number))
-      call stream%pass('parked_x', self%parked_x)
+      self%parked_x = self%flight%along
+      where (self%flight%heading == parked_in_channel) self%flight%along = 0.0_wp
     end if
     if (self%scattered) call pass_begun(self%sides, self%flight%urn, stream)
     if (.not. stream%reading .or. stream%failed()) return

@@ -9,7 +9,7 @@ module battery_foresight
   use battery_calendar, only: flight_type
   use battery_channel, only: gated, ungated
   use battery_chamber, only: leave_channels
-  use battery_flight, only: gather, land, never, to_gate
+  use battery_flight, only: gather, never, to_gate
   use battery_urn, only: urn_type, cross
   use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
@@ -34,8 +34,7 @@ contains
     pays = events < most_events .and. all(threshold > 0)
   end function pays
 
-  !> Visits that begin: those foreseen, or computed now, with those that will begin next. Writes
-  !> down how their particles go on.
+  !> Visits that begin: those foreseen, or computed now, with those that will begin next.
   subroutine recall(urn, number, flight, coming, next, visits, ahead, known_hits)
     type(urn_type), intent(in) :: urn
     !> How many particles there are, and how many events come next.
@@ -43,8 +42,7 @@ contains
     type(flight_type), intent(inout) :: flight(number)
     !> Whose the next events are.
     integer, intent(in) :: next(coming)
-    !> In: who, where to and when turned back, as `walk_few` leaves it. Out: to which channel each
-    !> goes, and when its next event is.
+    !> In: who, where to and when turned back, as `walk_few` leaves it. Out: as out of `cross`.
     type(visits_type), intent(inout) :: visits
     !> Those foreseen.
     type(visits_type), intent(inout) :: ahead
@@ -61,11 +59,13 @@ contains
     do j = 1, visits%count
       at = flight(visits%particle(j))%foreseen
       flight(visits%particle(j))%foreseen = 0
-      call land(number, flight, 1, visits%particle(j), visits%urn(j), ahead%channel(at), &
-        ahead%time(at), ahead%length(at), ahead%y(at), ahead%along(at), ahead%across(at), &
-        ahead%through(at))
       visits%channel(j) = ahead%channel(at)
       visits%time(j) = ahead%time(at)
+      visits%length(j) = ahead%length(at)
+      visits%y(j) = ahead%y(at)
+      visits%along(j) = ahead%along(at)
+      visits%across(j) = ahead%across(at)
+      visits%through(j) = ahead%through(at)
       known_hits = known_hits + int(ahead%hits(at), int64)
     end do
 

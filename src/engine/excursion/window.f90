@@ -28,11 +28,11 @@ module battery_window
     integer, allocatable :: particle(:, :)
     !> What the entries into each gate led to.
     type(stretch_type) :: stretch(2)
-    !> Crossings of all lines: when, and who, as the gates tell; `line_up` gives each a ticket, and
-    !> puts time and ticket in order.
+    !> Crossings of all lines: when, and the ticket that says who crosses which. A gate knows of one
+    !> line only: it tells who, which is a ticket of gate 1, until `line_up`.
     integer :: crossings = 0
     real(wp), allocatable :: crossing_time(:)
-    integer, allocatable :: crosser(:), ticket(:)
+    integer, allocatable :: ticket(:)
   end type window_type
 
 contains
@@ -51,14 +51,13 @@ contains
     end do
     window%crossings = 0
     room = events + sum(counted)
-    if (allocated(window%crosser)) then
-      if (size(window%crosser) >= room) return
-      deallocate (window%due, window%middle, window%particle, window%crossing_time, &
-        window%crosser, window%ticket)
+    if (allocated(window%ticket)) then
+      if (size(window%ticket) >= room) return
+      deallocate (window%due, window%middle, window%particle, window%crossing_time, window%ticket)
     end if
     room = max(64, 2*room)
     allocate (window%due(room, 3), window%middle(room, 3), window%particle(room, 3), &
-      window%crossing_time(room), window%crosser(room), window%ticket(room))
+      window%crossing_time(room), window%ticket(room))
   end subroutine reserve_window
 
   !> Deals out the events that are due: those who enter a gate are inside from now on. Without
@@ -107,19 +106,16 @@ contains
 
     crossed = from_gate1 + from_gate2
     returned = window%dealt(periodic_line)
-    associate (last => crossed + returned)
-      window%ticket(:from_gate1) = ticket_of(1, window%crosser(:from_gate1))
-      window%ticket(from_gate1 + 1:crossed) = ticket_of(2, window%crosser(from_gate1 + 1:crossed))
-      window%ticket(crossed + 1:last) = ticket_of(periodic_line, &
-        window%particle(:returned, periodic_line))
-      window%crossing_time(crossed + 1:last) = window%due(:returned, periodic_line)
-      window%crossings = last
-    end associate
+    window%ticket(from_gate1 + 1:crossed) = ticket_of(2, window%ticket(from_gate1 + 1:crossed))
+    window%crossing_time(crossed + 1:crossed + returned) = window%due(:returned, periodic_line)
+    window%ticket(crossed + 1:crossed + returned) = ticket_of(periodic_line, &
+      window%particle(:returned, periodic_line))
+    window%crossings = crossed + returned
     call put_in_order(window%crossings, window%crossing_time, window%ticket)
   end subroutine line_up
 
   !> A crossing in one number, which is read without a branch: nobody can guess which line is next.
-  !> At one time the lesser number comes first.
+  !> At one time the lesser number comes first. For gate 1 it is the particle's.
   elemental function ticket_of(line, particle) result(ticket)
     !> Gate 1 or 2, or `periodic_line`; who crosses.
     integer, intent(in) :: line, particle

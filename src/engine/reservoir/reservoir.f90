@@ -381,7 +381,7 @@ contains
     class(reservoir_type), intent(inout) :: self
     type(stream_type), intent(inout) :: stream
 
-    call pass_stays(self%stay, self%entered, stream)
+    call pass_stays(self%table, self%stay, self%entered, self%parked_x, stream)
     call stream%pass('members', self%members)
     call stream%pass('member', self%member(:self%members))
     call stream%pass('next_tick', self%next_tick)
@@ -391,10 +391,6 @@ contains
     call stream%pass('told_hits', self%told_hits)
     call stream%pass('fraction', self%fraction)
     call stream%pass('moving', self%moving)
-    if (self%moving < self%number) then
-      if (.not. allocated(self%parked_x)) allocate (self%parked_x(self%number))
-      call stream%pass('parked_x', self%parked_x)
-    end if
   end subroutine pass_own
 
 end module battery_reservoir

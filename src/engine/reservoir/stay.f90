@@ -291,16 +291,33 @@ contains
   end function drawn_in_urn
 
   !> The stays, and when each has `entered` its urn, through a stream.
-  subroutine pass_stays(stay, entered, stream)
+  subroutine pass_stays(table, stay, entered, parked_x, stream)
+    type(table_type), intent(in) :: table
     type(stay_type), intent(inout) :: stay(:)
     real(wp), intent(inout) :: entered(:)
+    !> Where each is along x in the frame of the table, if any is parked.
+    real(wp), allocatable, intent(inout) :: parked_x(:)
     type(stream_type), intent(inout) :: stream
 
+    ! In a state x of who is parked stands with `along`, and one heading for both channels.
+    if (allocated(parked_x) .and. .not. stream%reading) then
+      where (is_parked(stay))
+        stay%along = parked_x
+        stay%heading = parked_in_gate
+      end where
+    end if
     call stream%pass('time', stay%time, 'y', stay%y, 'along', stay%along, 'across', stay%across, &
       'entered', entered)
     call stream%pass('hits', stay%hits)
     call stream%pass('heading', stay%heading)
     call stream%pass('urn', stay%urn)
+    if (.not. any(is_parked(stay))) return
+    parked_x = stay%along
+    where (is_parked(stay))
+      stay%along = 0.0_wp
+      stay%heading = int(merge(parked_in_gate, parked_in_return, abs(parked_x) &
+        <= 0.5_wp*table%channel(gated)%length), int32)
+    end where
   end subroutine pass_stays
 
   !> The numbers drawn ahead, and the generator, through a stream.
