@@ -78,8 +78,9 @@ demo: build ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictu
 	ls build/demo/*.png
 
 test: build ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
-	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --ldflags=" $(DEBUG_LINK)" \
-	  --release=" $(RELEASE_FLAGS)" --debug=" $(DEBUG_FLAGS)"
+	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) \
+	  --release=" $(RELEASE_FLAGS)" --release-link=" $(RELEASE_LINK)" \
+	  --debug=" $(DEBUG_FLAGS)" --debug-link=" $(DEBUG_LINK)"
 
 build: packages information ## only builds: the program is build/bin/battery; MPI=mpich: build/mpich/bin/battery
 	@flock build/.lock $(VENV)/bin/fpm $(FPM_INSTALL) --prefix $(BUILT)
@@ -149,7 +150,7 @@ $(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: packages informa
 	@mkdir -p build/probe/real$*
 	echo "$$PROBE_PACKAGE" > build/probe/fpm.toml
 	cd build/probe
-	export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto"
+	export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto=auto"
 	echo "Building the physics in real$*"
 	flock .lock ../venv/bin/fpm install --prefix real$* > real$*/log 2>&1 || { cat real$*/log; exit 1; }
 	install real$*/bin/accuracy ../bin/accuracy-real$*

@@ -40,7 +40,7 @@ class Part:
 
 def parts(arguments: argparse.Namespace) -> list[Part]:
     """List the parts in the order in which they run."""
-    fortran = [sys.executable, "test/run", f"--ldflags={arguments.ldflags}"]
+    fortran = [sys.executable, "test/run", "--flavour"]
     style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml"]
     style += ["postproc", "test", "docs"]
     # A file goes to one worker, so that what its tests share is made once.
@@ -58,11 +58,12 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
         Part("style of the Python sources", style, lint=True),
         Part(
             "Fortran, release build",
-            [*fortran, "--flavour", "release", f"--flags={arguments.release}"],
+            [*fortran, "release", f"--flags={arguments.release}",
+             f"--ldflags={arguments.release_link}"],
         ),
         Part(
             "Fortran, debug build with traps",
-            [*fortran, "--flavour", "debug", f"--flags={arguments.debug}"],
+            [*fortran, "debug", f"--flags={arguments.debug}", f"--ldflags={arguments.debug_link}"],
         ),
         Part("Python", [*python, "postproc", "test"]),
     ]
@@ -107,7 +108,8 @@ def main() -> int:
     parser.add_argument("--release", required=True, help="switches of the release build")
     parser.add_argument("--debug", required=True, help="switches of the debug build")
     parser.add_argument("--full", action="store_true", help="those too that take long")
-    parser.add_argument("--ldflags", default="", help="switches of the linker")
+    parser.add_argument("--release-link", default="", help="switches of its linker")
+    parser.add_argument("--debug-link", default="", help="switches of its linker")
     counts = [run(part) for part in parts(parser.parse_args())]
     passed, failed = (sum(column) for column in zip(*counts, strict=True))
     print(f"\n{passed} passed, {failed} failed")

@@ -64,7 +64,7 @@ def test_mutants_are_refused_by_both_or_by_none(
     tmp_path: Path, schema: Draft202012Validator
 ) -> None:
     """Unless the reason is a rule between keys; `python test/attack/fuzz_schema.py` tries more."""
-    tried = [fault_of(number, schema, tmp_path) for number in range(1, 21)]
+    tried = [fault_of(number, schema, tmp_path) for number in range(1, 13)]
     assert not [fault for _, fault in tried if fault]
     assert {"taken", "refused"} <= {what for what, _ in tried}
 

@@ -232,7 +232,10 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
     assert labels_of(made) == [f"transition, {one.label}" for one in mixed]
 
 
-def test_unless_told_otherwise_the_best_theory_is_drawn_too(folder: Path) -> None:
+def test_unless_told_otherwise_the_best_theory_is_drawn_too(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(models, "FEW_WIDTHS", 4)
     with opened([folder / "point.h5"]) as files:
         slices, plane = circuits.figure_comp01(files), maps.figure_numris(files)
         circuit = files[0].circuit(0)
@@ -336,7 +339,7 @@ def test_transition_line_goes_through_whole_thresholds_and_ends_on_the_axis(name
     assert np.abs(np.diff(widths[there])).max() < 0.006  # a smooth line, not one of whole T
 
 
-@pytest.mark.parametrize("name", ["two_port", "direction"])
+@pytest.mark.parametrize("name", ["two_port", pytest.param("direction", marks=pytest.mark.full)])
 def test_lines_of_urns_that_remember_are_where_stability_changes(name: str) -> None:
     """They are interpolated between a dozen w'; memory moves them down."""
     model, circuit = models.MODELS[name], Circuit(1000, 7)
@@ -346,6 +349,7 @@ def test_lines_of_urns_that_remember_are_where_stability_changes(name: str) -> N
         assert model.homogeneous_kind(replace(circuit, channel2_width=width * factor)) == kind
 
 
+@pytest.mark.full
 def test_a_line_that_remembers_comes_down_to_small_thresholds() -> None:
     """It asks more often where w' is small: the homogeneous state lasts from 0.0016 and 0.0126."""
     line = dict(

@@ -257,12 +257,12 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
         assert results.task(None, None) == (1, 1)
         assert results.task(2, None) == (1, 1)
         assert results.task(1, 2) == (0, 1)
-    for command in ("currents", "scene", "film"):
-        assert call(command, [str(path), "--output", str(tmp_path)]) == 0
+    mixed = ["--model", "window"]
+    for command, words in (("currents", mixed), ("scene", []), ("film", [])):
+        assert call(command, [str(path), *words, "--output", str(tmp_path)]) == 0
         assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
     for name in ("comp05", "comp06"):
-        words = [name, str(path), "--model", "window", "--output", str(tmp_path)]
-        assert call("figures", words) == 0
+        assert call("figures", [name, str(path), *mixed, "--output", str(tmp_path)]) == 0
     assert call("currents", [str(path), "--point", "1", "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
 
