@@ -22,12 +22,12 @@ from .mutation import Mutation, mutations, sources
 
 HERE = Path(__file__).resolve().parent
 #: Suites without MPI in which the physics and what is measured are met.
-SUITES = ["test_admit", "test_among", "test_blocks", "test_calendar", "test_channel",
+SUITES = ["test_admit", "test_blocks", "test_calendar", "test_channel",
           "test_collision", "test_disc", "test_excursion", "test_frozen", "test_gate",
           "test_identities", "test_instant", "test_laws", "test_observer", "test_opening_search",
           "test_ordering", "test_polarised_current", "test_polygon", "test_polygon_engines",
           "test_quantities", "test_queue", "test_random", "test_reservoir", "test_rotation",
-          "test_scatterers", "test_simulation", "test_stream", "test_table", "test_timestep",
+          "test_scattered_visits", "test_scatterers", "test_simulation", "test_stream", "test_table", "test_timestep",
           "test_tournament", "test_urn", "test_walkers"]
 
 
