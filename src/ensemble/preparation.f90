@@ -141,7 +141,8 @@ contains
     if (allocated(results%point_status)) call foresee(plan, results%point_status /= &
       point_undecided, wanted, progress)
     if (found) remark = remark//'going on: '//to_text(progress%finished)//' of ' &
-      //to_text(progress%finished + size(progress%pending))//' tasks are finished'//further_text(progress)
+      //to_text(progress%finished + size(progress%pending))//' tasks are finished' &
+      //further_text(progress)
   end subroutine look_at_output
 
   !> How many tasks may come on top of those that are known to be needed; empty: none.
