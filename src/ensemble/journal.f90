@@ -311,7 +311,7 @@ contains
     call pass_simulation(simulation, setup, stream, error)
   end subroutine pass_state
 
-  !> The newer of the whole states of a task, if there is one.
+  !> The newer of the whole states of a task, if there is one of this program's format.
   subroutine read_state(journal, task, simulation, cpu_seconds, found, error)
     type(journal_type), intent(inout) :: journal
     type(task_type), intent(in) :: task
@@ -339,6 +339,11 @@ contains
     stream = stream_of(state(newer)%word)
     state(newer) = record_type()
     call pass_state(simulation, task%setup, cpu_seconds, stream, error)
+    if (.not. stream%failed()) return
+    ! Of another format: left alone, until this task has a state of its own.
+    deallocate (error)
+    found = .false.
+    cpu_seconds = 0.0_dp
   end subroutine read_state
 
 end module battery_journal
