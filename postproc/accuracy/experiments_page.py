@@ -53,9 +53,10 @@ TEXTS = {
 FOUND = {
     1: "met. The curves of three widths fall together where visits are counted in (r/w)^2.",
     2: "met.",
-    3: "met in kind: neither comes closer to 1 in the larger urns, the sparse gate goes further "
-    "away. What the conductance has over two ports is circulation: at r = 1, T = 7 it carries "
-    "0.05 of 1 ([measured](accuracy.md#the-tail-of-the-net-current)).",
+    3: "met in kind: the conductance comes no closer to 1 in the larger urns, within its errors, "
+    "and the sparse gate goes further away. What the conductance has over two ports at r = 1, "
+    "T = 7 is circulation: it carries 0.04 of 1 "
+    "([measured](accuracy.md#the-tail-of-the-net-current)).",
     4: "in part. Rates fall as 1/m or a little slower, and grow nearly as w'^2. Their size is 10 "
     "to 100 % above the formula, and a shorter channel 2 raises them where the formula lowers "
     "them. That is open.",
