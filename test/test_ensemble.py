@@ -254,7 +254,7 @@ def test_killed_in_the_middle_of_a_write(tmp_path: Path) -> None:
     """A run that does little but save a large state survives any number of kills."""
     changes: dict[str, dict[str, Any]] = {
         "particles": {"number": 50_000},
-        "run": {"collisions": 300_000_000},
+        "run": {"collisions": 600_000_000},
         "scan": {"channel2_width": 0.1, "replicas": 1},
         "output": {"series_interval": 1},
         "limits": {"checkpoint_minutes": 1.0e-6},
@@ -267,7 +267,8 @@ def test_killed_in_the_middle_of_a_write(tmp_path: Path) -> None:
     write(folder, **changes)
     for _ in range(10):
         process, _ = under_way(folder)
-        time.sleep(KILLS.uniform(0.02, 0.3))
+        # All ten together are shorter than the run, so that it is never over too soon.
+        time.sleep(KILLS.uniform(0.02, 0.12))
         kill_all(process)
         finish(process)
     write(folder, **calm)
