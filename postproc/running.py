@@ -150,9 +150,10 @@ def run(
     with _namelist_file(namelist, battery) as path:
         output_folder(place)
         words = [*(["--overwrite"] if overwrite else []), "--", str(path)]
-        _check_ranks(ranks, [str(battery), "--check", *words], place)
         command = [*([*launcher, str(ranks)] if ranks > 1 else []), str(battery), *words]
-        code, said, complaints = _launch(command, place, quiet)
+        code, said, complaints = _check_ranks(
+            ranks, [str(battery), "--check", *words], place
+        ) or _launch(command, place, quiet)
     if isinstance(namelist, Mapping):
         complaints = complaints.replace(str(path), "the namelist")
     complaints = complaints.strip()
@@ -164,21 +165,24 @@ def run(
     return place / (found["made"] or found["there"])
 
 
-def _check_ranks(ranks: int, check: list[str], folder: Path) -> None:
+def _check_ranks(ranks: int, check: list[str], folder: Path) -> tuple[int, str, str] | None:
     """Refuse ranks that neither a task nor a processor waits for: launchers hang at a million.
 
-    `check` is the command that prints the plan. What else is wrong is told by the run itself.
+    `check` is the command that prints the plan. If it fails so will the run: what it ended with.
     """
     processors = os.cpu_count() or 1
     if ranks <= processors:
-        return
-    code, said, _ = _launch(check, folder, quiet=True)
+        return None
+    code, said, complaints = _launch(check, folder, quiet=True)
+    if code:
+        return code, said, complaints
     tasks = re.search(r"^tasks: +(\d+)", said, re.M)
-    if code == 0 and tasks and ranks > int(tasks[1]):
+    if tasks and ranks > int(tasks[1]):
         raise InputError(
             f"ranks = {ranks}: at most one for each task ({tasks[1]}), or for each processor of "
             f"this machine ({processors})"
         )
+    return None
 
 
 def _reason(code: int, complaints: str, said: str) -> str:

@@ -108,6 +108,8 @@ LARGE = {
     "wrong groups": (HEAD + "&rum /\n" * MANY + "&run /\n" * MANY, 2, "199949 more"),
     "wrong widths": (HEAD + "&scan channel2_width = 100000*7 /\n", 2, "below 2 urn_radius"),
     "a long text": (HEAD + "&particles initial_file = '" + "a" * 10 * MANY + "' /\n", 2, "letters"),
+    "a long text, repeated": (HEAD + f"&particles initial_file = {MANY - 1}*'{'a' * MANY}' /\n", 2,
+        "too long to repeat"),
     "snapshots": (HEAD.replace("'o.h5'", "'o.h5' snapshot_times = " + ", ".join(
         f"{0.001 * at:.17g}" for at in range(MANY))) + "&run duration = 200 /\n",
         0, "nothing was written"),

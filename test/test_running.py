@@ -121,6 +121,9 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(RunError):
         postproc.run(CASE, folder=tmp_path, ranks=4, launcher=unasked)
+    with pytest.raises(ValueError, match="replicas"):
+        postproc.run({**CASE, "scan": {"replicas": 0}}, folder=tmp_path, ranks=1_000_000,
+                     launcher=unasked)
 
 
 def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ module battery_namelist_text
 
   !> Most values of one key, repeats counted.
   integer, parameter, public :: most_values = 100000
+  !> Most letters of a text that is repeated, in all.
+  integer, parameter :: most_letters = 10000000
 
   !> One value as it is written, without its quotes.
   type :: value_type
@@ -220,6 +222,8 @@ contains
         call complain(problem)
       else if (count + repeats > most_values) then
         call complain('too many values; allowed: '//to_text(most_values))
+      else if (repeats > 1 .and. len(value%text) > most_letters/repeats) then
+        call complain('too long to repeat; letters allowed in all: '//to_text(most_letters))
       else
         reader%values(count + 1:count + repeats) = value
         count = count + repeats
