@@ -250,6 +250,7 @@ def test_killed(
     complete(tmp_path, undisturbed, ranks_after)
 
 
+@pytest.mark.full
 def test_killed_in_the_middle_of_a_write(tmp_path: Path) -> None:
     """A run that does little but save a large state survives any number of kills."""
     changes: dict[str, dict[str, Any]] = {

@@ -143,7 +143,7 @@ def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
     assert "stopped" in ended.stderr
 
 
-@pytest.mark.parametrize("beats", [True, False])
+@pytest.mark.parametrize("beats", [True, pytest.param(False, marks=pytest.mark.full)])
 def test_an_owner_on_another_machine(tmp_path: Path, beats: bool) -> None:
     """A lock may hold on one machine only: an owner that beats has it; else it is dead."""
     write(tmp_path)

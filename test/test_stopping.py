@@ -64,6 +64,7 @@ def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
     assert "stopped early, the state is saved" in ended.stdout
 
 
+@pytest.mark.full
 def test_a_longer_grace_of_mpirun_loses_nothing(tmp_path: Path) -> None:
     """SIGTERM to an mpirun that waits for its ranks: the state is saved, though it says 1."""
     write(tmp_path)

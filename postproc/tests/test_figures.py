@@ -232,6 +232,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
     assert labels_of(made) == [f"transition, {one.label}" for one in mixed]
 
 
+@pytest.mark.full
 def test_unless_told_otherwise_the_best_theory_is_drawn_too(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

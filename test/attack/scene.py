@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
 TASKS = 4
-ENGINES = {"excursion": 30_000_000, "collision": 1_000_000, "synchronous": 200_000,
+ENGINES = {"excursion": 80_000_000, "collision": 1_000_000, "synchronous": 200_000,
            "timestep": 40_000, "reservoir": 40_000_000}
 
 
