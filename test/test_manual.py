@@ -146,6 +146,7 @@ def test_a_public_name_without_a_word_is_found(tmp_path: Path) -> None:
     assert python.unexplained(tmp_path / "m.py")
 
 
+@pytest.mark.full
 def test_every_key_has_a_snippet_that_the_program_takes(tmp_path: Path) -> None:
     keys = reference.all_keys(ROOT / "build/bin/battery", ROOT / "src/run/keys.f90")
     assert len(keys) > 40

@@ -60,6 +60,7 @@ def test_the_schema_refuses_the_keys_that_the_program_refuses(
     assert refused == set(told)
 
 
+@pytest.mark.full
 def test_mutants_are_refused_by_both_or_by_none(
     tmp_path: Path, schema: Draft202012Validator
 ) -> None:
