@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
 TASKS = 4
-COLLISIONS = 40_000_000
+COLLISIONS = 60_000_000
 CASE: dict[str, dict[str, Any]] = {
     "particles": {"number": 200},
     "gate": {"threshold": 3},
@@ -47,7 +47,7 @@ CASE: dict[str, dict[str, Any]] = {
         "snapshot_times": "0, 100",
         "final_state": ".true.",
     },
-    "limits": {"checkpoint_minutes": 0.001},
+    "limits": {"checkpoint_minutes": 0.0005},
 }
 
 

@@ -240,8 +240,7 @@ class Results:
 
     def beyond_theory(self, point: int) -> bool:
         """Tell whether a table has scatterers or unlike sides: theories of figures know neither."""
-        unlike = self.shape == "circuit" and not self.any_circuit(point).alike
-        return bool(self.scatterers) or unlike
+        return bool(self.scatterers or self.any_circuit(point).unlike)
 
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
         """Return the circuit of a point, with the paper's gate unless another is given.
@@ -249,17 +248,9 @@ class Results:
         Raises `InputError` if its urns or its gates are not alike.
         """
         found = self.any_circuit(point)
-        if self.shape == "circuit" and not found.alike:
-            unlike = [
-                f"{name} is {one:g} and {other:g}"
-                for name, one, other in (
-                    ("gate_threshold", found.threshold, found.gate2_threshold),
-                    ("urn_radius", found.urn_radius, found.urn2_radius),
-                )
-                if other is not None
-            ] or ["its urns are unlike polygons"]
+        if found.unlike:
             raise InputError(
-                f"{self.path}: {', '.join(unlike)} at point {point + 1}; "
+                f"{self.path}: {found.unlike} at point {point + 1}; "
                 "this needs two urns and two gates that are alike"
             )
         return replace(found.sides[0], gate=gate)

@@ -94,8 +94,19 @@ class Circuit:
     @property
     def alike(self) -> bool:
         """Whether both urns and both gates are equal."""
+        return not self.unlike
+
+    @property
+    def unlike(self) -> str:
+        """What differs between both sides, in words; empty if urns and gates are alike."""
+        pairs = {
+            "gate_threshold": (self.threshold, self.gate2_threshold),
+            "urn_radius": (self.urn_radius, self.urn2_radius),
+        }
+        told = [f"{name} is {one:g} and {two:g}" for name, (one, two) in pairs.items()
+                if two not in (None, one)]  # fmt: skip
         one, two = self.sides
-        return one == two
+        return ", ".join(told) or ("" if one == two else "its urns are unlike polygons")
 
     @property
     def thresholds(self) -> str:
