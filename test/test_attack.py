@@ -6,17 +6,20 @@ import pytest
 from attack import damage, extremes, kills, together
 from attack.common import trials
 
-# What attacks, how many trials are made always, and how many if there are minutes.
-ATTACKS = {"kills": (kills.campaign, 1, 4), "damage": (damage.attack, 4, 16),
-           "extremes": (extremes.attack, 4, 16), "together": (together.attack, 1, 4)}
+ATTACKS = {"kills": kills.campaign, "damage": damage.attack, "extremes": extremes.attack,
+           "together": together.attack}
+# How many trials are made always, and how many if there are minutes.
+FEW = {"kills": 1, "extremes": 4}
+MANY = {"kills": 4, "damage": 16, "extremes": 16, "together": 4}
 
 
-@pytest.mark.parametrize("name", ATTACKS)
-@pytest.mark.parametrize("more", [False, pytest.param(True, marks=pytest.mark.full)])
-def test_attack(name: str, *, more: bool) -> None:
+@pytest.mark.parametrize(("name", "numbers"), [
+    *((name, range(few)) for name, few in FEW.items()),
+    *(pytest.param(name, range(FEW.get(name, 0), many), marks=pytest.mark.full)
+      for name, many in MANY.items()),
+])  # fmt: skip
+def test_attack(name: str, numbers: range) -> None:
     """Nothing is found; what is tried is the same each time."""
-    attack, few, many = ATTACKS[name]
-    numbers = range(few, many) if more else range(few)
-    outcome = trials(name, attack, 20261121, numbers)
+    outcome = trials(name, ATTACKS[name], 20261121, numbers)
     assert outcome.tried >= len(numbers)
     assert not outcome.findings, "\n".join(outcome.findings)
