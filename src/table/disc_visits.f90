@@ -7,7 +7,7 @@
 module battery_disc_visits
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: gated, ungated
-  use battery_disc, only: disc_type
+  use battery_disc, only: disc_type, sharp_incidence, grazing_cosine
   use battery_rotation, only: turn_of, unit_vector, full_turn
   use battery_opening_search, only: find_opening
   use battery_visits, only: visits_type, together, no_channel
@@ -21,9 +21,6 @@ module battery_disc_visits
   integer, parameter :: march_rounds = 12
   !> In the first rounds so many still bounce that ranks are closed after every second march only.
   integer, parameter :: early_rounds = 2
-  !> Incidences with a smaller cosine are computed anew, to all their digits.
-  real(wp), parameter :: grazing_cosine = 1.0e-3_wp
-
 contains
 
   !> From (x, y) with velocity (along, across) through the disc; `hits` grows, `all_hits` is its
@@ -147,37 +144,27 @@ contains
     grazing = low > 0
   end subroutine enter
 
-  !> Grazing incidences to all their digits: from the depth below the circle and the way along it.
+  !> Grazing incidences to all their digits.
   pure subroutine sharpen(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
-    real(wp) :: x, y, ux, uy, room, half, c, s
+    real(wp) :: ux, uy, c, s
     integer :: j
 
     do j = 1, visits%count
       if (.not. visits%c(j) < grazing_cosine) cycle
-      x = visits%x(j)/disc%radius
-      y = visits%y(j)/disc%radius
       ux = visits%along(j)
       uy = visits%across(j)
-      half = merge(disc%half(gated), disc%half(ungated), x > 0.0_wp)
-      ! On a chord the depth is known without the cancellation.
-      if (abs(visits%x(j) - merge(disc%chord(gated), -disc%chord(ungated), x > 0.0_wp)) &
-        > 0.0_wp) then
-        room = (1.0_wp - abs(y))*(1.0_wp + abs(y)) - x**2
-      else
-        room = (half - abs(y))*(half + abs(y))
-      end if
-      c = sqrt(max(room, 0.0_wp) + (x*ux + y*uy)**2)
-      if (.not. c < grazing_cosine) cycle
-      s = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), visits%s(j))
+      c = visits%c(j)
+      s = visits%s(j)
+      call sharp_incidence(disc, visits%x(j), visits%y(j), ux, uy, c, s)
       visits%c(j) = c
       visits%s(j) = s
       visits%px(j) = ux*c + uy*s
       visits%py(j) = uy*c - ux*s
       visits%zx(j) = (s - c)*(s + c)
       visits%zy(j) = 2.0_wp*s*c
-      visits%first(j) = disc%radius*(c - (x*ux + y*uy))
+      visits%first(j) = disc%radius*c - (visits%x(j)*ux + visits%y(j)*uy)
     end do
   end subroutine sharpen
 

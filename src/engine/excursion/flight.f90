@@ -1,7 +1,8 @@
 !> What the engine `excursion` knows of a particle between two of its events.
 !>
 !> A flight says how a particle will enter its next channel, or entered the one it is in. Where it
-!> is until then follows by going back from there; so a flight is all the state there is.
+!> is until then follows by going back from there; only of long visits more is kept
+!> (`battery_long_visits`).
 module battery_flight
   use battery_kinds, only: wp, int16, int64
   use battery_calendar, only: flight_type
@@ -10,13 +11,12 @@ module battery_flight
   use battery_visits, only: goes_on
   implicit none (type, external)
   private
-  public :: gather, land, locate, locate_parked, middle_time, never
+  public :: gather, land, locate, locate_parked, go_back_to_channel, middle_time, never
   public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel, in_parts
 
   !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
-  !> flight holds time and angle of an impact, cosine and sine of the incidence.
-  !> `parked_in_channel`: time, y and u_y; x is kept elsewhere. `in_parts`: as `parked_in_urn`, but
-  !> for a while only.
+  !> flight holds the time of an impact, and what `visits_type` tells of it. `parked_in_channel`:
+  !> time, y and u_y; x is kept elsewhere. `in_parts`: as `parked_in_urn`, but for a while only.
   integer(int16), parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
     parked_in_channel = 5, in_parts = 6
 
@@ -101,8 +101,9 @@ contains
     end do
   end subroutine land
 
-  !> Where a particle is now that is not parked in a channel, in the local frame of its urn, and by
-  !> how many wall hits `known_hits` is short for it (negative: so many are still to come).
+  !> Where a particle is now that is not parked, in the local frame of its urn, and by how many wall
+  !> hits `known_hits` is short for it (negative: so many are still to come). In an urn: going back
+  !> from where it leaves.
   pure subroutine locate(urn, flight, now, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
@@ -117,18 +118,17 @@ contains
 
     elapsed = now - flight%time
     channel = merge(ungated, gated, flight%heading == to_return)
-    if (any(flight%heading == [parked_in_urn, in_parts])) channel = no_channel
+    if (flight%heading == in_parts) channel = no_channel
     if (channel /= no_channel .and. elapsed >= 0.0_wp) then
       call fold(flight%y + flight%across*elapsed, urn%width(channel), position(2), turned, passed)
       position(1) = facing(channel)*(urn%chord(channel) + flight%along*elapsed)
       velocity = [facing(channel)*flight%along, turned*flight%across]
       hits = int(passed, int64)
     else
-      if (flight%heading /= parked_in_urn) elapsed = -min(flight%time - now, flight%length)
+      elapsed = -min(flight%time - now, flight%length)
       call place_in_visit(urn, channel, flight%y, flight%along, flight%across, elapsed, position, &
         velocity, hits)
-      if (flight%heading /= parked_in_urn) call go_back_to_channel(urn, flight%time - now &
-        - flight%length, position, velocity, hits)
+      call go_back_to_channel(urn, flight%time - now - flight%length, position, velocity, hits)
     end if
   end subroutine locate
 

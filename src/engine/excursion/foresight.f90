@@ -66,6 +66,7 @@ contains
       visits%along(j) = ahead%along(at)
       visits%across(j) = ahead%across(at)
       visits%through(j) = ahead%through(at)
+      visits%hits(j) = ahead%hits(at)
       known_hits = known_hits + int(ahead%hits(at), int64)
     end do
 

@@ -1,0 +1,282 @@
+!> How the long visits of the engine `excursion` began.
+!>
+!> A flight tells how a visit ends, and going back from there costs digits: a rounding error for
+!> each unit of length, of which a visit may have 1e13. So of a visit that is long, that never ends,
+!> or of which only a part is known, it is kept how it began; while it is nearer to its beginning
+!> than to its end, a particle is located forwards from there.
+!>
+!> What is kept is what the flight was before: a few words are copied, nothing is computed. An entry
+!> is of use as long as the flight of its particle says that its visit is long; what is of no use
+!> any more is thrown out where there is no room for more.
+module battery_long_visits
+  use battery_kinds, only: wp, int16, int32, int64
+  use battery_calendar, only: flight_type
+  use battery_channel, only: fold, gated, ungated, facing, no_channel
+  use battery_flight, only: never, to_gate, to_return, in_gate, parked_in_urn, in_parts, &
+    go_back_to_channel
+  use battery_stream, only: stream_type
+  use battery_urn, only: urn_type, place_in_visit, place_after
+  use battery_visits, only: visits_type
+  implicit none (type, external)
+  private
+  public :: long_visits_type, new_long_visits, some_are_long, is_long_visit, keep_long, &
+    goes_forwards, locate_forwards, set_back_long, pass_long
+
+  !> A visit is long from so many times the reach of its urn on: going back through half of it costs
+  !> no more than some 1e-13.
+  real(wp), parameter :: long = 256.0_wp
+
+  !> How a visit began: a line of the cache.
+  type :: entry_type
+    !> As the flight had it. Heading `in_gate` or `to_return`: how the particle entered the channel
+    !> before the urn. `in_parts`: when it had an impact in the urn, with what `visits_type` tells of
+    !> one that never leaves; 0 is for `through`.
+    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp, through = 0.0_wp
+    !> When a gate turned it back in the channel, or `never`.
+    real(wp) :: turned = never
+    !> Wall hits in that channel and of the whole visit; after an impact, those since then.
+    real(wp) :: hits = 0.0_wp
+    integer(int32) :: particle = 0
+    integer(int16) :: heading = 0
+  end type entry_type
+
+  !> The entries, and which is whose.
+  type :: long_visits_type
+    !> Longer visits are long.
+    real(wp) :: least = huge(1.0_wp)
+    integer, private :: number = 0, count = 0
+    type(entry_type), allocatable, private :: entry(:)
+    !> Where the entry of each particle is, or 0; not allocated before there is one.
+    integer(int32), allocatable, private :: place(:)
+  end type long_visits_type
+
+contains
+
+  !> Of so many particles no visit is known.
+  pure subroutine new_long_visits(visits, number, reach)
+    type(long_visits_type), intent(out) :: visits
+    !> How many.
+    integer, intent(in) :: number
+    !> Of the urns, a length.
+    real(wp), intent(in) :: reach
+
+    visits%number = number
+    visits%least = long*reach
+    allocate (visits%entry(0))
+  end subroutine new_long_visits
+
+  !> Whether some visits of a batch, as they come out of `cross`, are long.
+  pure function some_are_long(visits, n, channel, length) result(some)
+    type(long_visits_type), intent(in) :: visits
+    !> How many there are.
+    integer, intent(in) :: n
+    !> As in `is_long_visit`.
+    integer(int64), intent(in) :: channel(n)
+    real(wp), intent(in) :: length(n)
+    logical :: some
+    real(wp) :: least
+    integer(int64) :: found
+    integer :: j
+
+    ! Counted: no branches, and the loop becomes vector instructions.
+    least = visits%least
+    found = 0
+    do j = 1, n
+      found = found + merge(1_int64, 0_int64, is_long_visit(least, channel(j), length(j)))
+    end do
+    some = found > 0
+  end function some_are_long
+
+  !> Whether a visit is long, as it comes out of `cross`.
+  elemental function is_long_visit(least, channel, length) result(yes)
+    !> Of `long_visits_type`.
+    real(wp), intent(in) :: least
+    !> Where it leads to.
+    integer(int64), intent(in) :: channel
+    !> How long it is.
+    real(wp), intent(in) :: length
+    logical :: yes
+
+    yes = length > least .or. channel < gated
+  end function is_long_visit
+
+  !> Whether the visit that a flight tells of is long.
+  elemental function is_long(visits, flight) result(yes)
+    type(long_visits_type), intent(in) :: visits
+    type(flight_type), intent(in) :: flight
+    logical :: yes
+
+    select case (flight%heading)
+    case (parked_in_urn, in_parts)
+      yes = .true.
+    case (to_gate, to_return)
+      yes = flight%length > visits%least
+    case default
+      yes = .false.
+    end select
+  end function is_long
+
+  !> Keeps how the long visits of a batch began, before their flights are written.
+  pure subroutine keep_long(visits, flight, n, particle, channel, length, turned, hits)
+    type(long_visits_type), intent(inout) :: visits
+    type(flight_type), intent(in) :: flight(:)
+    !> How many visits the batch has, and whose they are.
+    integer, intent(in) :: n, particle(n)
+    !> Where each leads to.
+    integer(int64), intent(in) :: channel(n)
+    !> How long it is; when a gate turned the particle back before; wall hits, in the channel too.
+    real(wp), intent(in) :: length(n), turned(n), hits(n)
+    integer :: j, i, at
+
+    if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
+    if (visits%count + n > size(visits%entry)) call make_room(visits, flight, n)
+    do j = 1, n
+      if (.not. is_long_visit(visits%least, channel(j), length(j))) cycle
+      i = particle(j)
+      at = visits%place(i)
+      if (at == 0) then
+        at = visits%count + 1
+        visits%count = at
+        visits%place(i) = int(at, int32)
+        visits%entry(at)%particle = int(i, int32)
+      end if
+      associate (entry => visits%entry(at))
+        entry%time = flight(i)%time
+        entry%y = flight(i)%y
+        entry%along = flight(i)%along
+        entry%across = flight(i)%across
+        entry%through = flight(i)%through
+        entry%heading = flight(i)%heading
+        entry%turned = turned(j)
+        entry%hits = hits(j)
+      end associate
+    end do
+  end subroutine keep_long
+
+  !> Throws out what is of no use any more; if that leaves it half full, there will be more room.
+  pure subroutine make_room(visits, flight, more)
+    type(long_visits_type), intent(inout) :: visits
+    type(flight_type), intent(in) :: flight(:)
+    !> How many entries there is to be room for.
+    integer, intent(in) :: more
+    type(entry_type), allocatable :: entry(:)
+
+    call throw_out(visits, flight)
+    if (2*(visits%count + more) <= size(visits%entry)) return
+    ! Nobody has two.
+    allocate (entry(min(max(64, 2*(visits%count + more)), visits%number + more)))
+    entry(:visits%count) = visits%entry(:visits%count)
+    call move_alloc(entry, visits%entry)
+  end subroutine make_room
+
+  !> Throws out the entries of visits that are over.
+  pure subroutine throw_out(visits, flight)
+    type(long_visits_type), intent(inout) :: visits
+    type(flight_type), intent(in) :: flight(:)
+    integer :: at, kept, i
+
+    kept = 0
+    do at = 1, visits%count
+      i = visits%entry(at)%particle
+      visits%place(i) = 0
+      if (.not. is_long(visits, flight(i))) cycle
+      kept = kept + 1
+      visits%entry(kept) = visits%entry(at)
+      visits%place(i) = int(kept, int32)
+    end do
+    visits%count = kept
+  end subroutine throw_out
+
+  !> Whether a particle is to be located forwards: there is an entry, and the end of its visit is
+  !> farther than the beginning.
+  pure function goes_forwards(visits, flight, now) result(yes)
+    type(long_visits_type), intent(in) :: visits
+    type(flight_type), intent(in) :: flight
+    !> The time, on the clock of the flight.
+    real(wp), intent(in) :: now
+    logical :: yes
+
+    yes = is_long(visits, flight)
+    if (yes .and. flight%heading /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
+  end function goes_forwards
+
+  !> Where a particle is now that is located forwards, as `locate` tells it.
+  pure subroutine locate_forwards(visits, urn, particle, now, position, velocity, hits)
+    type(long_visits_type), intent(in) :: visits
+    type(urn_type), intent(in) :: urn
+    !> Who.
+    integer, intent(in) :: particle
+    !> The time, on the clock of the flight.
+    real(wp), intent(in) :: now
+    !> x and y of each: lengths, and a vector of length 1.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Whole number of either sign.
+    integer(int64), intent(out) :: hits
+    real(wp) :: passage, turned, passed, begins, x, y, ux, uy
+    integer :: from
+
+    associate (entry => visits%entry(visits%place(particle)))
+      if (entry%heading == in_parts) then
+        call place_in_visit(urn, no_channel, entry%y, entry%along, entry%across, now - entry%time, &
+          position, velocity, hits)
+      else
+        from = merge(ungated, gated, entry%heading == to_return)
+        passage = merge(2.0_wp*(entry%turned - entry%time), entry%through, entry%turned < never)
+        begins = entry%time + passage
+        x = facing(from)*urn%chord(from)
+        call fold(entry%y + entry%across*passage, urn%width(from), y, turned, passed)
+        ux = -facing(from)*entry%along
+        uy = turned*entry%across
+        if (now < begins) then
+          position = [x, y]
+          velocity = [ux, uy]
+          hits = 0
+          call go_back_to_channel(urn, begins - now, position, velocity, hits)
+        else
+          call place_after(urn, x, y, ux, uy, now - begins, position, velocity, hits)
+        end if
+        hits = hits + int(passed, int64)
+      end if
+      hits = hits - int(entry%hits, int64)
+    end associate
+  end subroutine locate_forwards
+
+  !> Sets all times back by the length of a page.
+  pure subroutine set_back_long(visits, page)
+    type(long_visits_type), intent(inout) :: visits
+    !> How long.
+    real(wp), intent(in) :: page
+
+    associate (entry => visits%entry(:visits%count))
+      entry%time = entry%time - page
+      entry%turned = entry%turned - page
+    end associate
+  end subroutine set_back_long
+
+  !> The entries that are of use, through a stream.
+  pure subroutine pass_long(visits, flight, stream)
+    type(long_visits_type), intent(inout) :: visits
+    type(flight_type), intent(in) :: flight(:)
+    type(stream_type), intent(inout) :: stream
+    integer(int32), allocatable :: particle(:)
+    integer :: at
+
+    if (.not. stream%reading) call throw_out(visits, flight)
+    particle = visits%entry(:visits%count)%particle
+    call stream%pass_list('long_visits', particle)
+    if (stream%failed()) return
+    if (stream%reading) then
+      visits%count = size(particle)
+      visits%entry = [(entry_type(particle=particle(at)), at=1, size(particle))]
+      allocate (visits%place(visits%number), source=0_int32)
+      visits%place(particle) = [(int(at, int32), at=1, size(particle))]
+    end if
+    associate (entry => visits%entry(:visits%count))
+      call stream%pass('long_heading', entry%heading)
+      call stream%pass('long_time', entry%time, 'long_y', entry%y, 'long_along', entry%along, &
+        'long_across', entry%across, 'long_through', entry%through)
+      call stream%pass('long_turned', entry%turned, 'long_hits', entry%hits)
+    end associate
+  end subroutine pass_long
+
+end module battery_long_visits
