@@ -212,8 +212,8 @@ contains
     position = disc%radius*[real(impact, wp), aimag(impact)] - rest*velocity
   end subroutine go_back
 
-  !> Forwards from an impact, or back from it, along a star; without length of its chords, along the
-  !> wall.
+  !> Forwards from an impact, or back along the chord that leads to it, along a star; without length
+  !> of its chords, along the wall.
   pure subroutine go_round(disc, elapsed, angle, cosine, sine, position, velocity, hits)
     type(disc_type), intent(in) :: disc
     real(wp), intent(in) :: elapsed, angle, cosine, sine
@@ -224,7 +224,8 @@ contains
 
     step = 2.0_wp*disc%radius*cosine
     hits = 0
-    if (step > 0.0_wp) hits = floor(elapsed/step, int64)
+    ! Not before the impact before, whose chord leads to this one: rounding may have it otherwise.
+    if (step > 0.0_wp) hits = max(floor(elapsed/step, int64), -1_int64)
     rest = elapsed - real(hits, wp)*step
     turned = angle + modulo(real(hits, wp)*2.0_wp*atan2(cosine, sine), 2.0_wp*pi)
     if (.not. step > 0.0_wp) then

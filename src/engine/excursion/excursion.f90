@@ -12,11 +12,11 @@ module battery_excursion
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion, &
     is_scattered
-  use battery_flight, only: gather, land, never, to_gate, to_return, in_gate, &
+  use battery_flight, only: gather, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel, in_parts
   use battery_launch, only: launch, lay_out, date_back
-  use battery_long_visits, only: long_visits_type, new_long_visits, some_are_long, &
-    is_long_visit, keep_long, set_back_long
+  use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, land, &
+    set_back_long
   use battery_few, only: walk_few, few
   use battery_foresight, only: pays, recall
   use battery_scattered_sides, only: sides_type, new_sides
@@ -244,11 +244,8 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      if (some_are_long(self%long_visits, v%count, v%channel, v%length)) &
-        call keep_long(self%long_visits, self%flight, v%count, v%particle, v%channel, v%length, &
-        v%turned, v%hits)
-      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
-        v%y, v%along, v%across, v%through)
+      call land(self%long_visits, self%number, self%flight, v%count, v%particle, v%urn, v%channel, &
+        v%time, v%length, v%y, v%along, v%across, v%through, v%turned, v%hits)
       if (self%table%urn(b)%hands_on) self%parts = self%parts &
         + count(v%channel(:v%count) == goes_on)
     end associate

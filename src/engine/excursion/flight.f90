@@ -11,7 +11,7 @@ module battery_flight
   use battery_visits, only: goes_on
   implicit none (type, external)
   private
-  public :: gather, land, locate, locate_parked, go_back_to_channel, middle_time, never
+  public :: gather, locate, locate_parked, go_back_to_channel, middle_time, never
   public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel, in_parts
 
   !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
@@ -57,49 +57,6 @@ contains
       passage(j) = merge(2.0_wp*(turned(j) - time(j)), flight(i)%through, turned(j) < never)
     end do
   end subroutine gather
-
-  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
-  pure subroutine land(number, flight, n, particle, urn, channel, time, length, y, along, across, &
-    through)
-    !> How many particles there are, and how many are in the batch.
-    integer, intent(in) :: number, n
-    type(flight_type), intent(inout) :: flight(number)
-    !> Who is in the batch, and in which urn (1 or 2).
-    integer, intent(in) :: particle(n), urn(n)
-    !> The channel each goes to, or `no_channel`.
-    integer(int64), intent(in) :: channel(n)
-    !> Way through the urn, a length; height, |u_x| and u_y at its end; time in the channel beyond,
-    !> from end to end. For `no_channel` as in `visits_type`.
-    real(wp), intent(in) :: length(n), y(n), along(n), across(n), through(n)
-    !> In: when each visit begins. Out: huge if there is no event.
-    real(wp), intent(inout) :: time(n)
-    integer :: j, i
-    real(wp) :: leaves
-
-    do j = 1, n
-      i = particle(j)
-      leaves = time(j) + length(j)
-      flight(i)%length = length(j)
-      flight(i)%time = leaves
-      flight(i)%y = y(j)
-      flight(i)%along = along(j)
-      flight(i)%across = across(j)
-      flight(i)%through = through(j)
-      flight(i)%urn = int(urn(j), int16)
-      flight(i)%heading = to_gate
-      time(j) = leaves
-      if (channel(j) /= gated) then
-        flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
-        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
-        if (channel(j) == goes_on) then
-          ! Before its end, lest what comes then is due within the lookahead.
-          flight(i)%heading = in_parts
-          time(j) = leaves - through(j)
-        end if
-      end if
-      flight(i)%due = time(j)
-    end do
-  end subroutine land
 
   !> Where a particle is now that is not parked, in the local frame of its urn, and by how many wall
   !> hits `known_hits` is short for it (negative: so many are still to come). In an urn: going back

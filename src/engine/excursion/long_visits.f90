@@ -1,4 +1,4 @@
-!> How the long visits of the engine `excursion` began.
+!> Visits of the engine `excursion` become flights; of the long ones it is kept how they began.
 !>
 !> A flight tells how a visit ends, and going back from there costs digits: a rounding error for
 !> each unit of length, of which a visit may have 1e13. So of a visit that is long, that never ends,
@@ -12,14 +12,13 @@ module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_calendar, only: flight_type
   use battery_channel, only: fold, gated, ungated, facing, no_channel
-  use battery_flight, only: never, to_gate, to_return, in_gate, parked_in_urn, in_parts, &
-    go_back_to_channel
+  use battery_flight, only: never, to_gate, to_return, parked_in_urn, in_parts, go_back_to_channel
   use battery_stream, only: stream_type
   use battery_urn, only: urn_type, place_in_visit, place_after
-  use battery_visits, only: visits_type
+  use battery_visits, only: goes_on
   implicit none (type, external)
   private
-  public :: long_visits_type, new_long_visits, some_are_long, is_long_visit, keep_long, &
+  public :: long_visits_type, new_long_visits, is_long_visit, land, &
     goes_forwards, locate_forwards, set_back_long, pass_long
 
   !> A visit is long from so many times the reach of its urn on: going back through half of it costs
@@ -65,28 +64,6 @@ contains
     allocate (visits%entry(0))
   end subroutine new_long_visits
 
-  !> Whether some visits of a batch, as they come out of `cross`, are long.
-  pure function some_are_long(visits, n, channel, length) result(some)
-    type(long_visits_type), intent(in) :: visits
-    !> How many there are.
-    integer, intent(in) :: n
-    !> As in `is_long_visit`.
-    integer(int64), intent(in) :: channel(n)
-    real(wp), intent(in) :: length(n)
-    logical :: some
-    real(wp) :: least
-    integer(int64) :: found
-    integer :: j
-
-    ! Counted: no branches, and the loop becomes vector instructions.
-    least = visits%least
-    found = 0
-    do j = 1, n
-      found = found + merge(1_int64, 0_int64, is_long_visit(least, channel(j), length(j)))
-    end do
-    some = found > 0
-  end function some_are_long
-
   !> Whether a visit is long, as it comes out of `cross`.
   elemental function is_long_visit(least, channel, length) result(yes)
     !> Of `long_visits_type`.
@@ -116,42 +93,87 @@ contains
     end select
   end function is_long
 
-  !> Keeps how the long visits of a batch began, before their flights are written.
-  pure subroutine keep_long(visits, flight, n, particle, channel, length, turned, hits)
+  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
+  !> Keeps how its visit began, if that is long.
+  pure subroutine land(visits, number, flight, n, particle, urn, channel, time, length, y, along, &
+    across, through, turned, hits)
     type(long_visits_type), intent(inout) :: visits
-    type(flight_type), intent(in) :: flight(:)
-    !> How many visits the batch has, and whose they are.
-    integer, intent(in) :: n, particle(n)
-    !> Where each leads to.
+    !> How many particles there are, and how many are in the batch.
+    integer, intent(in) :: number, n
+    type(flight_type), intent(inout) :: flight(number)
+    !> Who is in the batch, and in which urn (1 or 2).
+    integer, intent(in) :: particle(n), urn(n)
+    !> The channel each goes to, or `no_channel`.
     integer(int64), intent(in) :: channel(n)
-    !> How long it is; when a gate turned the particle back before; wall hits, in the channel too.
-    real(wp), intent(in) :: length(n), turned(n), hits(n)
-    integer :: j, i, at
+    !> Way through the urn, a length; height, |u_x| and u_y at its end; time in the channel beyond,
+    !> from end to end. For `no_channel` as in `visits_type`.
+    real(wp), intent(in) :: length(n), y(n), along(n), across(n), through(n)
+    !> In: when each visit begins. Out: huge if there is no event.
+    real(wp), intent(inout) :: time(n)
+    !> When a gate turned each back before, or `never`; wall hits, those in the channel before too.
+    real(wp), intent(in) :: turned(n), hits(n)
+    integer :: j, i
+    real(wp) :: leaves, least
+
+    if (visits%count + n > size(visits%entry)) call make_room(visits, flight, n)
+    least = visits%least
+    do j = 1, n
+      i = particle(j)
+      if (is_long_visit(least, channel(j), length(j))) call keep(visits, i, flight(i), turned(j), &
+        hits(j))
+      leaves = time(j) + length(j)
+      flight(i)%length = length(j)
+      flight(i)%time = leaves
+      flight(i)%y = y(j)
+      flight(i)%along = along(j)
+      flight(i)%across = across(j)
+      flight(i)%through = through(j)
+      flight(i)%urn = int(urn(j), int16)
+      flight(i)%heading = to_gate
+      time(j) = leaves
+      if (channel(j) /= gated) then
+        flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
+        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
+        if (channel(j) == goes_on) then
+          ! Before its end, lest what comes then is due within the lookahead.
+          flight(i)%heading = in_parts
+          time(j) = leaves - through(j)
+        end if
+      end if
+      flight(i)%due = time(j)
+    end do
+  end subroutine land
+
+  !> Keeps how a long visit began, before its flight is written; there is room for it.
+  pure subroutine keep(visits, particle, flight, turned, hits)
+    type(long_visits_type), intent(inout) :: visits
+    !> Who.
+    integer, intent(in) :: particle
+    !> As it still is.
+    type(flight_type), intent(in) :: flight
+    !> As in `land`.
+    real(wp), intent(in) :: turned, hits
+    integer :: at
 
     if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
-    if (visits%count + n > size(visits%entry)) call make_room(visits, flight, n)
-    do j = 1, n
-      if (.not. is_long_visit(visits%least, channel(j), length(j))) cycle
-      i = particle(j)
-      at = visits%place(i)
-      if (at == 0) then
-        at = visits%count + 1
-        visits%count = at
-        visits%place(i) = int(at, int32)
-        visits%entry(at)%particle = int(i, int32)
-      end if
-      associate (entry => visits%entry(at))
-        entry%time = flight(i)%time
-        entry%y = flight(i)%y
-        entry%along = flight(i)%along
-        entry%across = flight(i)%across
-        entry%through = flight(i)%through
-        entry%heading = flight(i)%heading
-        entry%turned = turned(j)
-        entry%hits = hits(j)
-      end associate
-    end do
-  end subroutine keep_long
+    at = visits%place(particle)
+    if (at == 0) then
+      at = visits%count + 1
+      visits%count = at
+      visits%place(particle) = int(at, int32)
+      visits%entry(at)%particle = int(particle, int32)
+    end if
+    associate (entry => visits%entry(at))
+      entry%time = flight%time
+      entry%y = flight%y
+      entry%along = flight%along
+      entry%across = flight%across
+      entry%through = flight%through
+      entry%turned = turned
+      entry%hits = hits
+      entry%heading = flight%heading
+    end associate
+  end subroutine keep
 
   !> Throws out what is of no use any more; if that leaves it half full, there will be more room.
   pure subroutine make_room(visits, flight, more)
