@@ -154,8 +154,8 @@ contains
     sine = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), sine)
   end subroutine sharp_incidence
 
-  !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it is
-  !> in the disc.
+  !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
+  !> is in the disc.
   pure subroutine place_in_disc(disc, channel, y, along, across, since, position, velocity, hits)
     type(disc_type), intent(in) :: disc
     !> The channel it leaves through, or one that is none: never.

@@ -341,8 +341,8 @@ contains
     round = state%round
   end subroutine first_impact_in_polygon
 
-  !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it is
-  !> in the polygon.
+  !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
+  !> is in the polygon.
   pure subroutine place_in_polygon(polygon, channel, y, along, across, since, position, velocity, &
     hits)
     type(polygon_type), intent(in) :: polygon

@@ -151,7 +151,8 @@ contains
     integer(int64) :: before
 
     call first_impact(urn, x, y, ux, uy, at, along, across, wait, before)
-    call place_in_visit(urn, no_channel, at, along, across, elapsed - wait, position, velocity, hits)
+    call place_in_visit(urn, no_channel, at, along, across, elapsed - wait, position, velocity, &
+      hits)
     hits = hits + before
   end subroutine place_after
 

@@ -15,7 +15,7 @@ module battery_long_visits
   use battery_flight, only: never, to_gate, to_return, parked_in_urn, in_parts, go_back_to_channel
   use battery_stream, only: stream_type
   use battery_urn, only: urn_type, place_in_visit, place_after
-  use battery_visits, only: goes_on
+  use battery_visits, only: goes_on, together
   implicit none (type, external)
   private
   public :: long_visits_type, new_long_visits, is_long_visit, land, &
@@ -28,8 +28,8 @@ module battery_long_visits
   !> How a visit began: a line of the cache.
   type :: entry_type
     !> As the flight had it. Heading `in_gate` or `to_return`: how the particle entered the channel
-    !> before the urn. `in_parts`: when it had an impact in the urn, with what `visits_type` tells of
-    !> one that never leaves; 0 is for `through`.
+    !> before the urn. `in_parts`: when it had an impact in the urn, with what `visits_type` tells
+    !> of one that never leaves.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp, through = 0.0_wp
     !> When a gate turned it back in the channel, or `never`.
     real(wp) :: turned = never
@@ -113,14 +113,28 @@ contains
     !> When a gate turned each back before, or `never`; wall hits, those in the channel before too.
     real(wp), intent(in) :: turned(n), hits(n)
     integer :: j, i
+    integer(int64) :: long_ones
     real(wp) :: leaves, least
 
-    if (visits%count + n > size(visits%entry)) call make_room(visits, flight, n)
+    ! Counted first, in vectors, where there are some: so few are long as a rule.
     least = visits%least
+    long_ones = n
+    if (n >= together) then
+      long_ones = 0
+      do j = 1, n
+        long_ones = long_ones + merge(1_int64, 0_int64, length(j) > least) &
+          + merge(1_int64, 0_int64, channel(j) < gated)
+      end do
+    end if
+    if (long_ones > 0) then
+      if (visits%count + n > size(visits%entry)) call make_room(visits, flight, n)
+      do j = 1, n
+        if (is_long_visit(least, channel(j), length(j))) call keep(visits, particle(j), &
+          flight(particle(j)), turned(j), hits(j))
+      end do
+    end if
     do j = 1, n
       i = particle(j)
-      if (is_long_visit(least, channel(j), length(j))) call keep(visits, i, flight(i), turned(j), &
-        hits(j))
       leaves = time(j) + length(j)
       flight(i)%length = length(j)
       flight(i)%time = leaves
