@@ -1,5 +1,6 @@
 !> The program `battery`: arguments, plan, ensemble, exit code.
 program battery
+  use battery_answer, only: write_run_answer
   use battery_error, only: error_type, exit_success, exit_failure
   use battery_command_line, only: command_line_type, read_command_line
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
@@ -62,9 +63,11 @@ contains
     if (.not. command_line%check) then
       call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
         error)
+      if (communicator%rank == 0 .and. .not. allocated(error)) &
+        call write_run_answer(command_line%json, plan%file, error)
     else if (communicator%rank == 0) then
       call print_outlook(plan, communicator%size, sharing, &
-        command_line%overwrite, error)
+        command_line%overwrite, command_line%json, error)
     end if
     call share_error(communicator, error)
   end subroutine run
