@@ -51,8 +51,8 @@ contains
             //'which is '//to_text(half_width)//gap)
         else if (.not. abs(z) + reach_of(y, radius) <= half_length - least) then
           call add(place(k)//' reaches into an opening', '|z| + '//to_text(reach_of(y, radius)) &
-            //', which is how far it reaches within the channel, below channel2_length/2, which is ' &
-            //to_text(half_length)//gap)
+            //', which is how far it reaches within the channel, below channel2_length/2, ' &
+            //'which is '//to_text(half_length)//gap)
         end if
         do other = 1, k - 1
           if (hypot(values(3*other - 2) - z, values(3*other - 1) - y) >= values(3*other) + radius &
