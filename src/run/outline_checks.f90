@@ -242,8 +242,8 @@ contains
       > 0.0_wp)
   end function has_other
 
-  !> What of a polygon lies beyond its opening must stay beside the channel, short of its middle. The
-  !> corner that reaches farthest is told, or the first side that lies in the channel.
+  !> What of a polygon lies beyond its opening must stay beside the channel, short of its middle. Of
+  !> its corners the one that reaches farthest is told, of its sides the first in the channel.
   subroutine check_reach(plan, point, key, corner, channel, side)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
