@@ -115,8 +115,8 @@ contains
     call find_clearance(polygon)
   end subroutine measure
 
-  !> How far it is from the origin to the walls, if it lies inside; how long a step may be. Twice the
-  !> area over the way round is the inscribed circle's radius in a regular polygon.
+  !> How far the origin is from the walls, if it lies inside; how long a step may be. Twice the area
+  !> over the way round is the radius of the circle inscribed in a regular polygon.
   pure subroutine find_clearance(polygon)
     type(polygon_type), intent(inout) :: polygon
     integer :: j, k, n
