@@ -473,6 +473,36 @@ def test_overwrite_with_fewer_tasks(tmp_path: Path, interrupted: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["case.nml", "out.h5"]
 
 
+def test_a_run_that_ends_too_early_says_so(tmp_path: Path) -> None:
+    """Averages that would be of nothing fail their task; snapshots that are not taken are told."""
+    write(
+        tmp_path,
+        run={"collisions": 150, "engine": "'reservoir'"},
+        scan={"channel2_width": 0.1, "replicas": 1, "number": "2, 100"},
+        output={"series_interval": 0},
+    )
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr)
+    assert "task 2 failed: nothing is left for the averages" in ended.stdout
+    with h5py.File(tmp_path / "out.h5") as file:
+        np.testing.assert_array_equal(file["task_status"], [[0], [1]])
+        np.testing.assert_array_equal(np.isfinite(file["chi"]), [[True], [False]])
+    assert "snapshot" not in ended.stdout
+    write(
+        tmp_path,
+        run={"collisions": 150},
+        scan={"channel2_width": 0.1, "replicas": 1, "number": "2, 20"},
+        output={"file": "'short.h5'", "series_interval": 0},
+    )
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 0, (ended.returncode, ended.stdout, ended.stderr)
+    assert "1 of the complete tasks ended before the last of snapshot_times" in ended.stdout
+    with h5py.File(tmp_path / "short.h5") as file:
+        np.testing.assert_array_equal(
+            np.isnan(file["snapshots/x"][:, 0, :, 0]), [[False, False], [False, True]]
+        )
+
+
 def limit_memory() -> None:
     """Leave the program 8 GB of address space."""
     resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
@@ -482,7 +512,7 @@ def failing(folder: Path, ranks: int = 0, **output: Any) -> None:
     """One task of three has too many particles for the memory."""
     write(
         folder,
-        run={"collisions": 3_000_000},
+        run={"collisions": 3_000_000, "transient_collisions": 0},
         scan={"channel2_width": 0.1, "replicas": 1, "number": "100, 200000000, 50"},
         output={"snapshot_times": 0, "final_state": ".false.", **output},
     )
@@ -522,7 +552,7 @@ def test_memory_short_after_the_start(tmp_path: Path) -> None:
 
     write(
         tmp_path,
-        run={"collisions": 3_000_000},
+        run={"collisions": 3_000_000, "transient_collisions": 0},
         scan={"channel2_width": 0.1, "replicas": 1, "number": "100, 30000000"},
         output={"snapshot_times": 0, "final_state": ".false.", "series_interval": 0},
     )
