@@ -52,9 +52,9 @@ contains
     text = printable(text)
   end function shown
 
-  !> Every rank must see, by its own path, what rank 0 makes beside the output: a rank that was started
-  !> in another folder would write into another run's journal. Numbers of devices and inodes tell
-  !> nothing, since they differ between machines. Collective.
+  !> Every rank must see, by its own path, what rank 0 makes beside the output: a rank that was
+  !> started in another folder would write into another run's journal. Numbers of devices and inodes
+  !> tell nothing, since they differ between machines. Collective.
   subroutine check_place(communicator, ownership, file, error)
     type(communicator_type), intent(in) :: communicator
     !> That of rank 0.

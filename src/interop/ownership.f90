@@ -200,8 +200,8 @@ contains
     yes = length > 0 .and. now(:length) /= ownership%text
   end function is_taken_over
 
-  !> Makes a file beside the output of a name that no other run has: who sees it sees the folder that
-  !> this run writes to.
+  !> Makes a file beside the output of a name that no other run has: who sees it sees the folder
+  !> that this run writes to.
   subroutine leave_mark(ownership, error)
     type(ownership_type), intent(in) :: ownership
     type(error_type), allocatable, intent(out) :: error
@@ -224,8 +224,8 @@ contains
     yes = file_exists(mark_of(ownership%path, ownership%text))
   end function sees_mark
 
-  !> The mark of a run: its name does not depend on that of the output, which may be as long as names
-  !> can be.
+  !> The mark of a run: its name does not depend on that of the output, which may be as long as
+  !> names can be.
   pure function mark_of(path, text) result(mark)
     !> The file of the owner, and what it says.
     character(len=*), intent(in) :: path, text
