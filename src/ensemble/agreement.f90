@@ -28,8 +28,8 @@ contains
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: mine, first
 
-    ! No word has a null sign in it, so this is one text for one list of words.
-    mine = join(words, achar(0))
+    ! No word has a null sign in it: with one behind each, no two lists give the same text.
+    mine = join(words, achar(0))//repeat(achar(0), min(1, size(words)))
     first = mine
     call share_text(communicator, first, 0)
     if (len(mine) /= len(first) .or. mine /= first) call fatal_error(error, 'battery: rank ' &
@@ -40,7 +40,7 @@ contains
 
   !> A list of words as it would be typed.
   pure function shown(list) result(text)
-    !> With null signs between them.
+    !> With a null sign behind each.
     character(len=*), intent(in) :: list
     character(len=:), allocatable :: text
     integer :: at
@@ -49,7 +49,7 @@ contains
     do at = 1, len(text)
       if (text(at:at) == achar(0)) text(at:at) = ' '
     end do
-    text = printable(text)
+    text = printable(trim(text))
   end function shown
 
   !> Every rank must see, by its own path, what rank 0 makes beside the output: a rank that was
