@@ -4,7 +4,7 @@ module battery_text
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, lines_of, closest_word, is_one_of
-  public :: printable, new_line_character
+  public :: new_line_character
 
   character(len=1), parameter :: new_line_character = achar(10)
 
@@ -187,26 +187,6 @@ contains
       length = length + len(list(at)%text)
     end do
   end function join
-
-  !> The text of a file or a name that anyone may have made, as it can be shown: what is not a plain
-  !> letter stands as `\xNN`, so that no terminal takes it for an order.
-  pure function printable(text) result(shown)
-    !> Any bytes.
-    character(len=*), intent(in) :: text
-    character(len=:), allocatable :: shown
-    character(len=2) :: digits
-    integer :: at
-
-    shown = ''
-    do at = 1, len(text)
-      if (iachar(text(at:at)) >= 32 .and. iachar(text(at:at)) <= 126) then
-        shown = shown//text(at:at)
-      else
-        write (digits, '(z2.2)') iachar(text(at:at))
-        shown = shown//achar(92)//'x'//digits
-      end if
-    end do
-  end function printable
 
   !> Whether a list holds a word.
   pure logical function is_one_of(word, list) result(found)

@@ -8,7 +8,7 @@ module battery_agreement
   use battery_machine, only: host_name
   use battery_ownership, only: ownership_type, leave_mark, remove_mark, sees_mark
   use battery_signals, only: stop_requested, stopped_before_start
-  use battery_text, only: string_type, to_text, join, printable
+  use battery_text, only: string_type, to_text, join
   implicit none (type, external)
   private
   public :: check_command_lines, check_place
@@ -49,7 +49,7 @@ contains
     do at = 1, len(text)
       if (text(at:at) == achar(0)) text(at:at) = ' '
     end do
-    text = printable(trim(text))
+    text = trim(text)
   end function shown
 
   !> Every rank must see, by its own path, what rank 0 makes beside the output: a rank that was

@@ -24,7 +24,7 @@ module battery_ownership
   use battery_signals, only: stop_requested
   use battery_machine, only: host_name
   use battery_process, only: process_number
-  use battery_text, only: to_text, printable
+  use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: ownership_type, habits_type, take_ownership, give_up_ownership, is_taken_over
@@ -269,7 +269,7 @@ contains
     integer :: blank
 
     words = 'another run is at work on it'
-    rest = printable(words_of(holder))
+    rest = words_of(holder)
     blank = index(rest, ' ')
     if (blank == 0) return
     words = words//', on '//rest(:blank - 1)
