@@ -6,6 +6,7 @@ import random
 import resource
 import shutil
 import signal
+import socket
 import subprocess
 import time
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from support.program import (
     MPIRUN,
     PATIENCE,
     PROGRAM,
+    Rank,
     assert_same,
     finish,
     kill_all,
@@ -124,6 +126,48 @@ def test_ranks_make_no_difference(tmp_path: Path, undisturbed: Path, ranks: int)
     complete(tmp_path, undisturbed, ranks)
     with h5py.File(tmp_path / "out.h5") as file:
         assert file.attrs["mpi_ranks"] == ranks
+
+
+def test_ranks_in_other_folders_are_refused(tmp_path: Path, interrupted: Path) -> None:
+    """A rank that does not see the folder of rank 0 writes nothing into what is there instead."""
+    here, there = tmp_path / "here", copy_of(interrupted, tmp_path)
+    write(here)
+    before = listing(tmp_path)
+    ranks = [Rank(["case.nml"], here), Rank(["case.nml"], there)]
+    ended = run(folder=tmp_path, ranks=ranks)
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    words = "does not see the folder that rank 0 writes to; start all ranks in one folder"
+    assert [f"out.h5: rank 1, on {socket.gethostname()}, {words}" in line
+            for line in ended.stderr.splitlines() if line.startswith("out.h5")] == [True]
+    assert listing(tmp_path) == before
+
+
+def test_ranks_may_have_other_paths_to_one_folder(tmp_path: Path, undisturbed: Path) -> None:
+    """What counts is what they see there."""
+    here, link = tmp_path / "here", tmp_path / "link"
+    write(here)
+    link.symlink_to(here)
+    ended = run(folder=tmp_path, ranks=[Rank(["case.nml"], here), Rank(["case.nml"], link)])
+    assert ended.returncode == 0, ended.stderr
+    complete(here, undisturbed)
+
+
+@pytest.mark.parametrize(("first", "second"), [
+    ("case.nml", "--check case.nml"), ("--help", "case.nml"), ("case.nml", "--overwrit case.nml"),
+])  # fmt: skip
+def test_ranks_with_other_command_lines_are_refused(
+    tmp_path: Path, first: str, second: str
+) -> None:
+    """One message, and nothing is written; no rank waits for another."""
+    write(tmp_path)
+    before = listing(tmp_path)
+    ended = run(folder=tmp_path, ranks=[Rank(first.split()), Rank(second.split())])
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    assert [line for line in ended.stderr.splitlines() if line.startswith("battery: ")] == [
+        f"battery: rank 1 was started with other words ({second}) than rank 0 ({first}); "
+        "allowed: one command line for all ranks"
+    ]
+    assert listing(tmp_path) == before
 
 
 def test_more_ranks_than_tasks(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ module battery_command_line
   use battery_schema, only: schema_text
   implicit none (type, external)
   private
-  public :: command_line_type, read_command_line, parse_arguments, usage_text
+  public :: command_line_type, command_line_words, parse_arguments, usage_text
 
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
@@ -46,12 +46,8 @@ module battery_command_line
 
 contains
 
-  !> Reads the program's own arguments.
-  subroutine read_command_line(command, error)
-    !> What was asked for.
-    type(command_line_type), intent(out) :: command
-    !> Code `exit_bad_input`; all problems.
-    type(error_type), allocatable, intent(out) :: error
+  !> The program's own arguments, without its name.
+  function command_line_words() result(words)
     type(string_type), allocatable :: words(:)
     integer :: at, length
 
@@ -61,8 +57,7 @@ contains
       allocate (character(len=length) :: words(at)%text)
       if (length > 0) call get_command_argument(at, words(at)%text)
     end do
-    call parse_arguments(words, command, error)
-  end subroutine read_command_line
+  end function command_line_words
 
   !> Understands a list of arguments; after `--` a word is a file even if it begins with a dash.
   subroutine parse_arguments(words, command, error)
@@ -70,6 +65,7 @@ contains
     type(string_type), intent(in) :: words(:)
     !> What was asked for.
     type(command_line_type), intent(out) :: command
+    !> Code `exit_bad_input`; all problems.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: problems
     logical :: only_files, json_next
