@@ -236,6 +236,9 @@ def test_a_theory_or_group_that_is_not_there_is_named(tmp_path: Path) -> None:
         postproc.open_results(path, theory="widow")
     with pytest.raises(InputError, match="has no series"):
         postproc.open_results(path, group="series")
+    for group in ("chi", "", "/", "scan", 3):
+        with pytest.raises(InputError, match=r"there is no group .*; there are series, snapshots"):
+            postproc.open_results(path, group=group)
     unequal = results_of(tmp_path, {"channel2_width": "0.1"}, gate={"threshold": "5, 6"},
                          output={"file": "'unequal.h5'"}).with_name("unequal.h5")  # fmt: skip
     assert postproc.open_results(unequal)["gate_threshold"].values.tolist() == [5, 6]

@@ -116,6 +116,10 @@ BAD = {
         "&run\n collisions = 10\n transient_collisions = 10\n/\n",
         ["transient_collisions = 10", "below collisions"],
     ),
+    "fewer collisions than particles": (
+        "&run\n collisions = 10\n/\n",
+        ["&run collisions = 10", "above number, which is 10, or transient_collisions = 0"],
+    ),
     "both lengths": (
         "&run\n collisions = 10\n duration = 10\n/\n",
         ["&run collisions", "duration"],

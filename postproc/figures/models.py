@@ -245,7 +245,7 @@ class Remembering(Model):
 
     def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
         """Return how long homogeneous and polarised state last by the chain (length/v)."""
-        if not self.balanced:
+        if not self.balanced or circuit.number < 2:  # one particle is always polarised
             return math.nan, math.nan
         own = self.of(circuit)
         one, two = kept(
@@ -323,5 +323,5 @@ def spread_and_current(
         (math.nan, math.nan) if one is None else (one.mass_spread, one.net_current)
         for one in states
     ]
-    spread, current = np.array(found).T
+    spread, current = np.reshape(found, (-1, 2)).T
     return spread, current

@@ -60,7 +60,7 @@ contains
     metadata%hosts = join(results%host, new_line_character)
     metadata%mpi_ranks = journal%ranks
     metadata%start_time = real(plan%start_time, dp)
-    call write_results(plan%file, results, metadata, error)
+    call write_results(plan%file, results, metadata, journal%ownership%before, error)
   end subroutine merge_results
 
   !> Numbers set apart by blanks.

@@ -297,8 +297,10 @@ contains
 
     call parse_namelist(before, plan%file, old, error)
     yes = .not. allocated(error)
+    ! Without a precision all replicas are asked for.
     if (yes) yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
-      >= old%first_replicas .and. all(finer(plan%precision, old%precision))
+      >= old%first_replicas .and. (all(finer(plan%precision, old%precision)) &
+      .or. .not. any(plan%precision > 0.0_wp))
     if (.not. yes) return
     old%initial_fingerprint = initial_fingerprint
     roster = roster_of(plan)

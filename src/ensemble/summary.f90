@@ -1,5 +1,6 @@
 !> The summary at the end of a run: what came out, and how the ranks were used.
 module battery_summary
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type
   use battery_table, only: gated, ungated
@@ -68,6 +69,7 @@ contains
     if (done > 0) call print_slowest(results)
     if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
       call say('some particles are on orbits that never leave: see the dataset trapped')
+    call tell_missing_snapshots(results)
     if (.not. all_done) call say('stopped early, the state is saved: the same command goes on' &
       //new_line_character//ways_to_stop)
     call say('results: '//plan%file)
@@ -88,6 +90,24 @@ contains
     end do
     if (text /= '') call say(meaning//', points (from 0):'//text)
   end subroutine list_points
+
+  !> A run by collisions may end before the time of a snapshot.
+  subroutine tell_missing_snapshots(results)
+    type(results_type), intent(in) :: results
+    integer :: tasks, p, r
+
+    if (.not. allocated(results%snapshots)) return
+    tasks = 0
+    do p = 1, size(results%point)
+      do r = 1, results%replicas
+        ! No x of the first particle, for as long as the last snapshot has none.
+        if (results%task_status(r, p) == task_complete .and. &
+          ieee_is_nan(results%snapshots(1, size(results%snapshots, 2), r, p, 1))) tasks = tasks + 1
+      end do
+    end do
+    if (tasks > 0) call say(to_text(tasks)//' of the complete tasks ended before the last of ' &
+      //'snapshot_times: what they did not come to is NaN')
+  end subroutine tell_missing_snapshots
 
   !> The task that took the most time of a processor.
   subroutine print_slowest(results)

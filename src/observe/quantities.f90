@@ -75,8 +75,9 @@ contains
 
     list = [ &
       quantity_type('collisions', '1', 'wall collisions, those of the transient included'), &
-      quantity_type('bounce_backs', '1', 'particles turned back by a gate'), &
-      quantity_type('reversals', '1', 'reversals of a gate'), &
+      quantity_type('bounce_backs', '1', &
+      'particles turned back by gates, the transient included'), &
+      quantity_type('reversals', '1', 'reversals of gates, those of the transient included'), &
       quantity_type('trapped', '1', 'particles in the urns that never reach a channel'), &
       quantity_type('provenance/host', '1', 'line of the attribute hosts of /provenance, from 0')]
   end function counted_quantities

@@ -92,6 +92,8 @@ module battery_simulation
     !> What every run must end with: all particles inside the table at speed 1 (coordinates are as
     !> sharp as the table is long), and as many in each half as the crossings say. One that is on a
     !> counted line just then may be in either: what happens at the very end is not made any more.
+    !> Something of it must be left for the averages: a window may have more wall collisions than
+    !> transient and run.
     module subroutine verify(simulation, error)
       implicit none (type, external)
       type(simulation_type), intent(in) :: simulation

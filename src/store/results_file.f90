@@ -6,7 +6,7 @@
 module battery_results_file
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
-  use battery_files, only: publish_file, remove_file
+  use battery_files, only: seen_type, sync_file, put_in_place, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
   use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, make_group
@@ -38,11 +38,14 @@ module battery_results_file
 
 contains
 
-  !> Writes the file `name`, replacing what is there; on an error that stays as it was.
-  subroutine write_results(name, results, metadata, error)
+  !> Writes the file `name`, replacing what was there before; on an error that stays as it was. If
+  !> something else is there by now, the results stay in `name.part`.
+  subroutine write_results(name, results, metadata, before, error)
     character(len=*), intent(in) :: name
     type(results_type), intent(inout) :: results
     type(metadata_type), intent(in) :: metadata
+    !> What may be replaced.
+    type(seen_type), intent(in) :: before
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: other
     type(hdf5_file_type) :: file
@@ -62,8 +65,12 @@ contains
     call close_file(file, other)
     if (.not. allocated(error)) call move_alloc(other, error)
     if (.not. allocated(error)) call check_seal(temporary, error)
-    if (.not. allocated(error)) call publish_file(temporary, name, error)
-    if (allocated(error)) call remove_file(temporary, other)
+    if (.not. allocated(error)) call sync_file(temporary, error)
+    if (allocated(error)) then
+      call remove_file(temporary, other)
+    else
+      call put_in_place(temporary, name, before, error)
+    end if
   end subroutine write_results
 
   !> The grid of the scan: its keys in the attribute `scan` of the root, the slowest first, and the

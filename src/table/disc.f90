@@ -67,6 +67,7 @@ contains
     disc%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(gated) - 2.0_wp*angle(ungated))
     disc%reach = radius
     disc%clear = radius
+    disc%longest_step = radius
     disc%depth = disc%chord
 
   contains
