@@ -10,7 +10,7 @@ module battery_disc_visits
   use battery_disc, only: disc_type, sharp_incidence, grazing_cosine
   use battery_rotation, only: turn_of, unit_vector, full_turn
   use battery_opening_search, only: find_opening
-  use battery_visits, only: visits_type, together, no_channel
+  use battery_visits, only: visits_type, together, no_channel, many_hits
   implicit none (type, external)
   private
   public :: cross_discs
@@ -18,9 +18,10 @@ module battery_disc_visits
   !> Impacts that the kernel steps `together` particles without closing ranks.
   integer, parameter :: march_steps = 8
   !> After so many marches a particle is searched for instead.
-  integer, parameter :: march_rounds = 12
+  integer, parameter :: march_rounds = nint(many_hits)/march_steps - 2
   !> In the first rounds so many still bounce that ranks are closed after every second march only.
   integer, parameter :: early_rounds = 2
+
 contains
 
   !> From (x, y) with velocity (along, across) through the disc; `hits` grows, `all_hits` is its
@@ -33,6 +34,7 @@ contains
 
     n = together*((visits%count + together - 1)/together)
     visits%all_hits = 0
+    visits%many_count = 0
     if (n == 0) return
     call enter(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
       visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
@@ -55,6 +57,8 @@ contains
         if (active == 0) exit
       end do
     end if
+    visits%many_count = active
+    visits%many(:active) = visits%slot(:active)
     do j = 1, active
       call search(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
@@ -64,8 +68,11 @@ contains
       visits%length, visits%through)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
-        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) &
-          call mend(disc, visits, j)
+        if (visits%along(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
+        call mend(disc, visits, j)
+        if (any(visits%many(:visits%many_count) == j)) cycle
+        visits%many_count = visits%many_count + 1
+        visits%many(visits%many_count) = j
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)

@@ -245,7 +245,7 @@ contains
 
     associate (v => self%visits(b))
       call land(self%long_visits, self%number, self%flight, v%count, v%particle, v%urn, v%channel, &
-        v%time, v%length, v%y, v%along, v%across, v%through, v%turned, v%hits)
+        v%time, v%length, v%y, v%along, v%across, v%through, v%turned, v%hits, v%many_count, v%many)
       if (self%table%urn(b)%hands_on) self%parts = self%parts &
         + count(v%channel(:v%count) == goes_on)
     end associate

@@ -15,14 +15,15 @@ module battery_long_visits
   use battery_flight, only: never, to_gate, to_return, parked_in_urn, in_parts, go_back_to_channel
   use battery_stream, only: stream_type
   use battery_urn, only: urn_type, place_in_visit, place_after
-  use battery_visits, only: goes_on, together
+  use battery_visits, only: goes_on
   implicit none (type, external)
   private
   public :: long_visits_type, new_long_visits, is_long_visit, land, &
     goes_forwards, locate_forwards, set_back_long, pass_long
 
   !> A visit is long from so many times the reach of its urn on: going back through half of it costs
-  !> no more than some 1e-13.
+  !> no more than some 1e-13. One with fewer than `many_hits` hits has at most that many chords and
+  !> one, of twice the reach: it is not long.
   real(wp), parameter :: long = 256.0_wp
 
   !> How a visit began: a line of the cache.
@@ -96,7 +97,7 @@ contains
   !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
   !> Keeps how its visit began, if that is long.
   pure subroutine land(visits, number, flight, n, particle, urn, channel, time, length, y, along, &
-    across, through, turned, hits)
+    across, through, turned, hits, many, with_many)
     type(long_visits_type), intent(inout) :: visits
     !> How many particles there are, and how many are in the batch.
     integer, intent(in) :: number, n
@@ -112,24 +113,16 @@ contains
     real(wp), intent(inout) :: time(n)
     !> When a gate turned each back before, or `never`; wall hits, those in the channel before too.
     real(wp), intent(in) :: turned(n), hits(n)
-    integer :: j, i
-    integer(int64) :: long_ones
-    real(wp) :: leaves, least
+    !> How many have many hits or no end that is known, and which of the batch: the others are short.
+    integer, intent(in) :: many, with_many(many)
+    integer :: j, i, k
+    real(wp) :: leaves
 
-    ! Counted first, in vectors, where there are some: so few are long as a rule.
-    least = visits%least
-    long_ones = n
-    if (n >= together) then
-      long_ones = 0
-      do j = 1, n
-        long_ones = long_ones + merge(1_int64, 0_int64, length(j) > least) &
-          + merge(1_int64, 0_int64, channel(j) < gated)
-      end do
-    end if
-    if (long_ones > 0) then
-      if (visits%count + n > size(visits%entry)) call make_room(visits, flight, n)
-      do j = 1, n
-        if (is_long_visit(least, channel(j), length(j))) call keep(visits, particle(j), &
+    if (many > 0) then
+      if (visits%count + many > size(visits%entry)) call make_room(visits, flight, many)
+      do k = 1, many
+        j = with_many(k)
+        if (is_long_visit(visits%least, channel(j), length(j))) call keep(visits, particle(j), &
           flight(particle(j)), turned(j), hits(j))
       end do
     end if

@@ -89,7 +89,7 @@ contains
       known_hits = known_hits + v%all_hits
       v%length(:n) = v%length(:n) + rest(:n)
       call land(long_visits, number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, &
-        v%y, v%along, v%across, v%through, v%turned, v%hits)
+        v%y, v%along, v%across, v%through, v%turned, v%hits, n, [(k, k=1, n)])
     end associate
   end subroutine compute_parts
 
