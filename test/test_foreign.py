@@ -12,12 +12,11 @@ import pytest
 from support.program import listing, namelist, run
 
 from postproc.tests.runs import edited
-from postproc.tests.test_foreign import linked, outside, replaced, virtual
+from postproc.tests.test_foreign import SECRET, bomb, linked, outside, replaced, virtual
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-SECRET = b"only for its owner, these sixty-four bytes of a file beside it. "
 CASE: dict[str, dict[str, Any]] = {
     "particles": {"number": 60},
     "gate": {"threshold": 2},
@@ -52,7 +51,8 @@ def given(file: h5py.File, name: str, value: float) -> None:
 EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "a host beyond the list": ("/provenance/host", lambda file, _: given(
         file, "provenance/host", 5)),
-    "a host of 2**31": ("/provenance/host", lambda file, _: given(file, "provenance/host", -(2**31))),
+    "a host of -2**31": ("/provenance/host", lambda file, _: given(
+        file, "provenance/host", -(2**31))),
     "another's seed": ("/seed", lambda file, _: file["seed"].__setitem__(0, file["seed"][1])),
     "a status": ("/task_status", lambda file, _: given(file, "task_status", 7)),
     "huge seeds": ("/seed", lambda file, _: replaced(
@@ -76,6 +76,7 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
         file, "chi", data=np.zeros((2, 2)), compression="lzf")),
     "huge pieces": ("/chi", lambda file, _: replaced(
         file, "chi", shape=(2, 2), maxshape=(None, None), chunks=(2**10, 2**14), dtype="f8")),
+    "a piece that grows": ("/chi", lambda file, _: bomb(file, "chi")),
     "text for numbers": ("/chi", lambda file, _: replaced(
         file, "chi", data=np.full((2, 2), b"nothing."))),
     "many texts": ("version", lambda file, _: file.attrs.__setitem__("version", ["0.2.0"] * 999)),

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import resource
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 # Keys that can be scanned.
 SCANNED = (
     "threshold", "threshold_fraction", "number", "channel1_width", "channel2_width",
-    "channel1_length", "channel2_length", "urn_radius", "urn1_fraction", "threshold2", "urn_radius2",
+    "channel1_length", "channel2_length", "urn_radius", "urn1_fraction", "threshold2",
+    "urn_radius2",
 )  # fmt: skip
 LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
 STATE = ("x", "y", "ux", "uy")
@@ -104,7 +106,7 @@ FILTERS = {h5z.FILTER_SHUFFLE, h5z.FILTER_DEFLATE}
 PIECE = 1 << 20  # bytes of the largest piece of a compressed dataset
 SMALLER = 1100  # times that compression makes anything smaller, at most
 LONGEST = 200  # letters of a unit or of a meaning
-VERSION = 32  # letters of a version
+VERSION = re.compile(r"[0-9a-z.-]{1,32}")  # what a version looks like
 
 
 def check_layout(path: Path, file: h5py.File) -> None:
@@ -167,10 +169,23 @@ def _dataset(path: Path, group: h5py.Group, name: str) -> h5py.Dataset:
     dataset = h5py.Dataset(one)
     if dataset.dtype.kind != DATASETS[name].kind or dataset.dtype.itemsize > 8:
         raise InputError(f"{path}: {name} has values of another type than battery writes")
-    if dataset.chunks and math.prod(dataset.chunks) * dataset.dtype.itemsize > PIECE:
-        raise InputError(f"{path}: {name} has pieces larger than any that battery writes")
+    if dataset.chunks:
+        _check_pieces(path, name, dataset)
     _check_attributes(path, name, dataset, TEXTS, NUMBERS)
     return dataset
+
+
+def _check_pieces(path: Path, name: str, dataset: h5py.Dataset) -> None:
+    """Pieces are no larger than the program's, and no longer in the file than compression has it.
+
+    What is longer grows without bound when it is read.
+    """
+    piece = math.prod(dataset.chunks) * dataset.dtype.itemsize
+    if piece > PIECE:
+        raise InputError(f"{path}: {name} has pieces larger than any that battery writes")
+    pieces = math.prod(n // m + 1 for n, m in zip(dataset.shape, dataset.chunks, strict=True))
+    if dataset.id.get_storage_size() > pieces * (1.01 * piece + 64):
+        raise InputError(f"{path}: {name} takes more of the file than its values do")
 
 
 def _check_shapes(path: Path, found: dict[str, h5py.Dataset]) -> None:
@@ -227,18 +242,15 @@ def _check_attributes(
             raise InputError(f"{where}: battery does not write it")
         one = thing.attrs.get_id(key)
         of_type, count = one.get_type(), math.prod(one.shape or ())
-        if of_type.committed() or one.get_space().get_simple_extent_type() == h5s.NULL:
-            raise InputError(f"{where}: not as battery writes it")
-        if key in numbers:
-            right = isinstance(of_type, (h5t.TypeIntegerID, h5t.TypeFloatID))
-            if not right or of_type.get_size() > 8 or not 0 < count <= numbers[key]:
-                raise InputError(f"{where}: not as battery writes it")
-        elif not isinstance(of_type, h5t.TypeStringID) or count != 1:
-            raise InputError(f"{where}: is not one text")
-        elif isinstance(thing, h5py.Dataset):
-            text = text_of(thing.attrs[key])
-            if len(text) > LONGEST or not text.isprintable():
-                raise InputError(f"{where}: is too long, or has control characters")
+        kinds = (h5t.TypeIntegerID, h5t.TypeFloatID) if key in numbers else h5t.TypeStringID
+        right = isinstance(of_type, kinds) and not of_type.committed()
+        right &= one.get_space().get_simple_extent_type() != h5s.NULL
+        right &= key in texts or of_type.get_size() <= 8
+        if not right or not 0 < count <= numbers.get(key, 1):
+            raise InputError(f"{where}: is not as battery writes it")
+        text = text_of(thing.attrs[key]) if key in TEXTS else ""
+        if len(text) > LONGEST or not text.isprintable():
+            raise InputError(f"{where}: is too long, or has control characters")
     if name == "/":
         _check_words(path, thing.attrs)
 

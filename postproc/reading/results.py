@@ -104,10 +104,10 @@ class Results:
             raise InputError(f"{self.path}: HDF5, but not written by battery (it has no {lacks})")
         check_layout(self.path, self._file)
         version = self.attributes.get("version", "")
-        if not version.startswith(READABLE) or len(version) > VERSION:
+        if not (version.startswith(READABLE) and VERSION.fullmatch(version)):
             known = " and ".join(f"{one}x" for one in READABLE)
             raise InputError(
-                f"{self.path}: of version {version[:VERSION] or 'unknown'} of battery; "
+                f"{self.path}: of version {version[:32] or 'unknown'} of battery; "
                 f"{known} can be read"
             )
         self._check_values()
@@ -134,8 +134,9 @@ class Results:
             if disc and not (self.value(name) < widest).all():
                 raise InputError(f"{self.path}: {name} is wider than an urn")
         for name in SCANNED:
-            if self.has(f"scan/{name}") and not np.isfinite(self.value(f"scan/{name}")).all():
-                raise InputError(f"{self.path}: scan/{name} has values that are no numbers")
+            greatest = MOST if name in LENGTHS else 2**31
+            if self.has(f"scan/{name}") and not (self.value(f"scan/{name}") <= greatest).all():
+                raise InputError(f"{self.path}: scan/{name} has values that no run can have")
         self.scatterers  # noqa: B018 (it is read, so that what is wrong is found)
         self.any_circuit(0)
 
@@ -160,12 +161,8 @@ class Results:
             name = path.removeprefix(inside)
             if path.startswith(inside) and "/" not in name and path in self._file:
                 attributes = self._file[path].attrs
-                told = {
-                    key: text_of(attributes[key]) if key in TEXTS else np.ravel(attributes[key])
-                    for key in (*TEXTS, *NUMBERS)
-                    if key in attributes
-                }
-                told |= {"_FillValue": one[0] for key, one in told.items() if key == "_FillValue"}
+                told = {key: text_of(attributes[key]) for key in TEXTS if key in attributes}
+                told |= {key: attributes[key] for key in NUMBERS if key in attributes}
                 if path != "events/event":
                     values = self._file[path][()]
                     variables[name] = (declared.dims, values, told)

@@ -13,7 +13,8 @@ module battery_hdf5_datasets
     h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5pset_fill_value_f, h5screate_simple_f, &
     h5sselect_hyperslab_f, h5tget_size_f, h5zfilter_avail_f, h5kind_to_type
   use hdf5, only: h5dget_create_plist_f, h5dget_type_f, h5pget_layout_f, h5pget_external_count_f, &
-    h5pget_nfilters_f, h5pget_filter_f, h5pget_chunk_f, h5tcommitted_f, h5tget_class_f
+    h5pget_nfilters_f, h5pget_filter_f, h5pget_chunk_f, h5tcommitted_f, h5tget_class_f, &
+    h5dget_storage_size_f
   use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, &
     h5z_filter_shuffle_f, h5d_compact_f, h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
   use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
@@ -143,6 +144,8 @@ contains
     integer(size_t) :: bytes, values
     integer :: status, rank, filters, k, filter, flags, setting(8)
     character(len=80) :: name
+    integer(hsize_t) :: stored
+    real, allocatable :: extents(:)
     real :: taken
 
     call h5pget_nfilters_f(layout, filters, status)
@@ -165,12 +168,29 @@ contains
     status = merge(0, -1, status == rank)
     if (status == 0) call h5dget_type_f(dataset, value_type, status)
     if (status == 0) call h5tget_size_f(value_type, bytes, status)
-    if (status == 0) taken = product(real(piece(:rank)))*bytes
-    if (status == 0 .and. taken > large) status = -1
+    if (status == 0) then
+      extents = real(extents_of_dataset(dataset, rank))
+      taken = product(real(piece(:rank)))*bytes
+      if (taken > large) status = -1
+    end if
     call release(value_type, status)
     call release(space, status)
     call check(file, path, 'has pieces larger than any that this program writes', status, error)
+    if (allocated(error)) return
+    ! Compression adds next to nothing to a piece: what is longer grows without bound when read.
+    call h5dget_storage_size_f(dataset, stored, status)
+    if (status == 0 .and. stored > (1.01*taken + 64.0)*product(pieces_along(extents, &
+      piece(:rank)))) status = -1
+    call check(file, path, 'takes more of the file than its values do', status, error)
   end subroutine check_pieces
+
+  !> How many pieces there are along each dimension.
+  elemental real function pieces_along(extent, piece) result(pieces)
+    real, intent(in) :: extent
+    integer(hsize_t), intent(in) :: piece
+
+    pieces = aint(extent/real(piece)) + 1.0
+  end function pieces_along
 
   !> A dataset must have numbers of a type, and so many of them. Does nothing after an error.
   subroutine check_form(file, path, dataset, wanted_type, wanted, error)

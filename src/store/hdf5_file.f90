@@ -7,8 +7,8 @@
 !> HDF5 crashes at the end of the program, and it locks files, which some network disks refuse.
 !> Behind it comes its seal.
 !>
-!> A file that is read may be of anyone, since its seal has no secret: nothing is opened in it before
-!> `check_links` found that it lies in this file, and no filter is loaded from elsewhere.
+!> A file that is read may be of anyone, since its seal has no secret: nothing is opened in it
+!> before `check_links` found that it lies in this file, and no filter is loaded from elsewhere.
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_int
   use hdf5, only: hid_t, size_t, h5get_libversion_f, h5open_f, h5eset_auto_f, h5fcreate_f, &

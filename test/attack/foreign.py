@@ -39,7 +39,7 @@ from .common import PATIENCE, Outcome, command_line, ended
 from .scene import workshop
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     Edit = Callable[[h5py.File, random.Random, Path], str]
 
@@ -103,9 +103,10 @@ def datasets(file: h5py.File) -> list[str]:
 
 def drawn(file: h5py.File, choice: random.Random) -> str:
     """Draw a dataset; those that other things depend on are drawn more often."""
-    often = [name for name in ("number", "seed", "task_status", "provenance/host", "series/time",
-                               "threshold", "current1", "chi", "scan/threshold") if name in file]  # fmt: skip
-    return choice.choice(often if choice.random() < 0.4 else datasets(file))
+    often = ("number", "seed", "task_status", "provenance/host", "series/time", "threshold",
+             "current1", "chi", "scan/threshold")  # fmt: skip
+    there = [name for name in often if name in file] or datasets(file)
+    return choice.choice(there if choice.random() < 0.4 else datasets(file))
 
 
 def renamed(file: h5py.File, choice: random.Random, _: Path) -> str:
@@ -113,7 +114,7 @@ def renamed(file: h5py.File, choice: random.Random, _: Path) -> str:
     name = choice.choice([drawn(file, choice), "series", "scan", "provenance"])
     if name not in file:
         return "nothing"
-    new = choice.choice(HOSTILE[:5] + ("chi", "x")).replace("/", "") + str(choice.randrange(9))
+    new = choice.choice([*HOSTILE[:5], "chi", "x"]).replace("/", "") + str(choice.randrange(9))
     parent = file[name].parent
     parent.move(name.rpartition("/")[2], new)
     if parent.name == "/scan":
@@ -128,8 +129,8 @@ def told(file: h5py.File, choice: random.Random, _: Path) -> str:
     key = choice.choice(keys)
     text = choice.choice(HOSTILE)
     value = choice.choice([
-        text, text, text, text.encode() + b"\xff", [text] * 3, 5, -1, float("nan"), np.zeros((3, 2)),
-        np.zeros(2**12), h5py.Empty("f8"), h5py.Empty(h5py.string_dtype()), file["chi"].ref,
+        text, text, text, text.encode() + b"\xff", [text] * 3, 5, -1, float("nan"), file["chi"].ref,
+        np.zeros((3, 2)), np.zeros(2**12), h5py.Empty("f8"), h5py.Empty(h5py.string_dtype()),
     ])  # fmt: skip
     if isinstance(value, h5py.Reference):
         file[name].attrs.create(key, value, dtype=h5py.ref_dtype)
@@ -249,7 +250,7 @@ def stored(file: h5py.File, choice: random.Random, secret: Path) -> str:
 
 def added(file: h5py.File, choice: random.Random, _: Path) -> str:
     """Add what the program does not write."""
-    name = choice.choice(["planted", "series/planted", "scan/planted", "<b>planted</b>", "deep/er/x"])
+    name = choice.choice(["planted", "series/planted", "scan/planted", "<b>planted</b>", "a/b/c"])
     if choice.random() < 0.5:
         file.create_dataset(name, data=np.zeros(3))
     else:
@@ -281,17 +282,17 @@ class Planted(HTMLParser):
         self.runs = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """An attribute that is a script, or an address that was planted."""
+        """Look for an attribute that is a script, or has what was planted."""
         self.runs = tag == "script" and ("type", "application/json") not in attrs
         self.found += [f"{tag} {key}={value}" for key, value in attrs
                        if key.startswith("on") or "planted" in f"{key}{value}"]  # fmt: skip
 
     def handle_endtag(self, tag: str) -> None:
-        """A script is over."""
+        """Take note that a script is over."""
         self.runs = self.runs and tag != "script"
 
     def handle_data(self, data: str) -> None:
-        """A script of the page has no text of the file."""
+        """Look for text of the file in a script of the page."""
         if self.runs and "planted" in data:
             self.found.append(f"script: {data[:80]}")
 
@@ -301,43 +302,47 @@ def limit() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
-def in_python(folder: Path, figure: str) -> list[str]:
-    """Tell what is wrong with what Python makes of a file."""
-    found = []
-    path, made = folder / "out.h5", folder / "made"
+def opened_in_python(path: Path) -> Iterator[str]:
+    """Iterate over what is wrong with what `open_results` makes of a file."""
     for group in (None, "series", "snapshots", "final", "events"):
         try:
-            data = open_results(path, group=group, theory="window" if group is None else ())
-            bytes_ = b"".join(np.ascontiguousarray(one).tobytes() for one in data.variables.values())
-            if SECRET[:8] in bytes_:
-                found.append(f"open_results {group}: bytes of another file")
-        except cli.InputError as problem:
+            data = open_results(path, group=group, theory=() if group else "window")
+        except (cli.InputError, MemoryError) as problem:
             if len(str(problem).splitlines()) > 1:
-                found.append(f"open_results {group}: {problem}")
-        except MemoryError:
-            pass
-        except Exception:  # noqa: BLE001 (whatever it is, it is a finding)
-            found.append(f"open_results {group}: {traceback.format_exc()[-900:]}")
-    for name, main, words in (
-        ("report", report, ["--model", "window", "--output", str(made)]),
-        ("compare", compare, ["--json"]),
-        ("figures", figures, ["--output", str(made)]),
-    ):
-        output, errors = io.StringIO(), io.StringIO()
-        arguments = [*([figure] if name == "figures" else []), str(path), *words]
-        try:
-            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
-                code = cli.run(main, arguments)
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        except Exception:  # noqa: BLE001
-            found.append(f"{name} {figure}: {traceback.format_exc()[-900:]}")
-            continue
-        words_said = output.getvalue() + errors.getvalue()
-        if code not in (0, 2) or (code == 2 and errors.getvalue().count("\n") != 1):
-            found.append(f"{name}: exit {code}: {errors.getvalue()[:600]}")
-        if "\x1b" in words_said or str(READ)[:7] in words_said:
-            found.append(f"{name} says {words_said[:300]!r}")
+                yield f"open_results {group}: {problem}"
+        except Exception:  # whatever it is, it is a finding
+            yield f"open_results {group}: {traceback.format_exc()[-900:]}"
+        else:
+            if any(SECRET[:8] in one.values.tobytes() for one in data.variables.values()):
+                yield f"open_results {group}: bytes of another file"
+
+
+def called_in_python(name: str, main: Callable[..., int], arguments: list[str]) -> Iterator[str]:
+    """Iterate over what is wrong with how a command ends."""
+    output, errors = io.StringIO(), io.StringIO()
+    try:
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+            code = cli.run(main, arguments)
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    except Exception:
+        yield f"{name}: {traceback.format_exc()[-900:]}"
+        return
+    if code not in (0, 2) or (code == 2 and errors.getvalue().count("\n") != 1):
+        yield f"{name}: exit {code}: {errors.getvalue()[:600]}"
+    words = output.getvalue() + errors.getvalue()
+    if "\x1b" in words or str(READ)[:7] in words:
+        yield f"{name} says {words[:300]!r}"
+
+
+def in_python(folder: Path, figure: str) -> list[str]:
+    """Tell what is wrong with what Python makes of a file."""
+    path, made = folder / "out.h5", folder / "made"
+    found = [*opened_in_python(path)]
+    out = ["--output", str(made)]
+    found += called_in_python("report", report, [str(path), "--model", "window", *out])
+    found += called_in_python("compare", compare, [str(path), "--json"])
+    found += called_in_python(f"figures {figure}", figures, [figure, str(path), *out])
     for page in made.glob("*.html") if made.is_dir() else ():
         text = page.read_text(encoding="utf-8")
         planted = Planted()
@@ -386,10 +391,8 @@ def attack(folder: Path, choice: random.Random) -> Outcome:
         outcome.findings.append(f"{what}: growth: {wrong}")
     if "\x1b" in grown.words or "journal" in grown.words or ".tasks" in grown.words:
         outcome.findings.append(f"{what}: growth says {grown.words[-300:]!r}")
-    if "external" not in what and SECRET[:8] in results.read_bytes():
+    if SECRET[:8] in results.read_bytes():
         outcome.findings.append(f"{what}: bytes of another file in the results")
-    if grown.code == 0 and "by external" in what and SECRET[:8] in results.read_bytes():
-        outcome.findings.append(f"{what}: bytes of another file in what grew")
     return outcome
 
 
