@@ -191,9 +191,9 @@ def with_scripts(path: Path) -> list[Path]:
             one = Path(shutil.copy(path, path.with_name(f"{where}{at}.h5")))
             with edited(one) as file:
                 if where == "scan":
-                    name = script.replace("/", "").replace(" ", "")
-                    file.attrs["scan"] = name
-                    file["scan"].move("channel2_width", name)
+                    file.attrs["scan"] = script
+                    file["scan"].require_group(script.rpartition("/")[0] or ".")
+                    file["scan"].move("channel2_width", script)
                 else:
                     file.attrs[where] = ("0.2." if where == "version" else "") + script
             made.append(one)

@@ -18,7 +18,7 @@ module battery_hdf5_datasets
   use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, &
     h5z_filter_shuffle_f, h5d_compact_f, h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
   use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
-  use battery_kinds, only: int32, int64
+  use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, release, check, check_links, no_handle
   use battery_hdf5_attributes, only: memory_type, memory_of, write_text
@@ -145,8 +145,8 @@ contains
     integer :: status, rank, filters, k, filter, flags, setting(8)
     character(len=80) :: name
     integer(hsize_t) :: stored
-    real, allocatable :: extents(:)
-    real :: taken
+    integer(hsize_t), allocatable :: extents(:)
+    real(dp) :: taken, pieces
 
     call h5pget_nfilters_f(layout, filters, status)
     do k = 0, filters - 1
@@ -169,9 +169,9 @@ contains
     if (status == 0) call h5dget_type_f(dataset, value_type, status)
     if (status == 0) call h5tget_size_f(value_type, bytes, status)
     if (status == 0) then
-      extents = real(extents_of_dataset(dataset, rank))
-      taken = product(real(piece(:rank)))*bytes
-      if (taken > large) status = -1
+      extents = extents_of_dataset(dataset, rank)
+      taken = product(real(piece(:rank), dp))*real(bytes, dp)
+      if (taken > real(large, dp)) status = -1
     end if
     call release(value_type, status)
     call release(space, status)
@@ -179,18 +179,12 @@ contains
     if (allocated(error)) return
     ! Compression adds next to nothing to a piece: what is longer grows without bound when read.
     call h5dget_storage_size_f(dataset, stored, status)
-    if (status == 0 .and. stored > (1.01*taken + 64.0)*product(pieces_along(extents, &
-      piece(:rank)))) status = -1
+    if (status == 0) then
+      pieces = product(real(extents/piece(:rank) + 1, dp))
+      if (real(stored, dp) > (1.01_dp*taken + 64.0_dp)*pieces) status = -1
+    end if
     call check(file, path, 'takes more of the file than its values do', status, error)
   end subroutine check_pieces
-
-  !> How many pieces there are along each dimension.
-  elemental real function pieces_along(extent, piece) result(pieces)
-    real, intent(in) :: extent
-    integer(hsize_t), intent(in) :: piece
-
-    pieces = aint(extent/real(piece)) + 1.0
-  end function pieces_along
 
   !> A dataset must have numbers of a type, and so many of them. Does nothing after an error.
   subroutine check_form(file, path, dataset, wanted_type, wanted, error)

@@ -186,6 +186,7 @@ contains
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     integer(int64) :: series(3)
+    real(dp) :: entries
     integer :: complete, held, points, most, times, r
 
     complete = findloc([(any(results%task_status(r, :) == task_complete), r=1, plan%replicas)], &
@@ -197,12 +198,13 @@ contains
     if (plan%series_interval > 0.0_wp) then
       series = extents_of(file, '/series/urn1_number', 3, error)
       if (allocated(error)) return
-      if (series(1) < 1 .or. series(1) > most_numbers .or. (plan%duration > 0.0_wp .and. series(1) &
-        > 2.0_wp + plan%duration/plan%series_interval)) then
+      entries = real(series(1), dp)
+      if (entries < 1.0_dp .or. entries > most_numbers .or. (plan%duration > 0.0_wp .and. entries &
+        > real(2.0_wp + plan%duration/plan%series_interval, dp))) then
         call check(file, '/series/urn1_number', 'has '//to_text(series(1))//' entries, which is ' &
           //'not the length of a series by the namelist in the file', 1, error)
       else
-        call check_memory(merged_entry*series(1)*held*points, '/series', file, error)
+        call check_memory(merged_entry*entries*held*points, '/series', file, error)
       end if
       if (allocated(error)) return
       allocate (results%series_time(series(1)), results%series_flow(series(1), held, points, 4))
