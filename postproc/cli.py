@@ -185,8 +185,14 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
     except MemoryError as problem:
         message = f"not enough memory: {problem}" if str(problem) else "not enough memory"
     _forget_output()
-    print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)
+    print(f"error: {printable(' '.join(message.splitlines()))}", file=sys.stderr)
     return EXIT_BAD_INPUT
+
+
+def printable(text: str) -> str:
+    """Return text for a terminal: what would move its cursor, or do worse, is shown as escapes."""
+    shown = (one if one.isprintable() else ascii(one)[1:-1] for one in text)
+    return "".join(shown)
 
 
 def _said(problem: OSError) -> str:

@@ -86,15 +86,16 @@ def open_results(
         axes = results.axes()
         added = _theory(results, models) if models and group is None else {}
         attributes = dict(results.attributes)
-    data = _read(path)
+        data = results.dataset()
+        inner = results.dataset(group) if group is not None else None
     known = data["task_status"] == COMPLETE
     asked = int((data["task_status"] != NOT_ASKED).sum())
     attributes["tasks"] = f"{int(known.sum())} of {asked} tasks are complete"
     points = data[[name for name in PARAMETERS if name in data]]
-    if group is None:
+    if inner is None:
         data = data.drop_vars(list(points.data_vars)).assign(added)
     else:
-        data = _read(path, group).assign_coords(replica=data["replica"])
+        data = inner.assign_coords(replica=data["replica"])
         points = points.drop_vars(list(data.variables), errors="ignore")
     data = data.map(lambda one: _masked(one, known)).assign_coords(points.data_vars)
     data = _on_grid(_with_second_radius(data, axes), axes)
@@ -102,11 +103,6 @@ def open_results(
         data = data.isel(theory=0)
     data.attrs = attributes
     return data
-
-
-def _read(path: Path, group: str | None = None) -> xr.Dataset:
-    with xr.open_dataset(path, engine="h5netcdf", group=group, decode_times=False) as data:
-        return data.load()
 
 
 def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:

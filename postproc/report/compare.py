@@ -106,6 +106,8 @@ def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, obje
     """Return how far one theory is from the circuits of all files."""
     points = gather(files)
     known = points.where(np.isfinite(points.chi))
+    if known.number.size == 0:
+        raise cli.InputError("no point has a mass spread chi to compare")
     polarised, upper = known.chi > POLARISED, _upper(known)
     circuits = [
         replace(files[file].circuit(int(point)), **changes)
