@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial import legendre
 
+from postproc.theory.direction import DIFFUSION
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-DIFFUSION = 0.065  # D of sin(theta) a visit, over (w/r)^2: of drawn visits, not of runs
 DEGREES = 40  # even Legendre polynomials of cos(theta) over sin(theta)
 
 
