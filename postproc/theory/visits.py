@@ -9,7 +9,7 @@ At a given delta the whole arc of starts turns rigidly: after n chords it is shi
 what then lies upon an opening leaves. So the visits of one delta fall into a few *pieces*, of y
 that leave together; over delta they change smoothly between places where ends of arcs meet, which
 are known beforehand. Two nodes of Gauss between these make sums over pieces good to 3e-4, and to
-2e-5 if an opening is at least 0.3 r wide.
+1e-4 if an opening is at least 0.3 r wide.
 
 The next shift upon an opening is found by Euclid's algorithm, not step by step: visits of a million
 chords cost as much as those of ten.
@@ -158,7 +158,7 @@ def visits(radius: float, own_width: float, other_width: float) -> Pieces:
     """
     wider = max(own_width, other_width) / radius
     scale = max(1.0, NARROW / wider)
-    found = _pieces(scale * own_width / radius, scale * other_width / radius)
+    found = unit_disc(scale * own_width / radius, scale * other_width / radius)
     if scale == 1.0:
         return found
     return Pieces(
@@ -168,7 +168,7 @@ def visits(radius: float, own_width: float, other_width: float) -> Pieces:
 
 
 @lru_cache(maxsize=64)
-def _pieces(own_width: float, other_width: float) -> Pieces:
+def unit_disc(own_width: float, other_width: float) -> Pieces:
     """Return the visits to a disc of radius 1."""
     own, other = (math.asin(0.5 * width) for width in (own_width, other_width))
     delta, weight = _nodes(own, other)
