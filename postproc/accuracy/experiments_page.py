@@ -43,7 +43,7 @@ TEXTS = {
     "since directions last 16 times as long. The column memory has two ports alone, without "
     "circulation.",
     4: "T = 7, w = 0.3. The rate at which particles begin to go round so many times or more "
-    "without a bounce in an urn is (n2/pi A) (w'^2/L) (1 + 2 s/(1 - s))/m, with the measured "
+    "without a bounce in an urn is (n2/pi A) (w'^2/L) (1 + 2 l'/(L - l'))/m, with the measured "
     "number n2 in the dense urn.",
     5: "N = 1000, w' = 0.01, from chi(0) = 0.4; T where chi falls through 0.3, averages over "
     "5000 time units. If chi took 3000 time units to relax there, as it has been said, an "
