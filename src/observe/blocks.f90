@@ -11,7 +11,7 @@
 !> and to the mean, and of equal variance where the spectrum is flat (Lazarus, Lewis, Stock and
 !> Watson, J. Bus. Econ. Stat. 36, 541 (2018)). The mean over its error from k of them is
 !> distributed by Student's t with k degrees of freedom; the factor makes the error cover 68.3 %.
-!> Of k = 3 and 4 the larger error is taken: where the spectrum still rises towards frequency 0,
+!> Of k = 2 and 3 the larger error is taken: where the spectrum still rises towards frequency 0,
 !> it is the better one.
 !>
 !> A run that is not longer than its memory has nearly all of its variance in the slowest two
@@ -54,18 +54,19 @@ contains
     blocks%length = 2.0_wp*blocks%length
   end subroutine add_block
 
-  !> Standard error of the mean, in the unit of the quantity: the half width of the interval that
-  !> covers it in 68.3 % of runs. NaN where it cannot be told: with fewer than `most_blocks`/2 blocks,
-  !> of blocks without scatter, and of a run that is not longer than its memory.
+  !> Standard error of the mean, in the unit of the quantity: the half width of an interval that
+  !> covers it in 68.3 % of runs or somewhat more. NaN where it cannot be told: with fewer than
+  !> `most_blocks`/2 blocks, of blocks without scatter, and of a run that is not longer than its
+  !> memory.
   pure function standard_error(blocks) result(error)
     type(blocks_type), intent(in) :: blocks
     real(dp) :: error
-    !> Student's factor for 3 and 4 degrees of freedom: 68.27 % lie within.
-    real(dp), parameter :: student(3:4) = [1.19689_dp, 1.14164_dp]
-    !> Components that are looked at; those that are too fast to feel a memory as long as the run; how
-    !> much more the slowest two may vary.
+    !> Student's factor for 2 and 3 degrees of freedom: 68.27 % lie within.
+    real(dp), parameter :: student(2:3) = [1.32128_dp, 1.19688_dp]
+    !> Components that are looked at; the first of those that are too fast to feel a memory as long
+    !> as the run; how much more the slowest two may vary.
     integer, parameter :: components = 16, fast = 5
-    real(dp), parameter :: steepest = 8.0_dp
+    real(dp), parameter :: steepest = 12.0_dp
     real(dp) :: power(components)
     integer :: n
 
@@ -75,7 +76,7 @@ contains
     if (.not. maxval(blocks%average(:n)) > minval(blocks%average(:n))) return
     power = powers_of(real(blocks%average(:n), dp), components)
     if (sum(power(:2))/2 > steepest*sum(power(fast:))/(components - fast + 1)) return
-    error = sqrt(max(student(3)**2*sum(power(:3))/3, student(4)**2*sum(power(:4))/4)/n)
+    error = sqrt(max(student(2)**2*sum(power(:2))/2, student(3)**2*sum(power(:3))/3)/n)
   end function standard_error
 
   !> Squares of the slowest components of the cosine transform of a series: each is its variance
@@ -91,8 +92,8 @@ contains
 
     n = size(values)
     do j = 1, components
-      ! Kept before they are summed, as in `error_of_mean`; and the cosine without its last digits, for
-      ! libraries differ in those.
+      ! Kept before they are summed, as in `error_of_mean`; and the cosine without its last digits,
+      ! for libraries differ in those.
       term = (values - sum(values)/n)*[(anint(digits*cos(pi*j*(k - 0.5_dp)/n))/digits, k=1, n)]
       power(j) = 2*sum(term)**2/n
     end do

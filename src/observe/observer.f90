@@ -42,7 +42,7 @@ module battery_observer
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
   integer, parameter :: least_changes = 4
-  !> A polarity is lasting if N1 - N2 differs from 0 by so many standard deviations of its blocks; the
+  !> A polarity is lasting if N1 - N2 differs from 0 by so many standard deviations of its blocks;
   !> gates are unlike if one reverses so many times as often as the other.
   real(wp), parameter :: lasting = 5.0_wp
   integer(int64), parameter :: unlike = 10
