@@ -11,7 +11,7 @@
 !> and to the mean, and of equal variance where the spectrum is flat (Lazarus, Lewis, Stock and
 !> Watson, J. Bus. Econ. Stat. 36, 541 (2018)). The mean over its error from k of them is
 !> distributed by Student's t with k degrees of freedom; the factor makes the error cover 68.3 %.
-!> Of k = 2 and 3 the larger error is taken: where the spectrum still rises towards frequency 0,
+!> Of k = 3 and 4 the larger error is taken: where the spectrum still rises towards frequency 0,
 !> it is the better one.
 !>
 !> A run that is not longer than its memory has nearly all of its variance in the slowest two
@@ -61,22 +61,25 @@ contains
   pure function standard_error(blocks) result(error)
     type(blocks_type), intent(in) :: blocks
     real(dp) :: error
-    !> Student's factor for 2 and 3 degrees of freedom: 68.27 % lie within.
-    real(dp), parameter :: student(2:3) = [1.32128_dp, 1.19688_dp]
+    !> Student's factor for 3 and 4 degrees of freedom: 68.27 % lie within.
+    real(dp), parameter :: student(3:4) = [1.19688_dp, 1.14164_dp]
     !> Components that are looked at; the first of those that are too fast to feel a memory as long
     !> as the run; how much more the slowest two may vary.
     integer, parameter :: components = 16, fast = 5
     real(dp), parameter :: steepest = 12.0_dp
+    !> Scatter up to this share of the blocks is none.
+    real(wp), parameter :: rounding = 1024.0_wp*epsilon(1.0_wp)
     real(dp) :: power(components)
     integer :: n
 
     error = unknown_real()
     n = blocks%count
     if (n < most_blocks/2) return
-    if (.not. maxval(blocks%average(:n)) > minval(blocks%average(:n))) return
+    if (.not. maxval(blocks%average(:n)) - minval(blocks%average(:n)) &
+      > rounding*maxval(abs(blocks%average(:n)))) return
     power = powers_of(real(blocks%average(:n), dp), components)
     if (sum(power(:2))/2 > steepest*sum(power(fast:))/(components - fast + 1)) return
-    error = sqrt(max(student(2)**2*sum(power(:2))/2, student(3)**2*sum(power(:3))/3)/n)
+    error = sqrt(max(student(3)**2*sum(power(:3))/3, student(4)**2*sum(power(:4))/4)/n)
   end function standard_error
 
   !> Squares of the slowest components of the cosine transform of a series: each is its variance

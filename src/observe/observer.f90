@@ -41,10 +41,10 @@ module battery_observer
   !> must have made, and how often N1 - N2 must have changed its sign.
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
-  integer, parameter :: least_changes = 4
+  integer, parameter :: least_changes = 6
   !> A polarity is lasting if N1 - N2 differs from 0 by so many standard deviations of its blocks;
   !> gates are unlike if one reverses so many times as often as the other.
-  real(wp), parameter :: lasting = 5.0_wp
+  real(wp), parameter :: lasting = 8.0_wp
   integer(int64), parameter :: unlike = 10
 
   !> What has been measured of a run so far.
