@@ -110,7 +110,7 @@ def test_missing_tasks_are_not_numbers_and_it_is_said(tmp_path: Path) -> None:
     data = postproc.open_results(path)
     assert data.attrs["tasks"] == "2 of 4 tasks are complete"
     assert data.attrs["status"] == "partial"
-    for name in ("chi", "current1_error", "collisions", "time"):
+    for name in ("chi", "current1", "collisions", "time"):
         known = np.isfinite(data[name])
         assert known.values.tolist() == [[True, False], [False, True]], name
         assert (data[name].values[known] == whole[name].values[known]).all()
