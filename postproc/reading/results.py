@@ -48,7 +48,8 @@ TWO_STATES = 2  # value of `point_status`
 POLARISED = 0.15  # chi from which on a state is taken to be polarised
 LEAST, MOST = 1e-100, 1e100  # of lengths
 CORNERS = 1000  # most of an urn
-READABLE = ("0.1.", "0.2.")  # how the versions begin whose files are read
+FEW = 4  # replicas that may agree by chance
+READABLE = ("0.1.", "0.2.", "0.3.")  # how the versions begin whose files are read
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ class Results:
         check_layout(self.path, self._file)
         version = self.attributes.get("version", "")
         if not (version.startswith(READABLE) and VERSION.fullmatch(version)):
-            known = " and ".join(f"{one}x" for one in READABLE)
+            known = f"{READABLE[0]}x to {READABLE[-1]}x"
             raise InputError(
                 f"{self.path}: of version {version[:32] or 'unknown'} of battery; "
                 f"{known} can be read"
@@ -359,14 +360,14 @@ class Results:
     def replica_mean(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return mean and standard error over the replicas of each point, shape (point,).
 
-        The error is the larger of what the spread of the replicas says and what the blocks within
-        them say (`NAME_error`): few replicas may agree by chance. One replica: its block error.
-        NaN where replicas fall into two states.
+        The error is what the spread of the replicas says. Few of them may agree by chance: up to
+        `FEW` it is no less than what their own errors say (`NAME_error`), and of one replica it is
+        its own, NaN if that is not known. NaN where replicas fall into two states.
         """
         one_state = self.done & ~self.two_states[:, None]
         values = np.where(one_state, self.value(name), math.nan)
-        blocks = self.value(f"{name}_error") if self.has(f"{name}_error") else 0.0 * values
-        return mean_and_error(values, blocks)
+        own = self.value(f"{name}_error") if self.has(f"{name}_error") else math.nan * values
+        return mean_and_error(values, own)
 
     def net_current(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return net current and its standard error over the replicas of each point.
@@ -383,8 +384,8 @@ class Results:
             along, along_error = self.replica_mean("polarised_current")
         else:
             sizes = np.abs(np.where(self.done, self.value("current1"), math.nan))
-            blocks = self.value("current1_error") if self.has("current1_error") else 0.0 * sizes
-            along, along_error = mean_and_error(sizes, blocks)
+            own = self.value("current1_error") if self.has("current1_error") else math.nan * sizes
+            along, along_error = mean_and_error(sizes, own)
         polarised &= np.isfinite(along)
         return np.where(polarised, along, current), np.where(polarised, along_error, error)
 
@@ -460,7 +461,7 @@ def opened(paths: Sequence[Path]) -> Iterator[list[Results]]:
 
 
 def mean_and_error(
-    values: NDArray[np.float64], block_errors: NDArray[np.float64]
+    values: NDArray[np.float64], own_errors: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return mean and standard error over the last axis of the finite values (`replica_mean`)."""
     good = np.isfinite(values)
@@ -469,9 +470,9 @@ def mean_and_error(
     mean = np.where(good, values, 0.0).sum(axis=-1) / safe
     squares = np.where(good, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1)
     between = np.sqrt(squares / np.maximum(count - 1, 1) / safe)
-    known = np.where(good & np.isfinite(block_errors), block_errors, 0.0)
-    within = np.sqrt((known**2).sum(axis=-1)) / safe
-    error = np.maximum(np.where(count > 1, between, 0.0), within)
-    empty = count == 0
-    return np.where(empty, math.nan, mean), np.where(empty, math.nan, error)
+    known = good & np.isfinite(own_errors)
+    within = np.sqrt(np.where(known, own_errors**2, 0.0).sum(axis=-1)) / safe
+    error = np.where(count <= FEW, np.maximum(np.where(count > 1, between, 0.0), within), between)
+    untold = (count == 0) | ((count == 1) & ~known.any(axis=-1))
+    return np.where(count == 0, math.nan, mean), np.where(untold, math.nan, error)
 

@@ -6,7 +6,7 @@ module battery_summary
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_count
   use battery_precision, only: cut_of
-  use battery_quantities, only: averaged_quantities, counted_quantities, place_of
+  use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of
   use battery_results, only: results_type, scatter_of, task_complete, task_not_asked, &
     point_two_states, point_not_precise
   use battery_screen, only: duration_text, rate_text
@@ -57,6 +57,8 @@ contains
       end do
     end if
     if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results)
+    if (some_too_short(results)) call say('errors of some runs are NaN, too short to tell: ' &
+      //'more replicas tell (&scan replicas), or longer runs')
     call say(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
     call list_points(results, point_two_states, 'replicas fall into two states')
@@ -74,6 +76,21 @@ contains
       //new_line_character//ways_to_stop)
     call say('results: '//plan%file)
   end subroutine print_summary
+
+  !> Whether an average of a complete task has no error though it should have one.
+  pure logical function some_too_short(results)
+    type(results_type), intent(in) :: results
+    type(quantity_type), allocatable :: list(:)
+    integer :: k
+
+    list = averaged_quantities()
+    some_too_short = .false.
+    do k = 1, size(list)
+      if (list(k)%has_error) some_too_short = some_too_short .or. any(results%task_status &
+        == task_complete .and. ieee_is_nan(results%error(:, :, k)) &
+        .and. .not. ieee_is_nan(results%average(:, :, k)))
+    end do
+  end function some_too_short
 
   !> Numbers of the points that stand as `status` says, with what that means.
   subroutine list_points(results, status, meaning)

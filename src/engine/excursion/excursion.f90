@@ -374,7 +374,7 @@ contains
       if (history%logging) then
         call write_log(w, self%number, self%flight, began, events, due, particle, history)
       else
-        history%reversals = sum(int(w%stretch%reversals, int64))
+        history%reversals = w%stretch%reversals
         history%bounce_backs = v%count
         call record_crossings(w, self%number, self%flight, began, history)
       end if
