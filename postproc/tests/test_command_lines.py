@@ -69,7 +69,7 @@ ODD: dict[str, dict[str, dict[str, object]]] = {
     "bare": {"output": BARE},
 }
 QUICK = [(["mixing"], "*"), (["renewal_fit", "--data"], "*")]
-QUICK += [(["scene"], "one"), (["figures", "comp01"], "one"), (["figures", "lifetimes"], "[mo]*")]
+QUICK += [(["scene"], "one"), (["figures", "comp01"], "one"), (["figures", "lifetimes"], "map")]
 SLOW = [["scene"], ["currents"], ["report"], ["compare"]]
 SLOW += [["figures", name] for name in ("numris", "comp01", "comp05", "comp06", "app1", "app2")]
 SLOW += [["figures", name] for name in ("lifetimes", "circuits", "model")]
