@@ -11,7 +11,7 @@ module battery_answer
 
 contains
 
-  !> Writes the absolute path of the results file.
+  !> Writes the absolute path of the results file; null where none is there.
   subroutine write_run_answer(path, results, error)
     !> Of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
@@ -19,9 +19,13 @@ contains
     character(len=*), intent(in) :: results
     !> The JSON file cannot be written.
     type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: folder, place
 
-    call write_members(path, '"results": '//json_text(real_folder_of(results)//'/' &
-      //results(index(results, '/', back=.true.) + 1:)), error)
+    folder = real_folder_of(results)
+    place = 'null'
+    if (folder /= '') &
+      place = json_text(folder//'/'//results(index(results, '/', back=.true.) + 1:))
+    call write_members(path, '"results": '//place, error)
   end subroutine write_run_answer
 
   !> Writes how many tasks a plan has and what it will cost.

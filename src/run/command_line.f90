@@ -70,6 +70,7 @@ contains
     character(len=:), allocatable :: problems
     logical :: only_files, json_next
     integer :: at
+    character(len=*), parameter :: nameless = '--json: the name of its file is missing'
 
     command%file = ''
     command%json = ''
@@ -79,7 +80,8 @@ contains
     json_next = .false.
     do at = 1, size(words)
       if (json_next) then
-        command%json = words(at)%text
+        if (index(words(at)%text, '-') /= 1) command%json = words(at)%text
+        if (command%json == '') call add(problems, nameless)
         json_next = .false.
       else if (words(at)%text == '--' .and. .not. only_files) then
         only_files = .true.
@@ -95,8 +97,7 @@ contains
         command%file = words(at)%text
       end if
     end do
-    if (is_one_of('--json', words) .and. command%json == '') &
-      call add(problems, '--json: the name of its file is missing')
+    if (json_next) call add(problems, nameless)
     if (command%answer == '' .and. .not. command%version .and. command%file == '' &
       .and. problems == '') &
       call add(problems, 'the namelist file is missing')
