@@ -26,6 +26,7 @@ PAGES = {
     "What is found": {
         "theory": "docs/theory.md",
         "figures": "docs/figures.md",
+        "paper": "docs/paper.md",
         "experiments": "docs/experiments.md",
         "scatterers": "docs/scatterers.md",
         "accuracy": "docs/accuracy.md",
