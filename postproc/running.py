@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import f90nml
 
 from postproc.cli import EXIT_BAD_INPUT, InputError, existing_file, output_folder
+from postproc.launcher import program_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -156,7 +157,7 @@ def run(
         ) or _launch(command, place, quiet)
     if isinstance(namelist, Mapping):
         complaints = complaints.replace(str(path), "the namelist")
-    complaints = complaints.strip()
+    complaints = program_words(complaints)
     if code == EXIT_BAD_INPUT:
         raise InputError(complaints)
     if code:

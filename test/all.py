@@ -17,12 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+from postproc.launcher import SHARED_CORES  # noqa: E402
+
 TOOLS = ROOT / "build/venv/bin"
-# Tests run side by side, so that there are more MPI ranks than cores: who waits must not spin.
 ENVIRONMENT = {
     **os.environ,
-    "OMPI_MCA_mpi_yield_when_idle": "1",
-    "OMPI_MCA_hwloc_base_binding_policy": "none",
+    **SHARED_CORES,
     "OPENBLAS_NUM_THREADS": "1",
 }
 # Many tests wait for a program that they have started, so two share a core.
