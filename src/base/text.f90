@@ -8,8 +8,8 @@ module battery_text
 
   character(len=1), parameter :: new_line_character = achar(10)
 
-  !> The widest reals: of 128 bits, or of 80 where a compiler has none of 128. It is never one of the
-  !> kinds above, or `to_text` would have two procedures for one kind.
+  !> The widest reals: of 128 bits, or of 80 where a compiler has none of 128. It must be none of
+  !> the other kinds, or `to_text` would have two procedures for one kind.
   integer, parameter :: widest = merge(real128, selected_real_kind(18), real128 > 0)
 
   !> A text of any length, for lists of them.

@@ -9,8 +9,9 @@ module plain_way
   private
   public :: qp, plain_type, plain_start, plain_run, bounce_through
 
-  !> Kind of the reference computations.
-  integer, parameter :: qp = selected_real_kind(30)
+  !> Kind of the reference computations: 33 digits, or 18 where a compiler has no more.
+  integer, parameter :: qp = merge(selected_real_kind(30), selected_real_kind(18), &
+    selected_real_kind(30) > 0)
 
   !> Rooms of the plain circuit: urns, channels.
   integer, parameter :: in_urn1 = 1, in_urn2 = 2, in_channel1 = 3, in_channel2 = 4
