@@ -82,10 +82,9 @@ contains
     real(wp), intent(in) :: urn_radius, channel1_width, channel1_length
     real(wp), intent(in) :: channel2_width, channel2_length
     type(table_type) :: table
-    type(urn_type) :: urn(2)
 
-    urn%radius = urn_radius
-    table = new_table_of_urns(shape, urn, [channel_type(channel1_width, channel1_length), &
+    table = new_table_of_urns(shape, [urn_type(radius=urn_radius), urn_type(radius=urn_radius)], &
+      [channel_type(channel1_width, channel1_length), &
       channel_type(channel2_width, channel2_length)])
   end function new_table_of_discs
 
