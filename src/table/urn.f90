@@ -49,6 +49,7 @@ contains
 
   !> A disc. A constructor of the type itself would want all components that have no default.
   elemental function urn_of_radius(radius) result(urn)
+    !> A length.
     real(wp), intent(in) :: radius
     type(urn_type) :: urn
 
