@@ -1,7 +1,9 @@
 !> The program `battery`: arguments, plan, ensemble, exit code.
 program battery
+  use battery_answer, only: write_run_answer
   use battery_error, only: error_type, exit_success, exit_failure
-  use battery_command_line, only: command_line_type, read_command_line
+  use battery_agreement, only: check_command_lines
+  use battery_command_line, only: command_line_type, command_line_words, parse_arguments
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node
   use battery_ensemble, only: run_ensemble, heed_time_limit
@@ -14,10 +16,12 @@ program battery
   use battery_signals, only: watch_signals
   use battery_process, only: leave
   use battery_terminal, only: guard_streams, say, complain, all_was_printed
+  use battery_text, only: string_type
   implicit none (type, external)
 
   type(command_line_type) :: command_line
   type(communicator_type) :: communicator
+  type(string_type), allocatable :: words(:)
   type(error_type), allocatable :: error
   integer :: exit_code
 
@@ -31,7 +35,9 @@ program battery
     call leave(error%code)
   end if
   call open_communicator(communicator)
-  call read_command_line(command_line, error)
+  words = command_line_words()
+  call check_command_lines(communicator, words, error)
+  if (.not. allocated(error)) call parse_arguments(words, command_line, error)
   if (.not. allocated(error)) then
     if (command_line%answer == '' .and. .not. command_line%version) then
       call run()
@@ -67,9 +73,11 @@ contains
     if (.not. command_line%check) then
       call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
         error)
+      if (communicator%rank == 0 .and. .not. allocated(error)) &
+        call write_run_answer(command_line%json, plan%file, error)
     else if (communicator%rank == 0) then
       call print_outlook(plan, communicator%size, sharing, &
-        command_line%overwrite, error)
+        command_line%overwrite, command_line%json, error)
     end if
     call share_error(communicator, error)
   end subroutine run

@@ -9,6 +9,8 @@
 # it is called with --mca odls_base_sigkill_timeout 60.
 #SBATCH --signal=USR1@120
 
+# An mpirun of Open MPI in place of srun may outlive its ranks (docs/reliability.md), so it needs an
+# end: timeout --preserve-status -s USR1 -k 120 238m mpirun build/bin/battery ...
 # Exit code 3: stopped early, state saved. The job goes back into the queue and goes on.
 srun build/bin/battery namelists/phase_diagram.nml
 code=$?

@@ -1,7 +1,8 @@
 """Which theory or run is good enough for a quantity of one circuit: rung, length, cost, as JSON.
 
 A namelist, or the circuit by options as of `theory` (--number N --threshold T ...). A pilot of the
-program, a second or so at N = 1000, tells how much replicas scatter and how far off theories are.
+program, a second or so at N = 1000, tells how much replicas scatter and how far off theories are;
+one that would take more than a minute is run only if --pilot-seconds lets it.
 Last line, to standard error: the advice in a sentence. `duration` includes the transient, as in the
 namelist. `confidence` is the chance that the tolerance is met. Where the quantity is not there,
 `rung` is "none". What an urn's polygon or scatterers do is beyond these theories, so such namelists
@@ -39,6 +40,10 @@ def _add(options: argparse.ArgumentParser) -> None:
     options.add_argument(
         "--tolerance", type=cli.number(1e-4, 1.0), default=0.02, metavar="SHARE",
         help="relative (default: 0.02)",
+    )  # fmt: skip
+    options.add_argument(
+        "--pilot-seconds", type=cli.number(1.0), default=60.0, metavar="S",
+        help="processor time that the pilot may take (default: 60)",
     )  # fmt: skip
 
 
@@ -115,7 +120,9 @@ def main(arguments: list[str] | None = None) -> int:
         groups, circuit = circuit_of(given.file)
     if given.quantity != "chi" and float(circuit.channel2_width) == 0.0:
         raise cli.InputError(f"without channel 2 there is no {given.quantity}")
-    found = advise(groups, circuit, given.quantity, given.tolerance)
+    found = advise(
+        groups, circuit, given.quantity, given.tolerance, longest=given.pilot_seconds
+    )
     print(json.dumps(cli.finite(vars(found)), indent=2))
     print(sentence(found, given.quantity, given.tolerance), file=sys.stderr)
     return 0

@@ -10,10 +10,28 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 EXIT_BAD_INPUT = 2
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
+
+
+# Becomes the program that it is given, once the system knows to stop that when Python is gone.
+# The process that Python starts does this, for between fork and exec nothing of Python is safe.
+ENDED_WITH = """
+import ctypes, os, signal, sys
+parent, *command = sys.argv[1:]
+prctl = getattr(ctypes.CDLL(None), "prctl", None)
+if prctl is not None:
+    prctl(1, int(signal.SIGUSR1), 0, 0, 0)  # PR_SET_PDEATHSIG, which exec keeps
+if os.getppid() != int(parent):
+    sys.exit(1)
+try:
+    os.execvp(command[0], command)
+except OSError as problem:
+    print(f"{command[0]}: {problem.strerror}", file=sys.stderr)
+    sys.exit(2)
+"""
 
 
 class InputError(ValueError):
@@ -71,13 +89,34 @@ def add_task(options: argparse.ArgumentParser) -> None:
 
 def existing_file(path: Path) -> Path:
     """Return `path`, which must be that of a file: a pipe or a device may have no end."""
-    if not path.exists():
+    try:
+        there = path.exists()
+    except OSError as problem:
+        raise InputError(f"{path}: {problem.strerror}") from problem
+    if not there:
         raise InputError(f"{path}: no such file")
     if path.is_dir():
         raise InputError(f"{path}: is a folder, not a file")
     if not path.is_file():
         raise InputError(f"{path}: is a pipe or a device, not a file")
     return path
+
+
+def path_of(value: object, name: str) -> Path:
+    """Return a path that a caller gave as the argument `name`; raise `InputError` if it is none."""
+    if not isinstance(value, (str, os.PathLike)) or not str(value) or "\0" in str(value):
+        raise InputError(f"{name} = {value!r}: must be a path")
+    return Path(value)
+
+
+def ended_with_python(command: Sequence[str | Path]) -> list[str]:
+    """Return a command that ends when the thread of Python that starts it does, however it ends.
+
+    Where the system can do that (Linux): by SIGUSR1, at which the program saves its state, and
+    which launchers pass on.
+    """
+    words = [str(word) for word in command]
+    return [sys.executable, "-I", "-S", "-c", ENDED_WITH, str(os.getpid()), *words]
 
 
 def integer(low: int, high: int = 2**31 - 1) -> Callable[[str], int]:
@@ -146,8 +185,14 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
     except MemoryError as problem:
         message = f"not enough memory: {problem}" if str(problem) else "not enough memory"
     _forget_output()
-    print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)
+    print(f"error: {printable(' '.join(message.splitlines()))}", file=sys.stderr)
     return EXIT_BAD_INPUT
+
+
+def printable(text: str) -> str:
+    """Return text for a terminal: what would move its cursor, or do worse, is shown as escapes."""
+    shown = (one if one.isprintable() else ascii(one)[1:-1] for one in text)
+    return "".join(shown)
 
 
 def _said(problem: OSError) -> str:

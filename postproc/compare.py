@@ -31,9 +31,9 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("--json", action="store_true", help="print JSON")
     given = options.parse_args(arguments)
     with opened(given.files) as files:
+        found = compare(files)
         for results in files:
             results.say_if_partial()
-        found = compare(files)
     if given.json:
         print(json.dumps(cli.finite([vars(one) for one in found]), indent=2))
         return 0

@@ -39,8 +39,9 @@ def main(arguments: list[str] | None = None) -> int:
             if results.shape != "circuit":
                 raise cli.InputError(f"{results.path}: a run of shape '{results.shape}'")
             results.need_tasks()
-            results.say_if_partial()
         found = mixing(files, {"gate": RENEWAL, "occupation": given.occupation})
+        for results in files:
+            results.say_if_partial()
     if given.json:
         print(json.dumps(cli.finite([one.row() for one in found]), indent=2))
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 import os
 import re
 import shutil
@@ -10,20 +11,28 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import f90nml
 
-from postproc.cli import EXIT_BAD_INPUT, InputError, existing_file, output_folder
+from postproc.cli import (
+    EXIT_BAD_INPUT,
+    InputError,
+    ended_with_python,
+    existing_file,
+    output_folder,
+    path_of,
+)
 from postproc.launcher import program_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     Groups = Mapping[str, Mapping[str, object]]
 
@@ -31,8 +40,6 @@ STOPPED = 3  # exit code of a run that was stopped early
 # Where make leaves the program: in a checkout, or beside the Python side that it installed.
 BUILT = Path(__file__).resolve().parents[1] / "build/bin/battery"
 INSTALLED = Path(sys.prefix, "../../bin/battery").resolve()
-# How the program says which file has the results: after a run, or where they are there already.
-RESULTS = re.compile(r"^(?:results: (?P<made>.+)|(?P<there>.+) is complete; --overwrite .*)$", re.M)
 
 
 class RunError(RuntimeError):
@@ -55,9 +62,9 @@ def find_program(program: str | Path | None = None) -> Path:
 
     Raises `InputError` if it is not there.
     """
-    given = program or os.environ.get("BATTERY_PROGRAM")
-    if given:
-        return existing_file(Path(given)).resolve()
+    given = os.environ.get("BATTERY_PROGRAM") or None if program is None else program
+    if given is not None:
+        return existing_file(path_of(given, "program")).resolve()
     on_path = shutil.which("battery")
     for place in (BUILT, INSTALLED, *([Path(on_path)] if on_path else [])):
         if place.is_file():
@@ -86,6 +93,9 @@ def write_namelist(
         A group or key does not exist, or a value is nothing that a namelist can hold. All
         problems are in the message. Types and bounds are left to the program.
     """
+    if not isinstance(groups, Mapping):
+        raise InputError(f"groups = {groups!r}: must be values by group and key")
+    place = None if file is None else path_of(file, "file")
     checked: dict[str, dict[str, object]] = {}
     problems: list[str] = []
     known = _keys(find_program(program))
@@ -104,9 +114,9 @@ def write_namelist(
     namelist = f90nml.Namelist(checked)
     namelist.column_width = 100
     text = f"{namelist}\n"
-    if file is not None:
+    if place is not None:
         try:
-            Path(file).write_text(text, encoding="utf-8")
+            place.write_text(text, encoding="utf-8")
         except OSError as problem:
             raise InputError(f"{file}: {problem.strerror}") from problem
     return text
@@ -122,9 +132,10 @@ def run(
     program: str | Path | None = None,
     launcher: Sequence[str] = ("mpirun", "-n"),
 ) -> Path:
-    """Run the program, or go on with a run; return the path of its results file.
+    """Run the program, or go on with a run; return the absolute path of its results file.
 
-    An interruption of Python (Ctrl-C) stops the run such that the same call goes on.
+    An interruption of Python (Ctrl-C) stops the run such that the same call goes on; so does the
+    end of Python, whatever ends it (on Linux).
 
     Parameters
     ----------
@@ -132,7 +143,7 @@ def run(
     ranks : MPI ranks; 1: without a launcher. More than there are tasks, and processors here, are
         refused.
     folder : where it is called, made if need be; names of files in the namelist are relative to
-        it. None: here.
+        it. None: here. What was made for a run that is refused is removed.
     overwrite : discard results that are there.
     quiet : print nothing of what the program says.
     program : see `find_program`.
@@ -147,43 +158,103 @@ def run(
     """
     if not isinstance(ranks, Integral) or ranks < 1:
         raise InputError(f"ranks = {ranks!r}: must be a whole number, at least 1")
-    battery, place = find_program(program), Path(folder or ".")
-    with _namelist_file(namelist, battery) as path:
-        output_folder(place)
-        words = [*(["--overwrite"] if overwrite else []), "--", str(path)]
-        command = [*([*launcher, str(ranks)] if ranks > 1 else []), str(battery), *words]
-        code, said, complaints = _check_ranks(
-            ranks, [str(battery), "--check", *words], place
-        ) or _launch(command, place, quiet)
-    if isinstance(namelist, Mapping):
-        complaints = complaints.replace(str(path), "the namelist")
-    complaints = program_words(complaints)
-    if code == EXIT_BAD_INPUT:
-        raise InputError(complaints)
-    if code:
-        raise RunError(code, _reason(code, complaints, said))
-    found = list(RESULTS.finditer(said))[-1]
-    return place / (found["made"] or found["there"])
+    strange = isinstance(launcher, str) or not isinstance(launcher, Sequence)
+    if strange or not all(isinstance(word, str) and word for word in launcher):
+        raise InputError(f"launcher = {launcher!r}: must be a list of words")
+    start = list(launcher) if ranks > 1 else []
+    if ranks > (processors := os.cpu_count() or 1):  # launchers hang at a million
+        tasks = plan(namelist, folder=folder, overwrite=overwrite, program=program).tasks
+        if ranks > tasks:
+            raise InputError(
+                f"ranks = {ranks}: at most one for each task ({tasks}), or for each processor of "
+                f"this machine ({processors})"
+            )
+    start += [str(ranks)] if ranks > 1 else []
+    words = ["--overwrite"] if overwrite else []
+    answer = _answer(namelist, words, folder=folder, quiet=quiet, program=program, start=start)
+    return Path(answer["results"])
 
 
-def _check_ranks(ranks: int, check: list[str], folder: Path) -> tuple[int, str, str] | None:
-    """Refuse ranks that neither a task nor a processor waits for: launchers hang at a million.
+@dataclass(frozen=True)
+class Plan:
+    """What `battery --check` says of a run.
 
-    `check` is the command that prints the plan. If it fails so will the run: what it ended with.
+    Attributes
+    ----------
+    tasks, pending : all tasks, and those that are still to be done.
+    seconds : processor time of these, in s.
+    memory : bytes that a rank takes.
     """
-    processors = os.cpu_count() or 1
-    if ranks <= processors:
-        return None
-    code, said, complaints = _launch(check, folder, quiet=True)
-    if code:
-        return code, said, complaints
-    tasks = re.search(r"^tasks: +(\d+)", said, re.M)
-    if tasks and ranks > int(tasks[1]):
-        raise InputError(
-            f"ranks = {ranks}: at most one for each task ({tasks[1]}), or for each processor of "
-            f"this machine ({processors})"
-        )
-    return None
+
+    tasks: int
+    pending: int
+    seconds: float
+    memory: float
+
+
+def plan(
+    namelist: str | Path | Groups,
+    *,
+    folder: str | Path | None = None,
+    overwrite: bool = False,
+    program: str | Path | None = None,
+) -> Plan:
+    """Return what a run would do and cost; nothing is run but for a calibration, of seconds.
+
+    Arguments and errors are those of `run`.
+    """
+    words = ["--check", *(["--overwrite"] if overwrite else [])]
+    told = _answer(namelist, words, folder=folder, quiet=True, program=program, start=[])
+    seconds = told["seconds_a_task"] * told["pending"]
+    return Plan(told["tasks"], told["pending"], seconds, told["memory_a_rank"])
+
+
+def _answer(
+    namelist: str | Path | Groups, words: list[str], *, folder: str | Path | None, quiet: bool,
+    program: str | Path | None, start: list[str],
+) -> dict[str, Any]:  # fmt: skip
+    """Return what the program writes for scripts; `start` is what is before it, `words` behind."""
+    battery = find_program(program)
+    place = path_of("." if folder is None else folder, "folder")
+    with _made_folder(place), _work_folder(place) as work:
+        path, json_file = _namelist_file(namelist, battery, work), work / "answer.json"
+        words = [*words, "--json", str(json_file), "--", str(path)]
+        code, said, complaints = _launch([*start, str(battery), *words], place, quiet)
+        if isinstance(namelist, Mapping):
+            complaints = complaints.replace(str(path), "the namelist")
+        complaints = program_words(complaints)
+        if code == EXIT_BAD_INPUT:
+            raise InputError(complaints)
+        if code:
+            raise RunError(code, _reason(code, complaints, said))
+        if not json_file.exists():
+            raise InputError(f"{' '.join(start)}: ended well, but started no battery")
+        return json.loads(json_file.read_text(encoding="utf-8", errors="surrogateescape"))
+
+
+@contextmanager
+def _made_folder(place: Path) -> Iterator[None]:
+    """Make a folder, for a run; what was made is removed if that is refused."""
+    try:
+        made = [one for one in (place, *place.parents) if not one.exists()]
+    except OSError as problem:
+        raise InputError(f"cannot make folder {place}: {problem.strerror}") from problem
+    try:
+        output_folder(place)
+        yield
+    except InputError:
+        with suppress(OSError):  # someone else put something there
+            for one in made:
+                one.rmdir()
+        raise
+
+
+@contextmanager
+def _work_folder(place: Path) -> Iterator[Path]:
+    """Give a folder for a run's own files: where it is called, for other nodes may see that too."""
+    here = place if os.access(place, os.W_OK | os.X_OK) else None
+    with tempfile.TemporaryDirectory(prefix=".battery-", dir=here) as folder:
+        yield Path(folder).resolve()
 
 
 def _reason(code: int, complaints: str, said: str) -> str:
@@ -246,30 +317,24 @@ def _choice(word: str, known: Sequence[str] | Mapping[str, object]) -> str:
     return f" (did you mean {close[0]}?)" if close else f"; there are {', '.join(known)}"
 
 
-@contextmanager
-def _namelist_file(namelist: str | Path | Groups, program: Path) -> Iterator[Path]:
-    """Give the file of a namelist; one that is made of values is there for the run only."""
+def _namelist_file(namelist: str | Path | Groups, program: Path, folder: Path) -> Path:
+    """Return the file of a namelist; one of values is written to `folder`."""
     if not isinstance(namelist, Mapping):
-        yield existing_file(Path(namelist)).resolve()
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "namelist.nml"
-        write_namelist(path, namelist, program=program)
-        yield path
+        return existing_file(path_of(namelist, "namelist")).resolve()
+    path = folder / "namelist.nml"
+    write_namelist(path, namelist, program=program)
+    return path
 
 
 def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, str]:
     """Return exit code, output and complaints of a command; output is shown as it comes."""
     said = []
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints:
-        try:
-            process = subprocess.Popen(
-                command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                stderr=complaints, text=True, errors="replace", start_new_session=True,
-            )  # fmt: skip
-        except OSError as problem:
-            raise InputError(f"{command[0]}: {problem.strerror}") from problem
-        with process:
+        with subprocess.Popen(
+            ended_with_python(command), cwd=folder, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=complaints, text=True, errors="replace",
+            start_new_session=True,
+        ) as process:  # fmt: skip
             try:
                 for line in process.stdout or ():
                     said.append(line)

@@ -6,6 +6,7 @@ import random
 import resource
 import shutil
 import signal
+import socket
 import subprocess
 import time
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from support.program import (
     MPIRUN,
     PATIENCE,
     PROGRAM,
+    Rank,
     assert_same,
     finish,
     kill_all,
@@ -124,6 +126,48 @@ def test_ranks_make_no_difference(tmp_path: Path, undisturbed: Path, ranks: int)
     complete(tmp_path, undisturbed, ranks)
     with h5py.File(tmp_path / "out.h5") as file:
         assert file.attrs["mpi_ranks"] == ranks
+
+
+def test_ranks_in_other_folders_are_refused(tmp_path: Path, interrupted: Path) -> None:
+    """A rank that does not see the folder of rank 0 writes nothing into what is there instead."""
+    here, there = tmp_path / "here", copy_of(interrupted, tmp_path)
+    write(here)
+    before = listing(tmp_path)
+    ranks = [Rank(["case.nml"], here), Rank(["case.nml"], there)]
+    ended = run(folder=tmp_path, ranks=ranks)
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    words = "does not see the folder that rank 0 writes to; start all ranks in one folder"
+    assert [f"out.h5: rank 1, on {socket.gethostname()}, {words}" in line
+            for line in ended.stderr.splitlines() if line.startswith("out.h5")] == [True]
+    assert listing(tmp_path) == before
+
+
+def test_ranks_may_have_other_paths_to_one_folder(tmp_path: Path, undisturbed: Path) -> None:
+    """What counts is what they see there."""
+    here, link = tmp_path / "here", tmp_path / "link"
+    write(here)
+    link.symlink_to(here)
+    ended = run(folder=tmp_path, ranks=[Rank(["case.nml"], here), Rank(["case.nml"], link)])
+    assert ended.returncode == 0, ended.stderr
+    complete(here, undisturbed)
+
+
+@pytest.mark.parametrize(("first", "second"), [
+    ("case.nml", "--check case.nml"), ("--help", "case.nml"), ("case.nml", "--overwrit case.nml"),
+])  # fmt: skip
+def test_ranks_with_other_command_lines_are_refused(
+    tmp_path: Path, first: str, second: str
+) -> None:
+    """One message, and nothing is written; no rank waits for another."""
+    write(tmp_path)
+    before = listing(tmp_path)
+    ended = run(folder=tmp_path, ranks=[Rank(first.split()), Rank(second.split())])
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    assert [line for line in ended.stderr.splitlines() if line.startswith("battery: ")] == [
+        f"battery: rank 1 was started with other words ({second}) than rank 0 ({first}); "
+        "allowed: one command line for all ranks"
+    ]
+    assert listing(tmp_path) == before
 
 
 def test_more_ranks_than_tasks(tmp_path: Path) -> None:
@@ -473,6 +517,36 @@ def test_overwrite_with_fewer_tasks(tmp_path: Path, interrupted: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["case.nml", "out.h5"]
 
 
+def test_a_run_that_ends_too_early_says_so(tmp_path: Path) -> None:
+    """Averages that would be of nothing fail their task; snapshots that are not taken are told."""
+    write(
+        tmp_path,
+        run={"collisions": 150, "engine": "'reservoir'"},
+        scan={"channel2_width": 0.1, "replicas": 1, "number": "2, 100"},
+        output={"series_interval": 0},
+    )
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr)
+    assert "task 2 failed: nothing is left for the averages" in ended.stdout
+    with h5py.File(tmp_path / "out.h5") as file:
+        np.testing.assert_array_equal(file["task_status"], [[0], [1]])
+        np.testing.assert_array_equal(np.isfinite(file["chi"]), [[True], [False]])
+    assert "snapshot" not in ended.stdout
+    write(
+        tmp_path,
+        run={"collisions": 150},
+        scan={"channel2_width": 0.1, "replicas": 1, "number": "2, 20"},
+        output={"file": "'short.h5'", "series_interval": 0},
+    )
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 0, (ended.returncode, ended.stdout, ended.stderr)
+    assert "1 of the complete tasks ended before the last of snapshot_times" in ended.stdout
+    with h5py.File(tmp_path / "short.h5") as file:
+        np.testing.assert_array_equal(
+            np.isnan(file["snapshots/x"][:, 0, :, 0]), [[False, False], [False, True]]
+        )
+
+
 def limit_memory() -> None:
     """Leave the program 8 GB of address space."""
     resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
@@ -482,7 +556,7 @@ def failing(folder: Path, ranks: int = 0, **output: Any) -> None:
     """One task of three has too many particles for the memory."""
     write(
         folder,
-        run={"collisions": 3_000_000},
+        run={"collisions": 3_000_000, "transient_collisions": 0},
         scan={"channel2_width": 0.1, "replicas": 1, "number": "100, 200000000, 50"},
         output={"snapshot_times": 0, "final_state": ".false.", **output},
     )
@@ -522,7 +596,7 @@ def test_memory_short_after_the_start(tmp_path: Path) -> None:
 
     write(
         tmp_path,
-        run={"collisions": 3_000_000},
+        run={"collisions": 3_000_000, "transient_collisions": 0},
         scan={"channel2_width": 0.1, "replicas": 1, "number": "100, 30000000"},
         output={"snapshot_times": 0, "final_state": ".false.", "series_interval": 0},
     )

@@ -137,7 +137,7 @@ def test_a_power_of_two_in_all_lengths_and_times_changes_no_bit_but_the_factor(
     """Events, states, series and averages are those of the table of radius 1, to the last bit."""
     one = scaled(tmp_path, engine, 0)
     assert len(one["events/time"]) > 100
-    assert np.all(np.isfinite(one["chi_error"]))
+    assert np.all(np.isfinite(one["chi"]))
     for power in POWERS:
         other = scaled(tmp_path, engine, power)
         assert other.keys() == one.keys()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import shutil
 import signal
 import time
 from typing import TYPE_CHECKING, Any
@@ -248,6 +249,21 @@ def test_precision_may_be_asked_for_later(tmp_path: Path, precise: Path) -> None
     write(tmp_path, scan=WIDTHS, precision=ASKED)
     complete(tmp_path)
     assert_same(tmp_path / "out.h5", precise)
+
+
+def test_all_replicas_may_be_asked_for_after_a_precision(tmp_path: Path, precise: Path) -> None:
+    """Without a precision every replica is asked for: that only adds. Fewer are refused."""
+    write(tmp_path / "grown", scan=WIDTHS)
+    shutil.copy(precise, tmp_path / "grown/out.h5")
+    ended = run("case.nml", folder=tmp_path / "grown")
+    assert ended.returncode == 2
+    assert "&precision chi_replica_error: was 0.003, is not given" in ended.stderr
+    all_replicas = {**WIDTHS, "replicas": 50}
+    write(tmp_path / "grown", scan=all_replicas)
+    assert "going on: " in complete(tmp_path / "grown")
+    write(tmp_path / "whole", scan=all_replicas)
+    complete(tmp_path / "whole")
+    assert_same(tmp_path / "grown/out.h5", tmp_path / "whole/out.h5")
 
 
 def test_check_counts_no_replica_that_is_not_asked_for(tmp_path: Path) -> None:

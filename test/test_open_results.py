@@ -110,7 +110,7 @@ def test_missing_tasks_are_not_numbers_and_it_is_said(tmp_path: Path) -> None:
     data = postproc.open_results(path)
     assert data.attrs["tasks"] == "2 of 4 tasks are complete"
     assert data.attrs["status"] == "partial"
-    for name in ("chi", "current1_error", "collisions", "time"):
+    for name in ("chi", "current1", "collisions", "time"):
         known = np.isfinite(data[name])
         assert known.values.tolist() == [[True, False], [False, True]], name
         assert (data[name].values[known] == whole[name].values[known]).all()
@@ -201,7 +201,7 @@ def not_hdf5(path: Path) -> None:
 
 
 BAD = {
-    other_version: r"of version 3.0.0 of battery; 0.1.x and 0.2.x can be read",
+    other_version: r"of version 3.0.0 of battery; 0.1.x to 0.3.x can be read",
     without_a_seal: "of a version before 0.2.0, or was changed: it has no digest at its end",
     another_grid: "damaged: its points do not fill the grid",
     damaged: "damaged: its digest is wrong",
@@ -236,6 +236,9 @@ def test_a_theory_or_group_that_is_not_there_is_named(tmp_path: Path) -> None:
         postproc.open_results(path, theory="widow")
     with pytest.raises(InputError, match="has no series"):
         postproc.open_results(path, group="series")
+    for group in ("chi", "", "/", "scan", 3):
+        with pytest.raises(InputError, match=r"there is no group .*; there are series, snapshots"):
+            postproc.open_results(path, group=group)
     unequal = results_of(tmp_path, {"channel2_width": "0.1"}, gate={"threshold": "5, 6"},
                          output={"file": "'unequal.h5'"}).with_name("unequal.h5")  # fmt: skip
     assert postproc.open_results(unequal)["gate_threshold"].values.tolist() == [5, 6]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import socket
@@ -210,6 +211,69 @@ def test_what_is_no_owner_is_named(tmp_path: Path, what: str) -> None:
     assert ended.returncode == 2, (ended.stdout, ended.stderr)
     assert "out.h5.owner: is not a file that a run has left; remove it" in ended.stderr
     assert target.read_text() == "precious"
+
+
+@pytest.mark.parametrize("text", ["precious", "mine since 2026-11-22\n", "a\0b", ""])
+def test_a_file_of_a_user_is_no_owner(tmp_path: Path, text: str) -> None:
+    """A file of that name that no run has left stays; an empty one is what a kill may leave."""
+    write(tmp_path)
+    owner = tmp_path / "out.h5.owner"
+    owner.write_text(text)
+    ended = program.run("case.nml", folder=tmp_path)
+    if text:
+        assert ended.returncode == 2, (ended.stdout, ended.stderr)
+        assert "out.h5.owner: is not a file that a run has left" in ended.stderr
+        assert owner.read_text() == text
+    else:
+        assert ended.returncode == 0, ended.stderr
+    assert names(tmp_path) == ["case.nml", "out.h5.owner" if text else "out.h5"]
+
+
+def test_what_an_owner_says_of_itself_gives_no_orders_to_a_terminal(tmp_path: Path) -> None:
+    """Control characters in the file of another owner are shown as numbers."""
+    write(tmp_path)
+    with (tmp_path / "out.h5.owner").open("w") as owner:
+        owner.write("\x1b[2Jhost\x9b 12 \x1b]0;title\x07")
+        owner.flush()
+        fcntl.lockf(owner, fcntl.LOCK_EX)
+        ended = program.run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    assert "on \\x1B[2Jhost\\xC2\\x9B, process 12, since \\x1B]0;title\\x07; wait" in ended.stderr
+
+
+@pytest.mark.parametrize("what", ["file", "link", "other contents"])
+def test_what_appears_under_the_name_of_the_output_stays(tmp_path: Path, what: str) -> None:
+    """The results are kept beside it, the message says where; when it is gone the run goes on."""
+    output = tmp_path / "out.h5"
+    if what == "other contents":
+        write(tmp_path)
+        assert program.run("case.nml", folder=tmp_path).returncode == 0
+        text = (tmp_path / "case.nml").read_text().replace("replicas = 2", "replicas = 500")
+        (tmp_path / "case.nml").write_text(text)
+    else:
+        write(tmp_path, collisions=LONG)
+    process, numbers = under_way(tmp_path, "case.nml")
+    if what == "link":
+        output.symlink_to("nowhere")
+    elif what == "file":
+        output.write_text("precious")
+    else:
+        with h5py.File(output, "r+") as file:
+            file.attrs["note"] = "precious"
+    before = (output.is_symlink() and output.readlink()) or output.read_bytes()
+    program.send(numbers, signal.SIGTERM)
+    ended = program.finish(process)
+    assert ended.returncode == 1, (ended.stdout, ended.stderr)
+    assert "out.h5.part: is whole, and is kept under this name, since out.h5 is" in ended.stderr
+    assert ((output.is_symlink() and output.readlink()) or output.read_bytes()) == before
+    with h5py.File(tmp_path / "out.h5.part") as file:
+        assert file.attrs["status"] == "partial"
+    output.unlink()
+    process = program.start("--quiet", "case.nml", folder=tmp_path)
+    assert program.wait_for((tmp_path / "out.h5.owner").exists, process)
+    program.send([process.pid], signal.SIGTERM)
+    assert program.finish(process).returncode == 3
+    assert names(tmp_path) == ["case.nml", "out.h5", "out.h5.tasks"]
 
 
 def test_refused_and_complete_runs_leave_no_owner(tmp_path: Path) -> None:

@@ -116,6 +116,10 @@ BAD = {
         "&run\n collisions = 10\n transient_collisions = 10\n/\n",
         ["transient_collisions = 10", "below collisions"],
     ),
+    "fewer collisions than particles": (
+        "&run\n collisions = 10\n/\n",
+        ["&run collisions = 10", "above number, which is 10, or transient_collisions = 0"],
+    ),
     "both lengths": (
         "&run\n collisions = 10\n duration = 10\n/\n",
         ["&run collisions", "duration"],
@@ -565,6 +569,21 @@ def test_summary_has_a_line_for_a_point_over_its_replicas(tmp_path: Path) -> Non
             assert line.split()[4] == "3"
     write(tmp_path, output={"file": "'out.h5'"})
     assert "polarised" not in run("--overwrite", "case.nml", folder=tmp_path).stdout
+
+
+def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None:
+    """Directions relax in 32 time units here: a run of ten times that has errors, half has none."""
+    wide = {"channel1_width": "0.9", "channel2_width": "0.6"}
+    for duration, known in (("170", False), ("1000", True)):
+        length = {"duration": duration, "transient_duration": "0"}
+        write(tmp_path, table=wide, run=length, output={"file": "'out.h5'"})
+        printed = run("--overwrite", "case.nml", folder=tmp_path).stdout
+        assert ("more replicas tell" in printed) is not known
+        with xarray.open_dataset(tmp_path / "out.h5") as root:
+            for name in ("chi", "current1", "polarised_current"):
+                assert np.isfinite(root[name].item())
+                assert np.isfinite(root[f"{name}_error"].item()) == known, name
+            assert "NaN" in root["chi_error"].attrs["long_name"]
 
 
 def test_event_log(tmp_path: Path) -> None:

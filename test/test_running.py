@@ -14,6 +14,7 @@ from support.program import ALONE, ENVIRONMENT, PROGRAM, assert_same
 from support.program import run as run_program
 
 import postproc
+from postproc.cli import InputError
 from postproc.running import RunError
 
 if TYPE_CHECKING:
@@ -124,6 +125,43 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="replicas"):
         postproc.run({**CASE, "scan": {"replicas": 0}}, folder=tmp_path, ranks=1_000_000,
                      launcher=unasked)
+
+
+def test_what_a_refused_run_made_is_removed(tmp_path: Path) -> None:
+    """Its folder and those above it, but nothing that was there."""
+    (tmp_path / "mine").mkdir()
+    for folder in ("new", "mine/deep/new"):
+        for wrong in ({"particles": {"number": 0}}, {"oyster": {}}, {"scan": {"replicas": 0}}):
+            with pytest.raises(ValueError, match=r"number|oyster|replicas"):
+                postproc.run({**CASE, **wrong}, folder=tmp_path / folder, quiet=True)
+    assert list(tmp_path.rglob("*")) == [tmp_path / "mine"]
+
+
+STRANGE = [None, 3, [1], b"x", ""]
+
+
+@pytest.mark.parametrize(
+    ("call", "strange"),
+    [
+        (lambda one: postproc.write_namelist(None, one), STRANGE),
+        (lambda one: postproc.write_namelist(one, CASE), STRANGE[1:]),
+        (lambda one: postproc.write_namelist(None, CASE, program=one), STRANGE[1:]),
+        (postproc.run, [*STRANGE, "a\0b", "a" * 5000]),
+        (lambda one: postproc.run(CASE, folder=one), STRANGE[1:]),
+        (lambda one: postproc.run(CASE, launcher=one), [*STRANGE, "mpirun -n"]),
+        (postproc.open_results, [*STRANGE, "a\0b", "a" * 5000]),
+        (lambda one: postproc.open_results("x.h5", theory=one), [None, 3, [[1]], [None], b"x"]),
+    ],
+)
+def test_arguments_of_another_kind_are_input_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Any, strange: list[Any]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for one in strange:
+        with pytest.raises(InputError) as caught:
+            call(one)
+        assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ R min(t/L, 1/(1 - q))/t to the variance of a mean over t.
 from __future__ import annotations
 
 import math
-import shutil
 import tempfile
 import time
 from dataclasses import dataclass, replace
@@ -27,8 +26,9 @@ import numpy as np
 from scipy import stats
 
 from postproc.accuracy import ladder, predictions
+from postproc.cli import InputError
 from postproc.reading.results import Results
-from postproc.running import run
+from postproc.running import RunError, plan, run
 from postproc.theory.circuit import gate_load
 from postproc.theory.models import MODELS
 from postproc.theory.renewal import RENEWAL
@@ -57,6 +57,8 @@ POLARISED = 0.05  # share of urn 1 at the start
 # what a theory takes at least, in s; of a transition about eight times as much
 THEORIES = {"window": 1e-3, "renewal": 3e-3, "two_port": 0.05, "direction": 1.0}
 ACROSS = 5  # thresholds of a scan across a transition
+LEAST = 1e-300  # error where replicas do not scatter
+TRIED = 100_000  # particles of a run that tells what a pilot takes
 SHIFTS = 4  # times that they are moved where chi does not fall through there
 
 
@@ -143,10 +145,10 @@ def table_of(circuit: Circuit) -> Groups:
     }
 
 
-def runs(
+def namelist_of(
     groups: Groups, quantity: str, thresholds: list[int] | None, length: Mapping[str, object]
-) -> Path:
-    """Run `excursion` from a polarised start; return the file. `length`: replicas and durations."""
+) -> Groups:
+    """Return runs of `excursion` from a polarised start. `length`: replicas and durations."""
     length = dict(length)
     scan: dict[str, object] = {"replicas": length.pop("replicas")}
     given = {key: dict(value) for key, value in groups.items() if key in ("table", "gate")}
@@ -157,8 +159,40 @@ def runs(
         given.pop("gate", None)
         scan["threshold"] = thresholds
     given |= {"particles": particles, "run": {"engine": "excursion", **length}, "scan": scan}
-    folder = Path(tempfile.mkdtemp(prefix="advice"))
-    return run({**given, "output": {"file": "runs.h5"}}, folder=folder, quiet=True)
+    return {**given, "output": {"file": "runs.h5"}}
+
+
+def cost_of(
+    groups: Groups, quantity: str, thresholds: list[int] | None, length: Mapping[str, object]
+) -> float:
+    """Return about how much processor time such runs take, in s.
+
+    The program tries one; of many particles a smaller one at the same density, for it takes minutes
+    to place 1e8, and time goes as their number, or somewhat faster.
+    """
+    number = int(groups["particles"]["number"])
+    share = min(1.0, TRIED / number)
+    tried = {key: dict(value) for key, value in groups.items()}
+    tried["particles"] = {"number": round(share * number)}
+    tried["particles"]["urn1_number"] = round(share * start_of(groups, quantity))
+    gates = thresholds[len(thresholds) // 2 :][:1] if thresholds else groups["gate"]["threshold"]
+    tried["gate"] = {"threshold": [round(share * one) for one in np.atleast_1d(gates).tolist()]}
+    one = namelist_of(tried, quantity, None, {**length, "replicas": 1})
+    with tempfile.TemporaryDirectory(prefix="advice") as folder:
+        seconds = plan(one, folder=folder).seconds
+    return seconds * int(length["replicas"]) * len(thresholds or [1]) / share
+
+
+def runs(
+    groups: Groups, quantity: str, thresholds: list[int] | None, length: Mapping[str, object]
+) -> Outcome:
+    """Make the runs of `namelist_of`; return what they say."""
+    namelist = namelist_of(groups, quantity, thresholds, length)
+    with tempfile.TemporaryDirectory(prefix="advice") as folder:
+        try:
+            return read(run(namelist, folder=folder, quiet=True), quantity)
+        except RunError as problem:
+            raise InputError(f"the runs of {quantity} failed: {problem}") from problem
 
 
 def start_of(groups: Groups, quantity: str) -> int:
@@ -179,7 +213,7 @@ class Outcome:
 
 
 def read(file: Path, quantity: str) -> Outcome:
-    """Return what a file of runs says; it is removed."""
+    """Return what a file of runs says."""
     with Results(file) as results:
         chi, seconds = results.value("chi"), float(results.value("cpu_seconds").sum())
         if quantity == "transition":
@@ -187,7 +221,6 @@ def read(file: Path, quantity: str) -> Outcome:
         else:
             values = results.value(quantity)[0]
             value, scatter = float(values.mean()), float(values.std(ddof=1))
-    shutil.rmtree(file.parent)
     return Outcome(value, scatter, chi.mean(axis=1), seconds)
 
 
@@ -205,8 +238,13 @@ def transition_of_runs(thresholds: Floats, chi: Floats) -> tuple[float, float]:
     return value, math.sqrt(square * count)
 
 
-def pilot(groups: Groups, circuit: Circuit, quantity: str, seed: int = 1) -> Pilot:
-    """Run it; again with a longer transient, or at other thresholds, if chi asks for that."""
+def pilot(
+    groups: Groups, circuit: Circuit, quantity: str, seed: int = 1, longest: float = math.inf
+) -> Pilot:
+    """Run it; again with a longer transient, or at other thresholds, if chi asks for that.
+
+    Raises `InputError` before it would take more than `longest` of a processor in all, in s.
+    """
     thresholds = thresholds_of(circuit) if quantity == "transition" else None
     critical, seconds = quantity == "transition", 0.0
     for _ in range(SHIFTS):
@@ -215,7 +253,14 @@ def pilot(groups: Groups, circuit: Circuit, quantity: str, seed: int = 1) -> Pil
             "replicas": REPLICAS, "seed": seed, "transient_duration": transient,
             "duration": (1.0 + MEASURED) * transient,
         }  # fmt: skip
-        told = read(runs(groups, quantity, thresholds, length), quantity)
+        if math.isfinite(longest):
+            asked = seconds + cost_of(groups, quantity, thresholds, length)
+            if asked > longest:
+                raise InputError(
+                    f"the pilot takes about {asked:.2g} s of a processor; "
+                    f"--pilot-seconds {math.ceil(1.5 * asked)} lets it"
+                )
+        told = runs(groups, quantity, thresholds, length)
         seconds += told.seconds
         if thresholds and not (math.isfinite(told.value) and math.isfinite(told.scatter)):
             thresholds = moved(thresholds, told.chi)
@@ -326,7 +371,7 @@ def chance_of_theory(
 
     Or of another measurement, which has a standard error of its own.
     """
-    error = math.hypot(found.error / math.sqrt(REPLICAS), other_error)
+    error = max(LEAST, math.hypot(found.error / math.sqrt(REPLICAS), other_error))
     within = tolerance * abs(found.value)
     low, high = ((value - found.value + sign * within) / error for sign in (-1.0, 1.0))
     return float(stats.t.cdf(high, REPLICAS - 1) - stats.t.cdf(low, REPLICAS - 1))
@@ -336,7 +381,7 @@ def chance_of_runs(
     found: Pilot, replicas: int, tolerance: float, other_error: float = 0.0
 ) -> float:
     """Return the chance that so many replicas are within a tolerance, as `chance_of_theory`."""
-    error = math.hypot(found.error / math.sqrt(replicas), other_error)
+    error = max(LEAST, math.hypot(found.error / math.sqrt(replicas), other_error))
     within = tolerance * abs(found.value) / error
     return float(2.0 * stats.t.cdf(within, REPLICAS - 1) - 1.0)
 
@@ -348,8 +393,9 @@ def replicas_for(found: Pilot, tolerance: float) -> int:
 
 
 def advise(
-    groups: Groups, circuit: Circuit, quantity: str, tolerance: float, found: Pilot | None = None
-) -> Advice:
+    groups: Groups, circuit: Circuit, quantity: str, tolerance: float, found: Pilot | None = None,
+    *, longest: float = math.inf,
+) -> Advice:  # fmt: skip
     """Return the cheapest rung that meets a relative tolerance with the chance `SURE`.
 
     However much time that takes: it is told. Where there is no such quantity the rung is "none".
@@ -360,10 +406,12 @@ def advise(
     circuit : the same.
     quantity : one of `QUANTITIES`.
     found : what a pilot said, if one was run.
+    longest : what a pilot may take of a processor, in s.
     """
-    found, start = found or pilot(groups, circuit, quantity), start_of(groups, quantity)
+    found = found or pilot(groups, circuit, quantity, longest=longest)
+    start = start_of(groups, quantity)
     rest = (found.value, found.seconds, found.thresholds)
-    if not (math.isfinite(found.value) and found.value != 0.0):
+    if not (math.isfinite(found.value) and math.isfinite(found.error) and found.value != 0.0):
         reason = f"A pilot of {REPLICAS} runs finds no {quantity}: nothing to be within a tolerance"
         if found.thresholds:
             reason += f" of; chi does not fall through {ladder.HALFWAY} at T = {found.thresholds}"

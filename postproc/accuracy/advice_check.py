@@ -51,7 +51,7 @@ def done(groups: Groups, circuit: Circuit, quantity: str, given: Advice) -> floa
         "replicas": given.replicas, "duration": given.duration,
         "transient_duration": given.transient_duration, "seed": 2,
     }  # fmt: skip
-    return advice.read(advice.runs(groups, quantity, given.thresholds, length), quantity).value
+    return advice.runs(groups, quantity, given.thresholds, length).value
 
 
 def truth(groups: Groups, quantity: str, found: Pilot, replicas: int) -> tuple[float, float]:
@@ -61,7 +61,7 @@ def truth(groups: Groups, quantity: str, found: Pilot, replicas: int) -> tuple[f
         "duration": 2.0 * found.transient + found.measured,
         "transient_duration": 2.0 * found.transient,
     }  # fmt: skip
-    told = advice.read(advice.runs(groups, quantity, found.thresholds, length), quantity)
+    told = advice.runs(groups, quantity, found.thresholds, length)
     return told.value, told.scatter / math.sqrt(length["replicas"])
 
 

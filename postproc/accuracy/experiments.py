@@ -21,6 +21,7 @@ from postproc.accuracy.events import CROSSING1, CROSSING2, ENTRY, read_log, stor
 from postproc.reading.results import Results
 from postproc.theory import ports, two_port
 from postproc.theory.circuit import Circuit, flow1, held_in_channels
+from postproc.theory.direction import diffusion
 from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def directions(job: Job) -> tuple[list[Row], list[dict]]:
             seen = entries_of(stories(read_log(results)))
         values = autocorrelations(*seen, lags, 0.5 * duration)
         mean, error = values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(GROUPS)
-        scale = predictions.DIFFUSION * width**2
+        scale = diffusion(1.0, width)
         if width == WIDTHS[0]:
             predicted = predictions.autocorrelation(scale, lags)
             rows += [
@@ -143,7 +144,7 @@ def directions(job: Job) -> tuple[list[Row], list[dict]]:
             ]
         fitted = [fitted_diffusion(lags, one) / width**2 for one in values]
         what = f"D r^2/w^2 a visit, w = {width:g}"
-        rows.append(Row(1, what, math.inf, predictions.DIFFUSION, *mean_of_groups(fitted)))
+        rows.append(Row(1, what, math.inf, scale / width**2, *mean_of_groups(fitted)))
         curves.append({"width": width, "lags": lags, "mean": mean, "error": error})
     return rows, curves
 

@@ -30,9 +30,9 @@ TITLES = {
 TEXTS = {
     1: "Single urn without a gate, N = T = 100. From entry to entry of one particle: cos(theta) "
     "is the time that the flight to the end wall would take along the axis over that which it "
-    "takes. sin(theta) diffuses with the generator D d/ds (1 - s^2) d/ds, D = 0.065 (w/r)^2 a "
-    "visit, so D r^2/w^2 is the same for all w; with the mean stay, which goes as 1/w, that "
-    "is the law of w^3 of the relaxation in time.",
+    "takes. sin(theta) diffuses with the generator D d/ds (1 - s^2) d/ds, D r^2/w^2 = 1/6 - "
+    "1/pi^2 = 0.0653 a visit in the limit of narrow openings, and nearly so for all w; with the "
+    "mean stay, which goes as 1/w, that is the law of w^3 of the relaxation in time.",
     2: "Circuit without gates (T = N = 1000), w = 0.3, w' = 0.01. Orbits that come back to an "
     "opening of two that lie opposite are polygons, and those with an even number of sides "
     "meet the other opening first: only odd ones return.",
@@ -43,7 +43,7 @@ TEXTS = {
     "since directions last 16 times as long. The column memory has two ports alone, without "
     "circulation.",
     4: "T = 7, w = 0.3. The rate at which particles begin to go round so many times or more "
-    "without a bounce in an urn is (n2/pi A) (w'^2/L) (1 + 2 s/(1 - s))/m, with the measured "
+    "without a bounce in an urn is (n2/pi A) (w'^2/L) (1 + 2 l'/(L - l'))/m, with the measured "
     "number n2 in the dense urn.",
     5: "N = 1000, w' = 0.01, from chi(0) = 0.4; T where chi falls through 0.3, averages over "
     "5000 time units. If chi took 3000 time units to relax there, as it has been said, an "

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import f90nml
 
-from postproc.cli import InputError, finite, output_folder
+from postproc.cli import InputError, ended_with_python, finite, output_folder
 from postproc.launcher import LAUNCHER
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ class Job:
         launcher = [] if alone else ["mpirun", "-n", str(self.ranks)]
         command = [*launcher, str(self.program.resolve()), "--quiet", *options, name]
         return subprocess.run(
-            command, cwd=self.folder, env={**os.environ, **LAUNCHER}, check=False, text=True,
-            stdin=subprocess.DEVNULL, capture_output=True,
+            ended_with_python(command), cwd=self.folder, env={**os.environ, **LAUNCHER},
+            check=False, text=True, stdin=subprocess.DEVNULL, capture_output=True,
         )  # fmt: skip
 
     def keep(self, part: str, numbers: Mapping[str, object]) -> Path:

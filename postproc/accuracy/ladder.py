@@ -15,10 +15,11 @@ from postproc.theory.circuit import Circuit, eta, half2_number, net_current2
 from postproc.theory.direction import transfer
 from postproc.theory.gates import WINDOW
 from postproc.theory.models import MODELS
-from postproc.theory.ports import returns_and_stay
+from postproc.theory.ports import mean_stay
 from postproc.theory.renewal import RENEWAL
+from postproc.theory.returns import return_chance
 from postproc.theory.states import stable_state
-from postproc.theory.visits import visits
+from postproc.theory.visits import unit_disc
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -118,7 +119,7 @@ def by_model(name: str) -> Callable[[Circuit], tuple[float, float]]:
     """
 
     def ask(circuit: Circuit) -> tuple[float, float]:
-        for kept in (visits, returns_and_stay, transfer):
+        for kept in (unit_disc, return_chance, mean_stay, transfer):
             kept.cache_clear()
         prepared, theory = MODELS[name].of(circuit)
         stable = [state for state in theory.states(prepared) if state.kind == "stable"]

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial import legendre
 
+from postproc.theory.direction import DIFFUSION
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-DIFFUSION = 0.065  # D of sin(theta) a visit, over (w/r)^2: of drawn visits, not of runs
 DEGREES = 40  # even Legendre polynomials of cos(theta) over sin(theta)
 
 
@@ -34,8 +35,8 @@ def mixed_conductance(circuit: Circuit) -> float:
 def circulation_rate(circuit: Circuit, dense: float, rounds: float) -> float:
     """Return how many particles a unit of time begin to go round so many times or more.
 
-    (n2/pi A) (w'^2/L) (1 + 2 s/(1 - s))/m with d, d' the distances of the chords from the centre,
-    L = 2 (d + d') + l + l' and s = l'/L; `dense` is n2, how many the dense urn holds.
+    (n2/pi A) (w'^2/L) (1 + 2 l'/(L - l'))/m with d, d' the distances of the chords from the centre,
+    L = 2 (d + d') + l + l'; `dense` is n2, how many the dense urn holds.
     """
     returning = float(circuit.channel2_length)
     length = 2.0 * float(sum(circuit.chords)) + float(circuit.channel1_length) + returning

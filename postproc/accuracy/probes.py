@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
-from postproc.cli import InputError, output_folder
+from postproc.cli import InputError, ended_with_python, output_folder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,7 +70,7 @@ def _text(job: Job, question: Question) -> str:
         raise InputError(f"{program}: no such program (make probes)")
     try:
         done = subprocess.run(
-            [str(program), *question.words], cwd=job.folder, check=False, text=True,
+            ended_with_python([program, *question.words]), cwd=job.folder, check=False, text=True,
             stdin=subprocess.DEVNULL, capture_output=True, timeout=question.patience,
         )  # fmt: skip
     except subprocess.TimeoutExpired as problem:

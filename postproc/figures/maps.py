@@ -74,9 +74,24 @@ def transition_lines(points: Points, circuit: Circuit, models: Sequence[Model]) 
     return lines
 
 
-def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], colour: str) -> None:
+def tricritical_places(circuit: Circuit, models: Sequence[Model]) -> Floats:
+    """Return T/N and w' where transitions of theories turn from a jump (left) to continuous.
+
+    Shape (2, theory that has one).
+    """
+    found = [place for model in models if (place := model.tricritical_place(circuit))]
+    return np.reshape(found, (-1, 2)).T / [[float(circuit.number)], [1.0]]
+
+
+def _draw_lines(
+    axes: Axes, points: Points, lines: Sequence[Line], marks: Floats, colour: str
+) -> None:
     for fraction, widths, dashes, label in lines:
         axes.plot(fraction, widths, color=colour, ls=dashes, lw=1.3, label=f"transition, {label}")
+    if marks.size:
+        other = style.BLACK if colour == "white" else "white"
+        axes.scatter(*marks, s=22, marker="D", color=colour, edgecolors=other, lw=0.6, zorder=3,
+                     label="tricritical: a jump on the left")  # fmt: skip
     low, high = edges(np.unique(points.channel2_width))[[0, -1]]
     axes.set_ylim(max(low, 0.0), high)
     borders = edges(np.unique(points.threshold)) / points.number[0]
@@ -88,7 +103,8 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = ALL) -> Fi
     points = gather(files)
     if np.unique(points.number).size > 1 or np.unique(points.channel1_width).size > 1:
         raise cli.InputError("figure numris needs runs of one N and one w")
-    lines = transition_lines(points, files[0].circuit(0), models)
+    circuit = files[0].circuit(0)
+    lines, marks = transition_lines(points, circuit, models), tricritical_places(circuit, models)
     starts = by_start(points)
     rows = len(starts) + (len(starts) > 1)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
@@ -101,11 +117,11 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = ALL) -> Fi
     for row, (name, part) in enumerate(starts):
         for axes, (field, label, look) in zip(panels[row], looks, strict=True):
             mesh = _draw(axes, part, getattr(part, field), look)
-            _draw_lines(axes, part, lines, "white")
+            _draw_lines(axes, part, lines, marks, "white")
             made.colorbar(mesh, ax=axes, label=label, pad=0.02)
             axes.set_title(f"{name}")
     if len(starts) > 1:
-        _draw_differences(made, panels[-1], starts, lines, looks)
+        _draw_differences(made, panels[-1], starts, lines, marks, looks)
     for axes in panels[-1]:
         style.label_fraction(axes)
     for axes in panels[:, 0]:
@@ -122,6 +138,7 @@ def _draw_differences(
     panels: Sequence[Axes],
     starts: list[tuple[str, Points]],
     lines: Sequence[Line],
+    marks: Floats,
     looks: list[tuple[str, str, dict[str, object]]],
 ) -> None:
     """Draw what the polarised start ends with less what the homogeneous start ends with."""
@@ -139,6 +156,6 @@ def _draw_differences(
         most = max(float(np.nanmax(np.abs(difference))), 1e-9)
         look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
         mesh = _draw(axes, common, difference, look)
-        _draw_lines(axes, common, lines, style.BLACK)
+        _draw_lines(axes, common, lines, marks, style.BLACK)
         made.colorbar(mesh, ax=axes, label=f"difference of\n{label}", pad=0.02)
         axes.set_title(r"$\chi(0) = 1$ less $\chi(0) = 0$")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,11 +28,13 @@ from postproc.theory.circuit import (
     in_urn,
     net_current2,
     single_urn_current,
+    transition_width,
 )
 from postproc.theory.kept import kept
 from postproc.theory.programs import there
 from postproc.theory.renewal import THEORIES
 from postproc.theory.states import State, stationary_states
+from postproc.theory.tricritical import cubic
 
 if TYPE_CHECKING:
     import argparse
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+STRONGEST = 4.0  # load of a gate over T at which a transition is a jump, whatever T
 STEPS = 20  # places on a line of transition from one whole T to the next
 WIDTHS = 400  # places between w' = 0 and 2r where a transition is looked for
 FEW_WIDTHS = 13  # of a theory that takes longer, as far as well mixed urns have a line
@@ -127,6 +131,22 @@ class Model:
             values = interpolate.PchipInterpolator(whole, values)(thresholds)
         return _where_zero(thresholds, widths, values)
 
+    def tricritical_place(self, circuit: Circuit) -> tuple[float, float] | None:
+        """Return (T, w') on the line of transition at this N where a jump turns continuous.
+
+        None where there is none, or the theory does not tell. Between whole T it is interpolated.
+        """
+        own = self.of(circuit)
+        load = 0.5 * float(circuit.number) * float(circuit.load_per_particle)
+        whole = range(max(int(load / STRONGEST), 1), int(load) + 1)
+        values = [cubic(replace(own, threshold=one)) for one in whole]
+        for one, (low, high) in zip(whole, pairwise(values), strict=False):
+            if low < 0.0 <= high:
+                part = low / (low - high)
+                widths = [transition_width(replace(own, threshold=at)) for at in (one, one + 1)]
+                return one + part, float(np.interp(part, [0.0, 1.0], widths))
+        return None
+
     def _widths(self, circuit: Circuit, _: NDArray[np.int_]) -> Floats:
         return np.linspace(0.0, 2.0 * float(circuit.urn_radius), WIDTHS, endpoint=False)
 
@@ -164,6 +184,9 @@ class Remembering(Model):
     flows: Callable[[Circuit, float], Floats] = two_port.flows
     growth: Callable[[Circuit], float] | None = None
     balanced: bool = True
+
+    def tricritical_place(self, _: Circuit) -> None:
+        """Return None: it does not tell."""
 
     @property
     def _theory(self) -> theories.Theory:
@@ -245,7 +268,7 @@ class Remembering(Model):
 
     def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
         """Return how long homogeneous and polarised state last by the chain (length/v)."""
-        if not self.balanced:
+        if not self.balanced or circuit.number < 2:  # one particle is always polarised
             return math.nan, math.nan
         own = self.of(circuit)
         one, two = kept(
@@ -323,5 +346,5 @@ def spread_and_current(
         (math.nan, math.nan) if one is None else (one.mass_spread, one.net_current)
         for one in states
     ]
-    spread, current = np.array(found).T
+    spread, current = np.reshape(found, (-1, 2)).T
     return spread, current

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -187,9 +188,11 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]) 
         axes.plot(
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
-        numbers = np.unique([one.number for one in part])
-        for model in models:
-            times = [one.of_chain(model) for one in part]
+        widths = {float(one.circuit.channel2_width) for one in part}
+        for width, model in product(sorted(widths), models):
+            line = [one for one in part if float(one.circuit.channel2_width) == width]
+            times = [one.of_chain(model) for one in line]
+            numbers = [one.number for one in line]
             axes.plot(numbers, times, color=colour, ls=model.dashes, lw=0.9)
 
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
-from postproc.cli import InputError
+from postproc.cli import InputError, path_of
 from postproc.reading.results import COMPLETE, NOT_ASKED, Results
 from postproc.theory.circuit import single_urn_current
 from postproc.theory.models import MODELS, describe
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, str]]]
 
+GROUPS = ("series", "snapshots", "final", "events")
 URN_MODELS = ("window", "renewal")  # that say something of the single urn
 # What a point of the scan is, whether it was scanned or not.
 PARAMETERS = (
@@ -71,26 +73,29 @@ def open_results(
         One line: the file is not there, damaged, of another version, or not of this program;
         there is no such model or group; the model is not for this table.
     """
-    models = [theory] if isinstance(theory, str) else list(theory)
+    models = [theory] if isinstance(theory, str) or not isinstance(theory, Iterable) else [*theory]
     for model in models:
-        if model not in MODELS:
+        if not (isinstance(model, str) and model in MODELS):
             raise InputError(f"there is no theory {model!r}; there are {', '.join(MODELS)}")
-    path = Path(file)
+    if not (group is None or (isinstance(group, str) and group in GROUPS)):
+        raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
+    path = path_of(file, "file")
     with Results(path) as results:
-        if group is not None and not (results.has(group) and group != "scan"):
+        if group is not None and not results.has(group):
             raise InputError(f"{path}: has no {group}")
         axes = results.axes()
         added = _theory(results, models) if models and group is None else {}
         attributes = dict(results.attributes)
-    data = _read(path)
+        data = results.dataset()
+        inner = results.dataset(group) if group is not None else None
     known = data["task_status"] == COMPLETE
     asked = int((data["task_status"] != NOT_ASKED).sum())
     attributes["tasks"] = f"{int(known.sum())} of {asked} tasks are complete"
     points = data[[name for name in PARAMETERS if name in data]]
-    if group is None:
+    if inner is None:
         data = data.drop_vars(list(points.data_vars)).assign(added)
     else:
-        data = _read(path, group).assign_coords(replica=data["replica"])
+        data = inner.assign_coords(replica=data["replica"])
         points = points.drop_vars(list(data.variables), errors="ignore")
     data = data.map(lambda one: _masked(one, known)).assign_coords(points.data_vars)
     data = _on_grid(_with_second_radius(data, axes), axes)
@@ -98,11 +103,6 @@ def open_results(
         data = data.isel(theory=0)
     data.attrs = attributes
     return data
-
-
-def _read(path: Path, group: str | None = None) -> xr.Dataset:
-    with xr.open_dataset(path, engine="h5netcdf", group=group, decode_times=False) as data:
-        return data.load()
 
 
 def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:

@@ -11,8 +11,21 @@ from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
+import xarray as xr
 
 from postproc.cli import InputError, existing_file
+from postproc.reading.layout import (
+    DATASETS,
+    FLOWS,
+    LENGTHS,
+    NUMBERS,
+    PARTICLES,
+    SCANNED,
+    TEXTS,
+    VERSION,
+    check_layout,
+    text_of,
+)
 from postproc.reading.seal import check_seal
 from postproc.theory.circuit import Circuit
 from postproc.theory.gates import WINDOW
@@ -33,9 +46,10 @@ KEPT = 1 << 28
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES = 2  # value of `point_status`
 POLARISED = 0.15  # chi from which on a state is taken to be polarised
-LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
-READABLE = ("0.1.", "0.2.")  # how the versions begin whose files are read
-FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
+LEAST, MOST = 1e-100, 1e100  # of lengths
+CORNERS = 1000  # most of an urn
+FEW = 4  # replicas that may agree by chance
+READABLE = ("0.1.", "0.2.", "0.3.")  # how the versions begin whose files are read
 
 
 @dataclass(frozen=True)
@@ -72,20 +86,60 @@ class Results:
         """Open `path`; raise `InputError` unless it holds results of this program."""
         self.path = path
         check_seal(existing_file(path))
-        self._file = h5py.File(path, "r")
+        try:
+            self._file = h5py.File(path, "r")
+        except OSError as problem:
+            raise InputError(f"{path}: cannot be opened as an HDF5 file") from problem
         self._kept: dict[str, NDArray[np.generic]] = {}
+        try:
+            self._check()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _check(self) -> None:
+        """Raise `InputError` unless all that is read is what the program writes."""
         missing = [name for name in NEEDED if name not in self._file]
         if missing or "namelist" not in self._file.attrs:
-            self._file.close()
             lacks = missing[0] if missing else "namelist"
-            raise InputError(f"{path}: HDF5, but not written by battery (it has no {lacks})")
+            raise InputError(f"{self.path}: HDF5, but not written by battery (it has no {lacks})")
+        check_layout(self.path, self._file)
         version = self.attributes.get("version", "")
-        if not version.startswith(READABLE):
-            self._file.close()
-            known = " and ".join(f"{one}x" for one in READABLE)
+        if not (version.startswith(READABLE) and VERSION.fullmatch(version)):
+            known = f"{READABLE[0]}x to {READABLE[-1]}x"
             raise InputError(
-                f"{path}: of version {version or 'unknown'} of battery; {known} can be read"
+                f"{self.path}: of version {version[:32] or 'unknown'} of battery; "
+                f"{known} can be read"
             )
+        self._check_values()
+
+    def _check_values(self) -> None:
+        """Raise `InputError` unless parameters of points are such as the program takes."""
+        number = self.value("number")
+        bounds = {
+            "number": (1, PARTICLES), "urn1_number": (0, number), "threshold": (0, 2**31),
+            "gate_threshold": (0, 2**31), "urn_radius": (LEAST, MOST),
+            "channel1_width": (LEAST, MOST), "channel1_length": (LEAST, MOST),
+            "channel2_width": (0, MOST), "channel2_length": (LEAST, MOST),
+            "task_status": (COMPLETE, NOT_ASKED), "point_status": (0, 3),
+        }  # fmt: skip
+        for name, (low, high) in bounds.items():
+            if not self.has(name):
+                continue
+            values = self.value(name)
+            if not ((low <= values) & (values <= high)).all():
+                raise InputError(f"{self.path}: {name} has values that no run can have")
+        for name in ("channel1_width", "channel2_width"):
+            widest = 2.0 * self.value("urn_radius").min(axis=1) if self.has("urn_radius") else MOST
+            disc = self.attributes.get("urn_shape", "disc") == "disc"
+            if disc and not (self.value(name) < widest).all():
+                raise InputError(f"{self.path}: {name} is wider than an urn")
+        for name in SCANNED:
+            greatest = MOST if name in LENGTHS else 2**31
+            if self.has(f"scan/{name}") and not (self.value(f"scan/{name}") <= greatest).all():
+                raise InputError(f"{self.path}: scan/{name} has values that no run can have")
+        self.scatterers  # noqa: B018 (it is read, so that what is wrong is found)
+        self.any_circuit(0)
 
     def __enter__(self) -> Results:
         """Return itself."""
@@ -98,7 +152,22 @@ class Results:
     @cached_property
     def attributes(self) -> dict[str, str]:
         """Root attributes as text: program, version, namelist, status ..."""
-        return {name: _text(value) for name, value in self._file.attrs.items()}
+        return {name: text_of(value) for name, value in self._file.attrs.items()}
+
+    def dataset(self, group: str | None = None) -> xr.Dataset:
+        """Return the datasets of the root or of a group, with dimensions as the list has them."""
+        inside = "" if group is None else f"{group}/"
+        variables = {}
+        for path, declared in DATASETS.items():
+            name = path.removeprefix(inside)
+            if path.startswith(inside) and "/" not in name and path in self._file:
+                attributes = self._file[path].attrs
+                told = {key: text_of(attributes[key]) for key in TEXTS if key in attributes}
+                told |= {key: attributes[key] for key in NUMBERS if key in attributes}
+                if path != "events/event":
+                    values = self._file[path][()]
+                    variables[name] = (declared.dims, values, told)
+        return xr.decode_cf(xr.Dataset(variables), decode_times=False)
 
     def has(self, name: str) -> bool:
         """Tell whether there is a dataset or group of that name."""
@@ -110,7 +179,7 @@ class Results:
 
     def unit(self, name: str) -> str:
         """Return the unit of a dataset."""
-        return _text(self._file[name].attrs.get("units", ""))
+        return text_of(self._file[name].attrs.get("units", ""))
 
     @property
     def points(self) -> int:
@@ -135,7 +204,7 @@ class Results:
             axis = self._file["scan"][name]
             whole = name in self._file and self._file[name].dtype.kind == "i"
             values = axis[()].astype(int) if whole else axis[()]
-            told = {key: _text(axis.attrs.get(key, "")) for key in ("units", "long_name")}
+            told = {key: text_of(axis.attrs.get(key, "")) for key in ("units", "long_name")}
             found[name] = (values, told)
         if math.prod(len(values) for values, _ in found.values()) != self.points:
             raise InputError(f"{self.path}: damaged: its points do not fill the grid of its scan")
@@ -203,8 +272,14 @@ class Results:
     @cached_property
     def scatterers(self) -> tuple[tuple[float, float, float], ...]:
         """Discs in channel 2: z, y, radius of each."""
-        values = [float(word) for word in self.attributes.get("scatterers", "").split()]
-        return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
+        try:
+            values = [float(word) for word in self.attributes.get("scatterers", "").split()]
+            found = tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
+        except ValueError as problem:
+            raise InputError(f"{self.path}: scatterers are no z, y, radius of each") from problem
+        if not all(map(math.isfinite, values)):
+            raise InputError(f"{self.path}: scatterers are no numbers")
+        return found
 
     def any_circuit(self, point: int) -> Circuit:
         """Return the circuit of a point, whose urns and gates need not be alike."""
@@ -233,10 +308,22 @@ class Results:
             return {}
         root = self._file.attrs
         if "urn_sides" in root:
-            one, two = (regular(int(root["urn_sides"]), radius) for radius in radii)
+            sides = int(np.ravel(root["urn_sides"])[0])
+            if not 4 <= sides <= CORNERS or sides % 2:
+                raise InputError(f"{self.path}: urn_sides is {sides}")
+            one, two = (regular(sides, radius) for radius in radii)
         else:
-            one, two = (outline_of(root[name]) for name in ("urn_vertices", "urn2_vertices"))
+            one, two = (
+                outline_of(self._corners(name)) for name in ("urn_vertices", "urn2_vertices")
+            )
         return {"outline": one, "urn2_outline": two if two != one else None}
+
+    def _corners(self, name: str) -> NDArray[np.float64]:
+        """Return the corners of an urn, shape (corner, 2)."""
+        found = np.asarray(self._file.attrs.get(name, math.nan), float)
+        if found.ndim != 2 or found.shape[1] != 2 or len(found) < 3 or not np.isfinite(found).all():
+            raise InputError(f"{self.path}: {name} are no corners of an urn")
+        return found
 
     def beyond_theory(self, point: int) -> bool:
         """Tell whether a table has scatterers or unlike sides: theories of figures know neither."""
@@ -273,14 +360,14 @@ class Results:
     def replica_mean(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return mean and standard error over the replicas of each point, shape (point,).
 
-        The error is the larger of what the spread of the replicas says and what the blocks within
-        them say (`NAME_error`): few replicas may agree by chance. One replica: its block error.
-        NaN where replicas fall into two states.
+        The error is what the spread of the replicas says. Few of them may agree by chance: up to
+        `FEW` it is no less than what their own errors say (`NAME_error`), and of one replica it is
+        its own, NaN if that is not known. NaN where replicas fall into two states.
         """
         one_state = self.done & ~self.two_states[:, None]
         values = np.where(one_state, self.value(name), math.nan)
-        blocks = self.value(f"{name}_error") if self.has(f"{name}_error") else 0.0 * values
-        return mean_and_error(values, blocks)
+        own = self.value(f"{name}_error") if self.has(f"{name}_error") else math.nan * values
+        return mean_and_error(values, own)
 
     def net_current(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return net current and its standard error over the replicas of each point.
@@ -297,8 +384,8 @@ class Results:
             along, along_error = self.replica_mean("polarised_current")
         else:
             sizes = np.abs(np.where(self.done, self.value("current1"), math.nan))
-            blocks = self.value("current1_error") if self.has("current1_error") else 0.0 * sizes
-            along, along_error = mean_and_error(sizes, blocks)
+            own = self.value("current1_error") if self.has("current1_error") else math.nan * sizes
+            along, along_error = mean_and_error(sizes, own)
         polarised &= np.isfinite(along)
         return np.where(polarised, along, current), np.where(polarised, along_error, error)
 
@@ -374,7 +461,7 @@ def opened(paths: Sequence[Path]) -> Iterator[list[Results]]:
 
 
 def mean_and_error(
-    values: NDArray[np.float64], block_errors: NDArray[np.float64]
+    values: NDArray[np.float64], own_errors: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return mean and standard error over the last axis of the finite values (`replica_mean`)."""
     good = np.isfinite(values)
@@ -383,16 +470,9 @@ def mean_and_error(
     mean = np.where(good, values, 0.0).sum(axis=-1) / safe
     squares = np.where(good, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1)
     between = np.sqrt(squares / np.maximum(count - 1, 1) / safe)
-    known = np.where(good & np.isfinite(block_errors), block_errors, 0.0)
-    within = np.sqrt((known**2).sum(axis=-1)) / safe
-    error = np.maximum(np.where(count > 1, between, 0.0), within)
-    empty = count == 0
-    return np.where(empty, math.nan, mean), np.where(empty, math.nan, error)
+    known = good & np.isfinite(own_errors)
+    within = np.sqrt(np.where(known, own_errors**2, 0.0).sum(axis=-1)) / safe
+    error = np.where(count <= FEW, np.maximum(np.where(count > 1, between, 0.0), within), between)
+    untold = (count == 0) | ((count == 1) & ~known.any(axis=-1))
+    return np.where(count == 0, math.nan, mean), np.where(untold, math.nan, error)
 
-
-def _text(value: object) -> str:
-    if isinstance(value, np.ndarray):
-        value = value.ravel()[0] if value.size else ""
-    if isinstance(value, bytes):
-        value = value.decode("utf-8", "replace")
-    return str(value).rstrip()

@@ -25,8 +25,8 @@ def main(arguments: list[str] | None = None) -> int:
     given = options.parse_args(arguments)
     models = {name: MODELS[name] for name in given.model or DEFAULT}
     with Results(given.file) as results:
-        results.say_if_partial()
         text = page(results, models)
+        results.say_if_partial()
     path = cli.output_folder(given.output) / f"{given.file.stem}.html"
     try:
         path.write_text(text, encoding="utf-8")

@@ -106,6 +106,8 @@ def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, obje
     """Return how far one theory is from the circuits of all files."""
     points = gather(files)
     known = points.where(np.isfinite(points.chi))
+    if known.number.size == 0:
+        raise cli.InputError("no point has a mass spread chi to compare")
     polarised, upper = known.chi > POLARISED, _upper(known)
     circuits = [
         replace(files[file].circuit(int(point)), **changes)
@@ -114,6 +116,7 @@ def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, obje
     expected = [expected_state(one, chi) for one, chi in zip(circuits, known.chi, strict=True)]
     chi, current = np.array(expected).T
     apart, both = np.abs(known.chi - chi), polarised & (current > 0.0)
+    errors = known.chi_error[polarised]
     return Comparison(
         name,
         known.number.size,
@@ -121,7 +124,7 @@ def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, obje
         _mean(apart[polarised]),
         _mean(apart[polarised & upper]),
         _root_mean_square((current[both] - known.current[both]) / current[both]),
-        _mean(known.chi_error[polarised]),
+        _mean(errors[np.isfinite(errors)]),
         **flow_ratios(files, changes),
     )
 

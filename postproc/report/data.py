@@ -133,7 +133,9 @@ def _told(scan: Scan, columns: Columns, at: int) -> str:
     """Return the line about a point: its keys and what was measured."""
     place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}" for name in scan.keys]
     found = [
-        f"{name} {columns[name][at]:.4g} ± {columns[f'{name}_error'][at]:.1g}"
+        f"{name} {columns[name][at]:.4g} ± {columns[f'{name}_error'][at]:.1g}".replace(
+            "± nan", "(error not known)"
+        )
         for name in MEASURED
         if math.isfinite(columns[name][at])
     ]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import html
 import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,6 +53,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 # The library says on the console that it will be silent; so said, it does not.
 SILENT = ('Bokeh.set_log_level("warn")', 'Bokeh.logger.set_level("warn")')
+SCRIPTS = "SCRIPTS-OF-THE-PAGE"  # stands in the template where their digests go
 IDLE = "Put the mouse on a point; click one to see its replicas."
 PALETTES = {"chi": "Viridis256", "current": "Inferno256"}
 ERRORS = "Cividis256"
@@ -106,7 +110,7 @@ class Page:
         self.cells = IndexFilter(list(range(self.results.points)))
         self.lines = ColumnDataSource(data.map_lines(self.results, self.scan, self.models))
         self.drawn = IndexFilter(list(range(len(self.lines.data["xs"]))))
-        self.reading = Div(text=IDLE, name="reading")
+        self.reading = Div(text=IDLE, name="reading", render_as_text=True)
         self.measured = [name for name in data.MEASURED if np.isfinite(self.columns[name]).any()]
 
     def panels(self) -> list[figure]:
@@ -228,7 +232,7 @@ class Page:
         heads = {name: name.replace("_", " ") for name in tasks.data}
         table = _table("replicas", tasks, heads, rows=min(count, 8), view=CDSView(filter=rows))
         shown = ColumnDataSource({key: [] for key in (*SERIES, "time", "colour", "replica")})
-        name, namelist = Div(name="name"), PreText(name="namelist")
+        name, namelist = Div(name="name", render_as_text=True), PreText(name="namelist")
         there = np.isfinite(columns.get("spread", np.empty(0)).reshape(-1, max(time.size, 1)))
         self.click = CustomJS(
             args={"points": self.points, "name": name, "rows": rows, "count": count,
@@ -267,7 +271,7 @@ def _table(
     # A head that is cut says nothing: columns share the width by the lengths of theirs.
     widths = {key: max(WIDTH_OF_NUMBER, WIDTH_OF_LETTER * len(title) + 16)
               for key, title in heads.items()}  # fmt: skip
-    columns = [TableColumn(field=key, title=title, width=widths[key])
+    columns = [TableColumn(field=key, title=html.escape(title), width=widths[key])
                for key, title in heads.items()]  # fmt: skip
     return DataTable(
         name=name,
@@ -346,4 +350,17 @@ def page(results: Results, models: dict[str, Model]) -> str:
             "namelist": results.attributes["namelist"],
         },
     )
-    return made.replace(*SILENT)
+    return _guarded(made.replace(*SILENT))
+
+
+def _guarded(text: str) -> str:
+    """Return a page whose own scripts run, by their digests, and nothing else that is in it.
+
+    They stand before and behind the contents, where no text of the results is.
+    """
+    before, behind = text.partition("<main>")[0], text.rpartition("</main>")[2]
+    scripts = [one for part in (before, behind)
+               for one in re.findall(r"<script>(.*?)</script>", part, flags=re.S)]  # fmt: skip
+    digests = (hashlib.sha256(one.encode()).digest() for one in scripts)
+    allowed = " ".join(f"'sha256-{base64.b64encode(one).decode()}'" for one in digests)
+    return text.replace(SCRIPTS, allowed, 1)

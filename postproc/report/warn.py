@@ -30,16 +30,21 @@ EXCESS = 0.05  # of the net current over what chi accounts for
 CIRCULATION = 0.06  # of the net current, at T = 7 and w' = 0.01 and less elsewhere
 SPREAD = 0.3  # chi from which on a current is held against it: less scatters
 BLOCKS = 8
+FREEDOM = 3  # slowest components that the error of a run comes from
 
 
 def disagreement(values: Floats, errors: Floats) -> float:
-    """Return the probability that replicas with these errors scatter as much by chance."""
+    """Return the probability that replicas with these errors scatter as much by chance.
+
+    Fisher's F of the variance of the replicas over the mean square of their errors, each of which
+    has `FREEDOM` degrees of freedom.
+    """
     good = np.isfinite(values) & np.isfinite(errors) & (errors > 0.0)
-    if np.count_nonzero(good) < 2:
+    size = np.count_nonzero(good)
+    if size < 2:
         return 1.0
-    value, weight = values[good], errors[good] ** -2
-    mean = np.average(value, weights=weight)
-    return float(stats.chi2.sf(np.sum(weight * (value - mean) ** 2), value.size - 1))
+    ratio = np.var(values[good], ddof=1) / np.mean(errors[good] ** 2)
+    return float(stats.f.sf(ratio, size - 1, FREEDOM * size))
 
 
 def _mean_of_blocks(values: Floats) -> tuple[float, float]:
@@ -111,13 +116,28 @@ def explanations(results: Results) -> list[str]:
             "urn remembers by which opening a particle came, so fewer go back by channel 2 than "
             "chance has it, and some circulate along the axis."
         )
+    untold = _untold(results)
+    if untold:
+        found.append(
+            f"At {untold} of {results.points} points an error is not known: one run is too short "
+            "to tell its own there. Replicas tell."
+        )
     counts = [_axial_of(results, point) for point in range(results.points)]
     if any(counts):
         found.append(
             f"{max(counts)} particles of a last snapshot run along the axis. They go round the "
-            "circuit for long, so that net currents scatter more than blocks of one run show."
+            "circuit for long, so that net currents scatter more than one run shows."
         )
     return found
+
+
+def _untold(results: Results) -> int:
+    """Return at how many points chi or the current has a mean and no error."""
+    pairs = [results.net_current()]
+    if results.shape == "circuit":
+        pairs.append(results.replica_mean("chi"))
+    untold = [np.isfinite(mean) & np.isnan(error) for mean, error in pairs]
+    return int(np.count_nonzero(np.any(untold, axis=0)))
 
 
 def _name(results: Results, point: int) -> str:
@@ -141,7 +161,7 @@ def _of_replicas(results: Results, point: int) -> list[str]:
         if disagreement(np.abs(values), errors) < UNLIKELY:
             listed = ", ".join(f"{abs(value):.4g}" for value in values if np.isfinite(value))
             found.append(
-                f"the {text} of the replicas ({listed}) disagree beyond their block errors."
+                f"the {text} of the replicas ({listed}) disagree beyond their own errors."
             )
     return found
 

@@ -56,7 +56,8 @@ def count_instructions(program: Path, valgrind: str, lengths: tuple[int, int] = 
         ]  # fmt: skip
         runs = [
             subprocess.Popen(
-                command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder
+                cli.ended_with_python(command), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                text=True, cwd=folder,
             )
             for command in commands
         ]
@@ -77,7 +78,7 @@ def run(program: Path, counted: Path, output: Path, console: Console) -> None:
         raise cli.InputError(f"{program}: no such program (make build)")
     cli.output_folder(output.parent)
     command = [str(program), "--json", str(output)]
-    if subprocess.run(command, check=False).returncode:
+    if subprocess.run(cli.ended_with_python(command), check=False).returncode:
         raise _spoken(command, "")
     found = parsed(output)
     memory = [peak_memory(program)]

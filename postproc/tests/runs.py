@@ -34,7 +34,7 @@ def results_of(path: Path, **groups: dict[str, object]) -> Path:
     """Run `CASE` with some keys changed (None: left out), its results in `path`; return that."""
     given = {"output": {}, **groups}
     given["output"] = {**given["output"], "file": path.name}
-    merged = {group: {**keys, **given.get(group, {})} for group, keys in CASE.items()}
+    merged = {group: {**CASE.get(group, {}), **given.get(group, {})} for group in CASE | given}
     case = {
         group: {key: value for key, value in keys.items() if value is not None}
         for group, keys in merged.items()

@@ -135,6 +135,26 @@ def test_what_is_not_there_is_said() -> None:
     assert "does not fall through 0.3 at T = [3, 4, 5, 6, 7]" in given.reason
 
 
+@pytest.mark.parametrize(
+    ("value", "scatter", "rung"), [(1.0, 0.0, "excursion"), (5.0, math.nan, "none")]
+)
+def test_replicas_that_do_not_scatter_have_an_answer(
+    value: float, scatter: float, rung: str
+) -> None:
+    """Of one particle chi is 1 in each; next to T = 1 no replica tells by what it scatters."""
+    circuit = Circuit(1, 1, 0.4, 0.02)
+    found = replace(FOUND, value=value, scatter=scatter)
+    assert advice.advise(advice.table_of(circuit), circuit, "chi", 0.02, found).rung == rung
+
+
+def test_a_pilot_that_takes_long_is_not_begun(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(advice, "run", lambda *_, **__: pytest.fail("a pilot was begun"))
+    assert call("advise", ["--number", "100000000", "--threshold", "700000"]) == 2
+    assert "--pilot-seconds" in capsys.readouterr().err
+
+
 @pytest.mark.full
 def test_advice_is_right() -> None:
     """Forty circuits drawn by chance, tolerances from 0.3 to 10 %: within two sigma."""

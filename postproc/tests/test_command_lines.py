@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from postproc.tests.commands import call
-from postproc.tests.runs import results_of
+from postproc.tests.runs import BARE, leave_out, results_of
 
 READERS = [["currents"], ["scene"], ["report"], ["compare"], ["mixing"], ["renewal_fit", "--data"]]
 READERS += [["figures", name] for name in ("numris", "comp05", "app2", "lifetimes")]
@@ -53,6 +54,82 @@ def test_no_whole_file(
     command, *words = reader
     assert call(command, [*words, str(files / name)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+SHORT = {"run": {"duration": 30.0, "transient_duration": 0.0}}
+ODD: dict[str, dict[str, dict[str, object]]] = {
+    "one": {"particles": {"number": 1}, "scan": {"threshold": 1, "replicas": 1}},
+    "two": {"particles": {"number": 2}, "scan": {"threshold": 0}},
+    "always": {"scan": {"threshold": 20}},
+    "closed": {"table": {"channel2_width": 0.0}},
+    "urn": {"table": {"shape": "urn"}},
+    "polygon": {"table": {"urn_shape": "polygon", "urn_sides": 6}},
+    "scatterers": {"table": {"channel2_width": 0.3, "scatterers": [0.0, 0.0, 0.05]}},
+    "map": {"scan": {"threshold": [1, 2], "channel2_width": [0.01, 0.05]}},
+    "bare": {"output": BARE},
+}
+QUICK = [(["mixing"], "*"), (["renewal_fit", "--data"], "*")]
+QUICK += [(["scene"], "one"), (["figures", "comp01"], "one"), (["figures", "lifetimes"], "map")]
+SLOW = [["scene"], ["currents"], ["report"], ["compare"]]
+SLOW += [["figures", name] for name in ("numris", "comp01", "comp05", "comp06", "app1", "app2")]
+SLOW += [["figures", name] for name in ("lifetimes", "circuits", "model")]
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder of results that are legal and unusual."""
+    folder = tmp_path_factory.mktemp("odd")
+    for name, given in ODD.items():
+        groups = {"particles": {"number": 20}, **SHORT, **given}
+        results_of(folder / f"{name}.h5", **groups)
+    for name, tasks in (("failed", [(0, 0)]), ("all_failed", [(0, 0), (0, 1)])):
+        leave_out(results_of(folder / f"{name}.h5", particles={"number": 20}, **SHORT), *tasks)
+    return folder
+
+
+def assert_answered(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Hold that it ends well, or says in one line why it does not."""
+    capsys.readouterr()
+    code, said = call(words[0], words[1:]), capsys.readouterr().err
+    assert code in (0, 2), words
+    assert code == 0 or said.count("\n") == 1, (words, said)
+
+
+@pytest.mark.parametrize(
+    ("reader", "names"),
+    [*QUICK, *(pytest.param(one, "*", marks=pytest.mark.full) for one in SLOW)],
+    ids=lambda one: " ".join(one) if isinstance(one, list) else one,
+)
+def test_unusual_results_have_an_answer(
+    odd: Path, tmp_path: Path, reader: list[str], names: str, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Figure, "savefig", lambda made, *_, **__: made.draw_without_rendering())
+    for file in sorted(odd.glob(f"{names}.h5")):
+        assert_answered([*reader, str(file)], capsys)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["theory", "--model", "window"],
+        ["theory", "--model", "renewal"],
+        ["lifetimes"],
+        *(
+            pytest.param(["advise", "--quantity", one], marks=pytest.mark.full)
+            for one in ("chi", "polarised_current", "transition")
+        ),
+    ],
+    ids=" ".join,
+)
+def test_unusual_circuits_have_an_answer(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    circuits = ["1 1", "1 0", "2 0", "2 5", "100 2", "100 200", "100 2 --channel2-width 0"]
+    for circuit in circuits:
+        number, threshold, *rest = circuit.split()
+        assert_answered([*command, "--number", number, "--threshold", threshold, *rest], capsys)
 
 
 @pytest.mark.parametrize("option", ["ranks", "tasks", "seconds", "service", "seed", "spread"])

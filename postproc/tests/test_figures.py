@@ -227,7 +227,12 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
         for label in (r"mass spread $\chi$", "net current (per unit time)")
     }
     assert [axes.get_xlabel() for axes in panels[4:]] == ["$T/N$"] * 2
-    assert labels_of(made) == [f"transition, {one.label}" for one in mixed]
+    *transitions, mark = labels_of(made)
+    assert transitions == [f"transition, {one.label}" for one in mixed]
+    assert mark.startswith("tricritical")
+    # at N = 1000, w = 0.3 the window turns at T = 8.4, the renewal gate, channels counted, at 7
+    places = np.asarray(panels[0].collections[1].get_offsets())
+    assert places[:, 0] == pytest.approx([0.0084, 0.0069], abs=2e-4)
 
 
 @pytest.mark.full

@@ -324,6 +324,8 @@ def test_error_of_replicas_covers_their_spread() -> None:
     mean, error = mean_and_error(values, np.full(values.shape, 0.01))
     assert np.mean(np.abs(mean - 1.0) < 2 * error) > 0.9
     assert mean_and_error(values[:, :1], np.full((500, 1), 0.07))[1] == pytest.approx(0.07)
+    assert np.isnan(mean_and_error(values[:, :1], np.full((500, 1), np.nan))[1]).all()
+    assert (mean_and_error(values[:, :2], np.full((500, 2), np.nan))[1] > 0.0).all()
 
 
 def test_counted_are_those_in_a_gate_heading_for_the_other() -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import integrate
 
 from postproc.tests.commands import call
 from postproc.theory import direction, fate, ports, two_port
@@ -137,13 +138,43 @@ def test_cosine_of_entries_is_remembered_over_visits() -> None:
     assert [found[k - 1] for k in (1, 5, 10, 20, 40)] == pytest.approx(expected, abs=0.035)
 
 
-def test_directions_diffuse_slower_through_narrower_openings() -> None:
-    rates = []
-    for width in (0.4, 0.2):
-        kernel = direction.transfer(1.0, width, 0.001).kernel[0, 0]
-        rates.append(-math.log(kernel[1, 1] / kernel[0, 0]) / 6.0)  # of l = 2
-    assert rates[0] / 0.4**2 == pytest.approx(0.065, rel=0.1)
-    assert rates[1] / 0.2**2 == pytest.approx(0.065, rel=0.1)
+# w and w', then K11, K12, K21 and K22 of the second Legendre polynomial by 4e6 drawn visits, and
+# their errors: postproc.accuracy.visits_check
+DRAWN = (
+    ((0.1, 0.05), (0.583808, 0.411443, 0.823611, 0.173733), (5.8e-4, 5.2e-4, 9.1e-4, 5.0e-4)),
+    ((0.03, 0.003), (0.902923, 0.0959015, 0.961474, 0.0395338), (5.6e-4, 2.3e-4, 1.8e-3, 4.8e-4)),
+    ((0.01, 0.01), (0.332694, 0.666719, 0.665974, 0.333312), (5.5e-4, 7.0e-4, 7.0e-4, 5.5e-4)),
+    ((0.001, 0.0005), (0.588433, 0.410987, 0.822184, 0.177146), (5.9e-4, 5.2e-4, 9.0e-4, 5.1e-4)),
+    ((0.003, 0.03), (0.0392779, 0.960114, 0.0955358, 0.903455), (4.8e-4, 1.8e-3, 2.3e-4, 5.6e-4)),
+)
+
+
+@pytest.mark.parametrize(("widths", "means", "errors"), DRAWN)
+def test_transfer_by_narrow_openings_is_that_of_drawn_visits(
+    widths: tuple[float, ...], means: tuple[float, ...], errors: tuple[float, ...]
+) -> None:
+    kernel = direction.transfer(1.0, *widths).kernel[:, :, 1, 1].ravel()
+    assert np.all(np.abs(kernel - means) < 5.0 * np.array(errors))
+
+
+def test_diffusion_of_directions_is_derived() -> None:
+    """It is half the mean square of y + y', with the density of returns; see the module's head."""
+
+    def density(mu: float, e: float, power: int) -> float:
+        return mu**power * math.log((1.0 + mu + e) / (1.0 + mu - e)) / e
+
+    norm, square = (
+        integrate.dblquad(density, 0.0, 1.0, 0.0, lambda e: 1.0 - e, args=(power,))[0]
+        for power in (0, 2)
+    )
+    assert norm == pytest.approx(math.pi**2 / 12.0, rel=1e-9)
+    assert 0.5 * square / norm == pytest.approx(direction.DIFFUSION, rel=1e-9)
+    assert pytest.approx(1.0 / 12.0, rel=0.2) != direction.DIFFUSION
+
+
+@pytest.mark.parametrize(("width", "expected"), [(0.3, 0.06642), (0.1, 0.06546), (1e-3, 0.06535)])
+def test_directions_diffuse_slower_through_narrower_openings(width: float, expected: float) -> None:
+    assert direction.diffusion(1.4, 1.4 * width) / width**2 == pytest.approx(expected, rel=2e-3)
 
 
 def test_where_fates_ask_for_no_direction_two_ports_come_out() -> None:

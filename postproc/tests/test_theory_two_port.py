@@ -14,12 +14,23 @@ from postproc.theory import circulation, ports, states, two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
+from postproc.theory.returns import limit, return_chance
 from postproc.theory.visits import first_multiple, visits
 
 PAPER = Circuit(1000, 7, gate=RENEWAL, occupation=True)
 # w', I/(G0 chi N) over both maps of Fig. numris (chi > 0.5, T >= 6), about +- 0.01
 CONDUCTANCES = ((0.004, 1.043), (0.010, 1.080), (0.020, 1.127), (0.032, 1.164),
                 (0.046, 1.181), (0.062, 1.188), (0.073, 1.189))  # fmt: skip
+# w and w', then a, t1 and t2 of 4e6 drawn visits and their errors: postproc.accuracy.visits_check
+Pair = tuple[float, float]
+DRAWN = (
+    ((0.3, 0.01), (0.0128768, 3.1e-4), (31.7244, 0.022), (34.4281, 0.39)),
+    ((0.1, 0.05), (0.177261, 3.3e-4), (70.5066, 0.066), (56.0933, 0.073)),
+    ((0.03, 0.003), (0.039419, 3.2e-4), (300.133, 0.2), (286.02, 1.0)),
+    ((0.01, 0.01), (0.333672, 3.3e-4), (494.843, 0.75), (492.886, 0.56)),
+    ((0.001, 0.0005), (0.177302, 3.3e-4), (7042.97, 8.0), (5639.53, 6.4)),
+    ((0.003, 0.03), (0.904291, 1.5e-4), (286.808, 1.0), (301.398, 0.95)),
+)
 
 
 def drawn(circuit: Circuit, opening: int, count: int) -> tuple[float, float]:
@@ -76,26 +87,56 @@ def test_table_of_4e5_drawn_visits(width: float, chance: float, stay2: float, st
     assert found.stay1 == pytest.approx(stay1, rel=0.006)
 
 
-@pytest.mark.parametrize("width", [1e-4, 1e-3])
-def test_only_odd_polygons_return_to_small_openings(width: float) -> None:
-    for width1, radius in ((0.3, 1.0), (0.7, 1.0), (0.3, 2.0)):
-        circuit = replace(PAPER, channel1_width=width1, channel2_width=width, urn_radius=radius)
-        expected = ports.return_chance_of_polygons(circuit)
-        assert ports.disc(circuit).return_chance == pytest.approx(expected, rel=2e-3)
+@pytest.mark.parametrize(("widths", "chance", "stay1", "stay2"), DRAWN)
+def test_ports_of_narrow_openings_are_those_of_drawn_visits(
+    widths: Pair, chance: Pair, stay1: Pair, stay2: Pair
+) -> None:
+    for radius in (1.0, 1.7):
+        found = ports.disc(Circuit(1, 1, *(radius * one for one in widths), radius))
+        assert found.return_chance == pytest.approx(chance[0], abs=5.0 * chance[1])
+        assert found.stay1 / radius == pytest.approx(stay1[0], abs=5.0 * stay1[1])
+        assert found.stay2 / radius == pytest.approx(stay2[0], abs=5.0 * stay2[1])
 
 
-def test_small_openings_remember_at_four_tenths_of_chance() -> None:
-    circuit = replace(PAPER, channel1_width=0.02, channel2_width=0.001)
-    found = ports.return_chance_of_polygons(circuit)
-    assert found == pytest.approx(4.0 / math.pi**2 * 0.05, rel=0.02)
+@pytest.mark.parametrize("wide", [0.5, 0.1, 0.03, 1e-3, 1e-4])
+def test_twice_as_many_corners_change_no_return_chance(wide: float) -> None:
+    for ratio in (1.0, 0.97, 0.5, 1e-2):
+        one, two = (return_chance(1.0, ratio * wide, wide, order) for order in (500, 1000))
+        assert one == pytest.approx(two, rel=1e-4)
+
+
+@pytest.mark.parametrize("widths", [(0.5, 0.9), (0.9, 0.5), (0.12, 0.12), (0.2, 0.19), (1.5, 1.6)])
+def test_polygons_and_visits_piece_by_piece_agree(widths: tuple[float, float]) -> None:
+    found = visits(0.9, *widths)
+    assert return_chance(0.9, *widths) == pytest.approx(found.share[found.same].sum(), rel=3e-4)
+
+
+def test_narrow_openings_have_a_return_chance_of_their_ratio_alone() -> None:
+    assert limit(1.0) == pytest.approx(1.0 / 3.0, rel=1e-12)
+    assert limit(1e-4) == pytest.approx(4e-4 / math.pi**2, rel=1e-3)
+    for ratio in (0.03, 0.2, 0.5, 0.9, 1.0, 1.3, 5.0):
+        found = return_chance(1.0, 1e-4 * ratio, 1e-4)
+        assert found == pytest.approx(limit(ratio), rel=1e-4)
+    # the wider, the farther from it
+    assert return_chance(1.0, 0.01, 0.3) < 0.97 * limit(1.0 / 30.0)
+
+
+def test_polygons_of_a_small_opening_are_those_whose_corners_pass_by_the_other() -> None:
+    largest = math.ceil(math.pi / math.asin(0.15)) - 1
+    total = 0.0
+    for n in range(3, largest + 1, 2):
+        k = np.arange(1, n)
+        total += float(np.sin(math.pi * k[np.gcd(k, n) == 1] / n).sum()) / n
+    assert return_chance(1.0, 1e-5, 0.3) == pytest.approx(0.25e-5 * total, rel=1e-4)
 
 
 @pytest.mark.parametrize("widths", [(0.3, 0.01), (0.3, 0.3), (0.2, 0.7), (1.0, 1.2)])
 def test_visits_through_either_opening_agree(widths: tuple[float, float]) -> None:
     # each summed by itself: read backwards, one's are the other's, and together they fill the urn
     circuit = Circuit(1, 1, *widths)
-    back1, stay1 = ports.returns_and_stay(1.0, *widths)
-    back2, stay2 = ports.returns_and_stay(1.0, *widths[::-1])
+    both = visits(1.0, *widths), visits(1.0, *widths[::-1])
+    back1, back2 = (found.share[found.same].sum() for found in both)
+    stay1, stay2 = ports.mean_stay(1.0, *widths), ports.mean_stay(1.0, *widths[::-1])
     assert widths[0] * (1.0 - back1) == pytest.approx(widths[1] * (1.0 - back2), rel=2e-4)
     filled = widths[0] * stay1 + widths[1] * stay2
     assert filled == pytest.approx(math.pi * float(circuit.urn_area), rel=1e-4)

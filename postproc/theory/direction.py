@@ -2,8 +2,8 @@
 
 A visit keeps the angle of incidence. From opening 1 to opening 1 the angle to the channel changes
 by the difference of two places on one arc only, so s = |sin(theta)| of successive entries into a
-gate diffuses, nearly as D d/ds (1 - s^2) d/ds with D about 0.065 (w/r)^2 a visit. Oblique
-particles stay long in the gate and are turned back again and again; the fast ones pass. With
+gate diffuses, nearly as D d/ds (1 - s^2) d/ds. Oblique particles stay long in the gate and are
+turned back again and again; the fast ones pass. With
 F_i(s), H_i(s) the densities of what urn i sends into channels 1 and 2, and q_i(s) the fate of
 `fate.passing`,
 
@@ -12,6 +12,16 @@ F_i(s), H_i(s) the densities of what urn i sends into channels 1 and 2, and q_i(
 The K are no diffusion but exact: K_oo'(s, s') is the density of exits through opening o' at s' of
 entries through opening o at s, summed over the pieces of `visits`. They stand in even Legendre
 polynomials, orthonormal over 0 ... 1, as do F, H and B; the first is the cosine law.
+
+D is half the mean square of the change of the angle, which is the sum of the places y and y' of
+entry and exit on their arcs. Were these independent it would be (w/r)^2/12. But for narrow openings
+a visit from y back to y' has passed by the opening before. With the lattice of `returns`, without a
+second opening, e = |y' - y| and mu = |y + y'| in units of the opening's arc have the density
+(12/pi^2) ln((1 + mu + e)/(1 + mu - e))/e on e + mu < 1, so that
+
+    D = (w/r)^2 <mu^2>/2 = (1/6 - 1/pi^2) (w/r)^2.
+
+Second eigenvalues of K11, exp(-6 D), have 0.0664, 0.0655 and 0.0653 at w/r = 0.3, 0.1 and 0.03.
 
 A circuit out of balance is held by taking from one urn and giving to the other, by the cosine law,
 what the gates and channel 2 leave over.
@@ -30,19 +40,19 @@ from scipy import optimize
 
 from postproc.theory import fate, ports
 from postproc.theory.chain import between
+from postproc.theory.circuit import Circuit
 from postproc.theory.circulation import circulating_current
 from postproc.theory.ports import stays
 from postproc.theory.states import State
-from postproc.theory.visits import visits
+from postproc.theory.visits import NARROW, visits
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from postproc.theory.circuit import Circuit
-
     Floats = NDArray[np.float64]
 
 POLYNOMIALS = 12
+DIFFUSION = 1.0 / 6.0 - 1.0 / math.pi**2  # D of narrow openings, in (w/r)^2 a visit
 NARROWEST = 1e-6  # channel 2, in radii: what stands for a closed one
 ROUNDS = 80  # at most, of the iteration that makes gates and flows agree
 AGREED = 1e-5  # change of fates, and of flows relative to the largest, at which it ends
@@ -84,10 +94,12 @@ def polynomials(sine: Floats) -> Floats:
 def transfer(radius: float, width1: float, width2: float) -> Transfer:
     """Return the transfer of directions by a disc with openings of these widths.
 
-    The entries through the wider opening come last: what they lack to the identities of `ports` (it
-    is below 1e-4) is made up for.
+    Summed over `visits`; what is lacking to everyone's leaving, below 1e-6, is made up for. Narrow
+    openings have their limit.
     """
     widths = (width1, width2)
+    if max(widths) < NARROW * radius:
+        return _narrow_transfer(radius, *widths)
     kernel, stay = np.zeros((2, 2, POLYNOMIALS, POLYNOMIALS)), np.zeros((2, POLYNOMIALS))
     for own, other in ((0, 1), (1, 0)):
         found = visits(radius, widths[own], widths[other])
@@ -102,6 +114,38 @@ def transfer(radius: float, width1: float, width2: float) -> Transfer:
     for own in (0, 1):  # everyone leaves
         kernel[own, own, 0, 0] += 1.0 - kernel[own, :, 0, 0].sum()
     return Transfer(kernel, stay)
+
+
+def _narrow_transfer(radius: float, width1: float, width2: float) -> Transfer:
+    """Return the transfer by narrow openings: chances, stays, and a diffusion for each way through.
+
+    How many chords, and from which place to which, has nothing to do with the incidence then.
+    """
+    widths = (width1, width2)
+    port = ports.disc(Circuit(1, 1, width1, width2, radius))
+    chance = np.array(
+        [[1.0 - port.across, port.across], [1.0 - port.return_chance, port.return_chance]]
+    )
+    degree = 2.0 * np.arange(POLYNOMIALS)
+    kernel = np.zeros((2, 2, POLYNOMIALS, POLYNOMIALS))
+    for own, other in ((0, 1), (1, 0)):
+        found = visits(radius, widths[own], widths[other])
+        place, weight = found.nodes()
+        square = 0.5 * (2.0 * place + found.shift) ** 2
+        for out, chosen in ((own, found.same), (other, ~found.same)):
+            diffusion = np.average(square[:, chosen], weights=weight[:, chosen])
+            kept = np.exp(-diffusion * degree * (degree + 1.0))
+            kernel[own, out] = np.diag(chance[own, out] * kept)
+    sine, weights = fate.directions()
+    chord = polynomials(sine) @ (weights * np.sqrt(1.0 - sine**2))
+    return Transfer(kernel, np.outer([port.stay1, port.stay2], chord / chord[0]))
+
+
+def diffusion(radius: float, width: float) -> float:
+    """Return D of directions, a visit, by the second eigenvalue exp(-6 D) of K11 without a w'."""
+    kernel = transfer(radius, width, NARROWEST * radius).kernel[0, 0]
+    first, second = np.sort(np.linalg.eigvals(kernel).real)[:-3:-1]
+    return math.log(first / second) / 6.0
 
 
 @dataclass(frozen=True)

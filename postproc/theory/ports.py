@@ -8,7 +8,7 @@ t1, t2 of those that came through 1 and 2 fill the urn evenly: w t1 + w' t2 = pi
 
 A well mixed urn has a = w'/(w + w') and t1 = t2. A disc with opposite openings has not: of the
 orbits that would come back to opening 2 those with an even number of chords meet opening 1 first,
-so only odd polygons return (`return_chance_of_polygons`), however small the openings.
+so only odd polygons return (`returns`), however small the openings.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.theory.returns import return_chance
 from postproc.theory.visits import visits
 
 if TYPE_CHECKING:
@@ -56,10 +57,10 @@ def well_mixed(circuit: Circuit) -> Ports:
 
 
 def disc(circuit: Circuit) -> Ports:
-    """Return the ports of the disc, by direct integration over its visits.
+    """Return the ports of the disc: chances by polygons, stays by integration over its visits.
 
-    Summed are the visits through the narrower opening; the identities above give the others'. A
-    closed channel 2 leaves nothing to remember.
+    Both are of the narrower opening; the identities above give the other's. A closed channel 2
+    leaves nothing to remember.
 
     Raises `InputError` if the urns are no discs.
     """
@@ -69,7 +70,8 @@ def disc(circuit: Circuit) -> Ports:
         return well_mixed(circuit)
     filled = math.pi * float(circuit.urn_area)
     narrow, wide = sorted(widths)
-    back, stay = returns_and_stay(float(circuit.urn_radius), narrow, wide)
+    radius = float(circuit.urn_radius)
+    back, stay = return_chance(radius, narrow, wide), mean_stay(radius, narrow, wide)
     other_stay = (filled - narrow * stay) / wide
     if widths[1] <= widths[0]:
         return Ports(back, widths[1] / widths[0] * (1.0 - back), other_stay, stay)
@@ -77,12 +79,11 @@ def disc(circuit: Circuit) -> Ports:
 
 
 @lru_cache(maxsize=512)
-def returns_and_stay(radius: float, own: float, other: float) -> tuple[float, float]:
-    """Return the share that leaves through the opening it came through, and the mean stay."""
+def mean_stay(radius: float, own: float, other: float) -> float:
+    """Return the mean time in the urn, in through the opening of width `own`."""
     found = visits(radius, own, other)
     _, weight = found.nodes()
-    mean = float((weight * stays(radius, found, own, other)).sum())
-    return float(found.share[found.same].sum()), mean
+    return float((weight * stays(radius, found, own, other)).sum())
 
 
 def stays(radius: float, found: Pieces, own: float, other: float) -> Floats:
@@ -98,18 +99,3 @@ def stays(radius: float, found: Pieces, own: float, other: float) -> Floats:
     ends = (radius * np.cos(place) - chord[own]) / np.cos(place - found.incidence)
     ends += (radius * np.cos(leaving) - behind) / np.cos(leaving + found.incidence)
     return 2.0 * radius * found.chords * np.cos(found.incidence) - ends
-
-
-def return_chance_of_polygons(circuit: Circuit) -> float:
-    """Return a for small w': the sum over odd polygons whose corners pass by opening 1.
-
-    a = w'/(4r) sum of sin(pi k/n)/n over odd n >= 3 with pi/n > asin(w/2r), k < n coprime to n. For
-    small w as well it is (4/pi^2) w'/w.
-    """
-    radius, width1 = float(circuit.urn_radius), float(circuit.channel1_width)
-    largest = math.ceil(math.pi / math.asin(0.5 * width1 / radius)) - 1
-    total = 0.0
-    for n in range(3, largest + 1, 2):
-        k = np.arange(1, n)
-        total += float(np.sin(math.pi * k[np.gcd(k, n) == 1] / n).sum()) / n
-    return 0.25 * float(circuit.channel2_width) / radius * total

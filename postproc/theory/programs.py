@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc.cli import InputError
+from postproc.cli import InputError, ended_with_python
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,10 +32,12 @@ def answers(name: str, lines: Sequence[str]) -> NDArray[np.float64]:
     """
     text = "".join(f"{line}\n" for line in lines)
     program = FOLDER / name
+    if not there(name):
+        raise InputError(f"{program}: no such file (make build builds it)")
     try:
-        done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    except OSError as problem:
-        raise InputError(f"{program}: {problem.strerror} (make build builds it)") from problem
+        done = subprocess.run(
+            ended_with_python([program]), input=text, capture_output=True, text=True, check=True
+        )
     except subprocess.CalledProcessError as problem:
         raise InputError(f"{program}: {problem.stderr.strip() or problem}") from problem
     return np.array([[float(word) for word in line.split()] for line in done.stdout.splitlines()])

@@ -3,14 +3,23 @@
 A visit that enters through an opening meets the circle, traced back, at an angle y within that
 opening's arc, |y| < asin(w/2r), measured from its middle. Every bounce then adds the same angle
 delta, the chord's, whose angle of incidence psi = (pi - delta)/2 never changes. Entries by the
-cosine law fill (delta, y) with the density r sin(delta/2)/2 (lines: r cos(psi) dpsi dy). At a given
-delta the whole arc of starts turns rigidly: after n chords it is shifted by n delta, and what then
-lies upon an opening leaves. So the visits of one delta fall into a few *pieces*, intervals of y
+cosine law fill (delta, y) with the density r sin(delta/2)/2 (lines: r cos(psi) dpsi dy). Lines that
+meet the arc of an opening at both ends never cross its chord: they are no visits and are left out.
+At a given delta the whole arc of starts turns rigidly: after n chords it is shifted by n delta, and
+what then lies upon an opening leaves. So the visits of one delta fall into a few *pieces*, of y
 that leave together; over delta they change smoothly between places where ends of arcs meet, which
-are known beforehand. Two nodes of Gauss between these make sums over pieces good to 2e-5.
+are known beforehand. Two nodes of Gauss between these make sums over pieces good to 3e-4, and to
+1e-4 if an opening is at least 0.3 r wide.
 
 The next shift upon an opening is found by Euclid's algorithm, not step by step: visits of a million
 chords cost as much as those of ten.
+
+Cells grow in number as the square of r over the wider opening. Where that is below `NARROW` of r,
+both openings are taken so much wider that it is `NARROW`; places are scaled back, and chords are as
+many more. In the limit of narrow openings that is exact: the places y + n delta mod 2 pi, in units
+of the opening, are heights of a lattice with a point for each n, and over delta all such lattices
+become equally likely, whatever the incidence. Mean stays are off by less than 0.4 %. (The chance to
+return needs none of this: `returns`.)
 """
 
 from __future__ import annotations
@@ -26,12 +35,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
     Flags = NDArray[np.bool_]
 
 TURN = 2.0 * math.pi
 TOUCH = 1e-13  # arcs that overlap by less do not meet
-LEAST_ORDER, LARGEST_ORDER = 24, 120  # chords up to which ends of arcs are told apart
+NARROW = 0.05  # of r: narrower openings are scaled up
+LEAST_ORDER = 24  # chords up to which ends of arcs are told apart, at least
 NEAREST = 1e-6  # of a rational part of a turn: the ladder of places towards it ends there
 RUNGS = 12  # of that ladder
 EVEN = 8000  # cells of even width besides, for what more chords do
@@ -48,7 +57,7 @@ class Pieces:
     incidence : psi, between 0 and pi/2; the mirror images with -psi are in the weights.
     low, high : between which y the piece enters.
     shift : by how much further from the middle of the opening of exit, than y from that of entry.
-    chords : how many.
+    chords : how many; of narrow openings, on average.
     same : whether it leaves through the opening it came through.
     """
 
@@ -57,7 +66,7 @@ class Pieces:
     low: Floats
     high: Floats
     shift: Floats
-    chords: Integers
+    chords: Floats
     same: Flags
 
     @property
@@ -109,23 +118,29 @@ def _next(delta: Floats, angle: Floats, low: Floats, high: Floats) -> Floats:
     return found
 
 
-def _nodes(own: float, other: float, order: int) -> tuple[Floats, Floats]:
+def _nodes(own: float, other: float) -> tuple[Floats, Floats]:
     """Return nodes and weights over delta = 0 ... pi, by two a cell.
 
     `own` and `other` are the openings' half angles. Cells end where, after n <= `order` chords, an
     end of the arc of starts meets an end of an opening, and on a ladder towards each rational part
     of a turn that visits wind around for long.
     """
-    n = np.arange(1, order + 1)[:, None]
-    part = TURN * np.arange(order + 1)[None, :] / n
-    ends = [part + gap / n for gap in (-2.0 * own, 0.0, 2.0 * own)]
-    ends += [part + (math.pi + one * own + two * other) / n for one in (-1, 1) for two in (-1, 1)]
-    winding = n[:, 0] < 2.0 * math.pi / max(own, other)
+    longest = TURN / max(own, other)
+    order = max(int(longest) + 8, LEAST_ORDER)
+    n = np.arange(1, order + 1)
+    count = n // 2 + 1
+    n = np.repeat(n, count)
+    k = np.arange(n.size) - np.repeat(np.cumsum(count) - count, count)
+    lowest = np.gcd(k, n) == 1  # or fewer chords do the same
+    part, corners = TURN * k[lowest] / n[lowest], n[lowest]
+    ends = [part + gap / corners for gap in (-2.0 * own, 0.0, 2.0 * own)]
+    lowest = np.gcd(2 * k + 1, n) == 1
+    opposite, corners = math.pi * (2 * k[lowest] + 1) / n[lowest], n[lowest]
+    ends += [opposite + (one * own + two * other) / corners for one in (-1, 1) for two in (-1, 1)]
     rungs = np.geomspace(NEAREST, 0.1, RUNGS)
-    near = part[winding][:, :, None] + np.concatenate([-rungs, rungs]) / n[winding][:, :, None]
-    places = np.concatenate(
-        [np.linspace(0.0, math.pi, EVEN + 1), *(one.ravel() for one in [*ends, near])]
-    )
+    part, corners = (TURN * k / n)[n < 0.25 * longest], n[n < 0.25 * longest]
+    near = part[:, None] + np.concatenate([-rungs, rungs]) / corners[:, None]
+    places = np.concatenate([np.linspace(0.0, math.pi, EVEN + 1), *ends, near.ravel()])
     places = np.unique(places[(places >= 0.0) & (places <= math.pi)])
     places = places[np.concatenate([[True], np.diff(places) > 1e-12])]
     middle, half = 0.5 * (places[1:] + places[:-1]), 0.5 * np.diff(places)
@@ -133,7 +148,6 @@ def _nodes(own: float, other: float, order: int) -> tuple[Floats, Floats]:
     return np.concatenate([middle - gap, middle + gap]), np.concatenate([half, half])
 
 
-@lru_cache(maxsize=64)
 def visits(radius: float, own_width: float, other_width: float) -> Pieces:
     """Return all visits that enter a disc through one of two opposite openings.
 
@@ -142,10 +156,23 @@ def visits(radius: float, own_width: float, other_width: float) -> Pieces:
     radius : r of the disc.
     own_width, other_width : chords of the opening of entry and of the other, below 2r.
     """
-    own, other = (math.asin(0.5 * width / radius) for width in (own_width, other_width))
-    order = int(np.clip(math.pi / max(own, other) + 8.0, LEAST_ORDER, LARGEST_ORDER))
-    delta, weight = _nodes(own, other, order)
-    weight = weight * np.sin(0.5 * delta) * radius
+    wider = max(own_width, other_width) / radius
+    scale = max(1.0, NARROW / wider)
+    found = unit_disc(scale * own_width / radius, scale * other_width / radius)
+    if scale == 1.0:
+        return found
+    return Pieces(
+        scale * found.weight, found.incidence, found.low / scale, found.high / scale,
+        found.shift / scale, found.chords * scale, found.same,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def unit_disc(own_width: float, other_width: float) -> Pieces:
+    """Return the visits to a disc of radius 1."""
+    own, other = (math.asin(0.5 * width) for width in (own_width, other_width))
+    delta, weight = _nodes(own, other)
+    weight = weight * np.sin(0.5 * delta)
     node, low, high = np.arange(delta.size), np.full(delta.size, -own), np.full(delta.size, own)
     chords = np.ones(delta.size)
     rows = []
@@ -180,4 +207,4 @@ def visits(radius: float, own_width: float, other_width: float) -> Pieces:
     weight = weight[node]
     weight = weight / np.sum(weight * (high - low))
     incidence = 0.5 * (math.pi - delta[node])
-    return Pieces(weight, incidence, low, high, shift, chords.astype(np.int64), same)
+    return Pieces(weight, incidence, low, high, shift, chords, same)

@@ -4,7 +4,7 @@ module battery_text
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, lines_of, closest_word, is_one_of
-  public :: new_line_character
+  public :: new_line_character, printable
 
   character(len=1), parameter :: new_line_character = achar(10)
 
@@ -166,6 +166,46 @@ contains
     end do
   end function lines_of
 
+  !> Text for a terminal: every control character but tab and line feed becomes `\x` and two
+  !> hexadecimal digits. What comes out of a file may hold sequences that move the cursor or type
+  !> for the user. In UTF-8 the bytes 80 to 9F continue a character; alone, or behind C2, they are
+  !> control characters too.
+  pure function printable(text) result(clean)
+    !> Of any origin, in ASCII or UTF-8.
+    character(len=*), intent(in) :: text
+    character(len=:), allocatable :: clean
+    logical :: control(len(text))
+    integer :: at, length, code, before, next
+
+    before = 0
+    do at = 1, len(text)
+      code = iachar(text(at:at))
+      next = 0
+      if (at < len(text)) next = iachar(text(at + 1:at + 1))
+      select case (code)
+      case (9, 10)
+        control(at) = .false.
+      case (0:8, 11:31, 127)
+        control(at) = .true.
+      case (128:159)
+        control(at) = before < 128 .or. before == 194
+      case default
+        control(at) = code == 194 .and. next >= 128 .and. next < 160
+      end select
+      before = code
+    end do
+    allocate (character(len=len(text) + 3*count(control)) :: clean)
+    length = 0
+    do at = 1, len(text)
+      if (control(at)) then
+        write (clean(length + 1:length + 4), '(a, z2.2)') '\x', iachar(text(at:at))
+        length = length + 4
+      else
+        clean(length + 1:length + 1) = text(at:at)
+        length = length + 1
+      end if
+    end do
+  end function printable
 
   !> All texts of a list, with a separator between them.
   pure function join(list, separator) result(text)

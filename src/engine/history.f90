@@ -38,8 +38,8 @@ module battery_history
     integer(int8), allocatable :: crossing(:)
     !> Wall collisions that became known in the window (see `engine_type%collisions`).
     integer(int64) :: collisions = 0
-    !> How often a gate reversed, and how many particles it turned back.
-    integer(int64) :: reversals = 0, bounce_backs = 0
+    !> How often the gate of each urn reversed, and how many particles both turned back.
+    integer(int64) :: reversals(2) = 0, bounce_backs = 0
     !> Sum of |N1 - N2| over the states after each wall collision, and how many there were; only
     !> from engines that see each collision.
     integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
@@ -132,7 +132,7 @@ contains
     integer, intent(in) :: gate, counted
 
     if (history%logging) call record_event(history, time, event_reversal, gate, counted)
-    history%reversals = history%reversals + 1
+    history%reversals(gate) = history%reversals(gate) + 1
     history%bounce_backs = history%bounce_backs + counted
   end subroutine record_reversal
 

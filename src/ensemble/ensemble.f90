@@ -6,6 +6,7 @@
 !> killed goes on from its journal; results depend on the plan alone, not on ranks, order or stops.
 module battery_ensemble
   use battery_kinds, only: wp, dp, int64
+  use battery_agreement, only: check_place
   use battery_clocks, only: wall_seconds, utc_now
   use battery_communicator, only: communicator_type, board_type, open_board, close_board, &
     read_board, share_error, share_text, summary_of, tasks_finished, tasks_failed, collisions_done
@@ -52,6 +53,11 @@ contains
     if (allocated(error)) return
     call share_text(communicator, ownership%path, 0)
     call share_text(communicator, ownership%text, 0)
+    call check_place(communicator, ownership, plan%file, error)
+    if (allocated(error)) then
+      call give_up_ownership(ownership)
+      return
+    end if
     began = wall_seconds()
     begun = utc_now()
     if (plan%checkpoint_minutes > 0.0_dp) &

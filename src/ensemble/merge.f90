@@ -1,7 +1,7 @@
 !> From the journal of an ensemble to its results file.
 module battery_merge
   use battery_kinds, only: wp, dp, int64
-  use battery_error, only: error_type
+  use battery_error, only: error_type, exit_bad_input
   use battery_files, only: file_exists
   use battery_fingerprint, only: fingerprint_text
   use battery_journal, only: journal_type, read_rank_file, rank_files_of
@@ -37,7 +37,8 @@ contains
     type(metadata_type) :: metadata
     integer, allocatable :: wanted(:)
 
-    call collect_results(plan, journal, .true., results, failures, wanted)
+    call collect_results(plan, journal, .true., results, failures, wanted, error)
+    if (allocated(error)) return
     call forget_unasked(results, wanted)
     call add_origin(metadata)
     call add_text(metadata, 'namelist', plan%text)
@@ -60,7 +61,7 @@ contains
     metadata%hosts = join(results%host, new_line_character)
     metadata%mpi_ranks = journal%ranks
     metadata%start_time = real(plan%start_time, dp)
-    call write_results(plan%file, results, metadata, error)
+    call write_results(plan%file, results, metadata, journal%ownership%before, error)
   end subroutine merge_results
 
   !> Numbers set apart by blanks.
@@ -78,7 +79,7 @@ contains
 
   !> All results there are, in the arrays of the results file. A file that is there is read only
   !> where the journal does not have all.
-  subroutine collect_results(plan, journal, whole, results, failures, wanted)
+  subroutine collect_results(plan, journal, whole, results, failures, wanted, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     !> Whether points, seeds, series, states and events are collected as well.
@@ -88,9 +89,10 @@ contains
     type(string_type), allocatable, intent(out) :: failures(:)
     !> Replicas that are asked for, (point).
     integer, allocatable, intent(out) :: wanted(:)
+    !> The file is whole, but not what this program writes; one that is damaged is passed over.
+    type(error_type), allocatable, intent(out) :: error
     type(task_result_type), allocatable :: found(:)
     type(results_type) :: before
-    type(error_type), allocatable :: error
     type(roster_type) :: roster
     type(task_type) :: task
     integer, allocatable :: files(:)
@@ -113,9 +115,15 @@ contains
         call take(found(k))
       end do
     end do
-    if (any(results%task_status /= task_complete)) &
+    if (any(results%task_status /= task_complete) .and. file_exists(plan%file)) then
       call read_results(plan%file, whole, before, error)
-    if (allocated(before%seed) .and. .not. allocated(error)) then
+      if (allocated(error)) then
+        if (error%code == exit_bad_input) return
+        deallocate (error)
+        if (allocated(before%seed)) deallocate (before%seed)
+      end if
+    end if
+    if (allocated(before%seed)) then
       do p = 1, size(before%task_status, 2)
         do r = 1, before%replicas
           k = number_in(roster, kept_in_results(plan, before%seed(r, p)))

@@ -6,6 +6,7 @@ module battery_outlook
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_limits, only: memory_type, memory_left
+  use battery_answer, only: write_plan_answer
   use battery_needs, only: needs_type, needs_of
   use battery_preparation, only: progress_type, look_at_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
@@ -25,14 +26,19 @@ module battery_outlook
   integer, parameter :: most_tries = 5
   real(dp), parameter :: try_seconds = 0.4_dp
 
+  !> Bytes that a process has taken when it asks what is left.
+  real(dp), parameter :: taken = 30.0e6_dp
+
 contains
 
   !> Prints the plan and what it will cost on `ranks` ranks, `sharing` of them on one machine.
-  subroutine print_outlook(plan, ranks, sharing, overwrite, error)
+  subroutine print_outlook(plan, ranks, sharing, overwrite, json, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks, sharing
     !> Whether what is there would be discarded.
     logical, intent(in) :: overwrite
+    !> JSON file for tasks, time and memory; empty: none.
+    character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
     type(needs_type) :: needs
@@ -62,6 +68,8 @@ contains
     call print_memory(needs, left)
     call say('results:    '//plan%file)
     call say('nothing was written')
+    call write_plan_answer(json, task_count(plan), size(progress%pending), seconds, &
+      memory_a_rank(needs), error)
 
   contains
 
@@ -101,18 +109,23 @@ contains
   subroutine print_memory(needs, left)
     type(needs_type), intent(in) :: needs
     type(memory_type), intent(in) :: left
-    !> Bytes that a process has taken when it asks what is left.
-    real(dp), parameter :: taken = 30.0e6_dp
 
-    call say('memory:     about '//size_text(taken + base_bytes + needs%particles + needs%series &
-      + needs%estimated_series + needs%snapshots + needs%final_state + needs%events) &
-      //' a rank; rank 0 about '//size_text(taken + base_bytes + needs%merge)//' at the end; ' &
+    call say('memory:     about '//size_text(memory_a_rank(needs))//' a rank; rank 0 about ' &
+      //size_text(taken + base_bytes + needs%merge)//' at the end; ' &
       //'there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
     if (needs%events > 0.0_dp) call say('            events take about '//size_text(needs%events) &
       //' of it; a run whose events outgrow the memory fails')
     if (needs%too_large > 0) call say('            '//counted(needs%too_large, 'point') &
       //' with up to '//to_text(needs%greatest)//' particles need more: their tasks will fail')
   end subroutine print_memory
+
+  !> Bytes that a rank takes while it runs.
+  pure real(dp) function memory_a_rank(needs) result(bytes)
+    type(needs_type), intent(in) :: needs
+
+    bytes = taken + base_bytes + needs%particles + needs%series + needs%estimated_series &
+      + needs%snapshots + needs%final_state + needs%events
+  end function memory_a_rank
 
   subroutine print_parameters(plan)
     type(plan_type), intent(in) :: plan

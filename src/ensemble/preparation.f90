@@ -36,6 +36,10 @@ module battery_preparation
     real(dp) :: expected = -1.0_dp
   end type progress_type
 
+  !> What can be done about a file that stands where the results are to go.
+  character(len=*), parameter :: leave_it = ', but is there already; name another output file, ' &
+    //'move it away, or discard it with --overwrite'
+
 contains
 
   !> Rank 0 looks at what is there: results that are complete, a journal to go on with, or neither.
@@ -121,7 +125,11 @@ contains
     if (.not. allocated(error)) call look_at_journal(plan, progress%complete, found, error)
     if (allocated(error)) return
     call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
-    call collect_results(plan, journal, .false., results, failures, wanted)
+    call collect_results(plan, journal, .false., results, failures, wanted, error)
+    if (allocated(error)) then
+      error%message = error%message//leave_it
+      return
+    end if
     progress%finished = count(results%task_status == task_complete)
     if (progress%complete) then
       remark = plan%file//' is complete; --overwrite runs it again'
@@ -225,8 +233,7 @@ contains
         //'remove the file, or compute it again with --overwrite'
       call move_alloc(error, damage)
     else
-      error%message = error%message//', but is there already; name another output file, ' &
-        //'move it away, or discard it with --overwrite'
+      error%message = error%message//leave_it
     end if
   end subroutine look_at_results_file
 
@@ -297,8 +304,10 @@ contains
 
     call parse_namelist(before, plan%file, old, error)
     yes = .not. allocated(error)
+    ! Without a precision all replicas are asked for.
     if (yes) yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
-      >= old%first_replicas .and. all(finer(plan%precision, old%precision))
+      >= old%first_replicas .and. (all(finer(plan%precision, old%precision)) &
+      .or. .not. any(plan%precision > 0.0_wp))
     if (.not. yes) return
     old%initial_fingerprint = initial_fingerprint
     roster = roster_of(plan)

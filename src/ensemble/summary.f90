@@ -1,11 +1,12 @@
 !> The summary at the end of a run: what came out, and how the ranks were used.
 module battery_summary
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_count
   use battery_precision, only: cut_of
-  use battery_quantities, only: averaged_quantities, counted_quantities, place_of
+  use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of
   use battery_results, only: results_type, scatter_of, task_complete, task_not_asked, &
     point_two_states, point_not_precise
   use battery_screen, only: duration_text, rate_text
@@ -56,6 +57,8 @@ contains
       end do
     end if
     if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results)
+    if (some_too_short(results)) call say('errors of some runs are NaN, too short to tell: ' &
+      //'more replicas tell (&scan replicas), or longer runs')
     call say(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
     call list_points(results, point_two_states, 'replicas fall into two states')
@@ -68,10 +71,26 @@ contains
     if (done > 0) call print_slowest(results)
     if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
       call say('some particles are on orbits that never leave: see the dataset trapped')
+    call tell_missing_snapshots(results)
     if (.not. all_done) call say('stopped early, the state is saved: the same command goes on' &
       //new_line_character//ways_to_stop)
     call say('results: '//plan%file)
   end subroutine print_summary
+
+  !> Whether an average of a complete task has no error though it should have one.
+  pure logical function some_too_short(results)
+    type(results_type), intent(in) :: results
+    type(quantity_type), allocatable :: list(:)
+    integer :: k
+
+    list = averaged_quantities()
+    some_too_short = .false.
+    do k = 1, size(list)
+      if (list(k)%has_error) some_too_short = some_too_short .or. any(results%task_status &
+        == task_complete .and. ieee_is_nan(results%error(:, :, k)) &
+        .and. .not. ieee_is_nan(results%average(:, :, k)))
+    end do
+  end function some_too_short
 
   !> Numbers of the points that stand as `status` says, with what that means.
   subroutine list_points(results, status, meaning)
@@ -88,6 +107,24 @@ contains
     end do
     if (text /= '') call say(meaning//', points (from 0):'//text)
   end subroutine list_points
+
+  !> A run by collisions may end before the time of a snapshot.
+  subroutine tell_missing_snapshots(results)
+    type(results_type), intent(in) :: results
+    integer :: tasks, p, r
+
+    if (.not. allocated(results%snapshots)) return
+    tasks = 0
+    do p = 1, size(results%point)
+      do r = 1, results%replicas
+        ! No x of the first particle, for as long as the last snapshot has none.
+        if (results%task_status(r, p) == task_complete .and. &
+          ieee_is_nan(results%snapshots(1, size(results%snapshots, 2), r, p, 1))) tasks = tasks + 1
+      end do
+    end do
+    if (tasks > 0) call say(to_text(tasks)//' of the complete tasks ended before the last of ' &
+      //'snapshot_times: what they did not come to is NaN')
+  end subroutine tell_missing_snapshots
 
   !> The task that took the most time of a processor.
   subroutine print_slowest(results)

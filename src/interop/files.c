@@ -100,6 +100,37 @@ int battery_create_new(const char *path) {
   return close(descriptor) == 0 ? 0 : errno;
 }
 
+/* What a name stands for, links not followed: device, inode, size, time of its last change; all 0:
+   nothing. */
+void battery_look_at(const char *path, int64_t seen[5]) {
+  struct stat found;
+  memset(seen, 0, 5 * sizeof *seen);
+  if (lstat(path, &found) != 0) return;
+  seen[0] = (int64_t)found.st_dev;
+  seen[1] = (int64_t)found.st_ino;
+  seen[2] = (int64_t)found.st_size;
+  seen[3] = found.st_mtim.tv_sec;
+  seen[4] = found.st_mtim.tv_nsec;
+}
+
+/* Gives a file another name that stands for nothing, or for what was seen there before; -1: it
+   stands for something else. */
+int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]) {
+  const int64_t nothing[5] = {0};
+  int64_t now[5];
+  battery_look_at(new, now);
+  if (memcmp(now, nothing, sizeof now) != 0) {
+    if (memcmp(now, seen, sizeof now) != 0) return -1;
+#ifdef RENAME_NOREPLACE
+  } else {
+    if (renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0) return 0;
+    if (errno == EEXIST) return -1;
+    /* Some file systems cannot do this. */
+#endif
+  }
+  return rename(old, new) == 0 ? 0 : errno;
+}
+
 /* Opens a file or a pipe for reading, without waiting for one who writes; negative: an error. */
 int battery_open_input(const char *path) {
   return open(path, O_RDONLY | O_NONBLOCK | O_CLOEXEC);

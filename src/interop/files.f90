@@ -1,7 +1,7 @@
 !> What Fortran cannot do with files: sync, atomic rename, remove, rights, folders and what is in
 !> them.
 module battery_files
-  use, intrinsic :: iso_c_binding, only: c_char, c_ptr, c_null_char, c_associated
+  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_ptr, c_null_char, c_associated
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_c_shapes, only: number_known, number_of_path, number_of_paths, number_of_address, &
     address_of_path
@@ -11,6 +11,13 @@ module battery_files
   private
   public :: file_exists, is_readable, is_writable, is_disk_error, files_like
   public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
+  public :: seen_type, seen_at, put_in_place
+
+  !> What a name stood for when it was looked at; as it begins: nothing.
+  type :: seen_type
+    private
+    integer(c_int64_t) :: mark(5) = 0
+  end type seen_type
 
   procedure(number_of_path), bind(c, name='battery_exists') :: c_exists
   procedure(number_of_path), bind(c, name='battery_may_read') :: c_may_read
@@ -31,6 +38,20 @@ module battery_files
       type(c_ptr), value, intent(in) :: folder
       character(kind=c_char), intent(in) :: pattern(*)
     end function c_next_like
+
+    subroutine c_look_at(path, seen) bind(c, name='battery_look_at')
+      import :: c_char, c_int64_t
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int64_t), intent(out) :: seen(5)
+    end subroutine c_look_at
+
+    integer(c_int) function c_put_in_place(old, new, seen) bind(c, name='battery_put_in_place')
+      import :: c_char, c_int, c_int64_t
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: old(*), new(*)
+      integer(c_int64_t), intent(in) :: seen(5)
+    end function c_put_in_place
   end interface
 
 contains
@@ -92,6 +113,37 @@ contains
     if (allocated(error)) return
     call sync_file(folder_of(final), error)
   end subroutine publish_file
+
+  !> What a name stands for now: by this it is known whether it stands for something else later.
+  function seen_at(path) result(seen)
+    !> Links are not followed.
+    character(len=*), intent(in) :: path
+    type(seen_type) :: seen
+
+    call c_look_at(path//c_null_char, seen%mark)
+  end function seen_at
+
+  !> As `publish_file`, for a temporary file that is on the disk, but replaces nothing that was not
+  !> there before: then the file stays under its temporary name, and the error says so.
+  subroutine put_in_place(temporary, final, before, error)
+    !> In one folder.
+    character(len=*), intent(in) :: temporary, final
+    !> What may be replaced.
+    type(seen_type), intent(in) :: before
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: what
+    integer :: status
+
+    what = temporary//': is whole, and is kept under this name'
+    status = c_put_in_place(temporary//c_null_char, final//c_null_char, before%mark)
+    if (status < 0) then
+      call fatal_error(error, what//', since '//final//' is something else now than it was when ' &
+        //'the run began; move that away, and the same command goes on')
+    else
+      call fail_with(status, what//'; it cannot be renamed to '//final, error)
+    end if
+    if (.not. allocated(error)) call sync_file(folder_of(final), error)
+  end subroutine put_in_place
 
   !> Removes a file or an empty folder; one that is not there is no error.
   subroutine remove_file(path, error)

@@ -2,6 +2,7 @@
    (the file's time is set anew every few seconds) that others can see where the file system has no
    locks, or has them for one machine only. */
 #define _GNU_SOURCE
+#include <ctype.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
@@ -50,10 +51,12 @@ static beat_type beat_of(int descriptor) {
     found.st_mtim.tv_nsec};
 }
 
-/* Reads the text of an open file; `text` has `room` bytes. */
-static void read_open(int descriptor, char *text, int room) {
+/* Reads the text of an open file, and gives its length; `text` has `room` bytes. */
+static size_t read_open(int descriptor, char *text, int room) {
   ssize_t length = pread(descriptor, text, (size_t)room - 1, 0);
-  text[length > 0 ? length : 0] = '\0';
+  if (length < 0) length = 0;
+  text[length] = '\0';
+  return (size_t)length;
 }
 
 /* What the file says, and its length; empty if there is none. */
@@ -70,6 +73,25 @@ int battery_read_owner(const char *path, char *text, int room) {
 static int same_host(const char *one, const char *other) {
   size_t length = strcspn(one, " ");
   return length > 0 && length == strcspn(other, " ") && strncmp(one, other, length) == 0;
+}
+
+/* Whether a text is an owner's ("host process time"), or as much of it as was written before a kill.
+   One that ends within the first word is an owner's only if it begins the name of this host, as
+   `text` does: else it might be anyone's. */
+static int is_of_an_owner(const char *found, const char *text) {
+  size_t host = strcspn(found, " ");
+  if (found[host] == '\0') return strncmp(found, text, host) == 0;
+  for (size_t at = 0; at < host; at++)
+    if (iscntrl((unsigned char)found[at])) return 0;
+  const char *at = found + host + 1, *shape = "0000-00-00 00:00:00.000";
+  size_t digits = strspn(at, "0123456789");
+  if (host == 0 || (digits == 0 && at[0] != '\0')) return 0;
+  at += digits;
+  if (*at == ' ') at++;
+  else if (*at != '\0') return 0;
+  for (; *at != '\0'; at++, shape++)
+    if (*shape == '0' ? !isdigit((unsigned char)*at) : *at != *shape) return 0;
+  return 1;
 }
 
 /* Sets the time of the file until told to stop. */
@@ -155,10 +177,14 @@ int battery_own(const char *path, const char *text, double interval, int with_lo
   int got = with_locks ? lock(descriptor) : no_locks;
   /* Who gives a file up removes it: then the lock is one on a file without a name. */
   int named = names(path, descriptor);
-  read_open(descriptor, holder, room);
+  size_t length = read_open(descriptor, holder, room);
   if (!named || got == locked_by_another) {
     close(descriptor);
     return named ? held : again;
+  }
+  if (strlen(holder) != length || !is_of_an_owner(holder, text)) {
+    close(descriptor);
+    return not_a_file;
   }
   int dead = is_new || (got == locked && (holder[0] == '\0' || same_host(holder, text)));
   if (!dead) {

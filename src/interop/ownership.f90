@@ -16,8 +16,10 @@ module battery_ownership
     number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
-  use battery_files, only: is_disk_error
-  use battery_paths, only: system_message
+  use battery_files, only: is_disk_error, file_exists, create_new_file, remove_file, seen_type, &
+    seen_at
+  use battery_fingerprint, only: fingerprint_of, fingerprint_text
+  use battery_paths, only: system_message, folder_of
   use battery_clocks, only: wall_seconds, rest
   use battery_signals, only: stop_requested
   use battery_machine, only: host_name
@@ -26,7 +28,7 @@ module battery_ownership
   implicit none (type, external)
   private
   public :: ownership_type, habits_type, take_ownership, give_up_ownership, is_taken_over
-  public :: taken_over_text
+  public :: taken_over_text, leave_mark, remove_mark, sees_mark
 
   !> What an attempt came to, as in `owner.c`.
   integer(c_int), parameter :: taken = 0, held = 1, doubtful = 2, again = 3, not_a_file = 5
@@ -58,6 +60,8 @@ module battery_ownership
   type :: ownership_type
     !> The file, and what it says while this run owns it; not allocated: nothing is owned.
     character(len=:), allocatable :: path, text
+    !> What the output was when it was taken, on rank 0 alone.
+    type(seen_type) :: before
     !> The file and its beat, on rank 0 alone.
     type(c_ptr), private :: handle = c_null_ptr
   end type ownership_type
@@ -96,6 +100,7 @@ contains
     character(len=*), intent(in), optional :: text
     type(habits_type) :: usual
     type(watch_type) :: watch
+    type(error_type), allocatable :: no_matter
     integer(c_int) :: outcome
 
     if (present(habits)) usual = habits
@@ -108,6 +113,10 @@ contains
       call try_to_own(ownership, usual, watch, outcome)
       select case (outcome)
       case (taken)
+        ! A run that was killed may have left its mark as well.
+        if (words_of(watch%holder) /= '') call remove_file(mark_of(ownership%path, &
+          words_of(watch%holder)), no_matter)
+        ownership%before = seen_at(file)
         return
       case (held, doubtful)
         if (wall_seconds() - watch%began > usual%patience .and. watch%owner_lives) then
@@ -118,8 +127,8 @@ contains
       case (again)
         continue
       case (not_a_file)
-        call fatal_error(error, ownership%path//': is not a file that a run has left; remove it', &
-          exit_bad_input)
+        call fatal_error(error, ownership%path//': is not a file that a run has left; remove it, ' &
+          //'or name another output file', exit_bad_input)
         return
       case default
         call fatal_error(error, ownership%path//': cannot be written: '//system_message(), &
@@ -191,6 +200,40 @@ contains
     yes = length > 0 .and. now(:length) /= ownership%text
   end function is_taken_over
 
+  !> Makes a file beside the output of a name that no other run has: who sees it sees the folder
+  !> that this run writes to.
+  subroutine leave_mark(ownership, error)
+    type(ownership_type), intent(in) :: ownership
+    type(error_type), allocatable, intent(out) :: error
+
+    call create_new_file(mark_of(ownership%path, ownership%text), error)
+  end subroutine leave_mark
+
+  !> The end of what `leave_mark` made.
+  subroutine remove_mark(ownership, error)
+    type(ownership_type), intent(in) :: ownership
+    type(error_type), allocatable, intent(out) :: error
+
+    call remove_file(mark_of(ownership%path, ownership%text), error)
+  end subroutine remove_mark
+
+  !> Whether a rank sees the mark of the rank that owns the output.
+  logical function sees_mark(ownership) result(yes)
+    type(ownership_type), intent(in) :: ownership
+
+    yes = file_exists(mark_of(ownership%path, ownership%text))
+  end function sees_mark
+
+  !> The mark of a run: its name does not depend on that of the output, which may be as long as
+  !> names can be.
+  pure function mark_of(path, text) result(mark)
+    !> The file of the owner, and what it says.
+    character(len=*), intent(in) :: path, text
+    character(len=:), allocatable :: mark
+
+    mark = folder_of(path)//'/.battery_'//fingerprint_text(fingerprint_of(text))
+  end function mark_of
+
   !> What a run says that has lost its output.
   pure function taken_over_text(ownership) result(text)
     type(ownership_type), intent(in) :: ownership
@@ -210,6 +253,14 @@ contains
       //date(7:)//' '//time(:2)//':'//time(3:4)//':'//time(5:)
   end function owner_text
 
+  !> What C wrote, up to its null sign.
+  pure function words_of(holder) result(words)
+    character(len=*), intent(in) :: holder
+    character(len=:), allocatable :: words
+
+    words = holder(:max(0, index(holder, c_null_char) - 1))
+  end function words_of
+
   !> Who owns an output since when, in words.
   pure function owned_by(holder) result(words)
     character(len=*), intent(in) :: holder
@@ -218,7 +269,7 @@ contains
     integer :: blank
 
     words = 'another run is at work on it'
-    rest = holder(:max(0, index(holder, c_null_char) - 1))
+    rest = words_of(holder)
     blank = index(rest, ' ')
     if (blank == 0) return
     words = words//', on '//rest(:blank - 1)

@@ -1,7 +1,9 @@
 !> What the program prints. What could not be printed is remembered, and makes the run fail.
+!> Control characters are printed as `printable` shows them, whatever file they came from.
 module battery_terminal
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_size_t
   use battery_c_shapes, only: action, number_known
+  use battery_text, only: printable
   implicit none (type, external)
   private
   public :: guard_streams, say, say_partly, complain, all_was_printed, is_terminal, &
@@ -33,10 +35,10 @@ contains
     !> Without a line end.
     character(len=*), intent(in) :: text
 
-    call say_partly(text//new_line('a'))
+    call say_partly(printable(text)//new_line('a'))
   end subroutine say
 
-  !> Prints on standard output without ending the line.
+  !> Prints on standard output, as it is, without ending the line.
   subroutine say_partly(text)
     !> Without a line end.
     character(len=*), intent(in) :: text
@@ -49,9 +51,11 @@ contains
   subroutine complain(text)
     !> Without a line end.
     character(len=*), intent(in) :: text
+    character(len=:), allocatable :: line
     integer :: status
 
-    status = terminal_write(1_c_int, text//new_line('a'), len(text, c_size_t) + 1)
+    line = printable(text)//new_line('a')
+    status = terminal_write(1_c_int, line, len(line, c_size_t))
   end subroutine complain
 
   !> Whether all that was said has been printed.

@@ -10,12 +10,22 @@
 !> |N1 - N2| by -2 times what it counts, and over any time the crossings of both channels count
 !> (|N1 - N2| at its start less that at its end)/2: through channel 2 down the polarisation flows
 !> what flows up through channel 1, but for that.
+!>
+!> The standard error of an average comes from the run itself (`battery_blocks`), and is NaN where
+!> the run is known to be too short for it:
+!> - it is shorter than ten relaxation times of the directions of flight, for all averages;
+!> - a polarised state was seen in which the sparse urn's gate hardly ever reverses, for currents:
+!>   particles that circulate along the axis carry a part of the current, and go on until that gate
+!>   turns them back, so a run that has not seen it do so many times has not seen their mean;
+!> - N1 - N2 changed its sign, or may do so, but too few times to tell how long that takes, for
+!>   currents from urn 1 to urn 2. Where it never does the error is that of the one polarity.
 module battery_observer
   use battery_kinds, only: wp, dp, int64
-  use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
+  use battery_blocks, only: blocks_type, add_block, standard_error, error_of_mean, pass_blocks
   use battery_channel, only: gated, ungated
   use battery_history, only: history_type, channel1_12, channel2_12, channel_of
-  use battery_quantities, only: measured_type, set_average, set_count, flow_names
+  use battery_quantities, only: measured_type, set_average, set_count, flow_names, &
+    unknown_real
   use battery_stream, only: stream_type
   implicit none (type, external)
   private
@@ -24,7 +34,18 @@ module battery_observer
   public :: pass_observer
 
   !> Averages that are taken of blocks as well, for their errors.
-  integer, parameter, public :: of_chi = 1, of_current1 = 2, of_current2 = 3, of_polarised = 4
+  integer, parameter, public :: of_chi = 1, of_current1 = 2, of_current2 = 3, of_polarised = 4, &
+    of_difference = 5
+
+  !> Relaxation times that a run must last for its errors, reversals that the gate of the sparse urn
+  !> must have made, and how often N1 - N2 must have changed its sign.
+  real(wp), parameter :: least_relaxations = 10.0_wp
+  integer(int64), parameter :: least_reversals = 4
+  integer, parameter :: least_changes = 6
+  !> A polarity is lasting if N1 - N2 differs from 0 by so many standard deviations of its blocks;
+  !> gates are unlike if one reverses so many times as often as the other.
+  real(wp), parameter :: lasting = 8.0_wp
+  integer(int64), parameter :: unlike = 10
 
   !> What has been measured of a run so far.
   type :: observer_type
@@ -35,8 +56,12 @@ module battery_observer
     logical :: two_halves = .true.
     !> Whether there is a channel 2, and so a current through it.
     logical :: circuit_closed = .true.
-    !> Over all the run: gates reversed, particles turned back, collisions known.
-    integer(int64) :: reversals = 0, bounce_backs = 0, collisions = 0
+    !> Time in which directions of flight relax.
+    real(wp) :: relaxation = 0.0_wp
+    !> Over all the run: reversals of each gate, particles turned back, collisions known.
+    integer(int64) :: reversals(2) = 0, bounce_backs = 0, collisions = 0
+    !> Those of the gates before measuring began.
+    integer(int64) :: transient_reversals(2) = 0
 
     logical :: measuring = .false.
     !> Sums since measuring began, the block that is under way excluded for `time`, `spread`
@@ -46,11 +71,12 @@ module battery_observer
     !> Of channel 2, from the fuller half to the emptier less those back.
     integer(int64) :: downward = 0
     integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
-    !> The block under way: what is left of it, its time, integral of |N1 - N2|, net crossings,
-    !> and those of channel 2 down the polarisation.
+    !> The block under way: what is left of it, its time, integrals of |N1 - N2| and of N1 - N2, net
+    !> crossings, and those of channel 2 down the polarisation.
     real(wp) :: block_left = huge(1.0_wp), block_time = 0.0_wp, block_spread = 0.0_wp
+    real(wp) :: block_difference = 0.0_wp
     integer(int64) :: block_net(2) = 0, block_downward = 0
-    type(blocks_type) :: blocks(4)
+    type(blocks_type) :: blocks(5)
 
     !> The series: interval (0: none), what is left of it, entries so far.
     real(wp) :: series_interval = 0.0_wp, series_left = huge(1.0_wp)
@@ -69,7 +95,7 @@ contains
   !> `series_interval` > 0, whose first entry is the start. Blocks begin `unit` long (if
   !> absent, 1): a length of the table, so that one scaled by a power of two has the same blocks.
   pure function new_observer(number, urn1_number, two_halves, series_interval, unit, &
-    circuit_closed) result(observer)
+    circuit_closed, relaxation) result(observer)
     integer, intent(in) :: number, urn1_number
     !> Whether there are two urns, and so a difference between them.
     logical, intent(in) :: two_halves
@@ -77,6 +103,8 @@ contains
     real(wp), intent(in), optional :: unit
     !> Whether channel 2 is there (if absent, it is).
     logical, intent(in), optional :: circuit_closed
+    !> Time in which directions of flight relax (if absent, 0: at once).
+    real(wp), intent(in), optional :: relaxation
     type(observer_type) :: observer
 
     observer%number = number
@@ -85,6 +113,7 @@ contains
     observer%series_interval = series_interval
     if (present(unit)) observer%blocks%length = unit
     if (present(circuit_closed)) observer%circuit_closed = circuit_closed
+    if (present(relaxation)) observer%relaxation = relaxation
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
     if (series_interval > 0.0_wp) then
       observer%series_left = series_interval
@@ -97,6 +126,7 @@ contains
     type(observer_type), intent(inout) :: observer
 
     observer%measuring = .true.
+    observer%transient_reversals = observer%reversals
     observer%block_left = observer%blocks(of_chi)%length
   end subroutine begin_measuring
 
@@ -148,14 +178,15 @@ contains
   pure subroutine pass_time(observer, duration)
     type(observer_type), intent(inout) :: observer
     real(wp), intent(in) :: duration
-    real(wp) :: rest, step, spread
+    real(wp) :: rest, step, difference
 
     rest = duration
-    spread = real(abs(2*observer%urn1_number - observer%number), wp)
+    difference = real(2*observer%urn1_number - observer%number, wp)
     do
       step = min(rest, observer%block_left, observer%series_left)
       if (observer%measuring) then
-        observer%block_spread = observer%block_spread + spread*step
+        observer%block_spread = observer%block_spread + abs(difference)*step
+        observer%block_difference = observer%block_difference + difference*step
         observer%block_time = observer%block_time + step
         observer%block_left = observer%block_left - step
         if (observer%block_left <= 0.0_wp) call end_block(observer)
@@ -180,12 +211,15 @@ contains
       real(observer%block_net(ungated), wp)/observer%block_time)
     call add_block(observer%blocks(of_polarised), &
       real(observer%block_downward, wp)/observer%block_time)
+    call add_block(observer%blocks(of_difference), &
+      observer%block_difference/(observer%block_time*real(observer%number, wp)))
     observer%time = observer%time + observer%block_time
     observer%spread = observer%spread + observer%block_spread
     observer%downward = observer%downward + observer%block_downward
     observer%block_downward = 0
     observer%block_time = 0.0_wp
     observer%block_spread = 0.0_wp
+    observer%block_difference = 0.0_wp
     observer%block_net = 0
     observer%block_left = observer%blocks(of_chi)%length
   end subroutine end_block
@@ -228,7 +262,7 @@ contains
     real(wp) :: time
     integer :: k
 
-    call set_count(measured, 'reversals', observer%reversals)
+    call set_count(measured, 'reversals', sum(observer%reversals))
     call set_count(measured, 'bounce_backs', observer%bounce_backs)
     time = observer%time + observer%block_time
     if (.not. time > 0.0_wp) return
@@ -238,20 +272,70 @@ contains
       end do
       call set_average(measured, 'current1', &
         real(real(o%crossings(1) - o%crossings(2), wp)/time, dp), &
-        real(standard_error(o%blocks(of_current1)), dp))
+        error_of(o, of_current1))
       call set_average(measured, 'current2', &
         real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), &
-        real(standard_error(o%blocks(of_current2)), dp))
+        error_of(o, of_current2))
       if (.not. o%two_halves) return
       if (o%circuit_closed) call set_average(measured, 'polarised_current', &
         real(real(o%downward + o%block_downward, wp)/time, dp), &
-        real(standard_error(o%blocks(of_polarised)), dp))
+        error_of(o, of_polarised))
       call set_average(measured, 'chi', real((o%spread + o%block_spread)/(time*number), dp), &
-        real(standard_error(o%blocks(of_chi)), dp))
+        error_of(o, of_chi))
       if (o%collisions_seen > 0) call set_average(measured, 'chi_collision', &
         real(real(o%collision_spread_sum, wp)/(real(o%collisions_seen, wp)*number), dp))
     end associate
   end subroutine measure
+
+  !> Standard error of an average; NaN where the run is known to be too short for it.
+  pure function error_of(observer, which) result(error)
+    type(observer_type), intent(in) :: observer
+    !> `of_chi` ...
+    integer, intent(in) :: which
+    real(dp) :: error
+    logical :: told
+
+    associate (o => observer)
+      told = o%time/least_relaxations >= o%relaxation
+      if (which /= of_chi .and. o%two_halves .and. o%circuit_closed) &
+        told = told .and. .not. circulates(o%reversals - o%transient_reversals)
+      if ((which == of_current1 .or. which == of_current2) .and. o%two_halves) &
+        told = told .and. polarity_told(o%blocks(of_difference))
+      error = unknown_real()
+      if (told) error = standard_error(o%blocks(which))
+    end associate
+  end function error_of
+
+  !> Whether particles may have circulated for as long as the run, from the reversals of both gates.
+  pure logical function circulates(reversals)
+    integer(int64), intent(in) :: reversals(2)
+
+    circulates = minval(reversals) < least_reversals .and. &
+      maxval(reversals) > unlike*max(minval(reversals), unlike)
+  end function circulates
+
+  !> Whether blocks of N1 - N2 have one sign for good, or changed it many times.
+  pure logical function polarity_told(blocks)
+    type(blocks_type), intent(in) :: blocks
+    logical, allocatable :: positive(:)
+
+    polarity_told = .false.
+    associate (n => blocks%count)
+      if (n < 2) return
+      positive = blocks%average(:n) > 0.0_wp
+      polarity_told = count(positive(2:) .neqv. positive(:n - 1)) >= least_changes
+      if (all(positive) .or. .not. any(positive)) polarity_told = &
+        lasts(real(blocks%average(:n), dp))
+    end associate
+  end function polarity_told
+
+  !> Whether values are so far from 0 that none of another sign is to be expected.
+  pure logical function lasts(values)
+    real(dp), intent(in) :: values(:)
+
+    lasts = abs(sum(values)) > lasting*sqrt(real(size(values), dp))*size(values) &
+      *error_of_mean(values)
+  end function lasts
 
   !> All that is needed to go on observing to the same last bit, into a stream or out of it.
   pure subroutine pass_observer(observer, stream)
@@ -263,7 +347,9 @@ contains
     call stream%pass('urn1_number', observer%urn1_number)
     call stream%pass('two_halves', observer%two_halves)
     call stream%pass('circuit_closed', observer%circuit_closed)
+    call stream%pass('relaxation', observer%relaxation)
     call stream%pass('reversals', observer%reversals)
+    call stream%pass('transient_reversals', observer%transient_reversals)
     call stream%pass('bounce_backs', observer%bounce_backs)
     call stream%pass('collisions', observer%collisions)
     call stream%pass('measuring', observer%measuring)
@@ -276,6 +362,7 @@ contains
     call stream%pass('block_left', observer%block_left)
     call stream%pass('block_time', observer%block_time)
     call stream%pass('block_spread', observer%block_spread)
+    call stream%pass('block_difference', observer%block_difference)
     call stream%pass('block_net', observer%block_net)
     call stream%pass('block_downward', observer%block_downward)
     do which = 1, size(observer%blocks)

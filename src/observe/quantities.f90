@@ -19,7 +19,7 @@ module battery_quantities
     character(len=24) :: name = ''
     character(len=40) :: unit = ''
     character(len=80) :: meaning = ''
-    !> Whether it has a standard error of its own, from blocks of the run.
+    !> Whether it has a standard error of its own, from the run (`error_of` of `battery_observer`).
     logical :: has_error = .false.
   end type quantity_type
 
@@ -75,8 +75,9 @@ contains
 
     list = [ &
       quantity_type('collisions', '1', 'wall collisions, those of the transient included'), &
-      quantity_type('bounce_backs', '1', 'particles turned back by a gate'), &
-      quantity_type('reversals', '1', 'reversals of a gate'), &
+      quantity_type('bounce_backs', '1', &
+      'particles turned back by gates, the transient included'), &
+      quantity_type('reversals', '1', 'reversals of gates, those of the transient included'), &
       quantity_type('trapped', '1', 'particles in the urns that never reach a channel'), &
       quantity_type('provenance/host', '1', 'line of the attribute hosts of /provenance, from 0')]
   end function counted_quantities
@@ -134,14 +135,17 @@ contains
     measured%counted(place) = count
   end subroutine set_count
 
-  !> A fingerprint of all names in their order: values that were kept with another are of other
-  !> lists.
+  !> A fingerprint of all names in their order, and of what they mean: values that were kept with
+  !> another are of other lists.
   pure function fingerprint_of_quantities() result(fingerprint)
     integer(int64) :: fingerprint
+    !> Grows when a quantity or its error becomes another under the same name.
+    integer(int64), parameter :: meaning = 2
     type(quantity_type), allocatable :: list(:)
     integer :: k
 
     fingerprint = fingerprint_start
+    call mix_word(fingerprint, meaning)
     list = [averaged_quantities(), counted_quantities()]
     do k = 1, size(list)
       call mix_word(fingerprint, fingerprint_of(trim(list(k)%name)))

@@ -7,15 +7,15 @@ module battery_command_line
   use battery_schema, only: schema_text
   implicit none (type, external)
   private
-  public :: command_line_type, read_command_line, parse_arguments, usage_text
+  public :: command_line_type, command_line_words, parse_arguments, usage_text
 
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
-    'usage: battery [--check] [--overwrite] [--quiet] FILE.nml, battery --help, '// &
+    'usage: battery [--check] [--overwrite] [--quiet] [--json FILE] FILE.nml, battery --help, '// &
     'battery --schema, battery --version'
 
-  character(len=11), parameter :: options(6) = [character(len=11) :: '--check', '--overwrite', &
-    '--quiet', '--help', '--schema', '--version']
+  character(len=11), parameter :: options(7) = [character(len=11) :: '--check', '--overwrite', &
+    '--quiet', '--json', '--help', '--schema', '--version']
 
   !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
   !> second to save their states.
@@ -30,6 +30,8 @@ module battery_command_line
   type :: command_line_type
     !> The namelist file; empty if there is an answer.
     character(len=:), allocatable :: file
+    !> The JSON file for scripts; empty: none.
+    character(len=:), allocatable :: json
     !> What is printed instead of a run: help or schema; empty if neither.
     character(len=:), allocatable :: answer
     !> Print the version instead.
@@ -44,12 +46,8 @@ module battery_command_line
 
 contains
 
-  !> Reads the program's own arguments.
-  subroutine read_command_line(command, error)
-    !> What was asked for.
-    type(command_line_type), intent(out) :: command
-    !> Code `exit_bad_input`; all problems.
-    type(error_type), allocatable, intent(out) :: error
+  !> The program's own arguments, without its name.
+  function command_line_words() result(words)
     type(string_type), allocatable :: words(:)
     integer :: at, length
 
@@ -59,8 +57,7 @@ contains
       allocate (character(len=length) :: words(at)%text)
       if (length > 0) call get_command_argument(at, words(at)%text)
     end do
-    call parse_arguments(words, command, error)
-  end subroutine read_command_line
+  end function command_line_words
 
   !> Understands a list of arguments; after `--` a word is a file even if it begins with a dash.
   subroutine parse_arguments(words, command, error)
@@ -68,18 +65,28 @@ contains
     type(string_type), intent(in) :: words(:)
     !> What was asked for.
     type(command_line_type), intent(out) :: command
+    !> Code `exit_bad_input`; all problems.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: problems
-    logical :: only_files
+    logical :: only_files, json_next
     integer :: at
+    character(len=*), parameter :: nameless = '--json: the name of its file is missing'
 
     command%file = ''
+    command%json = ''
     command%answer = ''
     problems = ''
     only_files = .false.
+    json_next = .false.
     do at = 1, size(words)
-      if (words(at)%text == '--' .and. .not. only_files) then
+      if (json_next) then
+        if (index(words(at)%text, '-') /= 1) command%json = words(at)%text
+        if (command%json == '') call add(problems, nameless)
+        json_next = .false.
+      else if (words(at)%text == '--' .and. .not. only_files) then
         only_files = .true.
+      else if (words(at)%text == '--json' .and. .not. only_files) then
+        json_next = .true.
       else if (index(words(at)%text, '-') == 1 .and. .not. only_files) then
         call take_option(words(at)%text, command, problems)
       else if (words(at)%text == '') then
@@ -90,6 +97,7 @@ contains
         command%file = words(at)%text
       end if
     end do
+    if (json_next) call add(problems, nameless)
     if (command%answer == '' .and. .not. command%version .and. command%file == '' &
       .and. problems == '') &
       call add(problems, 'the namelist file is missing')
@@ -146,6 +154,7 @@ contains
       //'  --check      check the input and show the plan; write nothing'//nl &
       //'  --overwrite  discard results that are there'//nl &
       //'  --quiet      print nothing but problems'//nl &
+      //'  --json FILE  write where the results are (--check: time and memory) as JSON'//nl &
       //'  --help       print this'//nl &
       //'  --schema     print a JSON Schema of FILE.nml as f90nml turns it into JSON'//nl &
       //'  --version    print version, commit, compiler and libraries'//nl//nl &

@@ -64,8 +64,8 @@ contains
       key_type('table', 'urn_shape', text_key, '''disc''', 'shape of the urns', &
       choices='disc polygon'), &
       key_type('table', 'urn_sides', whole_key, '', &
-      'sides of regular polygons, an even number; urn_radius is to their corners', least=4.0_wp, &
-      greatest=int(most_corners, int64)), &
+      'sides of regular polygons, even: one at each opening; urn_radius is to corners', &
+      least=4.0_wp, greatest=int(most_corners, int64)), &
       key_type('table', 'urn_vertices', real_key, '', &
       'corners x1, y1, x2, y2, ... of urn 1, counterclockwise, x to channel 1', &
       most_values=2*most_corners, unit='length'), &
@@ -84,7 +84,7 @@ contains
       key_type('particles', 'seed', whole_key, '1', 'base seed of the random numbers', &
       least=0.0_wp, greatest=long), &
       key_type('particles', 'initial_file', text_key, '''''', &
-      'file with x y ux uy of each particle'), &
+      'file with x y ux uy of each particle; x = 0 is the middle of channel 1'), &
       key_type('gate', 'threshold', whole_key, '', &
       'more turn a gate back: both gates, or that of urn 1 and that of urn 2', least=0.0_wp, &
       most_values=2, symbol='T'), &

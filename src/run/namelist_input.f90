@@ -94,7 +94,8 @@ contains
     call take(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_values
 
-  !> The shape of the urns. Of corners that are not whole pairs, none are taken.
+  !> The shape of the urns. Of corners that are not whole pairs, none are taken. What was refused
+  !> when it was read is refused here as well, and told once: then there is nothing to compute with.
   subroutine take_outlines(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
@@ -104,16 +105,32 @@ contains
 
     call take_text(settings, 'table', 'urn_shape', plan%urn_shape)
     call take(settings, 'table', 'urn_sides', plan%urn_sides)
+    if (is_refused(settings, 'urn_sides')) call refuse(plan, 'urn_sides', 'is refused', '')
     do urn = 1, 2
       call take_list(settings, 'table', trim(key(urn)), numbers)
+      if (is_refused(settings, trim(key(urn)))) call refuse(plan, trim(key(urn)), 'is refused', '')
       if (size(numbers) == 0) cycle
+      if (modulo(size(numbers), 2) /= 0 .and. plan%urn_shape /= 'disc') then
+        call refuse(plan, trim(key(urn)), 'has '//to_text(size(numbers))//' numbers', &
+          'two for each corner, x1, y1, x2, y2, ...')
+        cycle
+      end if
       plan%outline(urn)%corner = reshape(numbers, [2, size(numbers)/2])
-      if (modulo(size(numbers), 2) /= 0) call refuse(plan, trim(key(urn)), 'has ' &
-        //to_text(size(numbers))//' numbers', 'two for each corner, x1, y1, x2, y2, ...')
       if (settings%all(find_setting(settings, 'table', 'urn_radius'))%given) call refuse(plan, &
         'urn_radius', 'is given beside '//trim(key(urn)), 'one of the two')
     end do
   end subroutine take_outlines
+
+  !> Whether a key of &table was refused when it was read.
+  logical function is_refused(settings, key)
+    type(settings_type), intent(in) :: settings
+    !> Its name, in small letters.
+    character(len=*), intent(in) :: key
+
+    associate (setting => settings%all(find_setting(settings, 'table', key)))
+      is_refused = setting%given .and. .not. setting%known
+    end associate
+  end function is_refused
 
   !> Lists of the scan, each from itself or from its range, in the order of the keys. A list of gate
   !> 2 or urn 2 makes pairs with that of both, which stands before it.

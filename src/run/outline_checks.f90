@@ -4,16 +4,14 @@ module battery_outline_checks
   use battery_kinds, only: wp
   use battery_bounds, only: finest, greatest_radius
   use battery_channel, only: facing, is_open
-  use battery_corners, only: enclosed_area, turned_round, next_of, sides_meet, axis_side
+  use battery_corners, only: enclosed_area, turned_round, next_of, distance_to_side, sides_meet, &
+    side_distance, axis_side
   use battery_polygon, only: upright
   use battery_plan, only: plan_type, point_type, refuse, is_scanned, corners_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: check_outlines, check_outline_at, has_outline, is_sound
-
-  !> So many sides that meet others are told.
-  integer, parameter :: most_told = 8
 
   !> The keys of the corners.
   character(len=*), parameter :: key_of(2) = [character(len=13) :: 'urn_vertices', 'urn2_vertices']
@@ -80,7 +78,7 @@ contains
         to_text(plan%urn_sides), 'even numbers, for an upright side on either side')
       if (has_outline(plan)) call refuse(plan, 'urn_sides', 'is given beside corners', &
         'urn_sides with urn_radius, or urn_vertices')
-    else if (.not. allocated(plan%outline(1)%corner)) then
+    else if (.not. allocated(plan%outline(1)%corner) .and. is_sound(plan)) then
       call refuse(plan, 'urn_shape', '''polygon''', 'with urn_vertices or urn_sides beside it')
     end if
     if (plan%shape == 'urn' .and. allocated(plan%outline(2)%corner)) call refuse(plan, &
@@ -121,7 +119,7 @@ contains
           //to_text(finest*extent)//' on, which is '//to_text(finest)//' of its width')
       end do
       if (size(plan%problems) > before) return
-      call check_crossings(plan, key, corner)
+      call check_gaps(plan, key, corner, finest*extent)
       if (size(plan%problems) > before) return
       plan%outline(urn)%was_clockwise = enclosed_area(corner) < 0.0_wp
     end associate
@@ -130,46 +128,49 @@ contains
     call check_axis(plan, urn)
   end subroutine check_outline
 
-  !> No side may meet another but at the corner that they share.
-  subroutine check_crossings(plan, key, corner)
+  !> No side may come near another but at the corner that they share: a side that touches another,
+  !> or runs back along it, is refused whatever its slant. Of all that do, the first is told.
+  subroutine check_gaps(plan, key, corner, least)
     type(plan_type), intent(inout) :: plan
     character(len=*), intent(in) :: key
     real(wp), intent(in) :: corner(:, :)
-    integer :: j, k, n, told
+    !> How far sides must be apart: a length.
+    real(wp), intent(in) :: least
+    integer :: j, k, n
 
     n = size(corner, 2)
-    told = 0
     do k = 1, n
       do j = k + 1, n
-        if (.not. they_meet(k, j)) cycle
-        told = told + 1
-        if (told <= most_told) call refuse(plan, key, 'has '//side_text(k, n)//', which meets ' &
-          //side_text(j, n), 'sides that meet at the corner that they share only')
+        if (gap_between(k, j) >= least) cycle
+        call refuse(plan, key, 'has '//side_text(k, n)//', which meets '//side_text(j, n), &
+          'sides that are '//to_text(least)//' apart, which is '//to_text(finest) &
+          //' of its width, but for the corner that they share')
+        return
       end do
     end do
 
   contains
 
-    pure function they_meet(k, j) result(meet)
+    !> Of two sides; of neighbours, how far the other end of each is from the other side.
+    pure real(wp) function gap_between(k, j) result(gap)
       integer, intent(in) :: k, j
-      logical :: meet
-      real(wp) :: along(2), onwards(2)
+      real(wp) :: before(2), shared(2), after(2)
       integer :: first
 
       if (next_of(k, n) == j .or. next_of(j, n) == k) then
-        ! Neighbours, unless one runs back along the other.
         first = merge(k, j, next_of(k, n) == j)
-        along = corner(:, next_of(first, n)) - corner(:, first)
-        onwards = corner(:, next_of(next_of(first, n), n)) - corner(:, next_of(first, n))
-        meet = dot_product(along, onwards) < 0.0_wp .and. &
-          abs(along(1)*onwards(2) - along(2)*onwards(1)) <= 0.0_wp
+        before = corner(:, first)
+        shared = corner(:, next_of(first, n))
+        after = corner(:, next_of(next_of(first, n), n))
+        gap = min(distance_to_side(before(1), before(2), shared, after), &
+          distance_to_side(after(1), after(2), before, shared))
       else
-        meet = sides_meet(corner(:, k), corner(:, next_of(k, n)), corner(:, j), &
+        gap = side_distance(corner(:, k), corner(:, next_of(k, n)), corner(:, j), &
           corner(:, next_of(j, n)))
       end if
-    end function they_meet
+    end function gap_between
 
-  end subroutine check_crossings
+  end subroutine check_gaps
 
   !> The sides that the axis meets last must be upright where a channel begins.
   subroutine check_axis(plan, urn)
@@ -241,8 +242,8 @@ contains
       > 0.0_wp)
   end function has_other
 
-  !> What of a polygon lies beyond its opening must stay beside the channel, and on this side of its
-  !> line.
+  !> What of a polygon lies beyond its opening must stay beside the channel, short of its middle. Of
+  !> its corners the one that reaches farthest is told, of its sides the first in the channel.
   subroutine check_reach(plan, point, key, corner, channel, side)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
@@ -250,23 +251,27 @@ contains
     real(wp), intent(in) :: corner(:, :)
     integer, intent(in) :: channel, side
     real(wp) :: beyond, half, a(2), b(2)
-    integer :: k, n
+    integer :: farthest, k, n
 
     n = size(corner, 2)
     half = 0.5_wp*point%channel(channel)%width
     beyond = 0.5_wp*point%channel(channel)%length
+    farthest = maxloc(facing(channel)*corner(1, :), dim=1)
+    a = seen(farthest)
+    if (a(1) > beyond*(1.0_wp - finest)) call refuse(plan, key, 'has corner '//to_text(farthest) &
+      //', which is '//to_text(a(1))//' beyond the beginning of channel '//to_text(channel), &
+      'short of its middle, which is '//to_text(beyond)//' beyond')
     do k = 1, n
       if (k == side) cycle
       a = seen(k)
       b = seen(next_of(k, n))
-      if (a(1) > beyond) call refuse(plan, key, 'has corner '//to_text(k)//', which is ' &
-        //to_text(a(1))//' beyond the beginning of channel '//to_text(channel), &
-        'up to its middle, which is '//to_text(beyond)//' beyond')
       if (max(a(1), b(1)) <= 0.0_wp) cycle
       if (sides_meet(a, b, [0.0_wp, half], [beyond, half]) .or. sides_meet(a, b, [0.0_wp, -half], &
-        [beyond, -half]) .or. (abs(a(2)) <= half .and. a(1) >= 0.0_wp .and. a(1) <= beyond)) &
+        [beyond, -half]) .or. (abs(a(2)) <= half .and. a(1) >= 0.0_wp .and. a(1) <= beyond)) then
         call refuse(plan, key, 'has '//side_text(k, n)//', which lies in channel ' &
-        //to_text(channel), 'sides beside the channel')
+          //to_text(channel), 'sides beside the channel')
+        return
+      end if
     end do
 
   contains

@@ -232,6 +232,11 @@ contains
       longest))
     if (point%number == not_given .or. size(plan%problems) > before) return
     if (.not. (sound .and. is_sound(plan))) return
+    if (.not. plan%duration > 0.0_wp .and. plan%transient_collisions > 0 .and. &
+      plan%transient_collisions < plan%collisions .and. plan%collisions <= point%number) &
+      call refuse(plan, 'collisions', to_text(plan%collisions), 'above number, which is ' &
+      //to_text(point%number)//', or transient_collisions = 0, since a run goes on by about one ' &
+      //'wall collision of each particle')
     if (point%urn1_number > point%number) then
       call refuse(plan, 'urn1_number', to_text(point%urn1_number), &
         'from 0 to number, which is '//to_text(point%number))

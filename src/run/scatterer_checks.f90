@@ -1,4 +1,8 @@
 !> Whether scatterers can stand in channel 2.
+!>
+!> One length says how far discs keep from each other and from the openings, and how large they are:
+!> the least that coordinates resolve. To the openings counts the part of a disc within the channel,
+!> to other discs the whole disc.
 module battery_scatterer_checks
   use battery_kinds, only: wp
   use battery_text, only: to_text
@@ -20,10 +24,11 @@ contains
     real(wp), intent(in) :: values(:)
     !> Channel 2.
     type(channel_type), intent(in) :: channel
-    !> Least radius.
+    !> Least radius, and least gap.
     real(wp), intent(in) :: least
     type(wrong_type), allocatable :: problems(:)
     real(wp) :: half_length, half_width
+    character(len=:), allocatable :: gap
     integer :: k, count, other
 
     allocate (problems(0))
@@ -36,27 +41,37 @@ contains
     end if
     half_length = 0.5_wp*channel%length
     half_width = 0.5_wp*channel%width
+    gap = ', by '//to_text(least)//' or more'
     do k = 1, count
       associate (z => values(3*k - 2), y => values(3*k - 1), radius => values(3*k))
         if (.not. radius >= least) then
           call add(place(k)//' is too small', 'a radius from '//to_text(least)//' up')
-        else if (.not. abs(z) + radius < half_length) then
-          call add(place(k)//' reaches into an opening', '|z| + radius below channel2_length/2, ' &
-            //'which is '//to_text(half_length))
-        else if (.not. abs(y) - radius < half_width) then
+        else if (.not. abs(y) - radius <= half_width - least) then
           call add(place(k)//' is outside of the channel', '|y| - radius below channel2_width/2, ' &
-            //'which is '//to_text(half_width))
+            //'which is '//to_text(half_width)//gap)
+        else if (.not. abs(z) + reach_of(y, radius) <= half_length - least) then
+          call add(place(k)//' reaches into an opening', '|z| + '//to_text(reach_of(y, radius)) &
+            //', which is how far it reaches within the channel, below channel2_length/2, ' &
+            //'which is '//to_text(half_length)//gap)
         end if
         do other = 1, k - 1
-          if (abs(values(3*other - 2) - z) >= values(3*other) + radius) cycle
-          if (hypot(values(3*other - 2) - z, values(3*other - 1) - y) > values(3*other) + radius) &
-            cycle
-          call add(place(k)//' meets '//place(other), 'discs that are apart')
+          if (hypot(values(3*other - 2) - z, values(3*other - 1) - y) >= values(3*other) + radius &
+            + least) cycle
+          call add(place(k)//' meets '//place(other), 'discs that are apart'//gap)
         end do
       end associate
     end do
 
   contains
+
+    !> How far a disc reaches to either side of its middle within the channel.
+    pure real(wp) function reach_of(y, radius) result(reach)
+      real(wp), intent(in) :: y, radius
+      real(wp) :: beyond
+
+      beyond = max(abs(y) - half_width, 0.0_wp)
+      reach = sqrt((radius - beyond)*(radius + beyond))
+    end function reach_of
 
     !> One more problem.
     subroutine add(value, allowed)

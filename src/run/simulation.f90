@@ -8,7 +8,7 @@ module battery_simulation
   use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: table_type, ungated
+  use battery_table, only: table_type, ungated, relaxation_time
   use battery_engine, only: engine_type, particles_type, allocate_particles
   use battery_history, only: history_type
   use battery_observer, only: end_series, observer_type, new_observer, observe, &
@@ -92,6 +92,8 @@ module battery_simulation
     !> What every run must end with: all particles inside the table at speed 1 (coordinates are as
     !> sharp as the table is long), and as many in each half as the crossings say. One that is on a
     !> counted line just then may be in either: what happens at the very end is not made any more.
+    !> Something of it must be left for the averages: a window may have more wall collisions than
+    !> transient and run.
     module subroutine verify(simulation, error)
       implicit none (type, external)
       type(simulation_type), intent(in) :: simulation
@@ -113,7 +115,8 @@ contains
     if (allocated(error)) return
     simulation%observer = new_observer(size(particles%x), count(particles%x < 0.0_wp), &
       setup%table%sides == 2, setup%series_interval, power_below(maxval(setup%table%urn%reach)), &
-      circuit_closed=setup%table%channel(ungated)%width > 0.0_wp)
+      circuit_closed=setup%table%channel(ungated)%width > 0.0_wp, &
+      relaxation=relaxation_time(setup%table))
     call check_rest(simulation, error)
     if (allocated(error)) return
     ! The snapshot at the start is what the engine is given, not what it makes of it.

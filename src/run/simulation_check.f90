@@ -21,6 +21,13 @@ contains
     end if
     ends = half_length(simulation%setup%table)
     sharp = share*ends
+    if (simulation%done .and. .not. simulation%observer%time + simulation%observer%block_time &
+      > 0.0_wp) then
+      call fatal_error(error, 'nothing is left for the averages: the transient of ' &
+        //to_text(simulation%setup%transient_collisions)//' wall collisions ended with the run, ' &
+        //'after '//to_text(simulation%collisions)//'; more &run collisions are needed')
+      return
+    end if
     lost = 0
     off_speed = 0
     urn1_number = 0

@@ -6,11 +6,12 @@ module battery_hdf5_attributes
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_null_char, c_char, c_int
   use hdf5, only: hid_t, hsize_t, h5acreate_by_name_f, h5aopen_by_name_f, h5awrite_f, h5aread_f, &
     h5aget_type_f, h5aget_space_f, h5screate_simple_f, h5tcopy_f, h5tset_cset_f, &
-    h5tis_variable_str_f, h5dvlen_reclaim_f, h5kind_to_type
+    h5tis_variable_str_f, h5tcommitted_f, h5sget_simple_extent_npoints_f, h5dvlen_reclaim_f, &
+    h5kind_to_type
   use hdf5, only: h5t_string, h5t_cset_utf8_f, h5p_default_f, h5_real_kind, h5_integer_kind
   use battery_error, only: error_type
   use battery_paths, only: text_at
-  use battery_hdf5_file, only: hdf5_file_type, release, check, no_handle
+  use battery_hdf5_file, only: hdf5_file_type, release, check, check_links, no_handle
   use battery_values, only: describe
   implicit none (type, external)
   private
@@ -98,7 +99,7 @@ contains
     call check(file, path, 'cannot be given the attribute '//name, status, error)
   end subroutine add_attribute
 
-  !> Reads an attribute that is a text; after an error it does nothing, and the text is empty.
+  !> Reads an attribute that is one text; after an error it does nothing, and the text is empty.
   subroutine read_text(file, path, name, text, error)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
@@ -110,10 +111,12 @@ contains
     type(c_ptr), target :: address
     type(c_ptr) :: buffer
     integer(hid_t) :: attribute, text_type, space
+    integer(hsize_t) :: texts
     integer :: status, freed
-    logical :: is_text
+    logical :: is_text, is_elsewhere
 
     text = ''
+    call check_links(file, path, error)
     if (allocated(error)) return
     attribute = no_handle
     text_type = no_handle
@@ -124,7 +127,9 @@ contains
     if (status == 0) call h5aget_space_f(attribute, space, status)
     if (status == 0) call h5aget_type_f(attribute, text_type, status)
     if (status == 0) call h5tis_variable_str_f(text_type, is_text, status)
-    if (status == 0 .and. .not. is_text) status = -1
+    if (status == 0) call h5tcommitted_f(text_type, is_elsewhere, status)
+    if (status == 0) call h5sget_simple_extent_npoints_f(space, texts, status)
+    if (status == 0 .and. (.not. is_text .or. is_elsewhere .or. texts /= 1)) status = -1
     if (status == 0) call h5aread_f(attribute, text_type, buffer, status)
     if (status == 0) then
       text = text_at(address)

@@ -3,18 +3,26 @@
 !>
 !> All types and ranks go through one procedure, as an address and extents. Extents are in Fortran
 !> order; readers in C or Python see them reversed.
+!>
+!> What is read may be of anyone: a dataset must lie in this file, in one of the ways in which
+!> `write_dataset` lays it down, and have the type and the extents that are expected of it.
 module battery_hdf5_datasets
   use, intrinsic :: iso_c_binding, only: c_associated, c_loc, c_ptr
   use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dread_f, h5dwrite_f, &
     h5dget_space_f, h5sget_simple_extent_dims_f, h5sget_simple_extent_ndims_f, h5pcreate_f, &
     h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5pset_fill_value_f, h5screate_simple_f, &
     h5sselect_hyperslab_f, h5tget_size_f, h5zfilter_avail_f, h5kind_to_type
-  use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, h5_integer_kind
+  use hdf5, only: h5dget_create_plist_f, h5dget_type_f, h5pget_layout_f, h5pget_external_count_f, &
+    h5pget_nfilters_f, h5pget_filter_f, h5pget_chunk_f, h5tcommitted_f, h5tget_class_f, &
+    h5dget_storage_size_f
+  use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, &
+    h5z_filter_shuffle_f, h5d_compact_f, h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
   use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
-  use battery_kinds, only: int32, int64
+  use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
-  use battery_hdf5_file, only: hdf5_file_type, release, check, no_handle
+  use battery_hdf5_file, only: hdf5_file_type, release, check, check_links, no_handle
   use battery_hdf5_attributes, only: memory_type, memory_of, write_text
+  use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: pass_dataset, write_dataset, write_scale, write_dimension, extents_of
@@ -27,7 +35,8 @@ contains
 
   !> A dataset, into a new file or out of one that is read, so that one procedure says what is in
   !> both. The values may be the first of it alone, in every dimension: then the others are not
-  !> known, and a large dataset has no room for them. Does nothing after an error.
+  !> known, and a large dataset has no room for them. A dataset of which nothing is read is checked
+  !> all the same. Does nothing after an error.
   subroutine pass_dataset(file, path, values, units, long_name, error, scales, extents, unknown)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
@@ -61,20 +70,19 @@ contains
       else
         call write_memory(file, path, memory, units, long_name, error, scales)
       end if
-    else if (product(memory%extents) > 0) then
-      status = -1
-      dataset = no_handle
-      space = no_handle
-      part = no_handle
-      if (all(extents_of(file, path, size(whole)) == whole)) &
-        call h5dopen_f(file%id, path, dataset, status)
-      if (status == 0) call select_first(whole, memory%extents, space, part, status)
-      if (status == 0) call h5dread_f(dataset, memory%value_type, memory%address, status, part, &
-        space)
-      call release(part, status)
-      call release(space, status)
+    else
+      call open_dataset(file, path, dataset, error)
+      call check_form(file, path, dataset, memory%value_type, whole, error)
+      if (.not. allocated(error) .and. product(memory%extents) > 0) then
+        call select_first(whole, memory%extents, space, part, status)
+        if (status == 0) call h5dread_f(dataset, memory%value_type, memory%address, status, part, &
+          space)
+        call release(part, status)
+        call release(space, status)
+        call check(file, path, 'cannot be read', status, error)
+      end if
+      status = 0
       call release(dataset, status)
-      call check(file, path, 'cannot be read', status, error)
     end if
   end subroutine pass_dataset
 
@@ -94,29 +102,175 @@ contains
       [(0_hsize_t, k=1, size(first))], first, status)
   end subroutine select_first
 
-  !> Extents of a dataset in Fortran order; -1 where it is not there, or of another rank.
-  function extents_of(file, path, rank) result(extents)
-    !> Open.
+  !> Opens a dataset that lies in the file itself, whole or in pieces of which none is large, and
+  !> is made by no filter but those that `new_layout` uses. Asks for all that before anything else:
+  !> to ask a virtual dataset for its extents opens other files. Does nothing after an error.
+  subroutine open_dataset(file, path, dataset, error)
+    !> Open, to be read.
+    type(hdf5_file_type), intent(in) :: file
+    !> From the root.
+    character(len=*), intent(in) :: path
+    !> To be released.
+    integer(hid_t), intent(out) :: dataset
+    type(error_type), allocatable, intent(inout) :: error
+    integer(hid_t) :: layout
+    integer :: status, way, others
+
+    dataset = no_handle
+    layout = no_handle
+    call check_links(file, path, error)
+    if (allocated(error)) return
+    call h5dopen_f(file%id, path, dataset, status)
+    if (status == 0) call h5dget_create_plist_f(dataset, layout, status)
+    if (status == 0) call h5pget_layout_f(layout, way, status)
+    if (status == 0) call h5pget_external_count_f(layout, others, status)
+    call check(file, path, 'is no dataset', status, error)
+    if (status == 0 .and. (others > 0 .or. all(way /= [h5d_compact_f, h5d_contiguous_f, &
+      h5d_chunked_f]))) call check(file, path, 'does not lie in the file itself', 1, error)
+    if (.not. allocated(error) .and. way == h5d_chunked_f) &
+      call check_pieces(file, path, dataset, layout, error)
+    call release(layout, status)
+  end subroutine open_dataset
+
+  !> Pieces are at most as large as `new_layout` makes them, with no other filters.
+  subroutine check_pieces(file, path, dataset, layout, error)
+    type(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: path
+    integer(hid_t), intent(in) :: dataset, layout
+    type(error_type), allocatable, intent(out) :: error
+    integer, parameter :: most_dimensions = 32
+    integer(hsize_t) :: piece(most_dimensions)
+    integer(hid_t) :: value_type, space
+    integer(size_t) :: bytes, values
+    integer :: status, rank, filters, k, filter, flags, setting(8)
+    character(len=80) :: name
+    integer(hsize_t) :: stored
+    integer(hsize_t), allocatable :: extents(:)
+    real(dp) :: taken, pieces
+
+    call h5pget_nfilters_f(layout, filters, status)
+    do k = 0, filters - 1
+      values = size(setting)
+      call h5pget_filter_f(layout, k, flags, values, setting, len(name, size_t), name, filter, &
+        status)
+      if (status == 0 .and. all(filter /= [h5z_filter_shuffle_f, h5z_filter_deflate_f])) status = -1
+      if (status /= 0) exit
+    end do
+    call check(file, path, 'was made with a filter that this program does not use', status, error)
+    if (allocated(error)) return
+    value_type = no_handle
+    space = no_handle
+    rank = 0
+    call h5dget_space_f(dataset, space, status)
+    if (status == 0) call h5sget_simple_extent_ndims_f(space, rank, status)
+    if (status == 0) call h5pget_chunk_f(layout, rank, piece, status)
+    ! Its status is the number of dimensions where it succeeds.
+    status = merge(0, -1, status == rank)
+    if (status == 0) call h5dget_type_f(dataset, value_type, status)
+    if (status == 0) call h5tget_size_f(value_type, bytes, status)
+    if (status == 0) then
+      extents = extents_of_dataset(dataset, rank)
+      taken = product(real(piece(:rank), dp))*real(bytes, dp)
+      if (taken > real(large, dp)) status = -1
+    end if
+    call release(value_type, status)
+    call release(space, status)
+    call check(file, path, 'has pieces larger than any that this program writes', status, error)
+    if (allocated(error)) return
+    ! Compression adds next to nothing to a piece: what is longer grows without bound when read.
+    call h5dget_storage_size_f(dataset, stored, status)
+    if (status == 0) then
+      pieces = product(real(extents/piece(:rank) + 1, dp))
+      if (real(stored, dp) > (1.01_dp*taken + 64.0_dp)*pieces) status = -1
+    end if
+    call check(file, path, 'takes more of the file than its values do', status, error)
+  end subroutine check_pieces
+
+  !> A dataset must have numbers of a type, and so many of them. Does nothing after an error.
+  subroutine check_form(file, path, dataset, wanted_type, wanted, error)
+    type(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: path
+    !> Open; the type of the values in memory, and the extents of the whole.
+    integer(hid_t), intent(in) :: dataset, wanted_type
+    integer(hsize_t), intent(in) :: wanted(:)
+    type(error_type), allocatable, intent(inout) :: error
+    integer(hsize_t) :: extents(size(wanted))
+    integer(hid_t) :: value_type
+    integer(size_t) :: bytes, wanted_bytes
+    integer :: status, class, wanted_class
+    logical :: is_elsewhere
+
+    if (allocated(error)) return
+    value_type = no_handle
+    call h5dget_type_f(dataset, value_type, status)
+    if (status == 0) call h5tcommitted_f(value_type, is_elsewhere, status)
+    if (status == 0) call h5tget_class_f(value_type, class, status)
+    if (status == 0) call h5tget_size_f(value_type, bytes, status)
+    if (status == 0) call h5tget_class_f(wanted_type, wanted_class, status)
+    if (status == 0) call h5tget_size_f(wanted_type, wanted_bytes, status)
+    if (status == 0 .and. (is_elsewhere .or. class /= wanted_class .or. bytes /= wanted_bytes)) &
+      status = -1
+    call release(value_type, status)
+    call check(file, path, 'has values of another type than this program writes', status, error)
+    if (allocated(error)) return
+    extents = extents_of_dataset(dataset, size(wanted))
+    if (any(extents /= wanted)) call check(file, path, 'has the dimensions '//listed(extents) &
+      //'; by the namelist in the file they are '//listed(wanted), 1, error)
+  end subroutine check_form
+
+  !> Extents as readers in C or Python see them.
+  pure function listed(extents) result(text)
+    !> In Fortran order; below 0: of another rank.
+    integer(hsize_t), intent(in) :: extents(:)
+    character(len=:), allocatable :: text
+    integer :: k
+
+    text = ''
+    do k = size(extents), 1, -1
+      text = text//to_text(int(extents(k), int64))
+      if (k > 1) text = text//' x '
+    end do
+    if (any(extents < 0)) text = 'of another number'
+  end function listed
+
+  !> Extents of a dataset in Fortran order; -1 where it is not there, of another rank, or after an
+  !> error.
+  function extents_of(file, path, rank, error) result(extents)
+    !> Open, to be read.
     type(hdf5_file_type), intent(in) :: file
     !> From the root.
     character(len=*), intent(in) :: path
     !> Dimensions that are expected.
     integer, intent(in) :: rank
+    type(error_type), allocatable, intent(inout) :: error
+    integer(hsize_t) :: extents(rank)
+    integer(hid_t) :: dataset
+    integer :: status
+
+    call open_dataset(file, path, dataset, error)
+    extents = -1
+    if (.not. allocated(error)) extents = extents_of_dataset(dataset, rank)
+    status = 0
+    call release(dataset, status)
+  end function extents_of
+
+  !> Those of an open dataset.
+  function extents_of_dataset(dataset, rank) result(extents)
+    integer(hid_t), intent(in) :: dataset
+    integer, intent(in) :: rank
     integer(hsize_t) :: extents(rank), most(rank)
-    integer(hid_t) :: dataset, space
+    integer(hid_t) :: space
     integer :: status, found
 
     extents = -1
-    dataset = no_handle
     space = no_handle
-    call h5dopen_f(file%id, path, dataset, status)
-    if (status == 0) call h5dget_space_f(dataset, space, status)
+    found = -1
+    call h5dget_space_f(dataset, space, status)
     if (status == 0) call h5sget_simple_extent_ndims_f(space, found, status)
     if (status == 0 .and. found == rank) &
       call h5sget_simple_extent_dims_f(space, extents, most, status)
     call release(space, status)
-    call release(dataset, status)
-  end function extents_of
+  end function extents_of_dataset
 
   !> Writes a new dataset; large ones are compressed. Does nothing after an error.
   subroutine write_dataset(file, path, values, units, long_name, error, scales)

@@ -6,15 +6,18 @@
 !> A new file is made in memory and written to the disk when it is closed: after a write that failed
 !> HDF5 crashes at the end of the program, and it locks files, which some network disks refuse.
 !> Behind it comes its seal.
+!>
+!> A file that is read may be of anyone, since its seal has no secret: nothing is opened in it
+!> before `check_links` found that it lies in this file, and no filter is loaded from elsewhere.
 module battery_hdf5_file
-  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_int
   use hdf5, only: hid_t, size_t, h5get_libversion_f, h5open_f, h5eset_auto_f, h5fcreate_f, &
     h5fopen_f, h5fflush_f, h5fget_file_image_f, h5gcreate_f, h5pcreate_f, &
-    h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f
+    h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f, h5lget_info_f, haddr_t
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
-    h5p_file_access_f
+    h5p_file_access_f, h5l_type_hard_f
   use battery_kinds, only: int8, int64
-  use battery_error, only: error_type, fatal_error
+  use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: is_writable, create_new_file
   use battery_paths, only: is_folder, folder_of
   use battery_seal, only: seal_length, seal_of
@@ -22,7 +25,7 @@ module battery_hdf5_file
   implicit none (type, external)
   private
   public :: hdf5_file_type, create_file, open_file, close_file, make_group
-  public :: release, check, no_handle, hdf5_library
+  public :: release, check, check_links, no_handle, hdf5_library
 
   !> What a handle is before HDF5 gives one.
   integer(hid_t), parameter :: no_handle = -1_hid_t
@@ -37,6 +40,15 @@ module battery_hdf5_file
 
   !> HDF5 makes its types anew each time it is started, so this is done once in a program.
   logical :: is_started = .false.
+
+  interface
+    !> Which kinds of plugins HDF5 may load; 0: none.
+    integer(c_int) function set_plugins(kinds) bind(c, name='H5PLset_loading_state')
+      import :: c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: kinds
+    end function set_plugins
+  end interface
 
 contains
 
@@ -92,11 +104,12 @@ contains
     call new_access(access, status)
     if (status == 0) call h5fopen_f(name, h5f_acc_rdonly_f, file%id, status, access_prp=access)
     call release(access, status)
-    if (status /= 0) call fatal_error(error, name//': cannot be opened as an HDF5 file')
+    if (status /= 0) &
+      call fatal_error(error, name//': cannot be opened as an HDF5 file', exit_bad_input)
   end subroutine open_file
 
   !> How files are opened: closing one closes all that is open in it. Starts HDF5 before, and
-  !> switches off what it prints by itself.
+  !> switches off what it prints by itself and what it would load for filters that a file names.
   subroutine new_access(access, status)
     integer(hid_t), intent(out) :: access
     integer, intent(out) :: status
@@ -106,6 +119,7 @@ contains
     if (.not. is_started) then
       call h5open_f(status)
       if (status == 0) call h5eset_auto_f(0, status)
+      if (status == 0) status = set_plugins(0_c_int)
       is_started = status == 0
     end if
     if (status == 0) call h5pcreate_f(h5p_file_access_f, access, status)
@@ -212,7 +226,33 @@ contains
     if (closed /= 0) status = closed
   end subroutine release
 
-  !> An error about what stands at a path, if `status` says so.
+  !> Whether all on the way to a path lies in this file: every link is a hard one. Others lead to
+  !> anything, within the file or in any other that the user may read. Does nothing after an error.
+  subroutine check_links(file, path, error)
+    !> Open.
+    type(hdf5_file_type), intent(in) :: file
+    !> From the root; `/` for the root itself.
+    character(len=*), intent(in) :: path
+    type(error_type), allocatable, intent(inout) :: error
+    integer(haddr_t) :: address
+    integer(size_t) :: length
+    integer :: last, slash, set, order, link, status
+    logical :: is_ordered
+
+    last = 1
+    do while (last < len(path) .and. .not. allocated(error))
+      slash = index(path(last + 1:), '/')
+      last = merge(len(path), last + slash, slash == 0)
+      call h5lget_info_f(file%id, path(:last - merge(0, 1, slash == 0)), set, order, is_ordered, &
+        link, address, length, status)
+      call check(file, path, 'is not there', status, error)
+      if (status == 0) call check(file, path, 'is a link out of its place', &
+        merge(0, 1, link == h5l_type_hard_f), error)
+    end do
+  end subroutine check_links
+
+  !> An error about what stands at a path, if `status` says so. In a file that is read it is bad
+  !> input: its seal was right, so it was made as it is.
   subroutine check(file, path, problem, status, error)
     !> Where it happened.
     type(hdf5_file_type), intent(in) :: file
@@ -221,7 +261,8 @@ contains
     integer, intent(in) :: status
     type(error_type), allocatable, intent(out) :: error
 
-    if (status /= 0) call fatal_error(error, file%name//': '//path//' '//problem)
+    if (status /= 0) call fatal_error(error, file%name//': '//path//' '//problem, &
+      merge(exit_failure, exit_bad_input, file%is_new))
   end subroutine check
 
 end module battery_hdf5_file

@@ -4,12 +4,13 @@
 !> so that there is always either the old file or the new one. Not known are NaN and, where an
 !> attribute `_FillValue` says so, -1.
 module battery_results_file
-  use battery_kinds, only: dp, int32, int64
-  use battery_error, only: error_type
-  use battery_files, only: publish_file, remove_file
+  use battery_kinds, only: wp, dp, int32, int64
+  use battery_build_information, only: program_version
+  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_files, only: seen_type, sync_file, put_in_place, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, make_group
+  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, make_group, check
   use battery_hdf5_attributes, only: read_text, write_attribute, write_text
   use battery_hdf5_datasets, only: pass_dataset, write_dataset, write_scale, &
     write_dimension, extents_of
@@ -19,9 +20,13 @@ module battery_results_file
     task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
     point_undecided
   use battery_metadata, only: metadata_type, write_metadata
+  use battery_namelist_input, only: parse_namelist
+  use battery_plan, only: plan_type, point_type, point_of, setup_of
+  use battery_room, only: check_room, bytes_a_task, merged_entry, merged_state, most_numbers
+  use battery_simulation, only: setup_type
   use battery_seal, only: check_seal
   use battery_table, only: gated, ungated
-  use battery_text, only: lines_of
+  use battery_text, only: lines_of, to_text
   implicit none (type, external)
   private
   public :: write_results, read_results
@@ -38,11 +43,14 @@ module battery_results_file
 
 contains
 
-  !> Writes the file `name`, replacing what is there; on an error that stays as it was.
-  subroutine write_results(name, results, metadata, error)
+  !> Writes the file `name`, replacing what was there before; on an error that stays as it was. If
+  !> something else is there by now, the results stay in `name.part`.
+  subroutine write_results(name, results, metadata, before, error)
     character(len=*), intent(in) :: name
     type(results_type), intent(inout) :: results
     type(metadata_type), intent(in) :: metadata
+    !> What may be replaced.
+    type(seen_type), intent(in) :: before
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: other
     type(hdf5_file_type) :: file
@@ -62,8 +70,12 @@ contains
     call close_file(file, other)
     if (.not. allocated(error)) call move_alloc(other, error)
     if (.not. allocated(error)) call check_seal(temporary, error)
-    if (.not. allocated(error)) call publish_file(temporary, name, error)
-    if (allocated(error)) call remove_file(temporary, other)
+    if (.not. allocated(error)) call sync_file(temporary, error)
+    if (allocated(error)) then
+      call remove_file(temporary, other)
+    else
+      call put_in_place(temporary, name, before, error)
+    end if
   end subroutine write_results
 
   !> The grid of the scan: its keys in the attribute `scan` of the root, the slowest first, and the
@@ -89,7 +101,10 @@ contains
     call write_text(file, '/', 'scan', names(2:), error)
   end subroutine write_scan
 
-  !> Reads what `write_results` wrote but for points and events, once its seal was found right.
+  !> Reads what `write_results` wrote but for points and events, once its seal was found right. The
+  !> file may be of anyone: what it must have follows from the namelist in it, and anything else is
+  !> refused with the code `exit_bad_input`, also in what is not read. A file of another version has
+  !> its own datasets; it is an error of the code `exit_failure`, as a damaged one.
   subroutine read_results(name, whole, results, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -99,36 +114,151 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: other
     type(hdf5_file_type) :: file
-    integer(int64) :: two(2), three(3), four(4)
-    integer :: held, r
-    character(len=:), allocatable :: hosts
+    type(plan_type) :: plan
 
     call check_seal(name, error)
     if (.not. allocated(error)) call open_file(file, name, error)
     if (allocated(error)) return
-    two = max(0_int64, extents_of(file, '/seed', 2))
-    call new_results(results, int(two(2)), int(two(1)))
-    call pass_measured(file, results, error)
-    call read_text(file, '/provenance', 'hosts', hosts, error)
-    results%host = lines_of(hosts)
-    if (whole) then
-      held = findloc([(any(results%task_status(r, :) == task_complete), r=1, int(two(1)))], &
-        .true., dim=1, back=.true.)
-      three = extents_of(file, '/series/urn1_number', 3)
-      if (three(1) > 0) then
-        allocate (results%series_time(three(1)), results%series_flow(three(1), held, two(2), 4))
-        allocate (results%series_urn1_number(three(1), held, two(2)))
-      end if
-      four = extents_of(file, '/snapshots/x', 4)
-      if (four(1) > 0) allocate (results%snapshots(four(1), four(2), held, two(2), 4))
-      three = extents_of(file, '/final/x', 3)
-      if (three(1) > 0) allocate (results%final_state(three(1), 1, held, two(2), 4))
-      call pass_series(file, results, error)
-      call pass_states(file, results, error)
-    end if
+    call read_plan(file, plan, error)
+    if (.not. allocated(error)) call read_tasks(file, plan, results, error)
+    if (.not. allocated(error)) call read_courses(file, plan, whole, results, error)
     call close_file(file, other)
     if (.not. allocated(error)) call move_alloc(other, error)
   end subroutine read_results
+
+  !> The plan that a file was made from, by this version.
+  subroutine read_plan(file, plan, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(plan_type), intent(out) :: plan
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: version, namelist, fingerprint
+    integer :: status
+
+    call read_text(file, '/', 'version', version, error)
+    call read_text(file, '/', 'namelist', namelist, error)
+    call read_text(file, '/', 'initial_file_fingerprint', fingerprint, error)
+    if (allocated(error)) return
+    if (version /= program_version) then
+      call fatal_error(error, file%name//' is of another version')
+    else
+      call parse_namelist(namelist, file%name, plan, error)
+    end if
+    read (fingerprint, '(z16)', iostat=status) plan%initial_fingerprint
+    if (status /= 0) plan%initial_fingerprint = 0
+  end subroutine read_plan
+
+  !> What was measured by every task. Statuses, seeds and hosts choose what is done with the rest:
+  !> each must be one that there is.
+  subroutine read_tasks(file, plan, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(out) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    type(setup_type) :: setup
+    character(len=:), allocatable :: hosts
+    integer :: p, r, host
+
+    call check_memory(bytes_a_task*plan%point_count*plan%replicas, 'tasks', file, error)
+    if (allocated(error)) return
+    call new_results(results, plan%point_count, plan%replicas)
+    call pass_measured(file, results, error)
+    call read_text(file, '/provenance', 'hosts', hosts, error)
+    if (allocated(error)) return
+    results%host = lines_of(hosts)
+    host = place_of('provenance/host', counted_quantities())
+    do p = 1, plan%point_count
+      do r = 1, plan%replicas
+        if (results%task_status(r, p) < task_complete .or. results%task_status(r, p) &
+          > task_not_asked) call check(file, '/task_status', 'has a number without meaning', 1, &
+          error)
+        if (allocated(error)) return
+        if (results%task_status(r, p) /= task_complete) cycle
+        setup = setup_of(plan, p, r)
+        if (results%seed(r, p) /= setup%seed) &
+          call check(file, '/seed', 'has a seed that the namelist in the file does not', 1, error)
+        if (.not. allocated(error) .and. (results%counted(r, p, host) < 0 .or. &
+          results%counted(r, p, host) >= size(results%host))) &
+          call check(file, '/provenance/host', 'has a host that is not in the list', 1, error)
+        if (allocated(error)) return
+      end do
+    end do
+  end subroutine read_tasks
+
+  !> Series and states of those replicas that any point has complete; of the others nothing is
+  !> known. What is not read is checked all the same.
+  subroutine read_courses(file, plan, whole, results, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(plan_type), intent(in) :: plan
+    logical, intent(in) :: whole
+    type(results_type), intent(inout) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    integer(int64) :: series(3)
+    real(dp) :: entries
+    integer :: complete, held, points, most, times, r
+
+    complete = findloc([(any(results%task_status(r, :) == task_complete), r=1, plan%replicas)], &
+      .true., dim=1, back=.true.)
+    if (complete == 0) return
+    held = merge(complete, 0, whole)
+    points = plan%point_count
+    times = size(plan%snapshot_times)
+    if (plan%series_interval > 0.0_wp) then
+      series = extents_of(file, '/series/urn1_number', 3, error)
+      if (allocated(error)) return
+      entries = real(series(1), dp)
+      if (entries < 1.0_dp .or. entries > most_numbers .or. (plan%duration > 0.0_wp .and. entries &
+        > real(2.0_wp + plan%duration/plan%series_interval, dp))) then
+        call check(file, '/series/urn1_number', 'has '//to_text(series(1))//' entries, which is ' &
+          //'not the length of a series by the namelist in the file', 1, error)
+      else
+        call check_memory(merged_entry*entries*held*points, '/series', file, error)
+      end if
+      if (allocated(error)) return
+      allocate (results%series_time(series(1)), results%series_flow(series(1), held, points, 4))
+      allocate (results%series_urn1_number(series(1), held, points))
+      call pass_series(file, results, error)
+    end if
+    most = most_particles(plan, results)
+    call check_memory(merged_state*most*held*points*(times + merge(1, 0, plan%final_state)), &
+      '/snapshots and /final', file, error)
+    if (allocated(error)) return
+    if (times > 0) allocate (results%snapshots(most, times, held, points, 4))
+    if (plan%final_state) allocate (results%final_state(most, 1, held, points, 4))
+    call pass_states(file, results, error)
+    if (whole) return
+    if (allocated(results%series_time)) deallocate (results%series_time, results%series_flow, &
+      results%series_urn1_number)
+    if (allocated(results%snapshots)) deallocate (results%snapshots)
+    if (allocated(results%final_state)) deallocate (results%final_state)
+  end subroutine read_courses
+
+  !> An error if there is no memory for so many bytes of a file. Does nothing after an error.
+  subroutine check_memory(bytes, what, file, error)
+    real(dp), intent(in) :: bytes
+    !> Datasets that ask for them.
+    character(len=*), intent(in) :: what
+    type(hdf5_file_type), intent(in) :: file
+    type(error_type), allocatable, intent(inout) :: error
+
+    if (allocated(error)) return
+    call check_room(bytes, what//' in '//file%name, error)
+    if (allocated(error)) error%code = exit_bad_input
+  end subroutine check_memory
+
+  !> Particles of the largest point that has a complete task: there is room for so many in a file.
+  integer function most_particles(plan, results) result(most)
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(in) :: results
+    type(point_type) :: point
+    integer :: p
+
+    most = 0
+    do p = 1, plan%point_count
+      if (all(results%task_status(:, p) /= task_complete)) cycle
+      point = point_of(plan, p)
+      most = max(most, point%number)
+    end do
+  end function most_particles
 
   !> Dimensions, points of the scan.
   subroutine write_points(file, results, error)
@@ -167,7 +297,7 @@ contains
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: blocks = ', standard error from blocks of the run'
+    character(len=*), parameter :: blocks = ', standard error from the run; NaN: too short'
     character(len=*), parameter :: scatter = ', standard error from the scatter of the replicas'
     type(quantity_type), allocatable :: list(:)
     character(len=:), allocatable :: path, unit, meaning

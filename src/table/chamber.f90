@@ -26,8 +26,11 @@ module battery_chamber
     !> Area, and length of the walls that the openings leave.
     real(wp) :: area = 0.0_wp, perimeter = 0.0_wp
     !> Nothing of it is farther from the origin than `reach`. What lies between the chords and no
-    !> farther from the origin than `clear` is inside.
+    !> farther from the origin than `clear` is inside; 0: the origin is not.
     real(wp) :: reach = 0.0_wp, clear = 0.0_wp
+    !> A step that is shorter is small beside the urn, and leads through no wall between two of its
+    !> parts.
+    real(wp) :: longest_step = 0.0_wp
     !> No way through the urn is shorter than the depths of its two openings together, which may be
     !> one and the same.
     real(wp) :: depth(2) = 0.0_wp

@@ -6,7 +6,7 @@ module battery_corners
   use battery_kinds, only: wp, pi
   implicit none (type, external)
   private
-  public :: most_corners, regular_corners, enclosed_area, turned_round, next_of, &
+  public :: most_corners, regular_corners, enclosed_area, directions_stay, turned_round, next_of, &
     distance_to_side, sides_meet, side_distance, axis_side
 
   !> Most corners of a polygon.
@@ -53,6 +53,31 @@ contains
         corner(:, k + 1) - corner(:, 1))
     end do
   end function enclosed_area
+
+  !> Whether particles keep a finite set of directions for ever: all sides are at whole multiples of
+  !> one fraction of pi, to typed digits.
+  pure logical function directions_stay(corner)
+    !> (x, y) in columns.
+    real(wp), intent(in) :: corner(:, :)
+    !> The smallest fraction that is looked for, and how sharply a side must fit.
+    integer, parameter :: most_parts = 120
+    real(wp), parameter :: sharp = 1.0e-6_wp
+    real(wp) :: angle(size(corner, 2)), parts
+    integer :: k
+
+    associate (n => size(corner, 2))
+      do k = 1, n
+        angle(k) = atan2(corner(2, next_of(k, n)) - corner(2, k), &
+          corner(1, next_of(k, n)) - corner(1, k))
+      end do
+    end associate
+    directions_stay = .true.
+    do k = 1, most_parts
+      parts = real(k, wp)/pi
+      if (all(abs(angle*parts - anint(angle*parts)) < sharp*parts)) return
+    end do
+    directions_stay = .false.
+  end function directions_stay
 
   !> The same polygon, its corners the other way round; the first stays the first.
   pure function turned_round(corner) result(turned)

@@ -20,7 +20,11 @@ module battery_disc
   implicit none (type, external)
   private
   public :: disc_type, new_disc, is_in_disc, try_point, place_in_disc
+  public :: first_impact_in_disc, sharp_incidence
   public :: aim_in_disc, hit_disc, put_back_in_disc
+
+  !> Incidences with a smaller cosine are computed anew, to all their digits.
+  real(wp), parameter, public :: grazing_cosine = 1.0e-3_wp
 
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
   real(wp), parameter :: march_worthwhile = 0.01_wp
@@ -63,6 +67,7 @@ contains
     disc%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(gated) - 2.0_wp*angle(ungated))
     disc%reach = radius
     disc%clear = radius
+    disc%longest_step = radius
     disc%depth = disc%chord
 
   contains
@@ -108,7 +113,50 @@ contains
     end associate
   end subroutine try_point
 
-  !> Where a particle is at a time from what is known of the end of its visit: it is in the disc.
+  !> The first impact of a particle that is in the disc, also if an opening is there.
+  pure subroutine first_impact_in_disc(disc, x, y, ux, uy, angle, cosine, sine, wait, before)
+    type(disc_type), intent(in) :: disc
+    !> Place, lengths, and velocity, of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> Its angle (radians, from the x axis), cosine and sine of the incidence; the time until then.
+    real(wp), intent(out) :: angle, cosine, sine, wait
+    !> Wall hits that `place_in_disc` does not count from there on: none.
+    integer(int64), intent(out) :: before
+
+    sine = (x*uy - y*ux)/disc%radius
+    cosine = sqrt(max((1.0_wp - sine)*(1.0_wp + sine), 0.0_wp))
+    if (cosine < grazing_cosine) call sharp_incidence(disc, x, y, ux, uy, cosine, sine)
+    angle = atan2(uy*cosine - ux*sine, ux*cosine + uy*sine)
+    wait = disc%radius*cosine - (x*ux + y*uy)
+    before = 0
+  end subroutine first_impact_in_disc
+
+  !> A grazing incidence to all its digits: from the depth below the circle and the way along it.
+  pure subroutine sharp_incidence(disc, x, y, ux, uy, cosine, sine)
+    type(disc_type), intent(in) :: disc
+    !> Place, lengths, and velocity, of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> Cosine and sine; left as they are where they have their digits.
+    real(wp), intent(inout) :: cosine, sine
+    real(wp) :: px, py, half, room, c
+
+    px = x/disc%radius
+    py = y/disc%radius
+    half = merge(disc%half(gated), disc%half(ungated), px > 0.0_wp)
+    ! On a chord the depth is known without the cancellation.
+    if (abs(x - merge(disc%chord(gated), -disc%chord(ungated), px > 0.0_wp)) > 0.0_wp) then
+      room = (1.0_wp - abs(py))*(1.0_wp + abs(py)) - px**2
+    else
+      room = (half - abs(py))*(half + abs(py))
+    end if
+    c = sqrt(max(room, 0.0_wp) + (px*ux + py*uy)**2)
+    if (.not. c < grazing_cosine) return
+    cosine = c
+    sine = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), sine)
+  end subroutine sharp_incidence
+
+  !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
+  !> is in the disc.
   pure subroutine place_in_disc(disc, channel, y, along, across, since, position, velocity, hits)
     type(disc_type), intent(in) :: disc
     !> The channel it leaves through, or one that is none: never.
@@ -165,7 +213,8 @@ contains
     position = disc%radius*[real(impact, wp), aimag(impact)] - rest*velocity
   end subroutine go_back
 
-  !> For ever along a regular star; without length of its chords, along the wall.
+  !> Forwards from an impact, or back along the chord that leads to it, along a star; without length
+  !> of its chords, along the wall.
   pure subroutine go_round(disc, elapsed, angle, cosine, sine, position, velocity, hits)
     type(disc_type), intent(in) :: disc
     real(wp), intent(in) :: elapsed, angle, cosine, sine
@@ -176,9 +225,10 @@ contains
 
     step = 2.0_wp*disc%radius*cosine
     hits = 0
-    if (step > 0.0_wp) hits = floor(elapsed/step, int64)
+    ! Not before the impact before, whose chord leads to this one: rounding may have it otherwise.
+    if (step > 0.0_wp) hits = max(floor(elapsed/step, int64), -1_int64)
     rest = elapsed - real(hits, wp)*step
-    turned = angle + modulo(real(hits, wp)*2.0_wp*acos(sine), 2.0_wp*pi)
+    turned = angle + modulo(real(hits, wp)*2.0_wp*atan2(cosine, sine), 2.0_wp*pi)
     if (.not. step > 0.0_wp) then
       ! A chord without length: the particle glides along the wall.
       turned = angle + sine*rest/disc%radius

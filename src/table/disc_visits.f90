@@ -7,10 +7,10 @@
 module battery_disc_visits
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: gated, ungated
-  use battery_disc, only: disc_type
+  use battery_disc, only: disc_type, sharp_incidence, grazing_cosine
   use battery_rotation, only: turn_of, unit_vector, full_turn
   use battery_opening_search, only: find_opening
-  use battery_visits, only: visits_type, together, no_channel
+  use battery_visits, only: visits_type, together, no_channel, many_hits
   implicit none (type, external)
   private
   public :: cross_discs
@@ -18,11 +18,9 @@ module battery_disc_visits
   !> Impacts that the kernel steps `together` particles without closing ranks.
   integer, parameter :: march_steps = 8
   !> After so many marches a particle is searched for instead.
-  integer, parameter :: march_rounds = 12
+  integer, parameter :: march_rounds = nint(many_hits)/march_steps - 2
   !> In the first rounds so many still bounce that ranks are closed after every second march only.
   integer, parameter :: early_rounds = 2
-  !> Incidences with a smaller cosine are computed anew, to all their digits.
-  real(wp), parameter :: grazing_cosine = 1.0e-3_wp
 
 contains
 
@@ -36,6 +34,7 @@ contains
 
     n = together*((visits%count + together - 1)/together)
     visits%all_hits = 0
+    visits%many_count = 0
     if (n == 0) return
     call enter(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
       visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
@@ -58,6 +57,8 @@ contains
         if (active == 0) exit
       end do
     end if
+    visits%many_count = active
+    visits%many(:active) = visits%slot(:active)
     do j = 1, active
       call search(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
@@ -67,8 +68,11 @@ contains
       visits%length, visits%through)
     if (.not. all_left(visits%count, visits%along, visits%impacts)) then
       do j = 1, visits%count
-        if (.not. visits%along(j) > 0.0_wp .or. visits%impacts(j) < 0.0_wp) &
-          call mend(disc, visits, j)
+        if (visits%along(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
+        call mend(disc, visits, j)
+        if (any(visits%many(:visits%many_count) == j)) cycle
+        visits%many_count = visits%many_count + 1
+        visits%many(visits%many_count) = j
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
@@ -147,37 +151,27 @@ contains
     grazing = low > 0
   end subroutine enter
 
-  !> Grazing incidences to all their digits: from the depth below the circle and the way along it.
+  !> Grazing incidences to all their digits.
   pure subroutine sharpen(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
-    real(wp) :: x, y, ux, uy, room, half, c, s
+    real(wp) :: ux, uy, c, s
     integer :: j
 
     do j = 1, visits%count
       if (.not. visits%c(j) < grazing_cosine) cycle
-      x = visits%x(j)/disc%radius
-      y = visits%y(j)/disc%radius
       ux = visits%along(j)
       uy = visits%across(j)
-      half = merge(disc%half(gated), disc%half(ungated), x > 0.0_wp)
-      ! On a chord the depth is known without the cancellation.
-      if (abs(visits%x(j) - merge(disc%chord(gated), -disc%chord(ungated), x > 0.0_wp)) &
-        > 0.0_wp) then
-        room = (1.0_wp - abs(y))*(1.0_wp + abs(y)) - x**2
-      else
-        room = (half - abs(y))*(half + abs(y))
-      end if
-      c = sqrt(max(room, 0.0_wp) + (x*ux + y*uy)**2)
-      if (.not. c < grazing_cosine) cycle
-      s = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), visits%s(j))
+      c = visits%c(j)
+      s = visits%s(j)
+      call sharp_incidence(disc, visits%x(j), visits%y(j), ux, uy, c, s)
       visits%c(j) = c
       visits%s(j) = s
       visits%px(j) = ux*c + uy*s
       visits%py(j) = uy*c - ux*s
       visits%zx(j) = (s - c)*(s + c)
       visits%zy(j) = 2.0_wp*s*c
-      visits%first(j) = disc%radius*(c - (x*ux + y*uy))
+      visits%first(j) = disc%radius*c - (visits%x(j)*ux + visits%y(j)*uy)
     end do
   end subroutine sharpen
 

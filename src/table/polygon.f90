@@ -2,7 +2,8 @@
 !> right for channel 1 and on the left for channel 2.
 !>
 !> Frame: the origin lies in the middle between the two upright sides. Where channel 2 is closed no
-!> side on the left need be upright, and what reaches farthest to the left stands for it.
+!> side on the left need be upright, and what reaches farthest to the left stands for it. So it is
+!> with the disc, whose chord there is its radius away. The origin may lie outside of the polygon.
 !>
 !> From wall to wall: `polygon_walls.f90`; whole visits: `polygon_visits.f90`.
 module battery_polygon
@@ -60,9 +61,10 @@ contains
     polygon%sides = n
     polygon%side = [axis_side(corner, 1.0_wp), axis_side(corner, -1.0_wp)]
     ends = [maxval(corner(1, :)), minval(corner(1, :))]
+    ! Where a channel is closed, its side is a wall like the others.
+    where (.not. is_open(channel)) polygon%side = 0
     do k = 1, 2
       if (polygon%side(k) > 0) ends(k) = corner(1, polygon%side(k))
-      if (.not. is_open(channel(k))) polygon%side(k) = 0
     end do
     polygon%x = [corner(1, :), corner(1, 1)] - 0.5_wp*sum(ends)
     polygon%y = [corner(2, :), corner(2, 1)]
@@ -113,22 +115,23 @@ contains
     call find_clearance(polygon)
   end subroutine measure
 
-  !> No step of a length below `clear` leads from the middle out of the polygon, or from anywhere
-  !> through a wall between two of its parts.
+  !> How far the origin is from the walls, if it lies inside; how long a step may be. Twice the area
+  !> over the way round is the radius of the circle inscribed in a regular polygon.
   pure subroutine find_clearance(polygon)
     type(polygon_type), intent(inout) :: polygon
     integer :: j, k, n
 
     n = polygon%sides
     polygon%clear = 0.0_wp
-    if (.not. is_in_polygon(polygon, 0.0_wp, 0.0_wp, 0.0_wp)) return
-    polygon%clear = distance_to_walls(polygon, 0.0_wp, 0.0_wp)
+    if (is_in_polygon(polygon, 0.0_wp, 0.0_wp, 0.0_wp)) &
+      polygon%clear = distance_to_walls(polygon, 0.0_wp, 0.0_wp)
+    polygon%longest_step = 2.0_wp*polygon%area/polygon%round
     if (polygon%convex) return
     do k = 1, n
       do j = k + 2, n
         if (k == 1 .and. j == n) cycle
-        polygon%clear = min(polygon%clear, side_distance(corner_of(k), corner_of(k + 1), &
-          corner_of(j), corner_of(j + 1)))
+        polygon%longest_step = min(polygon%longest_step, side_distance(corner_of(k), &
+          corner_of(k + 1), corner_of(j), corner_of(j + 1)))
       end do
     end do
 

@@ -13,7 +13,7 @@ module battery_polygon_visits
   use battery_polygon, only: polygon_type, nearest_side
   use battery_polygon_walls, only: state_type, state_on, came_back, surely_next_side, reflect, &
     longest_period
-  use battery_visits, only: visits_type, together, no_channel, goes_on
+  use battery_visits, only: visits_type, together, no_channel, goes_on, many_hits
   implicit none (type, external)
   private
   public :: cross_polygons
@@ -37,6 +37,7 @@ contains
     type(visits_type), intent(inout) :: visits
     integer :: active, n, j, round
 
+    visits%many_count = 0
     active = visits%count
     n = together*((active + together - 1)/together)
     call enter(n, visits%x, visits%y, visits%along, visits%across, visits%px, visits%py, &
@@ -322,7 +323,18 @@ contains
     visits%length(mine) = visits%first(j)
     visits%through(mine) = polygon%length(channel)/visits%along(mine)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
+    if (visits%steps(j) >= many_hits) call add_to_many(visits, mine)
   end subroutine leave
+
+  !> Adds to the list of those with many hits.
+  pure subroutine add_to_many(visits, which)
+    type(visits_type), intent(inout) :: visits
+    !> Of the batch.
+    integer, intent(in) :: which
+
+    visits%many_count = visits%many_count + 1
+    visits%many(visits%many_count) = which
+  end subroutine add_to_many
 
   !> A visit of very many hits, side by side, until it ends, its state comes back, or it has flown a
   !> part of its way. A period is looked for that is as long as it is from a state on: that after
@@ -388,6 +400,7 @@ contains
     ! When it has to be gone on with, before its end.
     visits%through(mine) = 0.5_wp*visits%first(j)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
+    call add_to_many(visits, mine)
   end subroutine hand_on
 
 end module battery_polygon_visits

@@ -15,6 +15,7 @@ module battery_polygon_walls
   implicit none (type, external)
   private
   public :: aim_in_polygon, hit_polygon, put_back_in_polygon, place_in_polygon
+  public :: first_impact_in_polygon
   public :: surely_next_side, reflect, state_type, state_on, came_back
 
   !> A state that has come back to within this, in units of all walls and of 1, is the same state.
@@ -308,7 +309,40 @@ contains
     end do
   end subroutine fly_on
 
-  !> Where a particle is at a time from what is known of the end of its visit: it is in the polygon.
+  !> The first impact of a particle that is in the polygon, also if an opening is there.
+  pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, round, along, across, wait, before)
+    type(polygon_type), intent(in) :: polygon
+    !> Place and velocity in the frame of the polygon: lengths, and a vector of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> The state after it; the time until then.
+    real(wp), intent(out) :: round, along, across, wait
+    !> Wall hits that `place_in_polygon` does not count from there on: this one.
+    integer(int64), intent(out) :: before
+    type(state_type) :: state
+    real(wp) :: norm, px, py
+    integer :: side
+
+    norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
+    along = norm*ux
+    across = norm*uy
+    call surely_next_side(polygon, 0, x, y, along, across, side, wait)
+    before = 0
+    if (side > 0) then
+      px = x + along*wait
+      py = y + across*wait
+      call reflect(polygon, side, px, py, along, across)
+      state = state_on(polygon, side, px, py, along, across)
+      before = 1
+    else
+      ! No way leads on: it stays where it is.
+      wait = 0.0_wp
+      state = state_on(polygon, nearest_side(polygon, x, y), x, y, along, across)
+    end if
+    round = state%round
+  end subroutine first_impact_in_polygon
+
+  !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
+  !> is in the polygon.
   pure subroutine place_in_polygon(polygon, channel, y, along, across, since, position, velocity, &
     hits)
     type(polygon_type), intent(in) :: polygon

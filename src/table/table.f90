@@ -11,21 +11,22 @@
 !> of Fig. app1 is a table of one side: its middle line is a wall that leads back to it. What shape
 !> an urn has, only `battery_urn` asks.
 module battery_table
-  use battery_kinds, only: wp
+  use battery_kinds, only: wp, pi
   use battery_powers, only: power_above
   use battery_channel, only: channel_type, is_open, fold, gated, ungated, no_channel, facing
   use battery_chamber, only: mean_visit
+  use battery_corners, only: directions_stay
   use battery_motion, only: outside, in_urn, in_gate, in_return
   use battery_scatterers, only: scattered_half_type, new_scattered_half, is_in_scatterer, &
     measure_scatterers
-  use battery_urn, only: urn_type, give_form, alike, holds, try_place
+  use battery_urn, only: urn_type, shape_polygon, give_form, alike, holds, try_place
   implicit none (type, external)
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
   public :: gated, ungated, no_channel, outside, in_urn, in_gate, in_return
   public :: side_at, chamber_at, x_direction, is_open, alike, passage_type, passage_at
   public :: area, perimeter, half_length, mean_visit, shortest_excursion, try_place, longest_run
-  public :: is_scattered
+  public :: is_scattered, relaxation_time
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
@@ -184,6 +185,33 @@ contains
       end if
     end associate
   end function shortest_excursion
+
+  !> Time in which the directions of flight relax in the larger urn, 25 r^4/w^3 in discs
+  !> (docs/theory.md), r the radius of a disc of the urn's area; huge where channel 1 is closed, and
+  !> where all walls are straight and particles keep a few directions for ever.
+  pure function relaxation_time(table) result(time)
+    type(table_type), intent(in) :: table
+    real(wp) :: time, radius
+
+    time = huge(1.0_wp)
+    if (.not. is_open(table%channel(gated)) .or. keeps_directions(table)) return
+    radius = sqrt(maxval(table%urn(:table%sides)%area)/pi)
+    time = 25.0_wp*radius*(radius/table%channel(gated)%width)**3
+  end function relaxation_time
+
+  !> Whether all urns are polygons that leave a particle a few directions (both the same ones: each
+  !> has an upright side and so has the other), and no discs stand in channel 2.
+  pure logical function keeps_directions(table)
+    type(table_type), intent(in) :: table
+    integer :: side
+
+    keeps_directions = .not. is_scattered(table)
+    do side = 1, table%sides
+      if (.not. keeps_directions) return
+      keeps_directions = table%urn(side)%shape == shape_polygon
+      if (keeps_directions) keeps_directions = directions_stay(table%urn(side)%corner)
+    end do
+  end function keeps_directions
 
   !> The side of a point; the middle line belongs to side 2, if there is one.
   elemental function side_at(table, x) result(side)

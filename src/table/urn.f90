@@ -5,21 +5,21 @@
 !> asked for where the work is done, by a number, so that nothing is called through a pointer.
 module battery_urn
   use battery_kinds, only: wp, int64
-  use battery_channel, only: channel_type
+  use battery_channel, only: channel_type, no_channel
   use battery_chamber, only: chamber_type
   use battery_disc, only: disc_type, new_disc, is_in_disc, try_point, place_in_disc, &
-    aim_in_disc, hit_disc, put_back_in_disc
+    first_impact_in_disc, aim_in_disc, hit_disc, put_back_in_disc
   use battery_disc_visits, only: cross_discs
   use battery_motion, only: wall_kind
   use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon
   use battery_polygon_visits, only: cross_polygons
-  use battery_polygon_walls, only: place_in_polygon, aim_in_polygon, hit_polygon, &
-    put_back_in_polygon
+  use battery_polygon_walls, only: place_in_polygon, first_impact_in_polygon, &
+    aim_in_polygon, hit_polygon, put_back_in_polygon
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: urn_type, shape_disc, shape_polygon, give_form, alike, holds, try_place, cross, &
-    place_in_visit, aim, hit, put_back
+    place_in_visit, first_impact, place_after, aim, hit, put_back
 
   !> The shapes.
   integer, parameter :: shape_disc = 1, shape_polygon = 2
@@ -130,7 +130,46 @@ contains
     end select
   end subroutine cross
 
-  !> Where a particle is at a time from what is known of the end of its visit.
+  !> The first impact of a particle that is in the urn, also if an opening is there: what
+  !> `place_in_visit` wants to know of one that never leaves.
+  pure subroutine first_impact(urn, x, y, ux, uy, at, along, across, wait, before)
+    type(urn_type), intent(in) :: urn
+    !> Place and velocity in the frame of the urn: lengths, and a vector of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> What `visits_type` has as y, `along` and `across` then; the time until then.
+    real(wp), intent(out) :: at, along, across, wait
+    !> Wall hits that `place_in_visit` does not count from there on.
+    integer(int64), intent(out) :: before
+
+    select case (urn%shape)
+    case (shape_polygon)
+      call first_impact_in_polygon(urn%polygon, x, y, ux, uy, at, along, across, wait, before)
+    case default
+      call first_impact_in_disc(urn%disc, x, y, ux, uy, at, along, across, wait, before)
+    end select
+  end subroutine first_impact
+
+  !> Where a particle is some time after it was somewhere in the urn; it has not left.
+  pure subroutine place_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
+    type(urn_type), intent(in) :: urn
+    !> Where it was: lengths, and a vector of length 1, in the frame of the urn.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> The time since then.
+    real(wp), intent(in) :: elapsed
+    !> x and y of each.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Of walls since then.
+    integer(int64), intent(out) :: hits
+    real(wp) :: at, along, across, wait
+    integer(int64) :: before
+
+    call first_impact(urn, x, y, ux, uy, at, along, across, wait, before)
+    call place_in_visit(urn, no_channel, at, along, across, elapsed - wait, position, velocity, &
+      hits)
+    hits = hits + before
+  end subroutine place_after
+
+  !> Where a particle is at a time from what is known of an impact, or of the end of its visit.
   pure subroutine place_in_visit(urn, channel, y, along, across, since, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     !> The channel it leaves through then; `no_channel` or `goes_on`.

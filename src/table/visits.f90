@@ -4,7 +4,7 @@ module battery_visits
   use battery_channel, only: gated, none => no_channel
   implicit none (type, external)
   private
-  public :: visits_type, reserve_visits, part_visits, together, no_channel, goes_on
+  public :: visits_type, reserve_visits, part_visits, together, no_channel, goes_on, many_hits
 
   !> Particles that the kernels treat together.
   integer, parameter :: together = 4
@@ -15,6 +15,10 @@ module battery_visits
   !> In place of a channel: a visit of which only a part is known yet. What is told of it is that of
   !> a particle that never leaves, at the end of the part; `through` is half the part's length.
   integer(int64), parameter :: goes_on = -1
+
+  !> Whole visits with fewer wall hits in the urn than this are nowhere on the list of those with
+  !> many.
+  real(wp), parameter :: many_hits = 112.0_wp
 
   !> A batch of visits, one entry a particle; arrays have room for whole groups of `together`.
   type :: visits_type
@@ -44,6 +48,10 @@ module battery_visits
     real(wp), allocatable :: hits(:)
     !> Out of `cross`: the sum of them.
     integer(int64) :: all_hits = 0
+    !> Out of `cross`: how many visits have at least `many_hits` hits in the urn, never end, or are
+    !> known in part only, and which of the batch they are. Others may be among them.
+    integer :: many_count = 0
+    integer, allocatable :: many(:)
     !> Work space of the kernel: impact, rotation, steps, and whose they are.
     real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)
     integer, allocatable :: slot(:)
@@ -63,6 +71,7 @@ contains
     integer :: n
 
     visits%count = 0
+    visits%many_count = 0
     if (allocated(visits%particle)) then
       if (size(visits%particle) >= room) return
     end if
@@ -73,7 +82,7 @@ contains
       visits%px(n), visits%py(n), visits%zx(n), visits%zy(n), visits%steps(n), visits%c(n), &
       visits%s(n), visits%hit_x(n), visits%hit_y(n), visits%impacts(n), visits%first(n), &
       source=0.5_wp)
-    allocate (visits%particle(n), visits%urn(n), visits%slot(n), source=0)
+    allocate (visits%particle(n), visits%urn(n), visits%slot(n), visits%many(n), source=0)
     ! Who fills up the last group comes from a channel that is always open.
     allocate (visits%channel(n), source=int(gated, int64))
   end subroutine reserve_visits

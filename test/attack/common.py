@@ -1,8 +1,9 @@
 """What the attacks share: seeded trials, runs that may end in any way, cases that are kept.
 
 By hand: `cd test; ../build/venv/bin/python -m attack.NAME --seed 1 --count 100 --jobs 2`. The last
-line is `N tried, M found`. What a trial that found something left on disk is kept in
-`build/attack/NAME/SEED-NUMBER`; `--only NUMBER` with the same seed repeats that trial.
+line is `N tried, M found`, with how many `mpirun` had to be ended by hand, if any. What a trial
+that found something left on disk is kept in `build/attack/NAME/SEED-NUMBER`; `--only NUMBER` with
+the same seed repeats that trial.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ BROKEN = ("Backtrace", "Fortran runtime error", "Error termination", "SIGSEGV", 
 
 @dataclass
 class Outcome:
-    """What came of one trial: how much was tried, and what is wrong."""
+    """What came of one trial: how much was tried, what is wrong, and what is another's fault."""
 
     tried: int = 1
+    apart: int = 0
     findings: list[str] = field(default_factory=list)
 
 
@@ -124,6 +126,7 @@ def trials(name: str, attack: Attack, seed: int, numbers: range, jobs: int = 1) 
         outcomes = pool.map(lambda number: trial(name, attack, seed, number), numbers)
         for number, outcome in zip(numbers, outcomes, strict=True):
             total.tried += outcome.tried
+            total.apart += outcome.apart
             for finding in outcome.findings:
                 total.findings.append(f"--seed {seed} --only {number}: {finding}")
                 print(f"{name} {total.findings[-1]}", flush=True)
@@ -140,5 +143,6 @@ def command_line(name: str, attack: Attack, about: str) -> int:
     words = parser.parse_args()
     numbers = range(words.count) if words.only is None else range(words.only, words.only + 1)
     total = trials(name, attack, words.seed, numbers, words.jobs)
-    print(f"{total.tried} tried, {len(total.findings)} found")
+    apart = f", {total.apart} ended by hand" if total.apart else ""
+    print(f"{total.tried} tried, {len(total.findings)} found{apart}")
     return 1 if total.findings else 0

@@ -89,7 +89,7 @@ contains
     log%elapsed = log%elapsed + history%duration
     log%windows = log%windows + 1
     log%collisions = log%collisions + history%collisions
-    log%reversals = log%reversals + history%reversals
+    log%reversals = log%reversals + sum(history%reversals)
     log%bounce_backs = log%bounce_backs + history%bounce_backs
 
   contains

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +50,27 @@ def command_of(*arguments: str, ranks: int = 0) -> list[str]:
     return [*launcher, str(PROGRAM), *arguments]
 
 
+@dataclass
+class Rank:
+    """How one rank is started where not all are started alike; without a folder, in that of all."""
+
+    arguments: list[str]
+    folder: Path | None = None
+    environment: dict[str, str] = field(default_factory=dict)
+
+    def words(self) -> list[str]:
+        """Give its part of the command line of mpirun."""
+        where = ["-wdir", str(self.folder)] if self.folder else []
+        settings = [f"{name}={value}" for name, value in self.environment.items()]
+        return ["-n", "1", *where, *(["env", *settings] if settings else []), str(PROGRAM),
+                *self.arguments]  # fmt: skip
+
+
+def command_of_ranks(ranks: list[Rank]) -> list[str]:
+    """Give the command that starts each rank in its own way."""
+    return [MPIRUN, *[word for rank in ranks for word in (":", *rank.words())][1:]]
+
+
 def make(*words: str, **more: str) -> None:
     """Run make outside of any other; what it printed is shown if it fails.
 
@@ -65,13 +87,13 @@ def make(*words: str, **more: str) -> None:
 def start(
     *arguments: str,
     folder: Path,
-    ranks: int = 0,
+    ranks: int | list[Rank] = 0,
     prepare: Callable[[], None] | None = None,
     environment: dict[str, str] | None = None,
 ) -> subprocess.Popen[str]:
-    """Start the program in a folder, as leader of its own session."""
+    """Start the program in a folder, as leader of its own session; ranks alike, or one by one."""
     return subprocess.Popen(
-        command_of(*arguments, ranks=ranks),
+        command_of_ranks(ranks) if isinstance(ranks, list) else command_of(*arguments, ranks=ranks),
         cwd=folder,
         env={**(ENVIRONMENT if ranks else ALONE), **(environment or {})},
         stdin=subprocess.DEVNULL,
@@ -99,7 +121,7 @@ def finish(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
 def run(
     *arguments: str,
     folder: Path,
-    ranks: int = 0,
+    ranks: int | list[Rank] = 0,
     prepare: Callable[[], None] | None = None,
     environment: dict[str, str] | None = None,
 ) -> subprocess.CompletedProcess[str]:

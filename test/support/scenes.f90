@@ -8,13 +8,15 @@ module scenes
   use battery_engine, only: particles_type
   implicit none (type, external)
   private
-  public :: table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw
+  public :: table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, closed_table, draw
   public :: scatter, pick, mirrored_x, mirrored_y, reversed, of_particles, one_particle
   public :: count_in_first, same_bits, facing, channel_of
 
   !> Polygons: regular, with angles that are no shares of a turn, with parts that reach in and over
-  !> a channel.
-  integer, parameter, public :: hexagon = 1, decagon = 2, crooked = 3, re_entrant = 4, square = 5
+  !> a channel; and a triangle that has no upright side on the left, whose side that the axis meets
+  !> there begins at the opening, and whose origin lies outside of it.
+  integer, parameter, public :: hexagon = 1, decagon = 2, crooked = 3, re_entrant = 4, square = 5, &
+    wedge = 6
 
   !> The next random number, or the next few.
   interface draw
@@ -61,6 +63,8 @@ contains
     case (crooked)
       urn%corner = reshape([0.9_wp, -0.5_wp, 0.9_wp, 0.6_wp, 0.1_wp, 1.1_wp, -0.95_wp, 0.55_wp, &
         -0.95_wp, -0.45_wp, -0.2_wp, -1.2_wp], [2, 6])
+    case (wedge)
+      urn%corner = reshape([-1.0_wp, -0.7_wp, 1.0_wp, -0.6_wp, 1.0_wp, 0.6_wp], [2, 3])
     case default
       urn%corner = reshape([1.0_wp, -0.6_wp, 1.0_wp, 0.6_wp, 1.4_wp, 0.7_wp, 1.3_wp, 1.2_wp, &
         -0.5_wp, 1.1_wp, -0.6_wp, 0.3_wp, -1.0_wp, 0.9_wp, -1.2_wp, 0.5_wp, -1.2_wp, -0.5_wp, &
@@ -76,6 +80,15 @@ contains
     table = new_table(shape_circuit, [polygon_urn(first), polygon_urn(second)], &
       [channel_type(0.7_wp, 1.5_wp), channel_type(0.4_wp, 0.75_wp)])
   end function polygon_table
+
+  !> The same with channel 2 closed.
+  pure function closed_table(first, second) result(table)
+    integer, intent(in) :: first, second
+    type(table_type) :: table
+
+    table = new_table(shape_circuit, [polygon_urn(first), polygon_urn(second)], &
+      [channel_type(0.7_wp, 1.5_wp), channel_type(0.0_wp, 0.75_wp)])
+  end function closed_table
 
   !> Next number in (0, 1): two steps of the multiplicative generator of Park and Miller with the
   !> multiplier 48271 make 53 bits. Start from any whole number from 1 to 2147483646.

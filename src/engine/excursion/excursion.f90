@@ -7,14 +7,16 @@
 !> particles that go back to an urn are gathered, and their visits are computed in one batch.
 !>
 !> What is known of a particle (`flight_type`) is how it will enter its next channel; where it is
-!> until then follows by going back from there.
+!> until then follows by going back from there, or forwards from where a long visit began.
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion, &
     is_scattered
-  use battery_flight, only: gather, land, never, to_gate, to_return, in_gate, &
+  use battery_flight, only: gather, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel, in_parts
-  use battery_launch, only: launch, lay_out
+  use battery_launch, only: launch, lay_out, date_back
+  use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, land, &
+    set_back_long
   use battery_few, only: walk_few, few
   use battery_foresight, only: pays, recall
   use battery_scattered_sides, only: sides_type, new_sides
@@ -64,6 +66,8 @@ module battery_excursion
     real(wp), allocatable :: other_time(:)
     integer, allocatable :: other(:)
     type(visits_type) :: partial
+    !> How those began that are long; where discs stand in channel 2 `sides` knows that of all.
+    type(long_visits_type) :: long_visits
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
     !> histories have told of them.
     integer(int64) :: known_hits = 0, told_hits = 0
@@ -141,6 +145,7 @@ contains
       pays(real(self%number, wp)*self%lookahead/self%interval, self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
     call lay_out(self%flight, self%number)
+    call new_long_visits(self%long_visits, self%number, maxval(self%table%urn%reach))
     self%known_hits = 0
     self%told_hits = 0
     self%parts = 0
@@ -170,7 +175,7 @@ contains
   subroutine take_over_straight(self, particles)
     type(excursion_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
-    integer :: first, i, k, b
+    integer :: first, i, j, k, b
     logical :: from_channels
 
     do k = 1, 2
@@ -186,7 +191,16 @@ contains
         end do
         do b = 1, self%batches
           if (from_channels) call leave_channels(self%table%urn(b), self%visits(b))
-          call finish_visits(self, b)
+          call cross_urn(self, b)
+          associate (v => self%visits(b))
+            do j = 1, v%count
+              if (.not. is_long_visit(self%long_visits%least, v%channel(j), v%length(j))) cycle
+              i = v%particle(j)
+              call date_back(self%table, particles%x(i), particles%y(i), particles%ux(i), &
+                particles%uy(i), self%flight(i), v%hits(j))
+            end do
+          end associate
+          call go_on(self, b)
         end do
       end do
     end do
@@ -213,8 +227,8 @@ contains
     end associate
   end subroutine write_down
 
-  !> Visits of a batch: from the urn's entrance to its exit, into flights.
-  subroutine finish_visits(self, b)
+  !> Visits of a batch: from the urn's entrance to its exit.
+  subroutine cross_urn(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
@@ -222,8 +236,7 @@ contains
       call cross(self%table%urn(b), v)
       self%known_hits = self%known_hits + v%all_hits
     end associate
-    call go_on(self, b)
-  end subroutine finish_visits
+  end subroutine cross_urn
 
   !> Writes down how the particles of a batch go on.
   subroutine go_on(self, b)
@@ -231,8 +244,8 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
-        v%y, v%along, v%across, v%through)
+      call land(self%long_visits, self%number, self%flight, v%count, v%particle, v%urn, v%channel, &
+        v%time, v%length, v%y, v%along, v%across, v%through, v%turned, v%hits, v%many_count, v%many)
       if (self%table%urn(b)%hands_on) self%parts = self%parts &
         + count(v%channel(:v%count) == goes_on)
     end associate
@@ -291,14 +304,14 @@ contains
         if (self%looks_ahead .and. self%parts == 0) then
           call recall(self%table%urn(1), self%number, self%flight, self%calendar%sorted, &
             self%calendar%particle, v, self%visits(2), self%known_hits)
-          call go_on(self, b)
         else
           if (self%looks_ahead) self%visits(2)%count = 0
           call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
             v%y, v%along, v%across)
           call leave_channels(self%table%urn(b), v)
-          call finish_visits(self, b)
+          call cross_urn(self, b)
         end if
+        call go_on(self, b)
         call schedule_all(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
@@ -312,7 +325,7 @@ contains
     do side = 1, 2
       associate (v => self%partial)
         call compute_parts(self%table%urn(side), side, self%number, self%flight, self%others, &
-          self%other_time, self%other, v, self%known_hits)
+          self%other_time, self%other, v, self%long_visits, self%known_hits)
         self%parts = self%parts - v%count + count(v%channel(:v%count) == goes_on)
         call schedule_all(self%calendar, v%count, v%particle, v%time)
       end associate
@@ -327,6 +340,7 @@ contains
     if (self%looks_ahead) self%visits(2)%count = 0
     if (self%scattered) self%sides%begun%time = self%sides%begun%time - self%page
     self%flight%time = self%flight%time - self%page
+    call set_back_long(self%long_visits, self%page)
     call turn_clock(self)
   end subroutine turn_page
 
@@ -360,7 +374,7 @@ contains
       if (history%logging) then
         call write_log(w, self%number, self%flight, began, events, due, particle, history)
       else
-        history%reversals = sum(int(w%stretch%reversals, int64))
+        history%reversals = w%stretch%reversals
         history%bounce_backs = v%count
         call record_crossings(w, self%number, self%flight, began, history)
       end if

@@ -2,6 +2,7 @@
 submodule (battery_excursion) battery_excursion_state
   use battery_scattered_sides, only: replay, pass_begun
   use battery_flight, only: locate, locate_parked
+  use battery_long_visits, only: goes_forwards, locate_forwards, pass_long
   use battery_scatterers, only: comes_back
   use battery_table, only: chamber_at, in_return
   implicit none (type, external)
@@ -15,7 +16,8 @@ contains
     call locate_now(self, i, state, hits)
   end procedure state_of
 
-  !> The same, by going back in its flight, and by how many wall hits `known_hits` is short for it.
+  !> The same, from the nearer end of its visit, and by how many wall hits `known_hits` is short for
+  !> it.
   subroutine locate_now(self, i, state, hits)
     type(excursion_type), intent(in) :: self
     integer, intent(in) :: i
@@ -29,7 +31,11 @@ contains
         .and. (flight%heading /= to_gate .or. self%now < flight%time)) then
         call replay(self%table, self%sides%begun(i), self%now, state, hits)
       else
-        call locate(urn, flight, self%now, state(:2), state(3:), hits)
+        if (goes_forwards(self%long_visits, flight, self%now)) then
+          call locate_forwards(self%long_visits, urn, i, self%now, state(:2), state(3:), hits)
+        else
+          call locate(urn, flight, self%now, state(:2), state(3:), hits)
+        end if
         state(1) = urn%way*(state(1) - urn%centre)
         state(3) = urn%way*state(3)
       end if
@@ -90,7 +96,11 @@ contains
       self%parked_x = self%flight%along
       where (self%flight%heading == parked_in_channel) self%flight%along = 0.0_wp
     end if
-    if (self%scattered) call pass_begun(self%sides, self%flight%urn, stream)
+    if (self%scattered) then
+      call pass_begun(self%sides, self%flight%urn, stream)
+    else
+      call pass_long(self%long_visits, self%flight, stream)
+    end if
     if (.not. stream%reading .or. stream%failed()) return
     self%parts = merge(0, count(self%flight%heading == in_parts), self%scattered)
     call new_calendar(self%calendar, self%number, self%interval)

@@ -1,7 +1,8 @@
 !> What the engine `excursion` knows of a particle between two of its events.
 !>
 !> A flight says how a particle will enter its next channel, or entered the one it is in. Where it
-!> is until then follows by going back from there; so a flight is all the state there is.
+!> is until then follows by going back from there; only of long visits more is kept
+!> (`battery_long_visits`).
 module battery_flight
   use battery_kinds, only: wp, int16, int64
   use battery_calendar, only: flight_type
@@ -10,13 +11,12 @@ module battery_flight
   use battery_visits, only: goes_on
   implicit none (type, external)
   private
-  public :: gather, land, locate, locate_parked, middle_time, never
+  public :: gather, locate, locate_parked, go_back_to_channel, middle_time, never
   public :: to_gate, to_return, in_gate, parked_in_urn, parked_in_channel, in_parts
 
   !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
-  !> flight holds time and angle of an impact, cosine and sine of the incidence.
-  !> `parked_in_channel`: time, y and u_y; x is kept elsewhere. `in_parts`: as `parked_in_urn`, but
-  !> for a while only.
+  !> flight holds the time of an impact, and what `visits_type` tells of it. `parked_in_channel`:
+  !> time, y and u_y; x is kept elsewhere. `in_parts`: as `parked_in_urn`, but for a while only.
   integer(int16), parameter :: to_gate = 1, to_return = 2, in_gate = 3, parked_in_urn = 4, &
     parked_in_channel = 5, in_parts = 6
 
@@ -58,51 +58,9 @@ contains
     end do
   end subroutine gather
 
-  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
-  pure subroutine land(number, flight, n, particle, urn, channel, time, length, y, along, across, &
-    through)
-    !> How many particles there are, and how many are in the batch.
-    integer, intent(in) :: number, n
-    type(flight_type), intent(inout) :: flight(number)
-    !> Who is in the batch, and in which urn (1 or 2).
-    integer, intent(in) :: particle(n), urn(n)
-    !> The channel each goes to, or `no_channel`.
-    integer(int64), intent(in) :: channel(n)
-    !> Way through the urn, a length; height, |u_x| and u_y at its end; time in the channel beyond,
-    !> from end to end. For `no_channel` as in `visits_type`.
-    real(wp), intent(in) :: length(n), y(n), along(n), across(n), through(n)
-    !> In: when each visit begins. Out: huge if there is no event.
-    real(wp), intent(inout) :: time(n)
-    integer :: j, i
-    real(wp) :: leaves
-
-    do j = 1, n
-      i = particle(j)
-      leaves = time(j) + length(j)
-      flight(i)%length = length(j)
-      flight(i)%time = leaves
-      flight(i)%y = y(j)
-      flight(i)%along = along(j)
-      flight(i)%across = across(j)
-      flight(i)%through = through(j)
-      flight(i)%urn = int(urn(j), int16)
-      flight(i)%heading = to_gate
-      time(j) = leaves
-      if (channel(j) /= gated) then
-        flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
-        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
-        if (channel(j) == goes_on) then
-          ! Before its end, lest what comes then is due within the lookahead.
-          flight(i)%heading = in_parts
-          time(j) = leaves - through(j)
-        end if
-      end if
-      flight(i)%due = time(j)
-    end do
-  end subroutine land
-
-  !> Where a particle is now that is not parked in a channel, in the local frame of its urn, and by
-  !> how many wall hits `known_hits` is short for it (negative: so many are still to come).
+  !> Where a particle is now that is not parked, in the local frame of its urn, and by how many wall
+  !> hits `known_hits` is short for it (negative: so many are still to come). In an urn: going back
+  !> from where it leaves.
   pure subroutine locate(urn, flight, now, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
@@ -117,18 +75,17 @@ contains
 
     elapsed = now - flight%time
     channel = merge(ungated, gated, flight%heading == to_return)
-    if (any(flight%heading == [parked_in_urn, in_parts])) channel = no_channel
+    if (flight%heading == in_parts) channel = no_channel
     if (channel /= no_channel .and. elapsed >= 0.0_wp) then
       call fold(flight%y + flight%across*elapsed, urn%width(channel), position(2), turned, passed)
       position(1) = facing(channel)*(urn%chord(channel) + flight%along*elapsed)
       velocity = [facing(channel)*flight%along, turned*flight%across]
       hits = int(passed, int64)
     else
-      if (flight%heading /= parked_in_urn) elapsed = -min(flight%time - now, flight%length)
+      elapsed = -min(flight%time - now, flight%length)
       call place_in_visit(urn, channel, flight%y, flight%along, flight%across, elapsed, position, &
         velocity, hits)
-      if (flight%heading /= parked_in_urn) call go_back_to_channel(urn, flight%time - now &
-        - flight%length, position, velocity, hits)
+      call go_back_to_channel(urn, flight%time - now - flight%length, position, velocity, hits)
     end if
   end subroutine locate
 

@@ -6,11 +6,12 @@ module battery_launch
   use battery_table, only: table_type, passage_type, passage_at, gated, no_channel
   use battery_calendar, only: flight_type, idle
   use battery_memory, only: prefer_large_pages
-  use battery_flight, only: to_return, in_gate, parked_in_channel
+  use battery_flight, only: to_return, in_gate, parked_in_channel, in_parts, never
+  use battery_urn, only: first_impact
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: launch, lay_out
+  public :: launch, lay_out, date_back
 
 contains
 
@@ -63,6 +64,7 @@ contains
         visits%particle(at) = i
         visits%urn(at) = passage%side
         visits%time(at) = 0.0_wp
+        visits%turned(at) = never
         visits%y(at) = y
         visits%across(at) = uy
         ! In an urn in the frame of that, in a channel as `leave_channels` wants it.
@@ -75,5 +77,36 @@ contains
       end associate
     end if
   end subroutine launch
+
+  !> What the flight of a particle would have been before its first visit, which `launch` has added
+  !> to the visits: it has just entered the channel where it was, or it is about to have its first
+  !> impact in the urn.
+  subroutine date_back(table, x, y, ux, uy, flight, hits)
+    type(table_type), intent(in) :: table
+    !> Where it was, lengths, and its velocity, of length 1, in the frame of the table.
+    real(wp), intent(in) :: x, y, ux, uy
+    type(flight_type), intent(inout) :: flight
+    !> Wall hits of the visit; from that impact on, if there is one.
+    real(wp), intent(inout) :: hits
+    type(passage_type) :: passage
+    integer(int64) :: before
+
+    passage = passage_at(table, x, y, ux, uy)
+    if (passage%channel == no_channel) then
+      associate (urn => table%urn(passage%side))
+        call first_impact(urn, urn%centre - abs(x), y, urn%way*ux, uy, flight%y, flight%along, &
+          flight%across, flight%time, before)
+      end associate
+      flight%heading = in_parts
+      hits = hits - real(before, wp)
+    else
+      flight%heading = merge(in_gate, to_return, passage%channel == gated)
+      flight%time = 0.0_wp
+      flight%y = y
+      flight%along = abs(ux)
+      flight%across = uy
+      flight%through = passage%time
+    end if
+  end subroutine date_back
 
 end module battery_launch

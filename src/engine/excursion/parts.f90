@@ -6,7 +6,8 @@
 module battery_parts
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type
-  use battery_flight, only: in_parts, land
+  use battery_flight, only: in_parts, never
+  use battery_long_visits, only: long_visits_type, land
   use battery_urn, only: urn_type, cross, place_in_visit
   use battery_visits, only: visits_type, reserve_visits, goes_on
   implicit none (type, external)
@@ -42,7 +43,8 @@ contains
   end subroutine set_apart
 
   !> The next parts of visits to one of the urns; they count from when they were due.
-  subroutine compute_parts(urn, side, number, flight, others, other_time, other, visits, known_hits)
+  subroutine compute_parts(urn, side, number, flight, others, other_time, other, visits, &
+    long_visits, known_hits)
     type(urn_type), intent(in) :: urn
     !> 1 or 2.
     integer, intent(in) :: side, number
@@ -53,6 +55,8 @@ contains
     real(wp), intent(in) :: other_time(others)
     !> Out: those of this urn, and when each has its next event.
     type(visits_type), intent(inout) :: visits
+    !> Learns how each part begins.
+    type(long_visits_type), intent(inout) :: long_visits
     !> Grows by the wall hits of the parts.
     integer(int64), intent(inout) :: known_hits
     real(wp) :: position(2), velocity(2), rest(others)
@@ -75,6 +79,7 @@ contains
         visits%along(j) = velocity(1)
         visits%across(j) = velocity(2)
         visits%hits(j) = 0.0_wp
+        visits%turned(j) = never
         rest(j) = flown%time - other_time(k)
       end associate
     end do
@@ -83,8 +88,8 @@ contains
       call cross(urn, v)
       known_hits = known_hits + v%all_hits
       v%length(:n) = v%length(:n) + rest(:n)
-      call land(number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, v%y, v%along, &
-        v%across, v%through)
+      call land(long_visits, number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, &
+        v%y, v%along, v%across, v%through, v%turned, v%hits, n, [(k, k=1, n)])
     end associate
   end subroutine compute_parts
 

@@ -18,7 +18,7 @@ module battery_scattered_sides
   use battery_scattered_visits, only: cross_half
   use battery_stream, only: stream_type
   use battery_table, only: table_type
-  use battery_urn, only: alike, cross, place_in_visit
+  use battery_urn, only: alike, cross, place_in_visit, place_after
   use battery_visits, only: visits_type, reserve_visits, goes_on
   implicit none (type, external)
   private
@@ -194,8 +194,14 @@ contains
     if (goes_on_now .or. (limit < huge(1.0_wp) .and. (stays .or. leaves > limit))) then
       after = merge(-v%through(k), limit - leaves, goes_on_now)
       until = merge(leaves - v%through(k), limit, goes_on_now)
-      call place_in_visit(table%urn(at%now%side), int(v%channel(k)), v%y(k), v%along(k), &
-        v%across(k), after, position, velocity, later)
+      if (stays .or. until - at%now%time < 0.5_wp*v%length(k)) then
+        call place_after(table%urn(at%now%side), at%now%x, at%now%y, at%now%ux, at%now%uy, &
+          until - at%now%time, position, velocity, later)
+        later = later - int(v%hits(k), int64)
+      else
+        call place_in_visit(table%urn(at%now%side), int(v%channel(k)), v%y(k), v%along(k), &
+          v%across(k), after, position, velocity, later)
+      end if
       at%hits = at%hits + later
       if (goes_on_now) at%heading = in_parts
       at%now = begins_at(until, int(at%now%side), in_urn, position(1), position(2), velocity(1), &

@@ -179,7 +179,7 @@ contains
     type(history_type), intent(inout) :: history
     type(motion_type) :: motion
     real(wp) :: wait
-    integer(int64) :: reversals
+    integer(int64) :: reversals(2)
     integer :: i, first
 
     first = history%events + 1
@@ -194,7 +194,7 @@ contains
         self%least)
     end do
     call end_instant(self, first, history)
-    if (history%reversals > reversals) call renew_all(self%rows, self%field(self%begins), &
+    if (any(history%reversals > reversals)) call renew_all(self%rows, self%field(self%begins), &
       self%least)
   end subroutine live_instant
 

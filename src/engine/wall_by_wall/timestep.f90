@@ -23,7 +23,7 @@ module battery_timestep
   use battery_text, only: to_text
   use battery_table, only: table_type, urn_type, gated, ungated, in_urn, in_gate, in_return, &
     x_direction, alike, is_scattered
-  use battery_channel, only: fold, facing
+  use battery_channel, only: fold, facing, is_open
   use battery_motion, only: motion_type
   use battery_urn, only: holds, put_back
   use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, pass_counts, end_instant, &
@@ -69,12 +69,12 @@ contains
     reason = what_all_need(table)
     if (is_scattered(table)) reason = 'it knows no scatterers'
     if (reason /= '') return
-    longest = min(minval(table%urn%clear), 0.5_wp*table%channel(gated)%length)
-    if (table%sides == 2) longest = min(longest, 0.5_wp*table%channel(ungated)%length)
+    longest = min(minval(table%urn%longest_step), minval(0.5_wp*table%channel%length, &
+      mask=is_open(table%channel)))
     if (.not. self%time_step > 0.0_wp .or. self%time_step >= longest) reason = &
       'its time_step must be above 0 and below '//to_text(longest) &
-      //', the least of half of each channel''s length and of the way from the middle of an urn ' &
-      //'to its walls'
+      //', the least of half the length of each open channel, of twice the area of an urn over ' &
+      //'the way round it (a disc''s radius), and of the way between walls that are no neighbours'
   end function supports
 
   !> Walls, the steps of a window, and room for the particles.

@@ -1,0 +1,176 @@
+"""The chance to return through the opening by which one came, as a sum over polygons.
+
+Let alpha be the half angle of the narrower opening of a disc and beta >= alpha that of the other,
+opposite. A visit that enters at y and comes back after n chords of the angle delta leaves at y' = y
++ epsilon, epsilon = n delta - 2 pi k: it is nearly a polygon of n corners that winds k times. It
+does come back if nothing let it out before. Three things decide.
+
+1. n and k have no common factor, or a shorter polygon has returned.
+2. n is odd, or corner n/2 lies at (y + y')/2 from the middle of the other opening, within it.
+3. Then the corners nearest to that middle are two, one on either side: at pi/n + y + epsilon x/n
+   after x = m chords and at -pi/n + y + epsilon x/n after x = n - m, with 2 k m = 1 mod n. They
+   miss the other opening if
+
+       |y + y'| < 2 (pi/n - beta) + tau epsilon,        tau = 2 m/n - 1,
+
+   and then so do all other corners, and none of them meets the opening of entry.
+
+So with e = |epsilon| and mu = |y + y'|, 0 <= mu <= 2 alpha - e, and the measure of entries,
+
+    a = r/(4 w) sum over odd n of 1/n sum over k of the integral over e and mu of
+        sin(pi k/n + e/2n) [mu < g + tau e] + sin(pi k/n - e/2n) [mu < g - tau e],
+
+g = 2 pi/n - 2 beta, w the width of the narrower opening. This is exact for any widths. n = 1 is no
+return: such a line meets the arc of the opening and never its chord. The sum ends at n = pi/(beta -
+alpha); for openings of one width terms fall as 1/n^3.
+
+For narrow openings n is large where it matters, tau is then even in (-1, 1), the sum over k becomes
+(2/pi) phi(n), phi Euler's, and that over odd n an integral with the density 4/pi^2 of phi(n)/n. In
+this limit a is a function of rho, the ratio of the widths, alone (`limit`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import special
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+
+ORDER = 1000  # corners up to which every polygon is looked at; beyond, tau is taken as even
+COUNTED = 2**16  # corners up to which odd n are summed one by one; beyond, there is an integral
+PLACES = 1600  # in log n, at which the mean over tau is asked for
+TOGETHER = 200_000  # polygons at a time
+ODD_PRIMITIVE = 4.0 / math.pi**2  # mean of phi(n)/n over odd n, times their density 1/2
+GAUSS = np.polynomial.legendre.leggauss(4)
+EVEN_TAU = np.polynomial.legendre.leggauss(32)
+
+
+def limit(ratio: float) -> float:
+    """Return the chance for narrow openings, a function of own over other width alone.
+
+    With rho <= 1 that ratio and Li2 the dilogarithm
+
+        a = 4/(pi^2 rho) [(1 + rho) Li2(2 rho/(1 + rho)) + Li2(-rho) - Li2(rho)],
+
+    4/pi^2 rho for small rho and 1/3 at 1; beyond 1 by w P12 = w' P21.
+    """
+    if ratio > 1.0:
+        return 1.0 - (1.0 - limit(1.0 / ratio)) / ratio
+    sum_ = (1.0 + ratio) * _dilogarithm(2.0 * ratio / (1.0 + ratio))
+    sum_ += _dilogarithm(-ratio) - _dilogarithm(ratio)
+    return ODD_PRIMITIVE / ratio * sum_
+
+
+def _dilogarithm(x: float) -> float:
+    return float(special.spence(1.0 - x))
+
+
+@lru_cache(maxsize=512)
+def return_chance(radius: float, own: float, other: float, order: int = ORDER) -> float:
+    """Return the chance to leave through the opening of entry, of width `own`.
+
+    Parameters
+    ----------
+    radius : r of the disc.
+    own, other : chords of the opening of entry and of the opposite one, below 2r.
+    order : corners of the largest polygons that are looked at one by one.
+    """
+    if own > other:
+        return 1.0 - other / own * (1.0 - return_chance(radius, other, own, order))
+    alpha, beta = math.asin(0.5 * own / radius), math.asin(0.5 * other / radius)
+    last = math.pi / (beta - alpha) if beta > alpha else math.inf
+    one_by_one = _polygons(alpha, beta, int(min(order, last)))
+    return 0.25 * radius / own * (one_by_one + _many_corners(alpha, beta, order, last))
+
+
+def _polygons(alpha: float, beta: float, order: int) -> float:
+    """Return the sum over odd n from 3 to `order`."""
+    total, n = 0.0, np.arange(3, order + 1, 2)
+    for part in np.array_split(n, int(n.sum() / 2) // TOGETHER + 1):
+        corners = np.repeat(part, part // 2)
+        # k and n - k make the same, with the signs of epsilon and tau exchanged
+        winds = np.arange(corners.size) - np.repeat(np.cumsum(part // 2) - part // 2, part // 2) + 1
+        own = np.gcd(winds, corners) == 1
+        corners, winds = corners[own], winds[own]
+        tau = 2.0 * _inverse(2 * winds, corners) / corners - 1.0
+        angle = math.pi * winds / corners
+        for sign in (1.0, -1.0):
+            found = _integral(alpha, beta, corners, sign * tau, angle, sign)
+            total += 2.0 * float((found / corners).sum())
+    return total
+
+
+def _inverse(number: Integers, modulus: Integers) -> Integers:
+    """Return 1/number mod modulus, by Euclid's algorithm."""
+    rest, next_rest = modulus, np.mod(number, modulus)
+    found, after = np.zeros_like(number), np.ones_like(number)
+    while np.any(next_rest > 0):
+        on = next_rest > 0
+        times = rest // np.where(on, next_rest, 1)
+        rest, next_rest = np.where(on, next_rest, rest), np.where(on, rest - times * next_rest, 0)
+        found, after = np.where(on, after, found), np.where(on, found - times * after, after)
+    return np.mod(found, modulus)
+
+
+def _integral(
+    alpha: float, beta: float, n: Floats, tau: Floats, angle: Floats | None = None, sign: float = 1
+) -> Floats:
+    """Return the integral over e and mu of sin(angle + sign e/2n), or of 1, where mu < g + tau e.
+
+    mu reaches up to the lesser of 2 alpha - e and g + tau e, lines that cross at e = `bend`.
+    """
+    width, gap = 2.0 * alpha, 2.0 * math.pi / n - 2.0 * beta
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bend = np.clip((width - gap) / (1.0 + tau), 0.0, width)
+        zero = np.clip(np.where(tau == 0.0, 0.0, -gap / tau), 0.0, bend)
+    ends = [np.zeros(np.shape(bend)), zero, bend, np.full(np.shape(bend), width)]
+    total = np.zeros(np.shape(bend))
+    for low, high in pairwise(ends):
+        half = 0.5 * (high - low)
+        for node, weight in zip(*GAUSS, strict=True):
+            e = low + half * (1.0 + node)
+            height = np.maximum(np.minimum(width - e, gap + tau * e), 0.0)
+            if angle is not None:
+                height = height * np.sin(angle + sign * e / (2.0 * n))
+            total += weight * half * height
+    return total
+
+
+def _many_corners(alpha: float, beta: float, order: int, last: float) -> float:
+    """Return the sum over odd n from `order` to `last`, tau being even in (-1, 1)."""
+    if order >= last:
+        return 0.0
+    width, reach = 2.0 * alpha, 1e4 * math.pi / beta
+    places = np.geomspace(order, min(last, max(reach, 2.0 * COUNTED)), PLACES)
+    tau, weight = EVEN_TAU
+    # two signs of epsilon, mean over tau
+    means = 2.0 * (_integral(alpha, beta, places[:, None], tau) @ (0.5 * weight)) / width**2
+    n = np.arange(1, int(min(COUNTED, last)) + 1)
+    odd = (n % 2 == 1) & (n > order)
+    first = (2.0 / math.pi) * (_totients(n.size)[odd] / n[odd])
+    found = float(first @ np.interp(np.log(n[odd]), np.log(places), means))
+    if last > COUNTED:
+        beyond = np.geomspace(max(COUNTED, order), places[-1], 20 * PLACES)
+        values = beyond * np.interp(np.log(beyond), np.log(places), means)
+        integral = float(np.trapezoid(values, np.log(beyond)))
+        found += (2.0 / math.pi) * ODD_PRIMITIVE * integral
+    return found * width**2
+
+
+@lru_cache(maxsize=4)
+def _totients(largest: int) -> Integers:
+    """Return Euler's phi(n) for n = 1 ... `largest`."""
+    found = np.arange(largest + 1)
+    for one in range(2, largest + 1):
+        if found[one] == one:
+            found[one::one] -= found[one::one] // one
+    return found[1:]

@@ -1,0 +1,311 @@
+!> Visits of the engine `excursion` become flights; of the long ones it is kept how they began.
+!>
+!> A flight tells how a visit ends, and going back from there costs digits: a rounding error for
+!> each unit of length, of which a visit may have 1e13. So of a visit that is long, that never ends,
+!> or of which only a part is known, it is kept how it began; while it is nearer to its beginning
+!> than to its end, a particle is located forwards from there.
+!>
+!> What is kept is what the flight was before: a few words are copied, nothing is computed. An entry
+!> is of use as long as the flight of its particle says that its visit is long; what is of no use
+!> any more is thrown out where there is no room for more.
+module battery_long_visits
+  use battery_kinds, only: wp, int16, int32, int64
+  use battery_calendar, only: flight_type
+  use battery_channel, only: fold, gated, ungated, facing, no_channel
+  use battery_flight, only: never, to_gate, to_return, parked_in_urn, in_parts, go_back_to_channel
+  use battery_stream, only: stream_type
+  use battery_urn, only: urn_type, place_in_visit, place_after
+  use battery_visits, only: goes_on
+  implicit none (type, external)
+  private
+  public :: long_visits_type, new_long_visits, is_long_visit, land, &
+    goes_forwards, locate_forwards, set_back_long, pass_long
+
+  !> A visit is long from so many times the reach of its urn on: going back through half of it costs
+  !> no more than some 1e-13. One with fewer than `many_hits` hits has at most that many chords and
+  !> one, of twice the reach: it is not long.
+  real(wp), parameter :: long = 256.0_wp
+
+  !> How a visit began: a line of the cache.
+  type :: entry_type
+    !> As the flight had it. Heading `in_gate` or `to_return`: how the particle entered the channel
+    !> before the urn. `in_parts`: when it had an impact in the urn, with what `visits_type` tells
+    !> of one that never leaves.
+    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp, through = 0.0_wp
+    !> When a gate turned it back in the channel, or `never`.
+    real(wp) :: turned = never
+    !> Wall hits in that channel and of the whole visit; after an impact, those since then.
+    real(wp) :: hits = 0.0_wp
+    integer(int32) :: particle = 0
+    integer(int16) :: heading = 0
+  end type entry_type
+
+  !> The entries, and which is whose.
+  type :: long_visits_type
+    !> Longer visits are long.
+    real(wp) :: least = huge(1.0_wp)
+    integer, private :: number = 0, count = 0
+    type(entry_type), allocatable, private :: entry(:)
+    !> Where the entry of each particle is, or 0; not allocated before there is one.
+    integer(int32), allocatable, private :: place(:)
+  end type long_visits_type
+
+contains
+
+  !> Of so many particles no visit is known.
+  pure subroutine new_long_visits(visits, number, reach)
+    type(long_visits_type), intent(out) :: visits
+    !> How many.
+    integer, intent(in) :: number
+    !> Of the urns, a length.
+    real(wp), intent(in) :: reach
+
+    visits%number = number
+    visits%least = long*reach
+    allocate (visits%entry(0))
+  end subroutine new_long_visits
+
+  !> Whether a visit is long, as it comes out of `cross`.
+  elemental function is_long_visit(least, channel, length) result(yes)
+    !> Of `long_visits_type`.
+    real(wp), intent(in) :: least
+    !> Where it leads to.
+    integer(int64), intent(in) :: channel
+    !> How long it is.
+    real(wp), intent(in) :: length
+    logical :: yes
+
+    yes = length > least .or. channel < gated
+  end function is_long_visit
+
+  !> Whether the visit that a flight tells of is long.
+  elemental function is_long(visits, flight) result(yes)
+    type(long_visits_type), intent(in) :: visits
+    type(flight_type), intent(in) :: flight
+    logical :: yes
+
+    select case (flight%heading)
+    case (parked_in_urn, in_parts)
+      yes = .true.
+    case (to_gate, to_return)
+      yes = flight%length > visits%least
+    case default
+      yes = .false.
+    end select
+  end function is_long
+
+  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
+  !> Keeps how its visit began, if that is long.
+  pure subroutine land(visits, number, flight, n, particle, urn, channel, time, length, y, along, &
+    across, through, turned, hits, many, with_many)
+    type(long_visits_type), intent(inout) :: visits
+    !> How many particles there are, and how many are in the batch.
+    integer, intent(in) :: number, n
+    type(flight_type), intent(inout) :: flight(number)
+    !> Who is in the batch, and in which urn (1 or 2).
+    integer, intent(in) :: particle(n), urn(n)
+    !> The channel each goes to, or `no_channel`.
+    integer(int64), intent(in) :: channel(n)
+    !> Way through the urn, a length; height, |u_x| and u_y at its end; time in the channel beyond,
+    !> from end to end. For `no_channel` as in `visits_type`.
+    real(wp), intent(in) :: length(n), y(n), along(n), across(n), through(n)
+    !> In: when each visit begins. Out: huge if there is no event.
+    real(wp), intent(inout) :: time(n)
+    !> When a gate turned each back before, or `never`; wall hits, those in the channel before too.
+    real(wp), intent(in) :: turned(n), hits(n)
+    !> How many have many hits or no end that is known, and which of the batch: the others are short.
+    integer, intent(in) :: many, with_many(many)
+    integer :: j, i, k
+    real(wp) :: leaves
+
+    if (many > 0) then
+      if (visits%count + many > size(visits%entry)) call make_room(visits, flight, many)
+      do k = 1, many
+        j = with_many(k)
+        if (is_long_visit(visits%least, channel(j), length(j))) call keep(visits, particle(j), &
+          flight(particle(j)), turned(j), hits(j))
+      end do
+    end if
+    do j = 1, n
+      i = particle(j)
+      leaves = time(j) + length(j)
+      flight(i)%length = length(j)
+      flight(i)%time = leaves
+      flight(i)%y = y(j)
+      flight(i)%along = along(j)
+      flight(i)%across = across(j)
+      flight(i)%through = through(j)
+      flight(i)%urn = int(urn(j), int16)
+      flight(i)%heading = to_gate
+      time(j) = leaves
+      if (channel(j) /= gated) then
+        flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
+        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
+        if (channel(j) == goes_on) then
+          ! Before its end, lest what comes then is due within the lookahead.
+          flight(i)%heading = in_parts
+          time(j) = leaves - through(j)
+        end if
+      end if
+      flight(i)%due = time(j)
+    end do
+  end subroutine land
+
+  !> Keeps how a long visit began, before its flight is written; there is room for it.
+  pure subroutine keep(visits, particle, flight, turned, hits)
+    type(long_visits_type), intent(inout) :: visits
+    !> Who.
+    integer, intent(in) :: particle
+    !> As it still is.
+    type(flight_type), intent(in) :: flight
+    !> As in `land`.
+    real(wp), intent(in) :: turned, hits
+    integer :: at
+
+    if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
+    at = visits%place(particle)
+    if (at == 0) then
+      at = visits%count + 1
+      visits%count = at
+      visits%place(particle) = int(at, int32)
+      visits%entry(at)%particle = int(particle, int32)
+    end if
+    associate (entry => visits%entry(at))
+      entry%time = flight%time
+      entry%y = flight%y
+      entry%along = flight%along
+      entry%across = flight%across
+      entry%through = flight%through
+      entry%turned = turned
+      entry%hits = hits
+      entry%heading = flight%heading
+    end associate
+  end subroutine keep
+
+  !> Throws out what is of no use any more; if that leaves it half full, there will be more room.
+  pure subroutine make_room(visits, flight, more)
+    type(long_visits_type), intent(inout) :: visits
+    type(flight_type), intent(in) :: flight(:)
+    !> How many entries there is to be room for.
+    integer, intent(in) :: more
+    type(entry_type), allocatable :: entry(:)
+
+    call throw_out(visits, flight)
+    if (2*(visits%count + more) <= size(visits%entry)) return
+    ! Nobody has two.
+    allocate (entry(min(max(64, 2*(visits%count + more)), visits%number + more)))
+    entry(:visits%count) = visits%entry(:visits%count)
+    call move_alloc(entry, visits%entry)
+  end subroutine make_room
+
+  !> Throws out the entries of visits that are over.
+  pure subroutine throw_out(visits, flight)
+    type(long_visits_type), intent(inout) :: visits
+    type(flight_type), intent(in) :: flight(:)
+    integer :: at, kept, i
+
+    kept = 0
+    do at = 1, visits%count
+      i = visits%entry(at)%particle
+      visits%place(i) = 0
+      if (.not. is_long(visits, flight(i))) cycle
+      kept = kept + 1
+      visits%entry(kept) = visits%entry(at)
+      visits%place(i) = int(kept, int32)
+    end do
+    visits%count = kept
+  end subroutine throw_out
+
+  !> Whether a particle is to be located forwards: there is an entry, and the end of its visit is
+  !> farther than the beginning.
+  pure function goes_forwards(visits, flight, now) result(yes)
+    type(long_visits_type), intent(in) :: visits
+    type(flight_type), intent(in) :: flight
+    !> The time, on the clock of the flight.
+    real(wp), intent(in) :: now
+    logical :: yes
+
+    yes = is_long(visits, flight)
+    if (yes .and. flight%heading /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
+  end function goes_forwards
+
+  !> Where a particle is now that is located forwards, as `locate` tells it.
+  pure subroutine locate_forwards(visits, urn, particle, now, position, velocity, hits)
+    type(long_visits_type), intent(in) :: visits
+    type(urn_type), intent(in) :: urn
+    !> Who.
+    integer, intent(in) :: particle
+    !> The time, on the clock of the flight.
+    real(wp), intent(in) :: now
+    !> x and y of each: lengths, and a vector of length 1.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Whole number of either sign.
+    integer(int64), intent(out) :: hits
+    real(wp) :: passage, turned, passed, begins, x, y, ux, uy
+    integer :: from
+
+    associate (entry => visits%entry(visits%place(particle)))
+      if (entry%heading == in_parts) then
+        call place_in_visit(urn, no_channel, entry%y, entry%along, entry%across, now - entry%time, &
+          position, velocity, hits)
+      else
+        from = merge(ungated, gated, entry%heading == to_return)
+        passage = merge(2.0_wp*(entry%turned - entry%time), entry%through, entry%turned < never)
+        begins = entry%time + passage
+        x = facing(from)*urn%chord(from)
+        call fold(entry%y + entry%across*passage, urn%width(from), y, turned, passed)
+        ux = -facing(from)*entry%along
+        uy = turned*entry%across
+        if (now < begins) then
+          position = [x, y]
+          velocity = [ux, uy]
+          hits = 0
+          call go_back_to_channel(urn, begins - now, position, velocity, hits)
+        else
+          call place_after(urn, x, y, ux, uy, now - begins, position, velocity, hits)
+        end if
+        hits = hits + int(passed, int64)
+      end if
+      hits = hits - int(entry%hits, int64)
+    end associate
+  end subroutine locate_forwards
+
+  !> Sets all times back by the length of a page.
+  pure subroutine set_back_long(visits, page)
+    type(long_visits_type), intent(inout) :: visits
+    !> How long.
+    real(wp), intent(in) :: page
+
+    associate (entry => visits%entry(:visits%count))
+      entry%time = entry%time - page
+      entry%turned = entry%turned - page
+    end associate
+  end subroutine set_back_long
+
+  !> The entries that are of use, through a stream.
+  pure subroutine pass_long(visits, flight, stream)
+    type(long_visits_type), intent(inout) :: visits
+    type(flight_type), intent(in) :: flight(:)
+    type(stream_type), intent(inout) :: stream
+    integer(int32), allocatable :: particle(:)
+    integer :: at
+
+    if (.not. stream%reading) call throw_out(visits, flight)
+    particle = visits%entry(:visits%count)%particle
+    call stream%pass_list('long_visits', particle)
+    if (stream%failed()) return
+    if (stream%reading) then
+      visits%count = size(particle)
+      visits%entry = [(entry_type(particle=particle(at)), at=1, size(particle))]
+      allocate (visits%place(visits%number), source=0_int32)
+      visits%place(particle) = [(int(at, int32), at=1, size(particle))]
+    end if
+    associate (entry => visits%entry(:visits%count))
+      call stream%pass('long_heading', entry%heading)
+      call stream%pass('long_time', entry%time, 'long_y', entry%y, 'long_along', entry%along, &
+        'long_across', entry%across, 'long_through', entry%through)
+      call stream%pass('long_turned', entry%turned, 'long_hits', entry%hits)
+    end associate
+  end subroutine pass_long
+
+end module battery_long_visits

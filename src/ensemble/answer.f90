@@ -1,0 +1,86 @@
+!> What a script wants to know of a run or a plan, as a JSON file: what is on the screen may pass
+!> through a launcher that changes it, and is worded for people.
+module battery_answer
+  use battery_kinds, only: dp
+  use battery_error, only: error_type, fatal_error, exit_failure
+  use battery_paths, only: real_folder_of
+  use battery_text, only: to_text
+  implicit none (type, external)
+  private
+  public :: write_run_answer, write_plan_answer
+
+contains
+
+  !> Writes the absolute path of the results file; null where none is there.
+  subroutine write_run_answer(path, results, error)
+    !> Of the JSON file; empty: none is written.
+    character(len=*), intent(in) :: path
+    !> Path of the results file, from the folder in which the program was started.
+    character(len=*), intent(in) :: results
+    !> The JSON file cannot be written.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: folder, place
+
+    folder = real_folder_of(results)
+    place = 'null'
+    if (folder /= '') &
+      place = json_text(folder//'/'//results(index(results, '/', back=.true.) + 1:))
+    call write_members(path, '"results": '//place, error)
+  end subroutine write_run_answer
+
+  !> Writes how many tasks a plan has and what it will cost.
+  subroutine write_plan_answer(path, tasks, pending, seconds, memory, error)
+    !> Of the JSON file; empty: none is written.
+    character(len=*), intent(in) :: path
+    !> All tasks, and those that are still to be done.
+    integer, intent(in) :: tasks, pending
+    !> Processor time of one task; bytes of memory that a rank takes.
+    real(dp), intent(in) :: seconds, memory
+    !> The JSON file cannot be written.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=24) :: numbers(2)
+
+    write (numbers, '(es24.9e3)') seconds, memory
+    call write_members(path, '"tasks": '//to_text(tasks)//', "pending": '//to_text(pending) &
+      //', "seconds_a_task": '//trim(adjustl(numbers(1)))//', "memory_a_rank": ' &
+      //trim(adjustl(numbers(2))), error)
+  end subroutine write_plan_answer
+
+  !> Writes an object with these members.
+  subroutine write_members(path, members, error)
+    character(len=*), intent(in) :: path, members
+    type(error_type), allocatable, intent(out) :: error
+    character(len=256) :: reason
+    integer :: unit, status
+
+    if (path == '') return
+    open (newunit=unit, file=path, status='replace', action='write', form='unformatted', &
+      access='stream', iostat=status, iomsg=reason)
+    if (status == 0) write (unit, iostat=status, iomsg=reason) '{'//members//'}'//achar(10)
+    if (status == 0) close (unit, iostat=status, iomsg=reason)
+    if (status /= 0) call fatal_error(error, '--json '//path//': '//trim(reason), exit_failure)
+  end subroutine write_members
+
+  !> A text between quotes, as JSON has it.
+  pure function json_text(text) result(quoted)
+    !> Of any bytes.
+    character(len=*), intent(in) :: text
+    character(len=:), allocatable :: quoted
+    integer, parameter :: first_printable = 32
+    character(len=2) :: hexadecimal
+    integer :: at
+
+    quoted = '"'
+    do at = 1, len(text)
+      if (iachar(text(at:at)) < first_printable) then
+        write (hexadecimal, '(z2.2)') iachar(text(at:at))
+        quoted = quoted//achar(92)//'u00'//hexadecimal
+      else
+        if (scan(text(at:at), achar(92)//'"') > 0) quoted = quoted//achar(92)
+        quoted = quoted//text(at:at)
+      end if
+    end do
+    quoted = quoted//'"'
+  end function json_text
+
+end module battery_answer
