@@ -33,13 +33,13 @@ def write(folder: Path, **changes: dict[str, Any]) -> None:
     groups: dict[str, dict[str, Any]] = {
         "particles": {"number": 100},
         "gate": {"threshold": 2},
-        "run": {"collisions": 1000},
+        "run": {"collisions": 1000, "transient_collisions": 0},
         "output": {"file": "'out.h5'"},
     }
     for group, keys in changes.items():
         groups[group] = {**groups.get(group, {}), **keys}
         if group == "run" and "duration" in keys:
-            del groups["run"]["collisions"]
+            del groups["run"]["collisions"], groups["run"]["transient_collisions"]
     (folder / "case.nml").write_text(namelist(**groups))
 
 
