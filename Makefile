@@ -39,10 +39,11 @@ FPM_INSTALL   := $(if $(SUFFIX),install --compiler mpifort$(SUFFIX) --archiver g
 
 export FPM_FC := mpifort$(SUFFIX)
 export FPM_AR := gcc-ar
-# Open MPI as root, and with more ranks than cores.
+# Open MPI as root, and with more ranks than cores (4; 5). postproc/launcher.py has these for Python.
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
+export PRTE_MCA_rmaps_default_mapping_policy := :oversubscribe
 
 PREFIX  ?= /usr/local
 VENV    := build/venv
