@@ -175,7 +175,7 @@ def figure(found: Found) -> Figure:
     (spread, current), (memory, back) = made.subplots(2, 2)
     mixed = well_mixed()
     for axes, name, label in (
-        (spread, "chi", r"$\chi$"), (current, "polarised_current", "net current"),
+        (spread, "chi", r"$\chi$"), (current, "polarised_current", "net current (per unit time)"),
     ):  # fmt: skip
         axes.plot([row["threshold"] for row in mixed], [row[name] for row in mixed],
                   color=style.GREY, lw=0.8, label="well mixed")  # fmt: skip
