@@ -2,7 +2,8 @@
 
 model   the table (no file, or one with a snapshot)
 app1    the single urn of the appendix, likewise
-numris  maps of chi and polarised current over T and w', for either start (runs from both, in any order)
+numris  maps of chi and polarised current over T and w', for either start (runs from both, in any
+        order)
 comp05  flows and net currents against time, a panel a point, eta below
 comp06  chi and net current against time from chi(0) = 1
 comp01  polarised current against T/N and against chi, for several w'

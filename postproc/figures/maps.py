@@ -114,8 +114,9 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = ALL) -> Fi
     most = float(np.nanmax(points.along))
     looks = [
         ("chi", r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
-        ("along", "polarised current (per unit time)", {"vmin": 0.0, "vmax": most, "cmap": "magma"}),
-    ]
+        ("along", "polarised current (per unit time)",
+         {"vmin": 0.0, "vmax": most, "cmap": "magma"}),
+    ]  # fmt: skip
     for row, (name, part) in enumerate(starts):
         for axes, (field, label, look) in zip(panels[row], looks, strict=True):
             mesh = _draw(axes, part, getattr(part, field), look)

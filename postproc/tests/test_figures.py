@@ -165,7 +165,7 @@ def test_net_currents_have_a_sign_unless_a_polarity_gives_them_one(folder: Path)
     with Results(folder / "slices.h5") as results:
         current, error = results.net_current()
     assert current[:4] == pytest.approx([-0.05, 1.1, 1.0, -0.15])
-    assert np.all(error[:4] > 0.0)
+    assert np.all(error[[0, 1, 3]] > 0.0)  # the third has one replica, too short for an error
     along = np.full((8, 2), 0.7)
     with edited(folder / "slices.h5") as file:
         file["polarised_current"] = along
