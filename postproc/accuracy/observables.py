@@ -39,8 +39,9 @@ STEP_LABELS = {
 }  # fmt: skip
 # of rungs: theories are crosses and stars, engines discs, squares and triangles; a colour each
 LOOKS = {
-    "excursion": ("o", style.BLUE), "collision": ("s", style.SKY), "synchronous": ("D", style.BLACK),
-    "reservoir": ("^", style.GREEN), "eta of the paper": ("P", style.VERMILION),
+    "excursion": ("o", style.BLUE), "collision": ("s", style.SKY),
+    "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
+    "eta of the paper": ("P", style.VERMILION),
     "renewal gate": ("X", style.ORANGE), "renewal gate with channels": ("*", style.BROWN),
     "renewal chain": ("v", style.OLIVE), "two ports": ("P", style.PURPLE),
     "directions": ("X", style.VIOLET), "one particle": ("*", style.NAVY),
