@@ -306,8 +306,8 @@ def _draw_together(axes: Axes, group: Sequence[Plane], models: Sequence[Model]) 
     for model in models:
         states = [model.stable_state(replace(circuit, channel1_length=one)) for one in lengths]
         spreads = [math.nan if one is None else one.mass_spread for one in states]
-        look = style.on_map(style.ORANGE)
-        axes.plot(DRAWN, spreads, ls=model.dashes, label=rf"$\chi$, {model.label}", **look)
+        axes.plot(DRAWN, spreads, color=style.ORANGE, ls=model.dashes, lw=1.2,
+                  label=rf"$\chi$, {model.label}")  # fmt: skip
     for load_of, dashes, colour in lines_of(models, group[0].start).values():
         (place,) = load_of(circuit, np.array([circuit.threshold]))
         axes.axvline(place, color=colour, ls=dashes, lw=0.9, zorder=0)
@@ -316,4 +316,5 @@ def _draw_together(axes: Axes, group: Sequence[Plane], models: Sequence[Model]) 
     axes.set_xlabel(r"$N w \ell / 8 T A$")
     axes.set_ylabel(r"$\chi$")
     axes.set_title(f"$N = {int(circuit.number)}$, $T = {int(circuit.threshold)}$")
-    axes.legend(loc="lower right", markerscale=5, fontsize=6.5)
+    axes.legend(loc="lower right", markerscale=5, fontsize=6.5, frameon=True, framealpha=1.0,
+                edgecolor="none")  # fmt: skip

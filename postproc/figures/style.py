@@ -78,7 +78,7 @@ def figure(width: float = PAGE, height: float = 3.2) -> Figure:
 
 def on_map(colour: str = BLACK, width: float = 1.2) -> dict[str, object]:
     """Return the look of a line that is seen on any colour of a map, and in a legend beside it."""
-    border = [Stroke(linewidth=width + 1.4, foreground="white"), Normal()]
+    border = [Stroke(linewidth=width + 0.9, foreground="white"), Normal()]
     return {"color": colour, "lw": width, "path_effects": border}
 
 
