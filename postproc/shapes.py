@@ -181,7 +181,7 @@ def figure(found: Found) -> Figure:
                   color=style.GREY, lw=0.8, label="well mixed")  # fmt: skip
         _bars(axes, found["states"], "threshold", name)
         axes.set(xlabel="$T$", ylabel=label, ylim=(0, None))
-    spread.legend()
+    spread.legend(loc="center", bbox_to_anchor=(0.36, 0.45))
     _bars(memory, found["directions"], "lag", "correlation", "-")
     memory.axhline(0.0, color=style.GREY, lw=0.6)
     memory.set(xscale="log", xlabel="visits", ylabel=r"autocorrelation of $\cos\theta$")
