@@ -53,6 +53,9 @@ not hide one of the conductance. The transitions lie at T = {places}.
 
 ![Error over the map against processor time](accuracy_ladder_map.png)
 
+Faint marks are of a rung that has no polarised state at some of the points ("without" in the table), a ring is where
+errors cancel (the star in the table), an open mark with an arrow is a bound.
+
 {table(head, rows)}
 
 Errors are root mean squares over the points, of chi absolute and of the others relative, less what runs add by chance;
