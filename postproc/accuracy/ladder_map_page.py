@@ -68,6 +68,8 @@ full runs only.
 that could begin at the answer. Is it enough? With twice the transient chi differs by {number(twice["root_mean_square"], 2)} standard
 errors (root mean square over the {twice["points"]} points; one is chance), at most by
 {number(abs(twice["worst"]), 2)}, at w' = {twice["worst_width"]:g}, T = {twice["worst_threshold"]}.
+Currents settle later: at narrow channels even the reference's lack 1 to 2 %
+([the age of a run](../studies/age_of_a_run/README.md)), so smaller errors of current over chi are not told apart.
 
 The Pareto line is what can be had for the processor time of a point. Read from it, the cheapest rung that has an error:
 
