@@ -194,7 +194,7 @@ build/stamps/docs: docs/requirements.txt build/stamps/python
 
 lint: packages ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs
-	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs
+	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs studies
 
 install: prefix build ## program, man page and Python side into PREFIX (default: /usr/local)
 	@prefix=$$(realpath -m -- "$(PREFIX)")

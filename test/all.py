@@ -53,7 +53,7 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     """List the parts in the order in which they run."""
     fortran = [sys.executable, "test/run", "--flavour"]
     style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml"]
-    style += ["postproc", "test", "docs"]
+    style += ["postproc", "test", "docs", "studies"]
     # A file goes to one worker, so that what its tests share is made once.
     python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "loadfile"]
     if not arguments.full:
