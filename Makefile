@@ -39,10 +39,11 @@ FPM_INSTALL   := $(if $(SUFFIX),install --compiler mpifort$(SUFFIX) --archiver g
 
 export FPM_FC := mpifort$(SUFFIX)
 export FPM_AR := gcc-ar
-# Open MPI as root, and with more ranks than cores.
+# Open MPI as root, and with more ranks than cores (4; 5). postproc/launcher.py has these for Python.
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
+export PRTE_MCA_rmaps_default_mapping_policy := :oversubscribe
 
 PREFIX  ?= /usr/local
 VENV    := build/venv
@@ -193,7 +194,7 @@ build/stamps/docs: docs/requirements.txt build/stamps/python
 
 lint: packages ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs
-	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs
+	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs studies
 
 install: prefix build ## program, man page and Python side into PREFIX (default: /usr/local)
 	@prefix=$$(realpath -m -- "$(PREFIX)")

@@ -8,7 +8,7 @@ program battery
     share_error, ranks_on_node
   use battery_ensemble, only: run_ensemble, heed_time_limit
   use battery_limits, only: spare_address_space
-  use battery_needs, only: check_needs
+  use battery_needs, only: check_needs, check_start
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
   use battery_plan_sharing, only: read_plan_once
@@ -29,6 +29,11 @@ program battery
   call guard_streams()
   call spare_address_space()
   call watch_signals()
+  call check_start(error)
+  if (allocated(error)) then
+    call complain(error%message)
+    call leave(error%code)
+  end if
   call open_communicator(communicator)
   words = command_line_words()
   call check_command_lines(communicator, words, error)

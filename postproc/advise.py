@@ -2,7 +2,9 @@
 
 A namelist, or the circuit by options as of `theory` (--number N --threshold T ...). A pilot of the
 program, a second or so at N = 1000, tells how much replicas scatter and how far off theories are;
-one that would take more than a minute is run only if --pilot-seconds lets it.
+one that would take more than a minute is run only if --pilot-seconds lets it. The pilot of a
+current waits until what circulations still lack is a quarter of the tolerance. It is data:
+where it meets the tolerance its value (`expected`) is the answer, and cpu_seconds is 0.
 Last line, to standard error: the advice in a sentence. `duration` includes the transient, as in the
 namelist. `confidence` is the chance that the tolerance is met. Where the quantity is not there,
 `rung` is "none". What an urn's polygon or scatterers do is beyond these theories, so such namelists
@@ -96,6 +98,8 @@ def sentence(given: Advice, quantity: str, tolerance: float) -> str:
     sure = f"{quantity} within {100.0 * tolerance:g} %, {chance:.0f} % sure"
     if given.replicas == 0:
         return f"For {sure}, ask postproc.theory --model {given.rung}. {given.reason}"
+    if given.cpu_seconds == 0.0:
+        return f"The pilot is enough: {given.expected:.6g} is {sure}. {given.reason}"
     return (
         f"For {sure}, run {given.rung} in {given.replicas} replicas of {given.duration:g} time "
         f"units each, the first {given.transient_duration:g} unmeasured: {given.cpu_seconds:.2g} s "

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     Rows = list[dict[str, float]]
 
 WIDTH = 0.2  # of channel 2
-NUMBER = 1000
+NUMBER, MANY = 1000, 4000
 THRESHOLD = 7
 RADII = (0.0, 0.005, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.03, 0.04)
 COLUMNS = (0, 1, 2, 4, 6, 8)
@@ -39,8 +39,8 @@ FREE_RADII = (0.0, 0.02, 0.04)
 STARTS = (0.5, 1.0)
 # Where the transition is looked at closely: radii by N, all at the same T/N.
 CLOSE = {
-    1000: (0.012, 0.013, 0.014, 0.015, 0.016, 0.017, 0.018),
-    4000: (0.008, 0.009, 0.010, 0.011, 0.012, 0.013, 0.014),
+    NUMBER: (0.012, 0.013, 0.014, 0.015, 0.016, 0.017, 0.018),
+    MANY: (0.008, 0.009, 0.010, 0.011, 0.012, 0.013, 0.014),
 }
 LONG = 8.0  # so many times as long, the transient too
 APART = 20.0  # time between two looks
@@ -192,32 +192,39 @@ def _bars(axes: Axes, rows: Rows, across: str, up: str, look: dict[str, object])
     axes.errorbar(values[across], values[up], values[f"{up}_error"], ms=3.5, capsize=1.5, **look)
 
 
-def _from(rows: Rows, start: float) -> Rows:
-    return [row for row in rows if row["urn1_number"] == start * NUMBER]
+def _from(rows: Rows, start: float, number: int = NUMBER) -> Rows:
+    return [row for row in rows if row.get("number", NUMBER) == number
+            and row["urn1_number"] == start * number]  # fmt: skip
 
 
 def figure(found: dict[str, Rows]) -> Figure:
-    """Return chi over radius, number and conductance, and current over chi."""
-    made = style.figure(style.PAGE, 4.8)
+    """Return chi over radius (both N), number and conductance, and current over chi."""
+    made = style.figure(style.PAGE, 5.4)
     (by_radius, by_columns), (ohm, collapse) = made.subplots(2, 2)
     looks = (
         {"marker": "o", "ls": "-", "color": style.BLUE, "label": "from equal urns"},
         {"marker": "s", "ls": "--", "mfc": "none", "color": style.VERMILION,
          "label": "from one full urn"},
     )  # fmt: skip
-    for start, look in zip(STARTS, looks, strict=True):
+    more = (
+        {"marker": "^", "ls": "-", "color": style.GREEN, "label": f"$N = {MANY}$, equal urns"},
+        {"marker": "D", "ls": "--", "mfc": "none", "color": style.PURPLE,
+         "label": f"$N = {MANY}$, one full urn"},
+    )  # fmt: skip
+    for start, look, other in zip(STARTS, looks, more, strict=True):
         _bars(by_radius, _from(found["radius"], start), "radius", "chi", look)
         _bars(by_columns, _from(found["columns"], start), "columns", "chi", look)
+        _bars(by_radius, _from(found["close"], start, MANY), "radius", "chi", other)
     by_radius.set(xlabel="radius of 15 scatterers", ylabel=r"$\chi$")
     by_columns.set(xlabel="columns of scatterers of radius 0.04", ylabel=r"$\chi$")
-    by_radius.legend()
+    by_radius.legend(loc="lower right", fontsize=6.5)
     for name, colour, label in (
         ("ohm", style.BLUE, "scatterers of radius 0.015, $w' = 0.2$"),
         ("ohm_straight", style.GREEN, "none, $w' = 0.06$"),
     ):
         look = {"marker": "o", "ls": "none", "color": colour, "label": label}
         _bars(ohm, found[name], "chi", "polarised_current", look)
-    ohm.set(xlabel=r"$\chi$", ylabel="net current", xlim=(0, 1), ylim=(0, None))
+    ohm.set(xlabel=r"$\chi$", ylabel="net current (per unit time)", xlim=(0, 1), ylim=(0, None))
     ohm.legend()
     for name, colour, label in (
         ("radius", style.BLUE, "scatterers of growing radius"),

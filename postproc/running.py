@@ -29,6 +29,7 @@ from postproc.cli import (
     output_folder,
     path_of,
 )
+from postproc.launcher import program_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -221,7 +222,7 @@ def _answer(
         code, said, complaints = _launch([*start, str(battery), *words], place, quiet)
         if isinstance(namelist, Mapping):
             complaints = complaints.replace(str(path), "the namelist")
-        complaints = complaints.strip()
+        complaints = program_words(complaints)
         if code == EXIT_BAD_INPUT:
             raise InputError(complaints)
         if code:

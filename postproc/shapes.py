@@ -175,13 +175,13 @@ def figure(found: Found) -> Figure:
     (spread, current), (memory, back) = made.subplots(2, 2)
     mixed = well_mixed()
     for axes, name, label in (
-        (spread, "chi", r"$\chi$"), (current, "polarised_current", "net current"),
+        (spread, "chi", r"$\chi$"), (current, "polarised_current", "net current (per unit time)"),
     ):  # fmt: skip
         axes.plot([row["threshold"] for row in mixed], [row[name] for row in mixed],
                   color=style.GREY, lw=0.8, label="well mixed")  # fmt: skip
         _bars(axes, found["states"], "threshold", name)
         axes.set(xlabel="$T$", ylabel=label, ylim=(0, None))
-    spread.legend()
+    spread.legend(loc="center", bbox_to_anchor=(0.36, 0.45))
     _bars(memory, found["directions"], "lag", "correlation", "-")
     memory.axhline(0.0, color=style.GREY, lw=0.6)
     memory.set(xscale="log", xlabel="visits", ylabel=r"autocorrelation of $\cos\theta$")

@@ -17,12 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+from postproc.launcher import SHARED_CORES  # noqa: E402
+
 TOOLS = ROOT / "build/venv/bin"
-# Tests run side by side, so that there are more MPI ranks than cores: who waits must not spin.
 ENVIRONMENT = {
     **os.environ,
-    "OMPI_MCA_mpi_yield_when_idle": "1",
-    "OMPI_MCA_hwloc_base_binding_policy": "none",
+    **SHARED_CORES,
     "OPENBLAS_NUM_THREADS": "1",
 }
 # Many tests wait for a program that they have started, so two share a core.
@@ -38,15 +39,28 @@ class Part:
     lint: bool = False
 
 
+def newest_flang() -> str:
+    """Name the flang with the highest number that is installed; nothing where there is none.
+
+    fpm takes `flang-22` for another compiler of that name; the new one is also `flang-new-22`.
+    """
+    places = [path for folder in os.get_exec_path() for path in Path(folder).glob("flang-new-*")]
+    names = [path.name for path in places if path.name.removeprefix("flang-new-").isdigit()]
+    return max(names, key=lambda name: int(name.rpartition("-")[2]), default="")
+
+
 def parts(arguments: argparse.Namespace) -> list[Part]:
     """List the parts in the order in which they run."""
     fortran = [sys.executable, "test/run", "--flavour"]
     style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml"]
-    style += ["postproc", "test", "docs"]
+    style += ["postproc", "test", "docs", "studies"]
     # A file goes to one worker, so that what its tests share is made once.
     python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "loadfile"]
     if not arguments.full:
         python += ["-m", "not full"]
+    flang = newest_flang() if arguments.full else ""
+    second = [Part(f"Fortran, physics with {flang}",
+                   [*fortran, "release", "--physics", "--compiler", flang])] if flang else []
     folders = ("src", "app", "test", "docs")
     folders = [name for name in folders if any((ROOT / name).rglob("*.[fF]90"))]
     return [
@@ -65,6 +79,7 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
             "Fortran, debug build with traps",
             [*fortran, "debug", f"--flags={arguments.debug}", f"--ldflags={arguments.debug_link}"],
         ),
+        *second,
         Part("Python", [*python, "postproc", "test"]),
     ]
 

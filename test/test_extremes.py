@@ -258,7 +258,8 @@ ODD = {
 @pytest.mark.parametrize("case", ODD)
 def test_what_is_allowed_runs(tmp_path: Path, engine: str, case: str) -> None:
     """No table within the bounds loses a particle, stops the program or never begins."""
-    ended = calculate(tmp_path, ODD[case], engine, number=20, run={"collisions": "100"})
+    short = {"collisions": "100", "transient_collisions": "0"}
+    ended = calculate(tmp_path, ODD[case], engine, number=20, run=short)
     assert ended.returncode == 0, ended.stderr
 
 

@@ -47,6 +47,7 @@ def test_make_has_no_switches_of_its_own() -> None:
 def test_all_say_the_same_version() -> None:
     places = {
         "fpm.toml": r'^version = "(.*)"',
+        "src/fpm.toml": r'^version = "(.*)"',
         "src/base/build_information.f90": r"program_version = '(.*)'",
         "postproc/__init__.py": r'^__version__ = "(.*)"',
         "CITATION.cff": r"^version: (.*)",
@@ -107,7 +108,7 @@ def test_the_debug_build_needs_no_make(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_the_example_measures_what_the_program_counts(tmp_path: Path) -> None:
     place = clean_checkout(tmp_path / "battery") / "docs/examples/reversal_times"
-    said = fpm("@run", folder=place)
+    said = fpm("run", "--profile", "release", folder=place)
     count, mean = re.search(
         r"(\d+) times between reversals.*\nmean ([\d.]+), their spread [\d.]+", said
     ).groups()

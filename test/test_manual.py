@@ -30,7 +30,7 @@ def tried(folder: Path, text: str) -> list[str]:
 
 
 GOOD = [
-    "```fortran\n&run\n  collisions = 1000\n/\n```",
+    "```fortran\n&run\n  collisions = 100000\n/\n```",
     "```fortran\n&scan\n  threshold = 1, 2\n/\n```",
     "```\nmake test FULL=1\n```",
     "```sh\nbuild/bin/battery FILE.nml\n```",

@@ -41,7 +41,7 @@ def results_of(folder: Path, scan: dict[str, Any], **groups: dict[str, Any]) -> 
     given = {
         "particles": {} if "number" in scan else {"number": 40},
         "gate": {} if {"threshold", "threshold_fraction"} & set(scan) else {"threshold": 5},
-        "run": {"collisions": 400},
+        "run": {"collisions": 400, "transient_collisions": 0},
         **groups,
     }
     text = namelist(**given, scan={**scan, "replicas": 2})

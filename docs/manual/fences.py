@@ -24,6 +24,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from manual import reference
+from postproc import launcher
 
 FENCE = re.compile(r"^( *)```([^\n`]*)\n(.*?)^\1``` *$", re.MULTILINE | re.DOTALL)
 KNOWN = ("cd", "pip", "tail", "head", "grep", "git", "sbatch", "perf")
@@ -32,9 +33,7 @@ PLACEHOLDER = re.compile(r"[A-Z][A-Z_]*\b|/some/|\.\.\.|\.h5$|\.nml$|\*")
 PATIENCE = 300.0
 ENVIRONMENT = {
     **os.environ,
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    **launcher.LAUNCHER,
     "MPLBACKEND": "agg",
     "COLUMNS": "100",
     "PYTHONPATH": str(Path(__file__).resolve().parents[2]),
@@ -42,10 +41,7 @@ ENVIRONMENT = {
 
 
 # For the program without mpirun: it starts in half the time without a daemon of Open MPI beside it.
-ALONE = ENVIRONMENT | {
-    "OMPI_MCA_ess_singleton_isolated": "1",
-    "OMPI_MCA_orte_create_session_dirs": "0",
-}
+ALONE = ENVIRONMENT | launcher.ALONE
 
 
 @dataclass

@@ -30,6 +30,8 @@ PAGES = {
         "experiments": "docs/experiments.md",
         "scatterers": "docs/scatterers.md",
         "accuracy": "docs/accuracy.md",
+        "age_of_a_run": "studies/age_of_a_run/README.md",
+        "where_models_fail": "studies/where_models_fail/README.md",
     },
     "How it is built": {
         "method": "docs/method.md",
@@ -41,7 +43,7 @@ PAGES = {
 }
 LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s]+)(\))")
 CODE = re.compile(r"```.*?^ *``` *$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
-PATH = re.compile(r"`((?:src|app|postproc|test|docs|namelists)/[\w./-]+\w)(?::\d+)?`")
+PATH = re.compile(r"`((?:src|app|postproc|test|docs|namelists|studies)/[\w./-]+\w)(?::\d+)?`")
 
 
 def pages(root: Path) -> dict[str, str]:

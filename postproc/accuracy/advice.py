@@ -6,11 +6,16 @@ taken from other circuits, and what is advised holds for unlike urns as well. Ch
 for the scatter of few replicas is itself uncertain.
 
 More replicas are advised, not longer ones: what a replica of another length would scatter by is not
-known where it is as long as its memory. Each measures twice its transient, and that follows the
-slowest relaxation: of directions, 25 r^4/w^3, and of chi where that is no longer large. A particle
-that goes round and round may do so for all of a run. It begins with the chance R a unit of time,
-lasts m rounds or more with 1/m, at most until the sparse gate turns it back, and so adds
+known where it is as long as its memory. Each measures twice its transient (`transients`): that of
+chi, or, of a current, what the tolerance asks for. A quarter of the tolerance may be lacking for
+want of age; replicas share the rest. So the pilot of a current is made a second time where the
+first one was too young.
+
+A particle that goes round and round may do so for all of a run. It begins with the chance R a unit
+of time, lasts m rounds or more with 1/m, at most until the sparse gate turns it back, and so adds
 R min(t/L, 1/(1 - q))/t to the variance of a mean over t.
+
+A pilot is data: where its own error meets the tolerance there is nothing more to be run.
 """
 
 from __future__ import annotations
@@ -25,7 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
-from postproc.accuracy import ladder, predictions
+from postproc.accuracy import ladder, predictions, transients
 from postproc.cli import InputError
 from postproc.reading.results import Results
 from postproc.running import RunError, plan, run
@@ -47,15 +52,15 @@ if TYPE_CHECKING:
 QUANTITIES = ("chi", "polarised_current", "transition")
 SURE = 0.95  # chance with which the advised run meets the tolerance
 REPLICAS = 16  # of a pilot
-RELAXATIONS = 3.0  # of directions, that a transient lasts
-SHORTEST = 1000.0  # transient in radii
-CRITICAL = 9000.0  # transient next to a transition, where chi relaxes in 3000
+LACKING = 0.25  # of the tolerance, that a current may lack for want of age
+NEAR = 1.1  # factor by which a pilot's transient may be shorter than what its own answer asks for
 LARGE = 0.75  # chi below which it may be next to a transition
 MEASURED = 2.0  # transients that a replica measures
 FEWEST = 4  # replicas of advised runs
 POLARISED = 0.05  # share of urn 1 at the start
 # what a theory takes at least, in s; of a transition about eight times as much
 THEORIES = {"window": 1e-3, "renewal": 3e-3, "two_port": 0.05, "direction": 1.0}
+PATIENCE = 5.0  # for a finer theory, in s, that tells whether errors cancel
 ACROSS = 5  # thresholds of a scan across a transition
 LEAST = 1e-300  # error where replicas do not scatter
 TRIED = 100_000  # particles of a run that tells what a pilot takes
@@ -75,6 +80,7 @@ class Pilot:
     per_time : processor time of a unit of time, of all thresholds that are run, in s.
     seconds : processor time of all of the pilot.
     thresholds : that are run, of a transition.
+    lacking : what the value is too small by for want of age, in theory.
     """
 
     value: float
@@ -85,6 +91,7 @@ class Pilot:
     per_time: float
     seconds: float
     thresholds: list[int] | None = None
+    lacking: float = 0.0
 
     @property
     def error(self) -> float:
@@ -100,10 +107,11 @@ class Advice:
     ----------
     rung : a theory of `postproc.theory --model`, or the engine `excursion`.
     replicas, duration, transient_duration : of the runs, as in the namelist; 0 of a theory.
+        With `cpu_seconds` 0 they are the pilot's, and `expected` is the answer.
     urn1_number : how many begin in urn 1.
-    cpu_seconds : processor time of it, without the pilot's.
+    cpu_seconds : processor time of it, without the pilot's; 0: the pilot is enough.
     confidence : chance that the tolerance is met.
-    reason : in a sentence.
+    reason : in sentences.
     expected : the pilot's value.
     pilot_seconds : what it took to find out.
     thresholds : of a scan across the transition.
@@ -120,15 +128,6 @@ class Advice:
     expected: float
     pilot_seconds: float
     thresholds: list[int] | None = None
-
-
-def transient_of(circuit: Circuit, *, critical: bool) -> float:
-    """Return how long a run must go before it counts, next to a transition or elsewhere."""
-    slowest = max(
-        max(RELAXATIONS * predictions.memory_time(side), SHORTEST * float(side.urn_radius))
-        for side in circuit.sides
-    )
-    return 100.0 * math.ceil(0.01 * (max(slowest, CRITICAL) if critical else slowest))
 
 
 def table_of(circuit: Circuit) -> Groups:
@@ -239,16 +238,16 @@ def transition_of_runs(thresholds: Floats, chi: Floats) -> tuple[float, float]:
 
 
 def pilot(
-    groups: Groups, circuit: Circuit, quantity: str, seed: int = 1, longest: float = math.inf
-) -> Pilot:
-    """Run it; again with a longer transient, or at other thresholds, if chi asks for that.
+    groups: Groups, circuit: Circuit, quantity: str, tolerance: float, seed: int = 1,
+    longest: float = math.inf,
+) -> Pilot:  # fmt: skip
+    """Run it; again with a longer transient, or at other thresholds, if its answer asks for that.
 
     Raises `InputError` before it would take more than `longest` of a processor in all, in s.
     """
     thresholds = thresholds_of(circuit) if quantity == "transition" else None
-    critical, seconds = quantity == "transition", 0.0
+    transient, seconds = transients.of_chi(circuit, critical=quantity == "transition"), 0.0
     for _ in range(SHIFTS):
-        transient = transient_of(circuit, critical=critical)
         length = {
             "replicas": REPLICAS, "seed": seed, "transient_duration": transient,
             "duration": (1.0 + MEASURED) * transient,
@@ -260,18 +259,32 @@ def pilot(
                     f"the pilot takes about {asked:.2g} s of a processor; "
                     f"--pilot-seconds {math.ceil(1.5 * asked)} lets it"
                 )
-        told = runs(groups, quantity, thresholds, length)
+        told, of_this = runs(groups, quantity, thresholds, length), transient
         seconds += told.seconds
         if thresholds and not (math.isfinite(told.value) and math.isfinite(told.scatter)):
             thresholds = moved(thresholds, told.chi)
-        elif critical or float(told.chi[0]) > LARGE:
+            continue
+        if not thresholds:
+            transient = max(transient, transient_of(circuit, quantity, tolerance, told))
+        if transient <= NEAR * of_this:
             break
-        else:
-            critical = True
-    around = circulating(circuit, MEASURED * transient) if quantity == "polarised_current" else 0.0
-    per_time = told.seconds / (REPLICAS * (1.0 + MEASURED) * transient)
-    return Pilot(told.value, told.scatter, around, transient, MEASURED * transient, per_time,
-                 seconds, thresholds)  # fmt: skip
+    measured, around, lacking = MEASURED * of_this, 0.0, 0.0
+    if quantity == "polarised_current":
+        around = circulating(circuit, measured)
+        lacking = float(transients.missing(circuit, float(told.chi[0]), of_this, measured))
+    per_time = told.seconds / (REPLICAS * (of_this + measured))
+    return Pilot(told.value, told.scatter, around, of_this, measured, per_time, seconds, thresholds,
+                 lacking)  # fmt: skip
+
+
+def transient_of(circuit: Circuit, quantity: str, tolerance: float, told: Outcome) -> float:
+    """Return the transient that a quantity asks for within a tolerance, from what runs say."""
+    chi = float(told.chi[0])
+    settled = transients.of_chi(circuit, critical=not chi > LARGE)
+    if quantity != "polarised_current" or not math.isfinite(told.value):
+        return settled
+    allowed = LACKING * tolerance * abs(told.value)
+    return transients.of_current(circuit, chi, allowed, shortest=settled, times=MEASURED)
 
 
 def moved(thresholds: list[int], chi: Floats) -> list[int]:
@@ -372,9 +385,8 @@ def chance_of_theory(
     Or of another measurement, which has a standard error of its own.
     """
     error = max(LEAST, math.hypot(found.error / math.sqrt(REPLICAS), other_error))
-    within = tolerance * abs(found.value)
-    low, high = ((value - found.value + sign * within) / error for sign in (-1.0, 1.0))
-    return float(stats.t.cdf(high, REPLICAS - 1) - stats.t.cdf(low, REPLICAS - 1))
+    off, within = value - found.value - found.lacking, tolerance * abs(found.value)
+    return float(np.diff(stats.t.cdf((off + np.array([-within, within])) / error, REPLICAS - 1))[0])
 
 
 def chance_of_runs(
@@ -382,13 +394,20 @@ def chance_of_runs(
 ) -> float:
     """Return the chance that so many replicas are within a tolerance, as `chance_of_theory`."""
     error = max(LEAST, math.hypot(found.error / math.sqrt(replicas), other_error))
-    within = tolerance * abs(found.value) / error
-    return float(2.0 * stats.t.cdf(within, REPLICAS - 1) - 1.0)
+    within = tolerance * abs(found.value)
+    ends = (found.lacking + np.array([-within, within])) / error
+    return float(np.diff(stats.t.cdf(ends, REPLICAS - 1))[0])
 
 
 def replicas_for(found: Pilot, tolerance: float) -> int:
-    """Return how many replicas meet the tolerance with `SURE`."""
-    wanted = tolerance * abs(found.value) / float(stats.t.ppf(0.5 * (1.0 + SURE), REPLICAS - 1))
+    """Return how many replicas meet the tolerance with `SURE`, less what is lacking.
+
+    Where as much is lacking as is tolerated no number does: those that the scatter asks for.
+    """
+    wanted = tolerance * abs(found.value)
+    left = wanted - abs(found.lacking)
+    wanted = left if left > 0.0 else wanted
+    wanted /= float(stats.t.ppf(0.5 * (1.0 + SURE), REPLICAS - 1))
     return max(FEWEST, math.ceil((found.error / wanted) ** 2))
 
 
@@ -398,7 +417,8 @@ def advise(
 ) -> Advice:  # fmt: skip
     """Return the cheapest rung that meets a relative tolerance with the chance `SURE`.
 
-    However much time that takes: it is told. Where there is no such quantity the rung is "none".
+    Where these are runs and the pilot's are enough, these. However much time that takes: it is
+    told. Where there is no such quantity the rung is "none".
 
     Parameters
     ----------
@@ -408,7 +428,7 @@ def advise(
     found : what a pilot said, if one was run.
     longest : what a pilot may take of a processor, in s.
     """
-    found = found or pilot(groups, circuit, quantity, longest=longest)
+    found = found or pilot(groups, circuit, quantity, tolerance, longest=longest)
     start = start_of(groups, quantity)
     rest = (found.value, found.seconds, found.thresholds)
     if not (math.isfinite(found.value) and math.isfinite(found.error) and found.value != 0.0):
@@ -418,29 +438,65 @@ def advise(
         return Advice("none", 0, 0.0, 0.0, start, math.nan, 0.0, f"{reason}.", *rest)
     replicas = replicas_for(found, tolerance)
     cost = replicas * (found.transient + found.measured) * found.per_time
+    error = found.error / math.sqrt(REPLICAS)
     told = (
-        f"A pilot of {REPLICAS} runs has {found.value:.4g}, "
+        f"A pilot of {REPLICAS} runs has {found.value:.4g} +- {error:.1g}, "
         f"each scatters by {found.error / abs(found.value):.2g} of it"
     )
+    if found.lacking:
+        told += (
+            f"; behind a transient of {found.transient:g} it lacks "
+            f"{100.0 * found.lacking / abs(found.value):.2g} % by theory, for circulations are "
+            "still filling up"
+        )
+    enough = replicas <= REPLICAS
+    met = " The pilot itself meets the tolerance." if enough else ""
     off = []
     for name, least in THEORIES.items():
-        if least * (8.0 if found.thresholds else 1.0) >= cost:
-            continue
-        value, seconds = theory_says(
-            circuit, MODELS[name], quantity, found.value if quantity == "chi" else None
-        )
+        value, seconds = _asked(circuit, name, found, quantity, cost, least)
         if seconds >= cost or not math.isfinite(value):
             continue
         chance = chance_of_theory(found, value, tolerance)
-        apart = f"{100.0 * abs(value / found.value - 1.0):.2g} %"
+        apart = f"{100.0 * _apart(found, value):.2g} %"
         if chance >= SURE:
             reason = (
                 f"{told}; the theory {name} says {value:.4g}, {apart} off, in less time than runs "
-                "take."
+                f"take.{_cancelling(circuit, name, found, quantity, tolerance)}{met}"
             )
             return Advice(name, 0, 0.0, 0.0, start, seconds, chance, reason, *rest)
         off.append(f"{name} by {apart}")
-    reason = f"{told}; theories that cost less are off: {', '.join(off) or 'none'}."
+    reason = f"{told}; theories that cost less are off: {', '.join(off) or 'none'}.{met}"
+    if enough:
+        replicas, cost = REPLICAS, 0.0
     chance = chance_of_runs(found, replicas, tolerance)
     return Advice("excursion", replicas, found.transient + found.measured, found.transient, start,
                   cost, chance, reason, *rest)  # fmt: skip
+
+
+def _asked(
+    circuit: Circuit, name: str, found: Pilot, quantity: str, longest: float, least: float
+) -> tuple[float, float]:
+    """Return what a theory says and its processor time; NaN and infinity if that is too long."""
+    if least * (8.0 if quantity == "transition" else 1.0) >= longest:
+        return math.nan, math.inf
+    return theory_says(circuit, MODELS[name], quantity, found.value if quantity == "chi" else None)
+
+
+def _apart(found: Pilot, value: float) -> float:
+    """Return how far a theory is from the pilot, what that lacks added to it."""
+    return abs(value - found.value - found.lacking) / abs(found.value)
+
+
+def _cancelling(
+    circuit: Circuit, name: str, found: Pilot, quantity: str, tolerance: float
+) -> str:  # fmt: skip
+    """Return in words that a theory is good by chance: one that has all of it and more is not."""
+    names = list(THEORIES)
+    for finer in names[names.index(name) + 1 :]:
+        value, _ = _asked(circuit, finer, found, quantity, PATIENCE, THEORIES[finer])
+        if math.isfinite(value) and chance_of_theory(found, value, tolerance) < 1.0 - SURE:
+            return (
+                f" There errors cancel: {finer}, which has all of its physics and more, is "
+                f"{100.0 * _apart(found, value):.2g} % off; do not rely on {name} elsewhere."
+            )
+    return ""

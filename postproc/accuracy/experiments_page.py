@@ -7,6 +7,8 @@ import textwrap
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.legend_handler import HandlerTuple
+from scipy import stats
 
 from postproc.accuracy import predictions
 from postproc.accuracy.text import measured, number, table
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+TAILS = [[0.1587], [0.8413]]  # ends of the error bars of counts: 68 % of Poisson's distribution
+NONE = -math.log(0.05)  # events expected where none is seen, at most (95 %)
+BESIDE = 1.12  # by how much marks of one number of rounds are drawn apart
 CLOSE = 3.0  # standard errors within which a prediction counts as met
 HEADS = ("quantity", "urns without memory", "memory", "measured", "off by")
 TITLES = {
@@ -135,7 +140,7 @@ def _wrapped(text: str) -> str:
 
 def figure(numbers: dict) -> Figure:
     """Return directions, sizes and circulations, measured and predicted."""
-    made = style.figure(style.PAGE, 3.3)
+    made = style.figure(style.PAGE, 3.6)
     directions, sizes, turns = made.subplots(1, 3)
     _draw_directions(directions, numbers["curves"])
     _draw_sizes(sizes, numbers["rows"])
@@ -184,17 +189,32 @@ def _draw_sizes(axes: Axes, rows: Sequence[dict]) -> None:
 
 
 def _draw_turns(axes: Axes, laws: Sequence[dict]) -> None:
-    for law, colour, mark in zip(laws, style.CYCLE, "os^D", strict=False):
+    for at, (law, mark) in enumerate(zip(laws, "os^D", strict=False)):
         rounds, reached = np.array(law["rounds"], float), np.array(law["reached"], float)
+        colour, dashes = style.CYCLE[at], ("-", "--", ":", "-.")[at]
         there = reached > 0
-        rate = reached[there] / law["time"]
+        none = np.flatnonzero(~there)[:1]  # whoever goes round longer has gone round so often
+        place = rounds * BESIDE ** (at - 1.5)
+        counts = reached[there]
+        ends = stats.chi2.ppf(TAILS, [2.0 * counts, 2.0 * counts + 2.0]) / 2.0
         look = {"fmt": mark, "color": colour, "mfc": "none", "ms": 3.5}
         label = f"$w' = {law['width']:g}$, $\\ell' = {law['length']:g}$"
-        axes.errorbar(rounds[there], rate, rate / np.sqrt(reached[there]), label=label, **look)
-        axes.plot(rounds[there], law["predicted"] / rounds[there], color=colour, lw=0.8)
+        axes.errorbar(place[there], counts / law["time"], np.abs(ends - counts) / law["time"],
+                      label=label, **look)  # fmt: skip
+        for one in none:
+            style.bound(axes, place[one], NONE / law["time"], mark, colour, 3.5)
+        axes.plot(rounds, law["predicted"] / rounds, color=colour, ls=dashes, lw=0.8,
+                  label="predicted")  # fmt: skip
+    axes.set_xlim(0.6, 2e4)
+    axes.set_ylim(2e-7, 1e-1)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("rounds $m$ or more")
     axes.set_ylabel("circulations (per unit time)")
-    axes.set_title("(c)  circulation, lines $\\propto 1/m$")
-    axes.legend(fontsize=6)
+    axes.set_title("(c)  circulation")
+    handles, labels = axes.get_legend_handles_labels()
+    lines, marks = handles[: len(laws)], handles[len(laws) :]
+    pairs = list(zip(marks, lines, strict=True))
+    axes.legend(pairs, labels[len(laws) :], fontsize=6, loc="upper right", handlelength=3.5,
+                title="marks measured, lines predicted", title_fontsize=6,
+                handler_map={tuple: HandlerTuple(None)})  # fmt: skip

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
@@ -49,6 +50,7 @@ SCAN = ((2, 1), (10, 1), (100, 1), (1000, 1), (1000, 2), (1000, 4), (1000, 7), (
 # N, T, for how long runs backwards are followed
 TURNED = ((100, 1, 12.0), (1000, 2, 12.0), (1000, 7, 12.0), (1000, 18, 12.0))
 BINS = np.array([0.0, 0.03, 0.08, 0.17, 0.33, 0.5, 0.75, 1.0])  # of the time back, as a share
+SURE = 0.95  # of bounds
 BLOCKS = 20  # of time, from which the errors of the scan are taken
 APART = 60.0  # time between two turnings
 
@@ -214,6 +216,11 @@ def share_of(hits: ArrayLike, counts: ArrayLike) -> tuple[float, float]:
     return float(share), math.sqrt(apart) / float(total)
 
 
+def bound_of_none(count: float) -> float:
+    """Return the share at which none of `count` independent ones is seen in 5 % of cases."""
+    return 1.0 - (1.0 - SURE) ** (1.0 / count)
+
+
 def _scan(job: Job) -> list[dict[str, object]]:
     """Return, for each N and T, how many reversals single ones would be undone."""
     rows = []
@@ -288,34 +295,46 @@ def _backwards(job: Job, number: int, threshold: int, back: float, turns: int) -
 
 
 def figure_reversal(scan: Sequence[dict], turned: Sequence[dict]) -> Figure:
-    """Return the share of single reversals undone against T, and that of runs against time."""
-    made = style.figure(style.PAGE, 2.9)
+    """Return the share of single reversals undone against T, and that of runs against time.
+
+    Where none was undone, the share that 95 % of such counts would have seen is a bound.
+    """
+    made = style.figure(style.PAGE, 3.2)
     left, right = made.subplots(1, 2)
     rows = [row for row in scan if row["number"] == 1000 and row["reversals"]]
-    left.errorbar(
-        [row["threshold"] / row["number"] for row in rows],
-        [row["share"] for row in rows],
-        [row["error"] for row in rows],
-        fmt="o-", color=style.BLUE,
-    )  # fmt: skip
+    at = [row["threshold"] / row["number"] for row in rows]
+    told = [np.array([row[name] for row in rows], float)
+            for name in ("share", "error", "reversals")]  # fmt: skip
+    _draw_shares(left, np.array(at), *told, "o", style.BLUE)
     left.set_title("(a)  turned at once, $N = 1000$")
     style.label_fraction(left)
     left.set_ylabel("share of reversals undone")
-    left.set_ylim(-0.03, 1.03)
+    left.set_ylim(-0.08, 1.03)
     for row, colour, mark in zip(turned, style.CYCLE, "osD^v", strict=False):
-        share, error = np.array(row["share"], float), np.array(row["share_error"], float)
-        back = np.array(row["time_back"])
+        told = [np.array(row[name], float)
+                for name in ("time_back", "share", "share_error", "counts")]  # fmt: skip
         label = f"$N = {row['number']}$, $T = {row['threshold']}$"
-        known = np.isfinite(share)
-        right.errorbar(
-            back[known], share[known], error[known], fmt=f"{mark}-", color=colour, label=label
-        )
+        _draw_shares(right, *told, mark, colour, label=label)
     right.set_xscale("log")
     right.set_title("(b)  turned later")
     right.set_xlabel("time from reversal to turning  (length / $v$)")
-    right.set_ylim(-0.03, 1.03)
+    right.set_ylim(-0.08, 1.03)
+    right.plot([], [], marker=r"$\downarrow$", mew=0.0, ms=7, ls="none", color=style.BLACK,
+               label="none undone:\nbound (95 %)")  # fmt: skip
     made.legend(loc="outside right upper")
     return made
+
+
+def _draw_shares(
+    axes: Axes, x: Floats, share: Floats, error: Floats, counts: Floats, mark: str, colour: str,
+    **look: object,
+) -> None:  # fmt: skip
+    """Draw shares with their errors, and bounds in place of those that are 0."""
+    seen = share > 0.0
+    axes.errorbar(x[seen], share[seen], error[seen], fmt=f"{mark}-", color=colour, ms=2.5, lw=0.8,
+                  elinewidth=1.0, capsize=3.0, **look)  # fmt: skip
+    for place, count in zip(x[share == 0.0], counts[share == 0.0], strict=True):
+        style.bound(axes, place, bound_of_none(count), mark, colour, 3.5)
 
 
 def run(job: Job) -> None:

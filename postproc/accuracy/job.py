@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import f90nml
 
 from postproc.cli import InputError, ended_with_python, finite, output_folder
+from postproc.launcher import LAUNCHER
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,11 +22,6 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 NAMELISTS = ROOT / "namelists"
 DIFFERENT = 2  # exit code of the program for results of another input
-MPI = {
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-}
 
 
 @dataclass(frozen=True)
@@ -86,8 +82,8 @@ class Job:
         launcher = [] if alone else ["mpirun", "-n", str(self.ranks)]
         command = [*launcher, str(self.program.resolve()), "--quiet", *options, name]
         return subprocess.run(
-            ended_with_python(command), cwd=self.folder, env={**os.environ, **MPI}, check=False,
-            text=True, stdin=subprocess.DEVNULL, capture_output=True,
+            ended_with_python(command), cwd=self.folder, env={**os.environ, **LAUNCHER},
+            check=False, text=True, stdin=subprocess.DEVNULL, capture_output=True,
         )  # fmt: skip
 
     def keep(self, part: str, numbers: Mapping[str, object]) -> Path:

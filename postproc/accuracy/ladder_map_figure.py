@@ -9,7 +9,7 @@ import numpy as np
 
 from postproc.accuracy.ladder import QUANTITIES
 from postproc.accuracy.ladder_errors import TIMES, expected, pareto
-from postproc.accuracy.observables import look
+from postproc.accuracy.observables import explain, look
 from postproc.figures import style
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ NAMES = {
     "transition": "relative error of transition $T$",
 }
 LIMITS = (3e-4, 2.0)  # of errors
+FAINT = 0.4  # opacity of a rung that says nothing of some points
 BELOW = {"timestep 0.03": -7}  # where a step is written that has no room above its mark
 
 
@@ -52,8 +53,10 @@ def figure(rows: Sequence[dict]) -> Figure:
         if not line["name"].startswith("timestep"):
             mark, colour = look(line)
             panels[0].plot([], [], mark, color=colour, label=line["name"])
-    panels[0].plot([], [], ">", color=style.PURPLE, label="timestep, step beside it")
-    panels[0].plot([], [], "o", color=style.BLACK, mfc="none", ms=10, mew=0.6, label="cancels")
+    explain(panels[0])
+    panels[0].plot([], [], ">", color=style.GREY, alpha=FAINT, label="faint: no answer at some")
+    panels[0].plot([], [], "o", color=style.BLACK, mfc="none", ms=10, mew=0.6,
+                   label="ring: errors cancel")  # fmt: skip
     panels[0].plot([], [], "-", color=style.YELLOW, lw=4.0, label="Pareto line")
     made.legend(loc="outside upper center", ncols=4, fontsize=7)
     return made
@@ -65,14 +68,11 @@ def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
     if quantity == "transition" and one["missing"]:
         return
     if one["seen"]:
-        faint = 0.35 if one["missing"] else 1.0
+        faint = FAINT if one["missing"] else 1.0
         axes.errorbar([at], [size], [one["bias_error"]], fmt=mark, color=colour, ms=5, alpha=faint)
     else:
         size = max(math.hypot(size, one["bias_error"]), LIMITS[0])
-        axes.plot([at], [size], mark, color=colour, mfc="none", ms=5)
-        axes.annotate(
-            "", (at, size / 2.2), (at, size), arrowprops={"arrowstyle": "->", "color": colour}
-        )
+        style.bound(axes, at, size, mark, colour)
     if one["cancels"]:
         axes.plot([at], [size], "o", color=style.BLACK, mfc="none", ms=10, mew=0.6)
     if line["kind"] != "theory":

@@ -53,6 +53,9 @@ not hide one of the conductance. The transitions lie at T = {places}.
 
 ![Error over the map against processor time](accuracy_ladder_map.png)
 
+Faint marks are of a rung that has no polarised state at some of the points ("without" in the table), a ring is where
+errors cancel (the star in the table), an open mark with an arrow is a bound.
+
 {table(head, rows)}
 
 Errors are root mean squares over the points, of chi absolute and of the others relative, less what runs add by chance;
@@ -65,6 +68,8 @@ full runs only.
 that could begin at the answer. Is it enough? With twice the transient chi differs by {number(twice["root_mean_square"], 2)} standard
 errors (root mean square over the {twice["points"]} points; one is chance), at most by
 {number(abs(twice["worst"]), 2)}, at w' = {twice["worst_width"]:g}, T = {twice["worst_threshold"]}.
+Currents settle later: at narrow channels even the reference's lack 1 to 2 %
+([the age of a run](../studies/age_of_a_run/README.md)), so smaller errors of current over chi are not told apart.
 
 The Pareto line is what can be had for the processor time of a point. Read from it, the cheapest rung that has an error:
 

@@ -37,6 +37,16 @@ STEP_LABELS = {
     "timestep 0.01": (-1, "right", "top"), "timestep 0.003": (0, "left", "bottom"),
     "timestep 0.001": (0, "left", "bottom"),
 }  # fmt: skip
+# of rungs: theories are crosses and stars, engines discs, squares and triangles; a colour each
+LOOKS = {
+    "excursion": ("o", style.BLUE), "collision": ("s", style.SKY),
+    "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
+    "eta of the paper": ("P", style.VERMILION),
+    "renewal gate": ("X", style.ORANGE), "renewal gate with channels": ("*", style.BROWN),
+    "renewal chain": ("v", style.OLIVE), "two ports": ("P", style.PURPLE),
+    "directions": ("X", style.VIOLET), "one particle": ("*", style.NAVY),
+}  # fmt: skip
+STEPPED = (">", style.GREY)  # timestep, whatever its step
 WIDE = {"collision": 8.0, "synchronous": 4.0}  # marks that fall together, one inside the other
 AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is held against that over time
 
@@ -104,15 +114,7 @@ def least_cost(line: dict, quantity: str) -> float:
 
 def look(line: dict) -> tuple[str, str]:
     """Return mark and colour of a rung."""
-    marks = {
-        "excursion": ("o", style.BLUE), "collision": ("s", style.SKY),
-        "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
-        "eta of the paper": ("P", style.VERMILION), "renewal gate": ("X", style.ORANGE),
-        "renewal gate with channels": ("*", style.ORANGE), "renewal chain": ("v", style.ORANGE),
-        "two ports": ("P", style.PURPLE), "directions": ("X", style.PURPLE),
-        "one particle": ("*", style.PURPLE),
-    }  # fmt: skip
-    return marks.get(line["name"], (">", style.PURPLE))
+    return LOOKS.get(line["name"], STEPPED)
 
 
 def figure_observables(rows: Sequence[dict]) -> Figure:
@@ -137,10 +139,18 @@ def figure_observables(rows: Sequence[dict]) -> Figure:
         mark, colour = look(line)
         if not line["name"].startswith("timestep"):
             panels[0].plot([], [], mark, color=colour, label=line["name"])
-    panels[0].plot([], [], ">", color=style.PURPLE, label="timestep, step beside it")
-    panels[0].plot([], [], "-", color=style.GREY, lw=0.9, label="error to be expected")
+    explain(panels[0])
     made.legend(loc="outside upper center", ncols=4, fontsize=7)
     return made
+
+
+def explain(axes: Axes) -> None:
+    """Add to a legend what marks and lines of both charts are."""
+    mark, colour = STEPPED
+    axes.plot([], [], mark, color=colour, label="timestep, step beside it")
+    axes.plot([], [], marker=r"$\downarrow$", mew=0.0, ms=7, ls="none", color=style.BLACK,
+              label="open, with arrow: a bound")  # fmt: skip
+    axes.plot([], [], "-", color=style.BLACK, lw=0.8, label="line: to be expected of a run")
 
 
 def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
@@ -152,10 +162,7 @@ def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
         axes.errorbar([at], [size], [error], fmt=mark, color=colour, ms=5)
     else:
         top = size + error
-        axes.plot([at], [top], mark, color=colour, mfc="none", ms=WIDE.get(line["name"], 5.0))
-        axes.annotate(
-            "", (at, top / 2.2), (at, top), arrowprops={"arrowstyle": "->", "color": colour}
-        )
+        style.bound(axes, at, top, mark, colour, WIDE.get(line["name"], 5.0))
     if line["kind"] == "theory":
         return
     times = np.geomspace(min(least_cost(line, quantity), at), 100.0 * at, 60)

@@ -13,10 +13,10 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import postproc
+from postproc.figures import style
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 REPLICAS = 200
+ENOUGH = 0.5  # share of runs that tell an error, from which on these are compared
 TRANSIENT = 2800.0  # three relaxation times of directions, 25 r^4/w^3
 CORNERS = [-1.0, -0.4, 0.2, -1.15, 1.0, -0.55, 1.0, 0.45, -0.15, 1.05, -1.0, 0.5]  # crooked
 # What is asked of each circuit besides w = 0.3, w' = 0.01, N = 1000, and the lengths of its runs.
@@ -83,18 +84,27 @@ def measure(threshold: int, table: dict[str, object], length: float) -> dict[str
 
 
 def draw(found: dict[str, dict[float, dict[str, dict[str, float]]]], path: Path) -> None:
-    """Draw the told error over the true one against the length of a run."""
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True, layout="constrained")
-    for panel, name in zip(axes, QUANTITIES[:2], strict=True):
-        for label, rows in found.items():
-            lengths = list(rows)
-            ratio = [rows[length][name]["ratio"] for length in lengths]
-            panel.plot(lengths, ratio, "o-", label=label)
-        panel.axhline(1.0, color="0.6", lw=0.8)
-        panel.set(xscale="log", xlabel="length of a run", title=name.replace("_", " "))
-    axes[0].set(ylabel="told error over true error", ylim=(0.0, 2.0))
-    axes[0].legend(fontsize=8, frameon=False)
-    figure.savefig(path, dpi=130)
+    """Draw the told error over the true one against the length of a run.
+
+    Only where half of the runs tell one, since fewer are a selection; error bars are the chance
+    that the true one is known with, from the scatter of so many runs.
+    """
+    made = style.figure(style.PAGE, 3.2)
+    panels = made.subplots(1, len(QUANTITIES), sharex=True, sharey=True)
+    for axes, name in zip(panels, QUANTITIES, strict=True):
+        for (circuit, rows), colour, mark in zip(found.items(), style.CYCLE, "osD^v", strict=False):
+            lengths = sorted(rows)
+            seen = any(one["told"] >= ENOUGH for row in rows.values() for one in row.values())
+            label = circuit if seen else f"{circuit}: none told"
+            told = [rows[length][name] for length in lengths]
+            ratio = np.array([one["ratio"] if one["told"] >= ENOUGH else np.nan for one in told])
+            axes.errorbar(lengths, ratio, ratio / np.sqrt(2.0 * (REPLICAS - 1)), fmt=f"{mark}-",
+                          color=colour, mfc="none", lw=0.8, label=label)  # fmt: skip
+        axes.axhline(1.0, color=style.GREY, lw=0.8)
+        axes.set(xscale="log", xlabel="length of a run", title=name.replace("_", " "))
+    panels[0].set(ylabel="told error over true error", ylim=(0.0, 1.6), xlim=(4e3, 6e5))
+    made.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    style.save(made, path.parent, path.stem)
 
 
 def main() -> None:

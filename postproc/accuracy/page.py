@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 TEMPLATE = Path(__file__).with_name("page.md")
 NOT_RUN = "_This part has not been run._"
+DOCS = ROOT / "docs"
+APART = ("own_errors",)  # figures that no part makes: a command of their own, told on the page
 OWN = ("observables", "gated_reversal", "pasts", "tail")
 HEADS = {"chi": "chi, T = 7", "current": "net current, T = 7", "transition": "transition T"}
 
@@ -264,10 +266,12 @@ def publish(text: str, source: Path, folder: Path) -> Path:
     """Write the page and its figures, NAME.png of `source` as accuracy_NAME.png, into a folder."""
     path = output_folder(folder) / "accuracy.md"
     for name in figures_of(text):
-        figure = source / f"{name}.png"
+        shown = folder / f"accuracy_{name}.png"
+        figure = DOCS / shown.name if name in APART else source / f"{name}.png"
         if not figure.exists():
             raise InputError(f"{figure}: no such figure")
-        shutil.copyfile(figure, folder / f"accuracy_{name}.png")
+        if figure.resolve() != shown.resolve():
+            shutil.copyfile(figure, shown)
     path.write_text(text, encoding="utf-8")
     print(path)
     return path
@@ -278,4 +282,4 @@ def run(job: Job) -> None:
     text = page(job)
     publish(text, job.folder, job.folder)
     if job.publish:
-        publish(text, job.folder, ROOT / "docs")
+        publish(text, job.folder, DOCS)

@@ -55,7 +55,8 @@ step. Some particles it sends astray
 {number(order["worst"], 2)}. In single precision small steps make it worse: their rounding adds up.
 - **Errors grow** as exp(lambda t). The tangent map of the free billiard gives lambda = {growth} directly
 ({number(numbers["lyapunov_same_start"], 3)} over the time that these particles fly); the column lambda is fitted
-to the errors themselves.
+to the errors themselves. The picture has lines of both rates: the errors follow the second, that of the same
+{numbers["number"]} particles.
 - **The horizon** of a precision is where the median error passes 0.1: half of the particles have taken another way.
 Half a unit in the last place grows to that in
 {predicted}. With gates it is nearer, since one particle that goes astray makes a gate fire, or not, for all the

@@ -233,7 +233,7 @@ def figure_visits(rows: Sequence[Row]) -> Figure:
     )
     axes.set_xlabel("error of a visit over its condition number")
     axes.set_ylabel("share of visits")
-    axes.legend(fontsize=7, loc="upper left")
+    made.legend(loc="outside upper center", ncols=2, fontsize=7)
     return made
 
 

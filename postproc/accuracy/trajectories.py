@@ -242,8 +242,13 @@ def figure_cost(rows: Sequence[dict[str, Any]]) -> Figure:
 
 
 def figure_growth(rows: Sequence[dict[str, Any]], rate: float, found: dict[str, Any]) -> Figure:
-    """Draw how errors grow in time, and how those of `timestep` shrink with the step."""
-    made = style.figure(style.PAGE, 3.4)
+    """Draw how errors grow in time, and how those of `timestep` shrink with the step.
+
+    Lines have the rates of the tangent map: of many particles for long, and of those that fly here
+    for as long as they do, which is what their errors follow.
+    """
+    rates = {rate: (":", "all"), found["lyapunov_same_start"]: ("-.", "these particles")}
+    made = style.figure(style.PAGE, 3.8)
     left, right = made.subplots(1, 2)
     for precision in PRECISIONS:
         for engine, line in (("collision", "-"), ("excursion", "--")):
@@ -252,14 +257,18 @@ def figure_growth(rows: Sequence[dict[str, Any]], rate: float, found: dict[str, 
                     left.semilogy(row["time"], np.maximum(row["median"], 1e-36), line,
                                   color=COLOUR[precision],
                                   label=f"{engine}, {precision}")  # fmt: skip
-        time = np.array([0.0, math.log(1 / EPSILON[precision]) / rate])
-        left.semilogy(time, EPSILON[precision] * np.exp(rate * time), ":", color=style.GREY)
-    left.plot([], [], ":", color=style.GREY, label=r"$\epsilon\,e^{\lambda t}$, tangent map")
+        for growth, (dashes, _) in rates.items():
+            time = np.array([0.0, math.log(1 / EPSILON[precision]) / growth])
+            left.semilogy(time, EPSILON[precision] * np.exp(growth * time), dashes,
+                          color=style.GREY, lw=0.9)  # fmt: skip
+    for growth, (dashes, whose) in rates.items():
+        left.plot([], [], dashes, color=style.GREY, lw=0.9,
+                  label=rf"$\epsilon\,e^{{\lambda t}}$, $\lambda = {growth:.3f}$: {whose}")
     left.set_xlabel("time")
     left.set_ylabel("median error of places, free circuit")
     left.set_ylim(1e-36, 1e2)
     left.set_yticks([1e-32, 1e-24, 1e-16, 1e-8, 1])
-    left.legend(fontsize=7, loc="lower right")
+    left.legend(fontsize=6.5, loc="lower right")
     for precision in PRECISIONS:
         steps = find(rows, gate="free", engine="timestep", precision=precision)
         step = [row["step"] for row in steps]

@@ -2,10 +2,11 @@
 
 model   the table (no file, or one with a snapshot)
 app1    the single urn of the appendix, likewise
-numris  maps of chi and net current over T and w', for either start (runs from both, in any order)
+numris  maps of chi and polarised current over T and w', for either start (runs from both, in any
+        order)
 comp05  flows and net currents against time, a panel a point, eta below
 comp06  chi and net current against time from chi(0) = 1
-comp01  net current against T/N and against chi, for several w'
+comp01  polarised current against T/N and against chi, for several w'
 app2    current of the single urn against T/N
 app3    its relative difference from theory
 app4    it and theory divided by N

@@ -168,6 +168,7 @@ def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
         axes.annotate(
             f"{y:.2g}" if y > -100.0 else f"$-10^{{{np.log10(-y):.0f}}}$", (x, level),
             (0, 4 + 7 * taken), textcoords="offset points", fontsize=5.5, color=colour, ha="center",
+            zorder=5, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
         )  # fmt: skip
 
 

@@ -139,8 +139,10 @@ def _draw_histories(
 
 
 def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
-    """Return net currents against T/N and against chi, one mark for each w'.
+    """Return currents along the polarity against T/N and against chi, one mark for each w'.
 
+    The polarity is that of the moment, at all points: next to a transition chi alone does not tell
+    which are polarised.
     `models` are the theories to draw, those of `models.best` if none are given.
     """
     models = models or best()
@@ -153,15 +155,15 @@ def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Fig
         look = {"fmt": mark, "color": colour, "mfc": "none", "elinewidth": 0.7, "ms": 3.8}
         fraction = group.threshold / group.number
         label = f"$w' = {width:.4g}$"
-        left.errorbar(fraction, group.current, group.current_error, label=label, **look)
-        right.errorbar(group.chi, group.current, group.current_error, group.chi_error, **look)
+        left.errorbar(fraction, group.along, group.along_error, label=label, **look)
+        right.errorbar(group.chi, group.along, group.along_error, group.chi_error, **look)
         for model in models:
             _draw_branch((left, right), files, group, model, colour)
     for model in models:
         look = {"color": style.GREY, "ls": model.dashes, "lw": 0.9}
         left.plot([], [], label=f"theory, {model.label}", **look)
     style.label_fraction(left)
-    left.set_ylabel("net current (per unit time)")
+    left.set_ylabel("polarised current (per unit time)")
     right.set_xlabel(r"mass spread $\chi$")
     right.set_xlim(0.0, 1.0)
     left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))

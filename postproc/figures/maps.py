@@ -1,4 +1,4 @@
-"""Maps of chi and net current over T and w' with the theory's lines, Fig. numris."""
+"""Maps of chi and polarised current over T and w' with the theory's lines, Fig. numris."""
 
 from __future__ import annotations
 
@@ -66,11 +66,12 @@ def _draw(axes: Axes, points: Points, values: Floats, look: dict[str, object]) -
 
 
 def transition_lines(points: Points, circuit: Circuit, models: Sequence[Model]) -> list[Line]:
-    """Return (T/N, w', dashes, label) of the transition lines of theories."""
+    """Return (T/N, w', dashes, label) of the transition lines of theories that have one."""
     last, lines = int(points.threshold.max()) + 1, []
     for model in models:
         thresholds, widths = model.transition_line(circuit, 1, last)
-        lines.append((thresholds / float(circuit.number), widths, model.dashes, model.label))
+        if np.isfinite(widths).any():
+            lines.append((thresholds / float(circuit.number), widths, model.dashes, model.label))
     return lines
 
 
@@ -83,15 +84,12 @@ def tricritical_places(circuit: Circuit, models: Sequence[Model]) -> Floats:
     return np.reshape(found, (-1, 2)).T / [[float(circuit.number)], [1.0]]
 
 
-def _draw_lines(
-    axes: Axes, points: Points, lines: Sequence[Line], marks: Floats, colour: str
-) -> None:
+def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], marks: Floats) -> None:
     for fraction, widths, dashes, label in lines:
-        axes.plot(fraction, widths, color=colour, ls=dashes, lw=1.3, label=f"transition, {label}")
+        axes.plot(fraction, widths, ls=dashes, label=f"transition, {label}", **style.on_map())
     if marks.size:
-        other = style.BLACK if colour == "white" else "white"
-        axes.scatter(*marks, s=22, marker="D", color=colour, edgecolors=other, lw=0.6, zorder=3,
-                     label="tricritical: a jump on the left")  # fmt: skip
+        axes.scatter(*marks, s=26, marker="D", color=style.BLACK, edgecolors="white", lw=0.8,
+                     zorder=3, label="tricritical: a jump on the left")  # fmt: skip
     low, high = edges(np.unique(points.channel2_width))[[0, -1]]
     axes.set_ylim(max(low, 0.0), high)
     borders = edges(np.unique(points.threshold)) / points.number[0]
@@ -99,7 +97,11 @@ def _draw_lines(
 
 
 def figure_numris(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
-    """Return maps of chi and net current, a row a start, and where two starts end differently."""
+    """Return maps of chi and current, a row a start, and where two starts end differently.
+
+    The current is that along the polarity of the moment: where the polarity reverses in a run, one
+    with a sign would cancel.
+    """
     points = gather(files)
     if np.unique(points.number).size > 1 or np.unique(points.channel1_width).size > 1:
         raise cli.InputError("figure numris needs runs of one N and one w")
@@ -109,15 +111,16 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = ALL) -> Fi
     rows = len(starts) + (len(starts) > 1)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
     panels = made.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
-    most = float(np.nanmax(points.current))
+    most = float(np.nanmax(points.along))
     looks = [
         ("chi", r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
-        ("current", "net current (per unit time)", {"vmin": 0.0, "vmax": most, "cmap": "magma"}),
-    ]
+        ("along", "polarised current (per unit time)",
+         {"vmin": 0.0, "vmax": most, "cmap": "magma"}),
+    ]  # fmt: skip
     for row, (name, part) in enumerate(starts):
         for axes, (field, label, look) in zip(panels[row], looks, strict=True):
             mesh = _draw(axes, part, getattr(part, field), look)
-            _draw_lines(axes, part, lines, marks, "white")
+            _draw_lines(axes, part, lines, marks)
             made.colorbar(mesh, ax=axes, label=label, pad=0.02)
             axes.set_title(f"{name}")
     if len(starts) > 1:
@@ -127,9 +130,7 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = ALL) -> Fi
     for axes in panels[:, 0]:
         axes.set_ylabel("$w'$")
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    legend = made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=7.5)
-    for handle in legend.get_lines():
-        handle.set_color(style.BLACK)
+    made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=7.5)
     return made
 
 
@@ -156,6 +157,6 @@ def _draw_differences(
         most = max(float(np.nanmax(np.abs(difference))), 1e-9)
         look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
         mesh = _draw(axes, common, difference, look)
-        _draw_lines(axes, common, lines, marks, style.BLACK)
+        _draw_lines(axes, common, lines, marks)
         made.colorbar(mesh, ax=axes, label=f"difference of\n{label}", pad=0.02)
         axes.set_title(r"$\chi(0) = 1$ less $\chi(0) = 0$")

@@ -14,7 +14,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.patheffects import Normal, Stroke
 
 from postproc.cli import InputError
 from postproc.figures import style
@@ -183,13 +182,13 @@ def lines_of(models: Sequence[Model], start: float) -> dict[str, Line]:
 
     What becomes of the start, chi = `start`, is of the last of the theories.
     """
-    found: dict[str, Line] = {r"$N w \ell / 8 T A = 1$": (published_load, "-.", "white")}
+    found: dict[str, Line] = {r"$N w \ell / 8 T A = 1$": (published_load, "-", style.BLACK)}
     for model in models:
         label = f"$J' = 0$, {model.label}"
-        found[label] = (partial(slope_load, model=model), model.dashes, "white")
+        found[label] = (partial(slope_load, model=model), model.dashes, style.BLACK)
     last = models[-1]
     label = f"$J(N_1) = J(N_2)$ at $\\chi(0)$, {last.label}"
-    found[label] = (partial(start_load, model=last, start=start), last.dashes, style.VERMILION)
+    found[label] = (partial(start_load, model=last, start=start), "-", style.PURPLE)
     return found
 
 
@@ -265,10 +264,7 @@ def figure_one_channel(files: Sequence[Results], models: Sequence[Model] = PAIR)
         axes = made.add_subplot(grid[-1, width * at : width * (at + 1)])
         _draw_together(axes, group, models)
     handles, labels = panels[0].get_legend_handles_labels()
-    legend = made.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=7.5)
-    for handle in legend.get_lines():
-        if handle.get_color() == "white":
-            handle.set_color(style.BLACK)
+    made.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=7.5)
     return made
 
 
@@ -287,10 +283,8 @@ def _draw_map(axes: Axes, plane: Plane, lines: dict[str, Line]) -> QuadMesh:
     mesh.set_rasterized(True)
     axes.set_facecolor("#D0D0D0")
     for label, (load_of, dashes, colour) in lines.items():
-        axes.plot(
-            *line(plane, load_of), color=colour, ls=dashes, lw=1.2, label=label,
-            path_effects=[Stroke(linewidth=1.9, foreground=style.BLACK, alpha=0.5), Normal()],
-        )  # fmt: skip
+        look = style.on_map(colour, 1.0)
+        axes.plot(*line(plane, load_of), ls=dashes, label=label, **look)
     axes.set_xlim(*edges(plane.x)[[0, -1]])
     axes.set_ylim(*edges(plane.y)[[0, -1]])
     axes.set_xlabel(KEYS[plane.keys[0]], labelpad=1)
@@ -312,14 +306,15 @@ def _draw_together(axes: Axes, group: Sequence[Plane], models: Sequence[Model]) 
     for model in models:
         states = [model.stable_state(replace(circuit, channel1_length=one)) for one in lengths]
         spreads = [math.nan if one is None else one.mass_spread for one in states]
-        axes.plot(DRAWN, spreads, color=style.BLACK, ls=model.dashes, lw=0.9)
+        axes.plot(DRAWN, spreads, color=style.ORANGE, ls=model.dashes, lw=1.2,
+                  label=rf"$\chi$, {model.label}")  # fmt: skip
     for load_of, dashes, colour in lines_of(models, group[0].start).values():
         (place,) = load_of(circuit, np.array([circuit.threshold]))
-        shown = style.GREY if colour == "white" else colour
-        axes.axvline(place, color=shown, ls=dashes, lw=0.9, zorder=0)
+        axes.axvline(place, color=colour, ls=dashes, lw=0.9, zorder=0)
     axes.set_xlim(DRAWN[0], DRAWN[-1])
     axes.set_ylim(0.0, 1.02)
     axes.set_xlabel(r"$N w \ell / 8 T A$")
     axes.set_ylabel(r"$\chi$")
     axes.set_title(f"$N = {int(circuit.number)}$, $T = {int(circuit.threshold)}$")
-    axes.legend(loc="center right", markerscale=5, fontsize=7)
+    axes.legend(loc="lower right", markerscale=5, fontsize=6.5, frameon=True, framealpha=1.0,
+                edgecolor="none")  # fmt: skip

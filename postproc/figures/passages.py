@@ -9,7 +9,7 @@ defined even where a theory has no such state, only a place where the drift is s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -174,6 +174,7 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]) 
     for polarised, mark, colour in ((False, "s", style.BLUE), (True, "o", style.VERMILION)):
         part = sorted((one for one in group if one.polarised == polarised), key=_by_number)
         if not part:
+            _draw_unmeasured(axes, group, polarised, models, colour)
             continue
         left = [one for one in part if one.passages]
         stayed = [one for one in part if not one.passages]
@@ -194,6 +195,27 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]) 
             times = [one.of_chain(model) for one in line]
             numbers = [one.number for one in line]
             axes.plot(numbers, times, color=colour, ls=model.dashes, lw=0.9)
+
+
+def _draw_unmeasured(
+    axes: Axes, group: Sequence[Lifetime], polarised: bool, models: Sequence[Model], colour: str
+) -> None:
+    """Draw the chains of a state in which no run began, and say that, and which are above all."""
+    others = sorted((replace(one, polarised=polarised) for one in group), key=_by_number)
+    beyond = []
+    for model in models:
+        times = np.array([one.of_chain(model) for one in others])
+        axes.plot([one.number for one in others], times, color=colour, ls=model.dashes, lw=0.9)
+        if np.all(times > DRAWN[1]):
+            beyond.append(model.label)
+    name = "polarised" if polarised else "homogeneous"
+    said = [f"{name}: no runs"]
+    if beyond:
+        power = f"$10^{{{math.log10(DRAWN[1]):.0f}}}$"
+        which = "all chains" if len(beyond) == len(models) else ", ".join(beyond)
+        said.append(f"{which}: above {power}")
+    axes.text(0.03, 0.97, "\n".join(said), transform=axes.transAxes, va="top", color=colour,
+              fontsize=7)  # fmt: skip
 
 
 def _explain(axes: Axes, models: Sequence[Model]) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
 
 from postproc.cli import InputError, output_folder
@@ -27,6 +28,11 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#8C8C8C"
+# darker ones, for figures with more than eight kinds of marks
+BROWN = "#7A4A1E"
+OLIVE = "#808000"
+VIOLET = "#6A3D9A"
+NAVY = "#1B2A6B"
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
 COLUMN = 3.4  # width of one column of the journal, inches
@@ -68,6 +74,19 @@ def figure(width: float = PAGE, height: float = 3.2) -> Figure:
     made = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(made)
     return made
+
+
+def on_map(colour: str = BLACK, width: float = 1.2) -> dict[str, object]:
+    """Return the look of a line that is seen on any colour of a map, and in a legend beside it."""
+    border = [Stroke(linewidth=width + 0.9, foreground="white"), Normal()]
+    return {"color": colour, "lw": width, "path_effects": border}
+
+
+def bound(axes: Axes, x: float, y: float, mark: str, colour: str, size: float = 5.0) -> None:
+    """Draw an upper bound: an open mark with an arrow downwards."""
+    axes.plot([x], [y], mark, color=colour, mfc="none", ms=size)
+    axes.annotate("", (x, y), (0, -15), textcoords="offset points",
+                  arrowprops={"arrowstyle": "<-", "color": colour})  # fmt: skip
 
 
 def label_fraction(axes: Axes) -> None:

@@ -28,6 +28,8 @@ class Points:
     chi, chi_error : mean over the replicas and its standard error; NaN where no task is done.
     current, current_error : net current, per unit time, along the polarity of a polarised state,
         from urn 1 to urn 2 of a homogeneous one (`Results.net_current`); likewise.
+    along, along_error : net current along the polarity of the moment whatever chi is
+        (`Results.polarised_current`); likewise.
     file, point : where the point comes from: which of the files, and which point there, from 0.
     """
 
@@ -40,6 +42,8 @@ class Points:
     chi_error: Floats
     current: Floats
     current_error: Floats
+    along: Floats
+    along_error: Floats
     file: NDArray[np.int_]
     point: NDArray[np.int_]
 
@@ -60,6 +64,7 @@ def gather(files: Sequence[Results]) -> Points:
         results.need_tasks()
         number, first = results.value("number"), results.value("urn1_number")
         chi, current = results.replica_mean("chi"), results.net_current()
+        along = results.polarised_current()
         columns.append(
             [
                 number,
@@ -69,6 +74,7 @@ def gather(files: Sequence[Results]) -> Points:
                 np.abs(2.0 * first - number) / number,
                 *chi,
                 *current,
+                *along,
                 np.full(number.size, index),
                 np.arange(number.size),
             ]

@@ -373,21 +373,28 @@ class Results:
         """Return net current and its standard error over the replicas of each point.
 
         It has a sign, so that homogeneous states scatter about 0. A polarised state has either
-        polarity: its current is counted along it, `polarised_current` where the file has that,
-        else that of channel 1 by its size.
+        polarity: its current is counted along it, `polarised_current`.
         """
         current, error = self.replica_mean("current1")
         if self.shape != "circuit":
             return current, error
-        polarised = self.replica_mean("chi")[0] > POLARISED
-        if self.has("polarised_current"):
-            along, along_error = self.replica_mean("polarised_current")
-        else:
-            sizes = np.abs(np.where(self.done, self.value("current1"), math.nan))
-            own = self.value("current1_error") if self.has("current1_error") else math.nan * sizes
-            along, along_error = mean_and_error(sizes, own)
-        polarised &= np.isfinite(along)
+        along, along_error = self.polarised_current()
+        polarised = (self.replica_mean("chi")[0] > POLARISED) & np.isfinite(along)
         return np.where(polarised, along, current), np.where(polarised, along_error, error)
+
+    def polarised_current(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return net current along the polarity of the moment, and its error, of each point.
+
+        So reversals of the polarity do not cancel it. Of a file that does not have it, that of
+        channel 1 by its size in each replica; of a single urn, its current.
+        """
+        if self.shape != "circuit":
+            return self.replica_mean("current1")
+        if self.has("polarised_current"):
+            return self.replica_mean("polarised_current")
+        sizes = np.abs(np.where(self.done, self.value("current1"), math.nan))
+        own = self.value("current1_error") if self.has("current1_error") else math.nan * sizes
+        return mean_and_error(sizes, own)
 
     def series(self, point: int, replica: int) -> Series:
         """Return the series of a task, from the first interval on.

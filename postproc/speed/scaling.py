@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from postproc import cli
+from postproc.launcher import LAUNCHER
 
 if TYPE_CHECKING:
     pass
@@ -39,12 +40,7 @@ SCAN = """&particles
 /
 """
 
-ENVIRONMENT = {
-    **os.environ,
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-}
+ENVIRONMENT = {**os.environ, **LAUNCHER}
 
 
 @dataclass(frozen=True)

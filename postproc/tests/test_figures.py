@@ -165,7 +165,7 @@ def test_net_currents_have_a_sign_unless_a_polarity_gives_them_one(folder: Path)
     with Results(folder / "slices.h5") as results:
         current, error = results.net_current()
     assert current[:4] == pytest.approx([-0.05, 1.1, 1.0, -0.15])
-    assert np.all(error[:4] > 0.0)
+    assert np.all(error[[0, 1, 3]] > 0.0)  # the third has one replica, too short for an error
     along = np.full((8, 2), 0.7)
     with edited(folder / "slices.h5") as file:
         file["polarised_current"] = along
@@ -182,7 +182,7 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
         gathered = points.gather(files)
     left, right = made.axes
     assert left.get_xlabel() == "$T/N$"
-    assert left.get_ylabel() == "net current (per unit time)"
+    assert left.get_ylabel() == "polarised current (per unit time)"
     assert right.get_xlabel() == r"mass spread $\chi$"
     assert right.get_xlim() == (0.0, 1.0)
     theories = [f"theory, {one.label}" for one in mixed]
@@ -190,9 +190,9 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
     for at, width in enumerate((0.0102, 0.0306)):
         group = gathered.where(gathered.channel2_width == width)
         assert marks_of(left)[at] == pytest.approx(
-            np.array([group.threshold / 1000.0, group.current])
+            np.array([group.threshold / 1000.0, group.along])
         )
-        assert marks_of(right)[at] == pytest.approx(np.array([group.chi, group.current]))
+        assert marks_of(right)[at] == pytest.approx(np.array([group.chi, group.along]))
         for one in mixed:
             circuit = replace(Circuit(1000, 4), channel2_width=width)
             spread, current = models.spread_and_current(one, circuit, range(4, 19))
@@ -209,7 +209,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
         parts = [part for _, part in maps.by_start(points.gather(files))]
         lines = maps.transition_lines(parts[0], files[0].circuit(0), mixed)
     panels, bars = made.axes[:6], made.axes[6:]
-    values = [part.chi for part in parts], [part.current for part in parts]
+    values = [part.chi for part in parts], [part.along for part in parts]
     for column, (start, final) in enumerate(values):
         for row, drawn in enumerate((start, final, final - start)):
             axes = panels[2 * row + column]
@@ -224,7 +224,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
     assert {bar.get_ylabel() for bar in bars} == {
         f"{before}{label}"
         for before in ("", "difference of\n")
-        for label in (r"mass spread $\chi$", "net current (per unit time)")
+        for label in (r"mass spread $\chi$", "polarised current (per unit time)")
     }
     assert [axes.get_xlabel() for axes in panels[4:]] == ["$T/N$"] * 2
     *transitions, mark = labels_of(made)
@@ -245,7 +245,7 @@ def test_unless_told_otherwise_the_best_theory_is_drawn_too(
         circuit = files[0].circuit(0)
     remembering = models.ALL[-1]
     assert labels_of(slices)[1:] == [f"theory, {one.label}" for one in models.best()]
-    assert labels_of(plane) == [f"transition, {one.label}" for one in models.ALL]
+    assert labels_of(plane)[:-1] == [f"transition, {one.label}" for one in models.ALL]
     (line,) = lines_of(plane.axes[0], remembering.dashes)
     assert line[1] == pytest.approx(remembering.transition_line(circuit, 1, 3)[1])
 
@@ -308,6 +308,21 @@ def test_points_of_several_files_stand_side_by_side(folder: Path) -> None:
     assert gathered.number.size == 24
     assert [part.number.size for _, part in maps.by_start(gathered)] == [12, 12]
     assert np.count_nonzero(np.isnan(gathered.chi)) == 2
+
+
+def test_where_the_polarity_reverses_currents_do_not_cancel(folder: Path) -> None:
+    with edited(folder / "homogeneous.h5") as file:
+        file["current1"][0], file["polarised_current"][0], file["chi"][0] = 0.0, 0.7, 0.1
+    with opened([folder / "homogeneous.h5"]) as files:
+        gathered = points.gather(files)
+    assert (gathered.current[0], gathered.along[0]) == (0.0, 0.7)
+
+
+def test_a_theory_without_a_transition_has_no_line(folder: Path) -> None:
+    with opened([folder / "point.h5"]) as files:
+        gathered, circuit = points.gather(files), files[0].circuit(0)
+    both = models.named(["one_particle", "window"])
+    assert [one[3] for one in maps.transition_lines(gathered, circuit, both)] == ["paper"]
 
 
 def test_map_has_each_value_in_its_cell(folder: Path) -> None:

@@ -97,10 +97,10 @@ def test_picture_shows_both_starts_and_all_families(
 ) -> None:
     folder, found = made
     radius, columns, ohm, collapse = lorentz.figure(found).axes
-    assert [len(axes.containers) for axes in (radius, columns, ohm, collapse)] == [2, 2, 2, 3]
+    assert [len(axes.containers) for axes in (radius, columns, ohm, collapse)] == [4, 2, 2, 3]
     for axes in (radius, ohm, collapse):
         assert axes.get_legend() is not None
-    assert radius.containers[1].lines[0].get_ydata()[-1] == found["radius"][-1]["chi"]
+    assert radius.containers[2].lines[0].get_ydata()[-1] == found["radius"][-1]["chi"]
     assert ohm.get_xlabel() == r"$\chi$"
-    assert ohm.get_ylabel() == "net current"
+    assert ohm.get_ylabel() == "net current (per unit time)"
     assert (folder / "lorentz.png").stat().st_size > 0

@@ -77,7 +77,8 @@ def test_only_a_square_keeps_the_direction(made: tuple[Path, shapes.Found]) -> N
 def test_picture_shows_every_shape(made: tuple[Path, shapes.Found]) -> None:
     folder, found = made
     spread, current, memory, back = shapes.figure(found).axes
-    assert [axes.get_ylabel() for axes in (spread, current)] == [r"$\chi$", "net current"]
+    labels = [axes.get_ylabel() for axes in (spread, current)]
+    assert labels == [r"$\chi$", "net current (per unit time)"]
     for axes, points in ((spread, 1), (current, 1), (memory, 2), (back, 1)):
         assert len(axes.containers) == len(shapes.LOOKS)
         assert all(len(one.lines[0].get_xdata()) == points for one in axes.containers)

@@ -313,6 +313,20 @@ def test_nothing_goes_round_between_equal_urns() -> None:
     assert around == pytest.approx(0.0, abs=1e-12)
 
 
+def test_circulations_fill_up_with_the_age_of_a_run(capsys: pytest.CaptureFixture[str]) -> None:
+    """Decade for decade about as much, to the stationary state's; chi stays as it is."""
+    words = ["--number", "1000", "--threshold", "7", "--model", "two_port"]
+    ages = [0.0, 100.0, 1000.0, 10000.0, 1e9]
+    assert call("theory", [*words, "--age", *map(str, ages)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    currents = [one["net_current"] for one in printed["by_age"]]
+    steps = np.diff(currents)
+    assert np.all(steps > 0.0)
+    assert steps[1:3] == pytest.approx([0.0125, 0.0128], abs=0.0005)
+    assert currents[-1] == pytest.approx(printed["roots"][0]["net_current"], rel=1e-6)
+    assert call("theory", [*words[:4], "--age", "100"]) == 2
+
+
 def test_command_line_tells_what_the_urns_remember(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--number", "1000", "--threshold", "7"]
     assert call("theory", [*words, "--model", "two_port"]) == 0

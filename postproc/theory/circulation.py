@@ -29,6 +29,7 @@ is a source between the openings, to which the urns answer (`response`).
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -118,13 +119,21 @@ def volumes(circuit: Circuit) -> Floats:
     )  # fmt: skip
 
 
-def series(lasting: Floats, share: float) -> float:
-    """Return the sum over m > 1 of share^(m-1) V_m, with V_m as 1/m beyond the last."""
+def series(lasting: Floats, share: float, rounds: float = math.inf) -> float:
+    """Return the sum of share^(m-1) V_m over 1 < m <= `rounds`, with V_m as 1/m beyond the last."""
     m = np.arange(1, lasting.size + 1)
-    total = float((share ** (m[1:] - 1) * lasting[1:]).sum())
+    total = float((share ** (m[1:] - 1) * lasting[1:])[m[1:] <= rounds].sum())
+    if rounds <= lasting.size:
+        return total
     decay = -np.log(min(max(share, 1e-300), 1.0 - 1e-12))
-    beyond = special.exp1(decay * (lasting.size + 0.5)) * np.exp(decay)
-    return total + float((m * lasting)[LATE - 1 :].mean() * beyond)
+    ends = special.exp1(decay * (np.array([lasting.size, rounds]) + 0.5)) * np.exp(decay)
+    return total + float((m * lasting)[LATE - 1 :].mean() * (ends[0] - ends[1]))
+
+
+def round_time(circuit: Circuit) -> float:
+    """Return how long a round takes at speed 1: across both urns and through both channels."""
+    across = sum(float(sum(one.chords)) for one in circuit.sides)
+    return across + float(circuit.channel1_length) + float(circuit.channel2_length)
 
 
 def response(one: Ports) -> float:
@@ -137,14 +146,16 @@ def response(one: Ports) -> float:
 
 
 def circulating_current(
-    circuit: Circuit, urns: Sequence[Ports], entries: Floats, across: Floats
-) -> float:
+    circuit: Circuit, urns: Sequence[Ports], entries: Floats, across: Floats,
+    age: float = math.inf,
+) -> float:  # fmt: skip
     """Return the current of channel 2 from urn 2 to urn 1 that goes round.
 
     Parameters
     ----------
     urns : the ports of urns 1 and 2.
     entries, across : e and f, what they send into channels 1 and 2 per unit time, shape (2,).
+    age : of the run: orbits of more rounds than have been flown by then are not filled yet.
     """
     if float(circuit.channel2_width) == 0.0:
         return 0.0
@@ -160,7 +171,7 @@ def circulating_current(
     def around(sparse: int, dense: int) -> float:
         first = q[sparse] * (in_channel[dense] - into_gate[sparse]) * lasting[0]
         fed = (1.0 - q[dense]) * into_gate[dense] - (1.0 - q[sparse]) * in_channel[dense]
-        rest = fed * series(lasting, q[sparse])
+        rest = fed * series(lasting, q[sparse], age / round_time(circuit))
         source = (1.0 - urns[dense].across) * (first + rest) + urns[sparse].return_chance * rest
         return float(response(urns[sparse]) * source)
 

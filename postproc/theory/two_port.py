@@ -215,19 +215,39 @@ def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Flo
     return at.in_half[1], sent
 
 
-def flows(circuit: Circuit, number2: float) -> Floats:
-    """Return what channels 1 and 2 carry from urn 1 to 2 and back where N2 is `number2`.
-
-    Per unit time, shape (channel, way); without what circulates.
-    """
+def _with_number2(circuit: Circuit, number2: float) -> Balance:
+    """Return both urns held where N2 is `number2`."""
     number = float(circuit.number)
 
     def excess(first: float) -> float:
         return float(balance(circuit, first).in_half[1, 0]) - number2
 
-    first = optimize.brentq(excess, 1e-9 * number, (1.0 - 1e-9) * number, rtol=1e-12)
-    at = balance(circuit, first)
+    fewest, most = 1e-9 * number, (1.0 - 1e-9) * number
+    if excess(fewest) <= 0.0:  # so many do not fit in there beside those that fly
+        return balance(circuit, fewest)
+    return balance(circuit, optimize.brentq(excess, fewest, most, rtol=1e-12))
+
+
+def flows(circuit: Circuit, number2: float) -> Floats:
+    """Return what channels 1 and 2 carry from urn 1 to 2 and back where N2 is `number2`.
+
+    Per unit time, shape (channel, way); without what circulates.
+    """
+    at = _with_number2(circuit, number2)
     return np.stack([at.through[:, 0], at.across[:, 0]])
+
+
+def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:
+    """Return the circulating current where N2 is `number2`, at each age of a run.
+
+    Age 0 is the current of one round, that is there at once; infinity the stationary one.
+    """
+    at = _with_number2(circuit, number2)
+    urns = [ports.disc(side) for side in circuit.sides]
+    entries, across = at.entries[:, 0], at.across[:, 0]
+    found = [circulating_current(circuit, urns, entries, across, float(age))
+             for age in np.ravel(ages)]  # fmt: skip
+    return np.reshape(found, np.shape(ages))
 
 
 def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:

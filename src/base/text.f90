@@ -8,6 +8,10 @@ module battery_text
 
   character(len=1), parameter :: new_line_character = achar(10)
 
+  !> The widest reals: of 128 bits, or of 80 where a compiler has none of 128. It must be none of
+  !> the other kinds, or `to_text` would have two procedures for one kind.
+  integer, parameter :: widest = merge(real128, selected_real_kind(18), real128 > 0)
+
   !> A text of any length, for lists of them.
   type :: string_type
     character(len=:), allocatable :: text
@@ -16,7 +20,7 @@ module battery_text
   !> A `number` (integer or real), or a logical `value`, as short text; reals with as many digits as
   !> it takes to read the same number back.
   interface to_text
-    module procedure :: int32_text, int64_text, real32_text, real64_text, real128_text, &
+    module procedure :: int32_text, int64_text, real32_text, real64_text, widest_text, &
       logical_text
   end interface to_text
 
@@ -80,18 +84,18 @@ contains
     text = plain_notation(trim(adjustl(buffer)))
   end function shortest_text
 
-  pure function real128_text(number) result(text)
-    real(real128), intent(in) :: number
+  pure function widest_text(number) result(text)
+    real(widest), intent(in) :: number
     character(len=:), allocatable :: text
     character(len=60) :: buffer
 
-    if (.not. abs(real(real(number, real64), real128) - number) > 0.0_real128) then
+    if (.not. abs(real(real(number, real64), widest) - number) > 0.0_widest) then
       text = real64_text(real(number, real64))
     else
       write (buffer, '(es60.34e4)') number
       text = plain_notation(trim(adjustl(buffer)))
     end if
-  end function real128_text
+  end function widest_text
 
   pure function logical_text(value) result(text)
     logical, intent(in) :: value

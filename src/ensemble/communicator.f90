@@ -7,6 +7,8 @@
 !> and rank 0 computes too; it only has to enter MPI now and then (`help_board`) where the network
 !> needs a hand from the processor.
 module battery_communicator
+  use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_status_type, ieee_get_status, &
+    ieee_set_status, ieee_set_halting_mode
   use, intrinsic :: iso_c_binding, only: c_ptr, c_f_pointer
   use mpi_f08, only: MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
     MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
@@ -65,7 +67,7 @@ contains
     call MPI_Initialized(running)
     communicator%mine = .not. running
     if (communicator%mine) then
-      call MPI_Init()
+      call initialize_mpi()
       ! MPICH takes SIGUSR1 for word of a failed rank, asks mpiexec which, and without one hangs.
       call signals_watch()
     end if
@@ -75,6 +77,17 @@ contains
     call MPI_Comm_rank(communicator%ranks, communicator%rank)
     call MPI_Comm_size(communicator%ranks, communicator%size)
   end subroutine open_communicator
+
+  !> MPI_Init without traps of floating-point exceptions: Open MPI 5 reaches a library that makes a
+  !> NaN on purpose. Traps and flags are afterwards what they were.
+  subroutine initialize_mpi()
+    type(ieee_status_type) :: status
+
+    call ieee_get_status(status)
+    call ieee_set_halting_mode(ieee_all, .false.)
+    call MPI_Init()
+    call ieee_set_status(status)
+  end subroutine initialize_mpi
 
   !> The end of MPI where `open_communicator` began it. Collective.
   subroutine close_communicator(communicator)

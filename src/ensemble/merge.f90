@@ -2,7 +2,7 @@
 module battery_merge
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type, exit_bad_input
-  use battery_files, only: file_exists
+  use battery_files, only: file_exists, is_as_seen
   use battery_fingerprint, only: fingerprint_text
   use battery_journal, only: journal_type, read_rank_file, rank_files_of
   use battery_metadata, only: metadata_type, add_text
@@ -97,6 +97,7 @@ contains
     type(task_type) :: task
     integer, allocatable :: files(:)
     integer :: file, k, r, p
+    logical :: old
 
     allocate (failures(task_count(plan)))
     call new_results(results, plan%point_count, plan%replicas)
@@ -115,7 +116,10 @@ contains
         call take(found(k))
       end do
     end do
-    if (any(results%task_status /= task_complete) .and. file_exists(plan%file)) then
+    old = file_exists(plan%file)
+    ! What has appeared there since the run began is none of its business.
+    if (whole .and. old) old = is_as_seen(plan%file, journal%ownership%before)
+    if (old .and. any(results%task_status /= task_complete)) then
       call read_results(plan%file, whole, before, error)
       if (allocated(error)) then
         if (error%code == exit_bad_input) return

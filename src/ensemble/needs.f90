@@ -11,7 +11,11 @@ module battery_needs
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
-  public :: needs_type, needs_of, check_needs
+  public :: needs_type, needs_of, check_needs, check_start
+
+  !> Address space that MPI takes while it starts: most of Open MPI 4.1 is 54 MB. Where it has less,
+  !> some versions crash in a few of their parts.
+  real(dp), parameter :: start_bytes = 64.0e6_dp
 
   !> Bytes by what takes them, those of a task at its largest point that fits into memory.
   type :: needs_type
@@ -97,6 +101,17 @@ contains
       *(2.0_wp*point%channel(gated)%width + point%channel(ungated)%width) &
       /(pi*table%urn(1)%area), dp)
   end function events_of
+
+  !> Whether there is memory enough for MPI to start. To be called before it does, by every rank.
+  subroutine check_start(error)
+    type(error_type), allocatable, intent(out) :: error
+    type(memory_type) :: left
+
+    left = memory_left(1)
+    if (left%bytes < start_bytes) call fatal_error(error, 'battery: MPI needs ' &
+      //size_text(start_bytes)//' of memory to start; there are '//size_text(left%bytes)//' ('// &
+      left%limit//')', exit_bad_input)
+  end subroutine check_start
 
   !> An error that names the keys which ask for more than `left`: more for one task, more for rank 0
   !> at the end, or more than can be counted. Points of a scan that are too large for the memory

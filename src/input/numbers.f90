@@ -48,7 +48,7 @@ contains
     !> What is wrong with it; empty: nothing.
     character(len=:), allocatable, intent(out) :: wrong
     type(ieee_status_type) :: before
-    integer :: first, last, mark
+    integer :: first, last, mark, status
 
     number = 0.0_wp
     wrong = ''
@@ -63,12 +63,13 @@ contains
       if (.not. is_whole(text(mark + 1:))) wrong = 'is not a number'
     end if
     if (wrong /= '') return
-    ! What is too large becomes infinite, and must not end a program that traps that.
+    ! What is too large becomes infinite with one compiler, and must not end a program that traps
+    ! that; with another it cannot be read.
     call ieee_get_status(before)
     call ieee_set_halting_mode(ieee_overflow, .false.)
-    read (text, *) number
+    read (text, *, iostat=status) number
     call ieee_set_status(before)
-    if (abs(number) > huge(number)) then
+    if (status /= 0 .or. abs(number) > huge(number)) then
       wrong = 'is not finite: the largest number is '//to_text(huge(number))
     else if (.not. abs(number) > 0.0_wp .and. scan(text(first:last), '123456789') > 0) then
       wrong = 'is too near 0: the least number above 0 is '//to_text(tiny(number))

@@ -11,7 +11,7 @@ module battery_files
   private
   public :: file_exists, is_readable, is_writable, is_disk_error, files_like
   public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
-  public :: seen_type, seen_at, put_in_place
+  public :: seen_type, seen_at, is_as_seen, put_in_place
 
   !> What a name stood for when it was looked at; as it begins: nothing.
   type :: seen_type
@@ -122,6 +122,19 @@ contains
 
     call c_look_at(path//c_null_char, seen%mark)
   end function seen_at
+
+  !> Whether a name stands for what it stood for before.
+  function is_as_seen(path, before) result(yes)
+    !> Links are not followed.
+    character(len=*), intent(in) :: path
+    !> What it stood for.
+    type(seen_type), intent(in) :: before
+    logical :: yes
+    type(seen_type) :: now
+
+    now = seen_at(path)
+    yes = all(now%mark == before%mark)
+  end function is_as_seen
 
   !> As `publish_file`, for a temporary file that is on the disk, but replaces nothing that was not
   !> there before: then the file stays under its temporary name, and the error says so.

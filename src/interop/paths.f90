@@ -30,7 +30,7 @@ contains
     !> Links are followed.
     character(len=*), intent(in) :: path
 
-    yes = c_kind_of(path//c_null_char) == a_file
+    yes = kind_of(path) == a_file
   end function is_file
 
   !> Whether there is a folder of that name.
@@ -38,7 +38,7 @@ contains
     !> Links are followed.
     character(len=*), intent(in) :: path
 
-    yes = c_kind_of(path//c_null_char) == a_folder
+    yes = kind_of(path) == a_folder
   end function is_folder
 
   !> Whether there is something else of that name: a pipe, a device, a socket.
@@ -46,8 +46,15 @@ contains
     !> Links are followed.
     character(len=*), intent(in) :: path
 
-    yes = c_kind_of(path//c_null_char) == something_else
+    yes = kind_of(path) == something_else
   end function is_pipe_or_device
+
+  !> What a path names: `a_file`, `a_folder`, `something_else`, or 0 where nothing is there.
+  integer(c_int) function kind_of(path)
+    character(len=*), intent(in) :: path
+
+    kind_of = c_kind_of(path//c_null_char)
+  end function kind_of
 
   !> Whether two paths name one and the same file, by whatever link.
   logical function same_file(one, other) result(yes)

@@ -191,15 +191,16 @@ contains
     do list = size(plan%scanned), 1, -1
       associate (scanned => plan%scanned(list))
         values = size(scanned%values)
-        if (allocated(scanned%second)) call put_before(scanned%key//'2', scanned%second)
-        call put_before(scanned%key, scanned%values)
+        if (allocated(scanned%second)) call put_before(text, scanned%key//'2', scanned%second)
+        call put_before(text, scanned%key, scanned%values)
       end associate
       left = left/values
     end do
 
   contains
 
-    pure subroutine put_before(key, all)
+    pure subroutine put_before(text, key, all)
+      character(len=:), allocatable, intent(inout) :: text
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: all(:)
 

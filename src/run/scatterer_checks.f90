@@ -19,7 +19,7 @@ module battery_scatterer_checks
 contains
 
   !> Everything that is wrong with scatterers.
-  pure function wrong_scatterers(values, channel, least) result(problems)
+  function wrong_scatterers(values, channel, least) result(problems)
     !> z, y, radius of each in turn.
     real(wp), intent(in) :: values(:)
     !> Channel 2.
@@ -74,7 +74,7 @@ contains
     end function reach_of
 
     !> One more problem.
-    pure subroutine add(value, allowed)
+    subroutine add(value, allowed)
       character(len=*), intent(in) :: value, allowed
       type(wrong_type) :: problem
 

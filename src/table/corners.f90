@@ -104,20 +104,20 @@ contains
     !> (x, y) in columns; 1: to the right, -1: to the left.
     real(wp), intent(in) :: corner(:, :), way
     integer :: side
-    real(wp) :: farthest, x
+    real(wp) :: farthest, x, a(2), b(2)
     integer :: k
 
     side = 0
     farthest = -huge(1.0_wp)
     do k = 1, size(corner, 2)
-      associate (a => corner(:, k), b => corner(:, next_of(k, size(corner, 2))))
-        if (min(a(2), b(2)) > 0.0_wp .or. max(a(2), b(2)) < 0.0_wp) cycle
-        x = max(way*a(1), way*b(1))
-        if (abs(b(2) - a(2)) > 0.0_wp) x = way*(a(1) - (b(1) - a(1))*(a(2)/(b(2) - a(2))))
-        if (x < farthest) cycle
-        farthest = x
-        side = merge(k, 0, a(2)*b(2) < 0.0_wp)
-      end associate
+      a = corner(:, k)
+      b = corner(:, next_of(k, size(corner, 2)))
+      if (min(a(2), b(2)) > 0.0_wp .or. max(a(2), b(2)) < 0.0_wp) cycle
+      x = max(way*a(1), way*b(1))
+      if (abs(b(2) - a(2)) > 0.0_wp) x = way*(a(1) - (b(1) - a(1))*(a(2)/(b(2) - a(2))))
+      if (x < farthest) cycle
+      farthest = x
+      side = merge(k, 0, a(2)*b(2) < 0.0_wp)
     end do
   end function axis_side
 

@@ -41,7 +41,20 @@ module battery_urn
     real(wp) :: shortest = 0.0_wp
   end type urn_type
 
+  interface urn_type
+    module procedure :: urn_of_radius
+  end interface urn_type
+
 contains
+
+  !> A disc. A constructor of the type itself would want all components that have no default.
+  elemental function urn_of_radius(radius) result(urn)
+    !> A length.
+    real(wp), intent(in) :: radius
+    type(urn_type) :: urn
+
+    urn%radius = radius
+  end function urn_of_radius
 
   !> Finds out all that follows from shape and channels.
   pure subroutine give_form(urn, channel)

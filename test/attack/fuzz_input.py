@@ -22,13 +22,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+from postproc import launcher  # noqa: E402
+
 PROGRAM = Path(os.environ.get("BATTERY_PROGRAM", ROOT / "build/bin/battery"))
 ENVIRONMENT = {
     **os.environ,
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_ess_singleton_isolated": "1",
-    "OMPI_MCA_orte_create_session_dirs": "0",
+    **launcher.ALONE,
     "LC_ALL": "C.UTF-8",
 }
 # A mutant that asks for more than this is no fault of the reading; what it asks for is legal.

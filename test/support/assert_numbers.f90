@@ -41,11 +41,13 @@ module funit_real64
   include 'assert_real.inc'
 end module funit_real64
 
-module funit_real128
-  use, intrinsic :: iso_fortran_env, only: rk => real128
+module funit_widest_real
+  use, intrinsic :: iso_fortran_env, only: real128
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan, ieee_is_finite
   use funit_exceptions, only: SourceLocation, fail_with
   implicit none (type, external)
   private
+  !> Of 128 bits, or of 80 where a compiler has none of 128.
+  integer, parameter :: rk = merge(real128, selected_real_kind(18), real128 > 0)
   include 'assert_real.inc'
-end module funit_real128
+end module funit_widest_real

@@ -16,7 +16,7 @@ module funit
     assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, assertIsFinite
   use funit_real64, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
     assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, assertIsFinite
-  use funit_real128, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
+  use funit_widest_real, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
     assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, assertIsFinite
   implicit none (type, external)
   private

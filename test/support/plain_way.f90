@@ -1,6 +1,6 @@
 !> The plain way to move particles, wall by wall, in more digits than the program has.
 module plain_way
-  use battery_kinds, only: wp, int64
+  use battery_kinds, only: wp, dp, int64
   use battery_table, only: table_type, chamber_at, side_at, in_urn, in_gate, x_direction
   use battery_engine, only: particles_type
   use battery_history, only: event_entry, event_reversal, event_crossing1, event_crossing2
@@ -9,8 +9,9 @@ module plain_way
   private
   public :: qp, plain_type, plain_start, plain_run, bounce_through
 
-  !> Kind of the reference computations.
-  integer, parameter :: qp = selected_real_kind(30)
+  !> Kind of the reference computations: 33 digits, or those of `dp` where a compiler has no more.
+  !> (Flang 22 has reals of 80 bits on x86, but Debian's has no library of their functions.)
+  integer, parameter :: qp = merge(selected_real_kind(30), dp, selected_real_kind(30) > 0)
 
   !> Rooms of the plain circuit: urns, channels.
   integer, parameter :: in_urn1 = 1, in_urn2 = 2, in_channel1 = 3, in_channel2 = 4

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
+from postproc import launcher
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -22,19 +24,11 @@ MPIRUN = os.environ.get("BATTERY_MPIRUN", "mpirun")
 PROGRAM = Path(os.environ.get("BATTERY_PROGRAM", ROOT / "build/bin/battery"))
 ENVIRONMENT = {
     **os.environ,
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    **launcher.LAUNCHER,
     "LC_ALL": "C.UTF-8",
 }
-# For the program without mpirun: a daemon of Open MPI beside it would double the time of a start,
-# and without one, starts side by side would remove the folder that another is about to use. No
-# mpirun may see these: it cannot do without its folders.
-ALONE = {
-    **ENVIRONMENT,
-    "OMPI_MCA_ess_singleton_isolated": "1",
-    "OMPI_MCA_orte_create_session_dirs": "0",
-}
+# For the program without mpirun.
+ALONE = ENVIRONMENT | launcher.ALONE
 # Long enough for a busy machine; what hangs is found out all the same.
 PATIENCE = 60.0
 # What may differ between two runs of the same input.

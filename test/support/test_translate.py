@@ -20,6 +20,8 @@ from translate import (  # noqa: E402
     translate,
 )
 
+from postproc.launcher import LAUNCHER  # noqa: E402
+
 SERIAL_SOURCES = ("exceptions", "assert_numbers", "funit")
 STRICT = "-O1 -g -std=f2018 -Wall -Wextra -Werror -Werror=implicit-interface -fcheck=all " \
     "-finit-real=snan -ffpe-trap=invalid,zero,overflow"
@@ -84,8 +86,7 @@ def run(
     command = [str(folder / "run_tests")]
     if processes:
         command = ["mpirun", "-n", str(processes), *command]
-    environment = {**os.environ, "OMPI_ALLOW_RUN_AS_ROOT": "1",
-                   "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMPI_MCA_rmaps_base_oversubscribe": "1"}
+    environment = {**os.environ, **LAUNCHER}
     return subprocess.run(command, env=environment, text=True, check=False, timeout=60,
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 

@@ -93,8 +93,11 @@ contains
   !> `before`.
   pure subroutine go_back_to_channel(urn, before, position, velocity, hits)
     type(urn_type), intent(in) :: urn
+    !> 0 or less: the visit has begun.
     real(wp), intent(in) :: before
+    !> In the frame of the urn: in, where the visit begins; out, now.
     real(wp), intent(inout) :: position(2), velocity(2)
+    !> Loses those on the walls of the channel that are still to come.
     integer(int64), intent(inout) :: hits
     real(wp) :: turned, passed, height
     integer :: from

@@ -54,6 +54,7 @@ contains
 
   !> Of so many particles no visit is known.
   pure subroutine new_long_visits(visits, number, reach)
+    !> Empty.
     type(long_visits_type), intent(out) :: visits
     !> How many.
     integer, intent(in) :: number
@@ -98,6 +99,7 @@ contains
   !> Keeps how its visit began, if that is long.
   pure subroutine land(visits, number, flight, n, particle, urn, channel, time, length, y, along, &
     across, through, turned, hits, many, with_many)
+    !> Learns how the long ones of the batch began.
     type(long_visits_type), intent(inout) :: visits
     !> How many particles there are, and how many are in the batch.
     integer, intent(in) :: number, n
@@ -113,7 +115,7 @@ contains
     real(wp), intent(inout) :: time(n)
     !> When a gate turned each back before, or `never`; wall hits, those in the channel before too.
     real(wp), intent(in) :: turned(n), hits(n)
-    !> How many have many hits or no end that is known, and which of the batch: the others are short.
+    !> How many have many hits or no known end, and which of the batch: the others are short.
     integer, intent(in) :: many, with_many(many)
     integer :: j, i, k
     real(wp) :: leaves
@@ -219,6 +221,7 @@ contains
   !> Whether a particle is to be located forwards: there is an entry, and the end of its visit is
   !> farther than the beginning.
   pure function goes_forwards(visits, flight, now) result(yes)
+    !> All that are known.
     type(long_visits_type), intent(in) :: visits
     type(flight_type), intent(in) :: flight
     !> The time, on the clock of the flight.
@@ -231,6 +234,7 @@ contains
 
   !> Where a particle is now that is located forwards, as `locate` tells it.
   pure subroutine locate_forwards(visits, urn, particle, now, position, velocity, hits)
+    !> All that are known.
     type(long_visits_type), intent(in) :: visits
     type(urn_type), intent(in) :: urn
     !> Who.
@@ -272,6 +276,7 @@ contains
 
   !> Sets all times back by the length of a page.
   pure subroutine set_back_long(visits, page)
+    !> All that are known.
     type(long_visits_type), intent(inout) :: visits
     !> How long.
     real(wp), intent(in) :: page
@@ -284,6 +289,7 @@ contains
 
   !> The entries that are of use, through a stream.
   pure subroutine pass_long(visits, flight, stream)
+    !> All that are known; those that are over are thrown out.
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     type(stream_type), intent(inout) :: stream

@@ -111,7 +111,7 @@ contains
     call empty_queue(self%returning)
     self%members = 0
     self%next_tick = huge(1.0_wp)
-    self%draws = draws_type()
+    self%draws = draws_type(random=new_random(self%seed))
     self%known_hits = 0
     self%told_hits = 0
     self%fraction = 0.0_wp
@@ -123,7 +123,6 @@ contains
     type(particles_type), intent(inout) :: particles
     integer :: i
 
-    self%draws%random = new_random(self%seed)
     do i = 1, self%number
       call take_in(self%table, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i), &
         self%stay(i), self%entered(i))

@@ -1,0 +1,76 @@
+"""How long a run must go before it counts: chi and currents apart.
+
+chi settles with the directions of particles, 25 r^4/w^3, and next to a transition more slowly. The
+current of channel 2 goes on growing long after that: orbits that make m rounds are filled only when
+m rounds have been flown, each decade of m carries about as much as the one before, and that ends
+where the sparse gate turns a circulating particle back, after 1/(1 - q) rounds. What is still
+missing at an age is the rest of the sum of `postproc.theory.circulation`. Measured against the age
+of runs in studies/age_of_a_run.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import integrate
+
+from postproc.accuracy import predictions
+from postproc.theory import two_port
+from postproc.theory.models import MODELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
+
+    Floats = NDArray[np.float64]
+
+RELAXATIONS = 3.0  # of directions, that a transient lasts
+SHORTEST = 1000.0  # transient in radii
+CRITICAL = 9000.0  # transient next to a transition, where chi relaxes in 3000
+LONGEST = 1e6  # transient that is chosen for a current; what is missing then is told
+AGES = np.geomspace(10.0, 10.0 * LONGEST, 361)
+
+
+def of_chi(circuit: Circuit, *, critical: bool) -> float:
+    """Return the transient of chi, next to a transition or elsewhere."""
+    slowest = max(
+        max(RELAXATIONS * predictions.memory_time(side), SHORTEST * float(side.urn_radius))
+        for side in circuit.sides
+    )
+    return 100.0 * math.ceil(0.01 * (max(slowest, CRITICAL) if critical else slowest))
+
+
+def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) -> Floats:
+    """Return what the mean current over `measured` behind each transient lacks for want of age.
+
+    Parameters
+    ----------
+    chi : mass spread of the state, urn 2 the fuller one.
+    """
+    if float(circuit.channel2_width) == 0.0:
+        return np.zeros(np.shape(transients))
+    said, _ = MODELS["two_port"].of(circuit)
+    number2 = 0.5 * float(circuit.number) * (1.0 + chi)
+    around = two_port.circulating_at(said, number2, np.append(AGES, math.inf))
+    lacking = integrate.cumulative_trapezoid(around[-1] - around[:-1], AGES, initial=0.0)
+    start = np.asarray(transients, float)
+    ends = [np.interp(age, AGES, lacking) for age in (start, start + measured)]
+    return (ends[1] - ends[0]) / measured
+
+
+def of_current(
+    circuit: Circuit, chi: float, allowed: float, *, shortest: float, times: float
+) -> float:
+    """Return the shortest transient whose run lacks no more than `allowed` of the current.
+
+    Parameters
+    ----------
+    shortest : that of chi, at least.
+    times : transients that are measured.
+    """
+    tried = np.unique(np.ceil(shortest * np.geomspace(1.0, max(1.0, LONGEST / shortest), 91)))
+    enough = np.flatnonzero(np.abs(missing(circuit, chi, tried, times * tried)) <= allowed)
+    return float(tried[enough[0] if enough.size else -1])

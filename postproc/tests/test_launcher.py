@@ -1,0 +1,38 @@
+"""The program's own words are found among those of a launcher."""
+
+from __future__ import annotations
+
+import pytest
+
+from postproc.launcher import program_words
+
+OWN = "case.nml, line 3: threshold = -1: must be 0 or more\ncase.nml: [particles] is no group"
+RULE = "-" * 74
+# As Open MPI 4.1 and 5.0, Slurm 22.05 and MPICH 4.0 print them.
+NOISE = {
+    "warning of a rank": "[vm][[26710,1],0][../opal/mca/btl/tcp/btl_tcp_proc.c:266:"
+    "mca_btl_tcp_proc_create_interface_graph] Unable to find reachable pairing between local and "
+    "remote interfaces\n",
+    "word of a daemon": "[vm:00417] 1 more process has sent help message help-mpi.txt / no btl\n",
+    "block": f"{RULE}\nWARNING: There was an error initializing a device.\n\n"
+    f"  Local host: vm\n{RULE}\n",
+    "exit code": f"{RULE}\nmpirun detected that processes exited with non-zero status,\n"
+    f"thus causing the job to be terminated.\n\n  Exit code:    2\n{RULE}\n",
+    "srun": "srun: error: node1: task 0: Exited with exit code 2\n",
+    "hydra": f"\n{'=' * 79}\n=   BAD TERMINATION OF ONE OF YOUR PROCESSES\n{'=' * 79}\n",
+}
+
+
+@pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE.keys())
+def test_a_message_is_found_before_and_after_noise(noise: str) -> None:
+    assert program_words(f"{noise}{OWN}\n{noise}") == OWN
+
+
+def test_all_noise_at_once() -> None:
+    everything = "".join(NOISE.values())
+    assert program_words(f"{everything}{OWN}\n{everything}") == OWN
+
+
+def test_where_there_is_nothing_else_a_launcher_is_heard() -> None:
+    assert program_words(NOISE["block"]) == NOISE["block"].strip()
+    assert program_words("") == ""
