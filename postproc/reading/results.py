@@ -138,6 +138,11 @@ class Results:
             greatest = MOST if name in LENGTHS else 2**31
             if self.has(f"scan/{name}") and not (self.value(f"scan/{name}") <= greatest).all():
                 raise InputError(f"{self.path}: scan/{name} has values that no run can have")
+        for name in ("series/time", "snapshots/time"):
+            times = self.value(name) if self.has(name) else np.zeros(1)
+            in_order = name != "series/time" or np.all(np.diff(times) > 0.0)
+            if not (in_order and np.all(np.isfinite(times) & (times >= 0.0))):
+                raise InputError(f"{self.path}: {name} has times that no run can have")
         self.scatterers  # noqa: B018 (it is read, so that what is wrong is found)
         self.any_circuit(0)
 

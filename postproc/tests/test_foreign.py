@@ -144,6 +144,8 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "no particles": ("number", lambda file, _: file["number"].__setitem__(..., 0)),
     "a width that is none": ("channel1_width", lambda file, _: (
         file["channel1_width"].__setitem__(..., np.nan))),
+    "a time without end": ("series/time", lambda file, _: (
+        file["series/time"].__setitem__(-1, np.inf))),
     "unknown name": ("<b>", lambda file, _: file.__setitem__("<b>", 1.0)),
     "unknown attribute": ("colour", lambda file, _: file.attrs.__setitem__("colour", "red")),
     "many texts": ("version", lambda file, _: file.attrs.__setitem__("version", ["0.2.0"] * 9)),
