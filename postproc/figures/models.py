@@ -296,6 +296,7 @@ MODELS: dict[str, Model] = {
 # of circuits: the paper's, the gate's own rule with well mixed urns, and the best
 ALL = (MODELS["window"], MODELS["renewal_occupation"], MODELS["direction"])
 PAIR = (ALL[0], ALL[-1])  # where there is no room for more
+QUICK = ALL[:2]  # where the best takes a minute
 WELL_MIXED = (ALL[0], replace(MODELS["renewal"], dashes="-"), ALL[1])  # of the single urn
 
 
