@@ -204,7 +204,7 @@ class Fences:
         if name not in self.helps:
             done = subprocess.run(
                 [sys.executable, "-m", *words, "--help"], check=False, cwd=folder, text=True,
-                env=ENVIRONMENT, stdin=subprocess.DEVNULL, capture_output=True,
+                env=ENVIRONMENT, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE,
             )
             self.helps[name] = done.stdout if done.returncode == 0 else ""
         return self.helps[name]

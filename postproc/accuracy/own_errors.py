@@ -8,7 +8,6 @@ two of them. The picture shows the ratio against the length. Takes a quarter of 
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
+from postproc import cli
 from postproc.figures import style
 
 if TYPE_CHECKING:
@@ -107,8 +107,11 @@ def draw(found: dict[str, dict[float, dict[str, dict[str, float]]]], path: Path)
     style.save(made, path.parent, path.stem)
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> int:
     """Run all circuits at all lengths, print a line each, and draw the picture if asked for."""
+    options = cli.parser("accuracy.own_errors", __doc__)
+    options.add_argument("picture", metavar="PICTURE", type=Path, nargs="?")
+    picture = options.parse_args(arguments).picture
     found: dict[str, dict[float, dict[str, dict[str, float]]]] = {}
     print("| circuit | length | quantity | told | told/true | within 1 | within 2 |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
@@ -118,9 +121,10 @@ def main() -> None:
             for name, one in row.items():
                 print(f"| {label} | {length:.0f} | {name} | {one['told']:.0%} | {one['ratio']:.2f} "
                       f"| {one['one']:.0%} | {one['two']:.0%} |", flush=True)  # fmt: skip
-    if len(sys.argv) > 1:
-        draw(found, Path(sys.argv[1]))
+    if picture:
+        draw(found, picture)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(cli.run(main))
