@@ -17,6 +17,10 @@
 !> ones; where it did not rise, the mean of the two is taken. A factor makes up for what so few
 !> components scatter by, as Student's does for his t.
 !>
+!> Where the series is skew, because rare events make up its mean, a run that has seen few of them
+!> has both a mean too small and components too small. So the square of the error grows with that
+!> of the blocks' skewness, up to twice itself.
+!>
 !> A run that is not longer than its memory has nearly all of its variance in the slowest two
 !> components: then there is no error.
 module battery_blocks
@@ -73,6 +77,8 @@ contains
     real(dp), parameter :: factor = 1.33_dp
     !> Scatter up to this share of the blocks is none.
     real(wp), parameter :: rounding = 1024.0_wp*epsilon(1.0_wp)
+    !> Square of the skewness that makes the square of the error twice as large.
+    real(dp), parameter :: very_skew = 5.0_dp
     real(dp) :: power(components), near, far
     integer :: n
 
@@ -85,8 +91,25 @@ contains
     near = sum(power(:slow))/slow
     far = sum(power(fast:))/(components - fast + 1)
     if (near > steepest*far) return
-    error = factor*sqrt((near + max(0.0_dp, near - far))/n)
+    error = factor*sqrt((near + max(0.0_dp, near - far)) &
+      *(1.0_dp + min(1.0_dp, squared_skewness(real(blocks%average(:n), dp))/very_skew))/n)
   end function standard_error
+
+  !> Square of the skewness of values, not all of which are equal.
+  pure function squared_skewness(values) result(square)
+    real(dp), intent(in) :: values(:)
+    real(dp) :: square
+    real(dp), allocatable :: deviations(:), squares(:), cubes(:)
+    integer :: n
+
+    n = size(values)
+    deviations = values - sum(values)/n
+    deviations = deviations/maxval(abs(deviations))
+    ! Kept before they are summed, as in `error_of_mean`.
+    squares = deviations**2
+    cubes = deviations*squares
+    square = n*sum(cubes)**2/sum(squares)**3
+  end function squared_skewness
 
   !> Squares of the slowest components of the cosine transform of a series: each is its variance
   !> where the spectrum is flat.
