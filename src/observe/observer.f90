@@ -17,9 +17,9 @@
 !> - a polarised state was seen in which the sparse urn's gate hardly ever reverses, for currents:
 !>   particles that circulate along the axis carry a part of the current, and go on until that gate
 !>   turns them back, so a run that has not seen it do so many times has not seen their mean;
-!> - N1 - N2 did not change its sign many times, for currents from urn 1 to urn 2: their mean is over
-!>   both polarities, of which such a run has seen one, or each too few times. The polarised current
-!>   has an error all the same.
+!> - N1 - N2 did not change its sign many times, for currents from urn 1 to urn 2: their mean is
+!>   over both polarities, of which such a run has seen one, or each too few times. The polarised
+!>   current has an error all the same.
 module battery_observer
   use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
