@@ -71,10 +71,9 @@ contains
     integer, parameter :: components = 16, slow = 2, fast = 5
     !> How much more the slow ones may vary than the fast ones.
     real(dp), parameter :: steepest = 12.0_dp
-    !> Makes 70 % of the intervals cover the mean where the spectrum is flat (1.26: 68.3 %), from
-    !> the quantile of |z|/sqrt(max(s, 2 s - f)), drawn 3e6 times: z normal, s and f means of 2 and
-    !> 12 squares of such.
-    real(dp), parameter :: factor = 1.33_dp
+    !> Makes 70 % of the intervals cover the mean of white noise of 32 to 63 blocks (1.25: 68.3 %),
+    !> drawn 4e5 times.
+    real(dp), parameter :: factor = 1.31_dp
     !> Scatter up to this share of the blocks is none.
     real(wp), parameter :: rounding = 1024.0_wp*epsilon(1.0_wp)
     !> Square of the skewness that makes the square of the error twice as large.
