@@ -12,6 +12,7 @@ import f90nml
 import numpy as np
 
 from postproc.figures.maps import edges
+from postproc.progress import each
 from postproc.reading.points import gather
 from postproc.report.compare import expected_state
 from postproc.theory.circuit import homogeneous_kind
@@ -103,7 +104,9 @@ def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
     columns |= {name: rounded(getattr(points, name))
                 for name in ("start", "chi", "chi_error", "current", "current_error")}  # fmt: skip
     for name, model in models.items():
-        found = [_expected(results, model, at, chi) for at, chi in enumerate(points.chi)]
+        asked = list(enumerate(points.chi))
+        found = [_expected(results, model, at, chi)
+                 for at, chi in each(asked, f"{model.label}, point")]  # fmt: skip
         spread, current = np.array(found).T
         columns[f"{name}_chi"], columns[f"{name}_current"] = rounded(spread), rounded(current)
     columns["told"] = np.array([_told(scan, columns, at) for at in range(points.chi.size)])
