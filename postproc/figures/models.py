@@ -266,7 +266,8 @@ class Remembering(Model):
     def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
         told, ask = f"growth {self.name} {widths.tolist()}", self.growth
         asked = [replace(circuit, channel2_width=float(one)) for one in widths]
-        return -np.array(kept(told, circuit, lambda: [ask(one) for one in each(asked, "w'")]), float)
+        found = kept(told, circuit, lambda: [ask(one) for one in each(asked, "w'")])
+        return -np.array(found, float)
 
     def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
         """Return how long homogeneous and polarised state last by the chain (length/v)."""
