@@ -48,6 +48,8 @@ BAD = [
     ("```sh\npython3 test/no_such.py\n```", "there is no test/no_such.py"),
     ("```sh run\nbuild/bin/battery no_such.nml\n```", "exit code 2"),
     ("```python run\nunknown\n```", "NameError"),
+    ("```fortran file=namelists/map.nml\n&run\n/\n```", "first line does not name namelists/map"),
+    ("```fortran file=namelists/map.nml\n! namelists/map.nml\n```", "is not what is shown"),
 ]
 
 
@@ -131,6 +133,19 @@ def test_reference_pages_hold_what_the_program_says(tmp_path: Path) -> None:
              for name in ("input", "output", "command_line")}  # fmt: skip
     assert {name: pages.filled(text, made) for name, text in texts.items()} == texts
     assert all(any(part in text for text in texts.values()) for part in made.values())
+
+
+def test_a_namelist_that_a_page_names_is_that_file() -> None:
+    """Its first line says the name, where a reader sees it; commands name files that are there."""
+    shown = set()
+    for file in pages.pages(ROOT).values():
+        for words, body in re.findall(r"^```fortran ([^\n]+)\n(.*?)^```", (ROOT / file).read_text(),
+                                      re.MULTILINE | re.DOTALL):  # fmt: skip
+            name = re.fullmatch(r"file=(namelists/\w+\.nml)", words)[1]
+            assert body.startswith(f"! {name}: "), file
+            assert body == (ROOT / name).read_text(), file
+            shown.add(name)
+    assert len(shown) >= 5
 
 
 def test_every_page_is_in_the_site() -> None:

@@ -37,6 +37,7 @@ PAGES = {
         "method": "docs/method.md",
         "speed": "docs/speed.md",
         "reliability": "docs/reliability.md",
+        "contributing": "CONTRIBUTING.md",
         "development": "docs/development.md",
         "changes": "CHANGELOG.md",
     },

@@ -309,6 +309,7 @@ def _table(
         columns=columns,
         index_position=None,
         reorderable=False,
+        margin=0,
         height=28 * (rows + 1) + 16,
         min_width=sum(wide[key] for key in heads),
         sizing_mode="stretch_width",
