@@ -78,7 +78,7 @@ contains
         call take_entry(entries(at), settings%all(place), settings%problems)
       end if
     end do
-    ! A key that is misspelt is given, and refused: nobody is told that it is missing.
+    ! A key that is misspelt counts as given and refused, so it is not told to be missing as well.
     do at = 1, size(entries)
       if (meant(at) == 0) cycle
       associate (setting => settings%all(meant(at)))

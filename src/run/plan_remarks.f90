@@ -8,7 +8,7 @@ module battery_plan_remarks
   private
   public :: remarks_of
 
-  !> What is looked for at a point. More than T in a gate reverse it, and never more than N are in it.
+  !> What is looked for at a point. More than T in a gate reverse it; never more than N are in it.
   integer, parameter :: no_gate = 1, not_gate_1 = 2, not_gate_2 = 3, shut = 4
 
 contains
@@ -40,7 +40,7 @@ contains
     call add(not_gate_1, 'gate 1 never reverses, for its T is not below N')
     call add(not_gate_2, 'gate 2 never reverses, for its T is not below N')
     if (points(shut) > 0) call add(shut, 'disc '//to_text(shutting_disc(plan, point_of(plan, &
-      first(shut))))//' of scatterers reaches from wall to wall: no particle gets through channel 2')
+      first(shut))))//' of scatterers reaches from wall to wall: no particle passes channel 2')
 
   contains
 
@@ -68,8 +68,8 @@ contains
 
   end function remarks_of
 
-  !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs are apart, so several
-  !> shut a channel only where one of them does.
+  !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs are apart, so
+  !> several shut a channel only where one of them does.
   pure integer function shutting_disc(plan, point) result(disc)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
