@@ -12,8 +12,10 @@
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_loc, c_null_char, c_null_ptr, &
     c_ptr, c_size_t
-  use hdf5, only: hid_t, size_t, h5get_libversion_f, h5open_f, h5eset_auto_f, h5fcreate_f, &
-    h5fopen_f, h5fflush_f, h5fget_file_image_f, h5gcreate_f, h5pcreate_f, &
+  ! A compiler without the switches of fpm.rsp shows the next line, and stops.
+  use hdf5, only: & ! type "fpm @release": "fpm build" alone has no switches (docs/install.md)
+    hid_t, size_t, h5get_libversion_f, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
+    h5fflush_f, h5fget_file_image_f, h5gcreate_f, h5pcreate_f, &
     h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f, h5lexists_f
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
     h5p_default_f, h5p_file_access_f
