@@ -9,7 +9,7 @@
 # and what it asks for besides:
 ##SBATCH --partition=NAME
 ##SBATCH --account=NAME
-#SBATCH --array=0-3
+#SBATCH --array=0-11
 #SBATCH --job-name=battery
 #SBATCH --ntasks=16
 #SBATCH --time=04:00:00
@@ -20,6 +20,9 @@
 
 # The modules that the program was built with, such as:
 # module load gcc openmpi hdf5 gsl
+# Open MPI 4 as Debian and Ubuntu configure it lacks what ranks of several nodes need on Ethernet. A
+# site with InfiniBand and an Open MPI of its own needs no such line.
+export OMPI_MCA_osc=^ucx
 program=build/bin/battery
 namelists=(namelists/one_channel/*.nml)
 

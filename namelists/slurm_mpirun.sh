@@ -15,6 +15,9 @@
 
 # The modules that the program was built with, such as:
 # module load gcc openmpi hdf5 gsl
+# Open MPI 4 as Debian and Ubuntu configure it lacks what ranks of several nodes need on Ethernet. A
+# site with InfiniBand and an Open MPI of its own needs no such line.
+export OMPI_MCA_osc=^ucx
 program=build/bin/battery
 namelist=namelists/phase_diagram.nml
 # Where mpirun does not learn from Slurm how many ranks and which nodes: mpirun -n "$SLURM_NTASKS".

@@ -73,7 +73,8 @@ contains
       if (complete .and. .not. allocated(error)) exit_code = exit_success
       if (complete .or. allocated(error)) exit
       journal%ownership = ownership
-      call open_board(board, communicator, pending)
+      call open_board(board, communicator, pending, error)
+      if (allocated(error)) exit
       call work(plan, journal, board, watch, quiet, error)
       call share_error(communicator, error)
       goes_on = .not. allocated(error) .and. any(plan%precision > 0.0_wp) .and. board%tasks > 0 &

@@ -1,18 +1,19 @@
 """Machines within this machine: namespaces with a name, an address and processes of their own.
 
-All see the same files. They are joined by a network of their own, which nothing else can see. The
+All see the same files, but for a /tmp of their own; folders in it may be shared. They are joined by a network of their own, which nothing else can see. The
 first process of each ends when this Python does, however that ends, and takes with it all that it
 has started: no process, mount or device is left. Only root may make them.
 """
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from .needs import SPACES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,29 +28,45 @@ mount -t tmpfs tmpfs /mnt
 mkdir /mnt/host
 mount --rbind /proc /mnt/host
 mount -t proc proc /proc
+mkdir /mnt/tmp
+mount -t tmpfs tmpfs /mnt/tmp
+shift
+for folder; do
+  mkdir -p "/mnt$folder"
+  mount --bind "$folder" "/mnt$folder"
+done
+mount --rbind /mnt/tmp /tmp
+mount -t tmpfs tmpfs /dev/shm
 ip link set lo up
 echo ready
 exec cat
 """
-SPACES = {"net": "net", "uts": "uts", "mount": "mnt", "ipc": "ipc", "pid": "pid"}
-
-
-def possible() -> bool:
-    """Tell whether machines can be made here."""
-    if os.geteuid() != 0 or not all(map(shutil.which, ("ip", "unshare", "nsenter"))):
-        return False
-    words = ["unshare", *(f"--{one}" for one in SPACES), "--fork", "--kill-child", "sh", "-c",
-             "mount -t proc proc /proc && ip link add one type veth peer name other"]  # fmt: skip
-    return subprocess.run(words, capture_output=True, check=False).returncode == 0
+# Runs a command for whoever connects: each connection is its input and output.
+SERVER = """
+import socket, subprocess, sys
+server = socket.create_server(("", int(sys.argv[1])))
+while True:
+    one, _ = server.accept()
+    subprocess.Popen(sys.argv[2:], stdin=one, stdout=one, stderr=one, start_new_session=True)
+    one.close()
+"""
+# What mpirun calls with the name of a machine and a command, in place of ssh.
+AGENT = """#!/bin/bash
+exec 3<>"/dev/tcp/$1/514"
+shift
+echo "$*" >&3
+exec cat <&3
+"""
 
 
 class Node:
     """One machine, from its start to its death."""
 
-    def __init__(self, name: str, address: str) -> None:
+    def __init__(self, name: str, address: str, shared: Sequence[Path]) -> None:
         self.name, self.address = name, address
         words = ["unshare", *(f"--{one}" for one in SPACES), "--fork", "--kill-child",
-                 "sh", "-ec", FIRST_PROCESS, "sh", name]  # fmt: skip
+                 "sh", "-ec", FIRST_PROCESS, "sh", name,
+                 *(str(folder) for folder in shared if str(folder).startswith("/tmp/"))]  # fmt: skip
         self.outside = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
         )
@@ -58,9 +75,9 @@ class Node:
         children = Path(f"/proc/{self.outside.pid}/task/{self.outside.pid}/children")
         self.first = int(children.read_text(encoding="utf-8"))
 
-    def command(self, *words: str, proc: str = "/proc") -> list[str]:
+    def command(self, *words: str) -> list[str]:
         """Give a command that runs another one there, in the present folder."""
-        spaces = [f"--{one}={proc}/{self.first}/ns/{file}" for one, file in SPACES.items()]
+        spaces = [f"--{one}=/proc/{self.first}/ns/{file}" for one, file in SPACES.items()]
         return ["nsenter", *spaces, "--wd=.", *words]
 
     def run(self, *words: str, **more: Any) -> subprocess.CompletedProcess[str]:
@@ -73,6 +90,14 @@ class Node:
         """Start a command there."""
         return subprocess.Popen(self.command(*words), text=True, start_new_session=True, **more)
 
+    def serve(self, port: int, *words: str, **more: Any) -> None:
+        """Let it run a command for each connection to that port."""
+        self.start(sys.executable, "-c", SERVER, str(port), *words, **more)
+        end = time.monotonic() + 10.0
+        while self.run("bash", "-c", f"exec 3<>/dev/tcp/localhost/{port}").returncode:
+            assert time.monotonic() < end, f"{self.name} does not listen"
+            time.sleep(0.05)
+
     def die(self) -> None:
         """End all its processes at once, as when the power fails."""
         self.outside.kill()
@@ -83,10 +108,17 @@ class Node:
 
 
 class Nodes:
-    """Machines on one network; as a context, they are gone at its end."""
+    """Machines on one network; as a context, they are gone at its end.
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self.switch = Node("switch", "")
+    Parameters
+    ----------
+    names : theirs.
+    shared : folders that all see even if they are in /tmp.
+    """
+
+    def __init__(self, names: Sequence[str], shared: Sequence[Path]) -> None:
+        self.shared = shared
+        self.switch = Node("switch", "", shared)
         self.nodes: dict[str, Node] = {}
         self._switch("ip", "link", "add", "bridge", "type", "bridge")
         self._switch("ip", "link", "set", "bridge", "up")
@@ -113,7 +145,7 @@ class Nodes:
     def add(self, name: str) -> Node:
         """Make a machine, or make one anew that has died."""
         place = list(self.nodes).index(name) if name in self.nodes else len(self.nodes)
-        node = self.nodes[name] = Node(name, f"{NETWORK}.{place + 1}")
+        node = self.nodes[name] = Node(name, f"{NETWORK}.{place + 1}", self.shared)
         cable = f"to-{name}"
         # The end of a cable goes with its machine, but not at once.
         self.switch.run("ip", "link", "delete", cable)
@@ -126,6 +158,14 @@ class Nodes:
             assert ended.returncode == 0, ended.stderr
         self._name_all()
         return node
+
+    def agent(self, file: Path, **more: Any) -> Path:
+        """Write what mpirun calls to start a command on a machine, and let all listen to it."""
+        file.write_text(AGENT)
+        file.chmod(0o755)
+        for node in self.nodes.values():
+            node.serve(514, "sh", "-c", 'read -r line; eval "$line"', **more)
+        return file
 
     def _name_all(self) -> None:
         """Let all know all names, and not those of this machine."""
