@@ -1,12 +1,12 @@
 """Several machines and one shared folder: a machine dies, its network goes away and comes back.
 
-Each campaign makes three machines (`support/nodes.py`): two that compute and one that has the files.
-They reach the folder as a local disk, or by sshfs, whose locks hold on one machine only, and which
-waits while the network is away. `mpirun` starts ranks on both machines by an agent of a few lines.
+Each campaign makes three machines (`support/nodes.py`): two compute, one has the files. They reach
+the folder as a local disk, or by sshfs, whose locks hold on one machine only, and which waits while
+the network is away. `mpirun` starts ranks on both machines by an agent of a few lines.
 Then one of them dies or is cut off, and a user at the other one goes on: first as if nothing had
-happened, which must be refused while the file of the owner is that of the other machine; then with
-that file removed. What was cut off comes back and writes. In the end the results must be the bits of
-an undisturbed run. Only root may do this.
+happened, which is refused while the owner's file is that of the other machine; then with that file
+removed. What was cut off comes back and writes. In the end the results must be the bits of an
+undisturbed run. Only root may do this.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 from support.nodes import Node, Nodes
-from support.program import ENVIRONMENT, PROGRAM, ROOT, descendants, send
+from support.program import ENVIRONMENT, PROGRAM, ROOT, descendants, send, wait_for
 
 from .common import PATIENCE, Outcome, command_line, unlike
 from .scene import undisturbed, write
@@ -49,8 +49,10 @@ def inside(place: Path, *words: str) -> list[str]:
 
 def start(node: Node, place: Path, *launcher: str) -> subprocess.Popen[str]:
     """Start the case on a machine, alone or by a launcher."""
-    return node.start(*inside(place, *launcher, str(PROGRAM), "--quiet", "case.nml"), env=SETTINGS,
-                      stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)  # fmt: skip
+    return node.start(
+        *inside(place, *launcher, str(PROGRAM), "--quiet", "case.nml"), env=SETTINGS,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
 
 
 def attempt(node: Node, place: Path) -> tuple[int, str]:
@@ -84,42 +86,49 @@ def disturb(nodes: Nodes, what: str) -> None:
         nodes.cut("node1")
 
 
+def disturbed(
+    nodes: Nodes, folder: Path, place: Path, what: str, choice: random.Random, outcome: Outcome
+) -> None:
+    """Start it, disturb it, and go on; the machines see the folder at another place."""
+    agent = nodes.agent(folder.parent / "agent", env=SETTINGS)
+    run = start(nodes["node1"], place, "mpirun", "--mca", "plm_rsh_agent", str(agent), "--host",
+                "node1:1,node2:1")  # fmt: skip
+    if not wait_for((folder / "out.h5.tasks/plan").exists, run):
+        outcome.findings.append("it does not start")
+        return
+    time.sleep(choice.uniform(0.0, 0.6))
+    disturb(nodes, what)
+    # The machine of the owner is there in one case only.
+    here = nodes["node1" if what == "second dies" else "node2"]
+    if what == "second dies":
+        stop(run)
+    owned = (folder / "out.h5.owner").exists()
+    code, words = attempt(here, place)
+    if here is nodes["node2"] and owned and (folder / "out.h5.owner").exists():
+        if code != 2 or "on node1, process " not in words or "remove " not in words:
+            outcome.findings.append(f"exit {code}: {words}")
+        (folder / "out.h5.owner").unlink()
+        code, words = attempt(here, place)
+    if code != 0:
+        outcome.findings.append(f"at last exit {code}: {words}")
+    if what == "first is cut off":
+        nodes.mend("node1")
+        time.sleep(choice.uniform(0.0, 5.0))
+        stop(run)
+    for name in ("node1", "node2"):
+        nodes[name].die()
+
+
 def campaign(folder: Path, choice: random.Random) -> Outcome:
     """Disturb one run on two machines once; what goes on must be right in the end."""
     outcome = Outcome()
     what = choice.choice(["first dies", "second dies", "first is cut off"])
     networked = choice.random() < 0.5
+    about = f"{what}, {'sshfs' if networked else 'one disk'}"
     write(folder, run={"collisions": COLLISIONS})
-    with Nodes(["node1", "node2", "files"], [folder, ROOT]) as nodes:
-        agent = nodes.agent(folder.parent / "agent", env=SETTINGS)
+    with Nodes(["node1", "node2", "files"], [folder.parent, ROOT]) as nodes:
         place = mount(nodes, folder) if networked else folder
-        run = start(nodes["node1"], place, "mpirun", "--mca", "plm_rsh_agent", str(agent), "--host",
-                    "node1:1,node2:1")  # fmt: skip
-        end = time.monotonic() + PATIENCE
-        while not list(folder.glob("out.h5*")) and time.monotonic() < end:
-            time.sleep(0.01)
-        time.sleep(choice.uniform(0.0, 0.6))
-        disturb(nodes, what)
-        # The machine of the owner is there in one case only.
-        here = nodes["node1" if what == "second dies" else "node2"]
-        if what == "second dies":
-            stop(run)
-        owned = (folder / "out.h5.owner").exists()
-        code, words = attempt(here, place)
-        about = f"{what}, {'sshfs' if networked else 'one disk'}"
-        if here is nodes["node2"] and owned and (folder / "out.h5.owner").exists():
-            if code != 2 or "on node1, process " not in words or "remove " not in words:
-                outcome.findings.append(f"{about}: exit {code}: {words}")
-            (folder / "out.h5.owner").unlink()
-            code, words = attempt(here, place)
-        if code != 0:
-            outcome.findings.append(f"{about}: at last exit {code}: {words}")
-        if what == "first is cut off":
-            nodes.mend("node1")
-            time.sleep(choice.uniform(0.0, 5.0))
-            stop(run)
-        for name in ("node1", "node2"):
-            nodes[name].die()
+        disturbed(nodes, folder, place, what, choice, outcome)
     if wrong := unlike(folder / "out.h5", undisturbed("excursion", collisions=COLLISIONS)):
         outcome.findings.append(f"{about}: the results file {wrong}")
     left = sorted(path.name for path in folder.iterdir())

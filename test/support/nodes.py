@@ -1,8 +1,9 @@
 """Machines within this machine: namespaces with a name, an address and processes of their own.
 
-All see the same files, but for a /tmp of their own; folders in it may be shared. They are joined by a network of their own, which nothing else can see. The
-first process of each ends when this Python does, however that ends, and takes with it all that it
-has started: no process, mount or device is left. Only root may make them.
+All see the same files, but for a /tmp of their own; folders in it may be shared. They are joined by
+a network of their own, which nothing else can see. The first process of each ends when this Python
+does, however that ends, and takes with it all that it has started: no process, mount or device is
+left. Only root may make them.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class Node:
         self.name, self.address = name, address
         words = ["unshare", *(f"--{one}" for one in SPACES), "--fork", "--kill-child",
                  "sh", "-ec", FIRST_PROCESS, "sh", name,
-                 *(str(folder) for folder in shared if str(folder).startswith("/tmp/"))]  # fmt: skip
+                 *(str(one) for one in shared if str(one).startswith("/tmp/"))]  # fmt: skip
         self.outside = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
         )
@@ -80,17 +81,17 @@ class Node:
         spaces = [f"--{one}=/proc/{self.first}/ns/{file}" for one, file in SPACES.items()]
         return ["nsenter", *spaces, "--wd=.", *words]
 
-    def run(self, *words: str, **more: Any) -> subprocess.CompletedProcess[str]:
+    def run(self, *words: str, **more: Any) -> subprocess.CompletedProcess[str]:  # noqa: ANN401
         """Run a command there to its end."""
         return subprocess.run(
             self.command(*words), capture_output=True, text=True, check=False, **more
         )
 
-    def start(self, *words: str, **more: Any) -> subprocess.Popen[str]:
+    def start(self, *words: str, **more: Any) -> subprocess.Popen[str]:  # noqa: ANN401
         """Start a command there."""
         return subprocess.Popen(self.command(*words), text=True, start_new_session=True, **more)
 
-    def serve(self, port: int, *words: str, **more: Any) -> None:
+    def serve(self, port: int, *words: str, **more: Any) -> None:  # noqa: ANN401
         """Let it run a command for each connection to that port."""
         self.start(sys.executable, "-c", SERVER, str(port), *words, **more)
         end = time.monotonic() + 10.0
@@ -126,16 +127,19 @@ class Nodes:
             self.add(name)
 
     def __enter__(self) -> Nodes:
+        """Give the machines."""
         return self
 
     def __exit__(
         self, _type: type[BaseException] | None, _error: BaseException | None,
         _trace: TracebackType | None,
     ) -> None:  # fmt: skip
+        """End them all."""
         for node in [*self.nodes.values(), self.switch]:
             node.die()
 
     def __getitem__(self, name: str) -> Node:
+        """Give the machine of a name."""
         return self.nodes[name]
 
     def _switch(self, *words: str) -> None:
@@ -159,7 +163,7 @@ class Nodes:
         self._name_all()
         return node
 
-    def agent(self, file: Path, **more: Any) -> Path:
+    def agent(self, file: Path, **more: Any) -> Path:  # noqa: ANN401
         """Write what mpirun calls to start a command on a machine, and let all listen to it."""
         file.write_text(AGENT)
         file.chmod(0o755)
@@ -169,8 +173,8 @@ class Nodes:
 
     def _name_all(self) -> None:
         """Let all know all names, and not those of this machine."""
-        lines = ["127.0.0.1 localhost", *(f"{one.address} {one.name}" for one in self.nodes.values())]
-        text = "\n".join(lines)
+        lines = [f"{node.address} {node.name}" for node in self.nodes.values()]
+        text = "\n".join(["127.0.0.1 localhost", *lines])
         for node in self.nodes.values():
             node.run("sh", "-ec", 'printf "%s\\n" "$1" > /mnt/hosts; '
                      "mountpoint -q /etc/hosts || mount --bind /mnt/hosts /etc/hosts",

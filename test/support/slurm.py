@@ -82,7 +82,7 @@ class Slurm:
         names = ("socket", "pid-file", "log-file", "seed-file", "key-file")
         files = [f"--{name}={self.folder}/munge.{name.removesuffix('-file')}" for name in names]
         self._daemon("head", "munged", "--foreground", "--force", *files)
-        self._await(lambda: (self.folder / "munge.socket").exists(), "munge")
+        self._await((self.folder / "munge.socket").exists, "munge")
         self._daemon("head", "slurmctld", "-D")
         for name in NAMES:
             (self.folder / name).mkdir()
@@ -90,12 +90,14 @@ class Slurm:
         self._await(lambda: self.state_of_nodes() == "idle", "the nodes")
 
     def __enter__(self) -> Slurm:
+        """Give the cluster."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:  # fmt: skip
+        """End it with its machines."""
         self.nodes.__exit__(kind, error, trace)
 
     def _daemon(self, node: str, program: str, *words: str) -> None:
