@@ -100,7 +100,7 @@ def assert_undisturbed(folder: Path, name: str) -> None:
     ended = program.run("--quiet", str(namelist), folder=calm)
     assert ended.returncode == 0, ended.stderr
     left, right = (program.contents(one / f"{name}.h5") for one in (folder, calm))
-    of_the_build = {"/@mpi_library", "/@compiler_options"}
+    of_the_build = {"/@mpi_library", "/@compiler_options", "/@git_commit"}
     assert left.keys() == right.keys()
     assert {key for key in left if left[key] != right[key]} <= of_the_build
 
