@@ -40,7 +40,7 @@ SIZES = ((1.0, 1000), (2.0, 4000))  # r, N with equal loads
 SIZED_T = (7, 10, 13)
 TURNS = ((0.01, 1.0), (0.02, 1.0), (0.01, 0.25), (0.01, 4.0))  # w', l'
 TRANSIENTS = (500.0, 5000.0)
-SLOW = 3000.0  # time in which chi relaxes near the upper transition
+SLOW = 3000.0  # time in which chi was supposed to relax near the upper transition; it does not
 
 
 @dataclass(frozen=True)

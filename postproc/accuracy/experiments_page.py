@@ -51,8 +51,8 @@ TEXTS = {
     "without a bounce in an urn is (n2/pi A) (w'^2/L) (1 + 2 l'/(L - l'))/m, with the measured "
     "number n2 in the dense urn.",
     5: "N = 1000, w' = 0.01, from chi(0) = 0.4; T where chi falls through 0.3, averages over "
-    "5000 time units. If chi took 3000 time units to relax there, as it has been said, an "
-    "average that begins after 500 would be off by the number under memory.",
+    "5000 time units. If chi took 3000 time units to relax there, as this project supposed "
+    "before, an average that begins after 500 would be off by the number under memory.",
 }  # fmt: skip
 
 FOUND = {

@@ -36,6 +36,7 @@ THRESHOLDS = tuple(range(10, 26))  # at which a theory is asked for its transiti
 SCANNED = (14, 15, 16, 17, 18)  # at which an engine is run for it
 HALFWAY = 0.3  # chi at the transition, between integer T on a straight line
 QUANTITIES = ("chi", "current", "transition")
+REPLICAS = 8  # of a rung
 SHORTEST = 1000.0  # time that a run goes on at least, transient included
 
 
@@ -223,12 +224,11 @@ def run_rung(job: Job, rung: Rung, seconds: float) -> tuple[dict[str, Answer], d
 
     Returns the answers, chi across the transition, and the CPU time of a unit of time at T = 7.
     """
-    replicas = 8
-    length = max(SHORTEST, seconds / (rung.seconds * replicas))
+    length = max(SHORTEST, seconds / (rung.seconds * REPLICAS))
     changes = {"run": {**engine_keys(rung), "duration": float(f"{length:.2g}")}}
     battery = job.battery("battery", f"battery_{stem(rung)}", changes)
     answers = battery_answers(battery)
-    length = max(SHORTEST, 3.0 * seconds / (rung.seconds * replicas * len(SCANNED)))
+    length = max(SHORTEST, 3.0 * seconds / (rung.seconds * REPLICAS * len(SCANNED)))
     changes = {
         "run": {**engine_keys(rung), "duration": float(f"{length:.2g}")},
         "scan": {"threshold": list(SCANNED)},

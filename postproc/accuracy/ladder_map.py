@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     Question = Callable[[Circuit], tuple[float, float]]
 
 RELAXATIONS = 3.0  # of directions, that a transient lasts
-CRITICAL = 9000.0  # transient next to a transition: three times 3000
+CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
 # T well below the upper transition of a w', and across it
 SLICES = {
     0.01: ((6, 9, 12), (14, 15, 16, 17, 18)),

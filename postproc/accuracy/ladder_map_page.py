@@ -64,8 +64,9 @@ farther off. "Without" counts points at which the rung has no polarised state. `
 full runs only.
 
 **What a run costs.** Its transient is {number(away, 4)} time units, three relaxations of directions (25 r^4/w^3), and
-{number(near, 4)} next to a transition, where chi may take 3000 to relax. All of it is charged, also to a run
-that could begin at the answer. Is it enough? With twice the transient chi differs by {number(twice["root_mean_square"], 2)} standard
+{number(near, 4)} next to a transition, a wide margin: at w' = 0.01 runs found the same transition after 500 time units
+as after 5000 ([experiment 5](experiments.md#5-the-transient-near-the-upper-transition)). All of it is charged, also to a
+run that could begin at the answer. Is it enough? With twice the transient chi differs by {number(twice["root_mean_square"], 2)} standard
 errors (root mean square over the {twice["points"]} points; one is chance), at most by
 {number(abs(twice["worst"]), 2)}, at w' = {twice["worst_width"]:g}, T = {twice["worst_threshold"]}.
 Currents settle later: at narrow channels even the reference's lack 1 to 2 %

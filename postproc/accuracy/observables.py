@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc.accuracy import ladder, tail
+from postproc.accuracy import ladder, tail, transients
 from postproc.accuracy.ladder import QUANTITIES, Answer
 from postproc.figures import style
 from postproc.reading.results import Results
@@ -48,17 +48,47 @@ LOOKS = {
 }  # fmt: skip
 STEPPED = (">", style.GREY)  # timestep, whatever its step
 WIDE = {"collision": 8.0, "synchronous": 4.0}  # marks that fall together, one inside the other
+# Net currents of other sets of runs as long (docs/theory.md#circulation): mean, error, time of all.
+OTHER_SETS = ((1.0147, 0.0015, 2.4e7), (1.0165, 0.0021, 4.0e7))
+TRANSIENT = 500.0  # of namelists/accuracy_battery.nml
 AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is held against that over time
 
 
 def reference(job: Job) -> dict[str, Answer]:
-    """Return the quantities from long runs of `excursion`."""
+    """Return the quantities from long runs of `excursion`; the current with the other sets."""
     found = ladder.battery_answers(tail.long_runs(job))
+    one = found["current"]
+    sets = ((one.value, one.error, tail.total_time(job)), *OTHER_SETS)
+    found["own_current"] = one
+    found["current"] = Answer(*by_time(sets), one.seconds)
     changes = {"run": {"duration": job.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
     changes["particles"] = {"seed": 77}  # of its own: the rung itself must not be its own judge
     path = job.battery("transition", "transition_reference", changes)
     found["transition"], _ = ladder.transition_answer(path)
     return found
+
+
+def by_time(sets: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
+    """Return mean and error of sets (mean, error, time), weighted by their time.
+
+    Not by their errors: a set that holds a long circulation has a larger mean and a larger error.
+    """
+    value, error, time = np.array(sets).T
+    weight = time / time.sum()
+    return float(weight @ value), float(np.hypot.reduce(weight * error))
+
+
+def lacking(seconds: float, per_time: float, chi: float) -> float:
+    """Return what the mean current of a rung's runs lacks for want of age, relative.
+
+    Parameters
+    ----------
+    seconds, per_time : CPU time of all runs, and of a unit of time.
+    chi : of the stationary state.
+    """
+    measured = seconds / (per_time * ladder.REPLICAS) - TRANSIENT
+    one = np.ones(1)
+    return float(transients.missing(ladder.BATTERY, chi, TRANSIENT * one, measured * one)[0])
 
 
 def averages(job: Job) -> list[dict[str, float]]:
@@ -189,6 +219,8 @@ def run(job: Job) -> None:
         answers, chi, per_time = ladder.run_rung(job, rung, job.pick(10.0, 200.0))
         spreads[rung.name] = chi
         line = row(rung.name, "exact" if rung.exact else "model", answers, truth)
+        if rung.exact:
+            line["lack"] = lacking(answers["current"].seconds, per_time, truth["chi"].value)
         rows.append({**line, "per_time": per_time})
     numbers = {
         "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,

@@ -41,6 +41,13 @@ def _with_bias(one: dict) -> str:
     return f"{number(one['value'], 4)} ({number(100.0 * one['bias'], 2)} %)"
 
 
+def _ages(line: dict, name: str) -> dict[str, str]:
+    """Return what runs lack of the current for want of age, and what is left of their bias."""
+    one = line["current"]
+    left = measured(100.0 * (one["bias"] + line["lack"]), 100.0 * one["bias_error"])
+    return {f"{name}_lack": percent(line["lack"]), f"{name}_left": f"{left} %"}
+
+
 def _shares(share: float, error: float | None) -> str:
     return f"{measured(100.0 * share, 100.0 * error)} %" if error else percent(share)
 
@@ -78,6 +85,9 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
         "eta_transition_bias": percent(abs(eta["transition"]["bias"])),
         "reference_chi": measured(truth["chi"]["value"], truth["chi"]["error"]),
         "reference_current": measured(truth["current"]["value"], truth["current"]["error"]),
+        "own_current": measured(truth["own_current"]["value"], truth["own_current"]["error"]),
+        **_ages(rows["collision"], "collision"),
+        **_ages(rows["synchronous"], "synchronous"),
         "reference_transition": measured(
             truth["transition"]["value"], truth["transition"]["error"]
         ),

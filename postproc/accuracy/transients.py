@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 RELAXATIONS = 3.0  # of directions, that a transient lasts
 SHORTEST = 1000.0  # transient in radii
-CRITICAL = 9000.0  # transient next to a transition, where chi relaxes in 3000
+CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
 LONGEST = 1e6  # transient that is chosen for a current; what is missing then is told
 AGES = np.geomspace(10.0, 10.0 * LONGEST, 361)
 
