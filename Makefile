@@ -99,7 +99,8 @@ test: build build/stamps/python ## builds, runs the tests; at the end "N passed,
 # What a user may say: docs/install.md.
 build: libraries $(fpm) information ## only builds: build/bin/battery; MPI=mpich MARCH=x86-64-v3 HDF5=DIR FC= MPIFC= GSL= FPM=
 	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	flock build/.lock $(fpm) install --prefix $(BUILT)
+	# fpm names each file that it copies.
+	flock build/.lock $(fpm) install --prefix $(BUILT) | sed '/^# /d'
 
 bench: build build/stamps/python ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
 	@if [[ -n "$(BASE)" ]]; then
