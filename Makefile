@@ -274,7 +274,7 @@ build/choices$(SUFFIX): FORCE
 	said=$$(printf '%s\n' $(foreach name,$(CHOICES),$(if $($(name)),'$(name) ?= $($(name))')))
 	[[ "$$said" == "$$(cat $@ 2> /dev/null)" ]] || echo "$$said" > $@
 
-build/venv/bin/fpm: | build/stamps/packages$(SUFFIX)
+$(abspath build/venv/bin/fpm): | build/stamps/packages$(SUFFIX)
 	@wanted=$$(grep '^fpm==' postproc/requirements.txt)
 	echo "Installing $$wanted in $(VENV)"
 	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
