@@ -1,4 +1,4 @@
-!> `battery --self-test`: whether what is installed works, in seconds and without any file beside the
+!> `battery --self-test`: whether what is installed works, in seconds, without a file beside the
 !> program. Every rank runs every frozen log by every engine that found it, since nodes may have
 !> other processors and other libraries. Then all ranks run an ensemble together, whose results file
 !> is written, read back and held against the same log.

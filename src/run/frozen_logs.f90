@@ -1,6 +1,6 @@
 !> Frozen event logs that the program has in itself, in the format that
-!> `battery_frozen_log` reads. `test/frozen/freeze.py own` makes this file from runs in
-!> quadruple precision.
+!> `battery_frozen_log` reads. `test/frozen/freeze.py own` makes this file from
+!> runs in quadruple precision.
 module battery_frozen_logs
   implicit none (type, external)
   private

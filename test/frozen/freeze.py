@@ -1,10 +1,13 @@
 """Make the frozen answers anew, and check them against quadruple precision.
 
-By hand, after `make probes`: `PYTHONPATH=.:test build/venv/bin/python -m frozen.freeze [NAME ...]`. The
-times and places that are written are those of quadruple precision. A case is only written if the
-program finds the same events in the same order by every engine, and if events that are not of one
-instant are further apart than the tolerance. `own` makes the logs that the program has in itself for
-`--self-test`, a Fortran module.
+By hand, after `make probes`:
+
+    PYTHONPATH=.:test build/venv/bin/python -m frozen.freeze [NAME ...]
+
+The times and places that are written are those of quadruple precision. A case is only written if
+the program finds the same events in the same order by every engine, and if events that are not of
+one instant are further apart than the tolerance. `own` makes the logs that the program has in
+itself for `--self-test`, a Fortran module.
 """
 
 from __future__ import annotations
@@ -138,7 +141,7 @@ def freeze(case: Case) -> str:
 
 
 def numbers(case: Case, particles: str, answer: Answer, digits: str) -> list[str]:
-    """Give a case as `battery_frozen_log` reads it: numbers alone, counts before what they count."""
+    """Give a case as `battery_frozen_log` reads it: numbers alone, counts first."""
     table = case.table
     lengths = (table.radius, table.width1, table.length1, table.width2, table.length2)
     lines = [f"{len(particles.splitlines())} {len(answer.events)} {case.threshold} "
@@ -152,7 +155,7 @@ def numbers(case: Case, particles: str, answer: Answer, digits: str) -> list[str
 
 
 def frozen_reservoir(case: Case, particles: str) -> tuple[Answer, str]:
-    """Find the answer of `reservoir`, which is checked in real64; tell what it was checked against."""
+    """Find the answer of `reservoir`; tell how far real64 is from it."""
     answer = of_probe(case, particles, "reservoir")
     found = difference(answer, of_probe(case, particles, "reservoir", 64), "reservoir")
     settled(answer, {"reservoir": found}, case.table.radius, "reservoir")
@@ -180,7 +183,8 @@ def freeze_own() -> str:
             if name == "reservoir":
                 answer = frozen_reservoir(case, frozen.particles)[0]
             else:
-                answer = of_probe(case, frozen.particles, engines[0].replace("excursion", "collision"))
+                reference = "collision" if name == "exact" else name
+                answer = of_probe(case, frozen.particles, reference)
                 differences = {engine: difference(answer, of_program(frozen, engine), engine)
                                for engine in engines}
                 settled(answer, differences, case.table.radius, name)
@@ -198,8 +202,8 @@ def freeze_own() -> str:
 def module_of(logs: dict[str, tuple[str, list[str]]]) -> str:
     """Write the logs as a Fortran module."""
     lines = ["!> Frozen event logs that the program has in itself, in the format that",
-             "!> `battery_frozen_log` reads. `test/frozen/freeze.py own` makes this file from runs in",
-             "!> quadruple precision.", "module battery_frozen_logs",
+             "!> `battery_frozen_log` reads. `test/frozen/freeze.py own` makes this file from",
+             "!> runs in quadruple precision.", "module battery_frozen_logs",
              "  implicit none (type, external)", "  private",
              f"  public :: {', '.join(logs)}"]
     for name, (about, rows) in logs.items():
