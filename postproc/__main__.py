@@ -13,8 +13,10 @@ from pathlib import Path
 
 from postproc import __version__, cli
 
-# What calls programs that `make build` makes, in a checkout.
-NEED_PROGRAM = ("accuracy", "advise", "benchmarks", "renewal_fit", "scaling")
+# What starts the program, as postproc.run does, and what calls all that `make build` makes, in a
+# checkout.
+STARTING = ("advise", "lorentz", "shapes")
+NEED_PROGRAM = ("accuracy", "benchmarks", "experiments", "renewal_fit", "scaling")
 PLACE = Path(__file__).resolve().parent
 
 
@@ -45,14 +47,15 @@ def commands() -> dict[str, str]:
 
 def description(found: dict[str, str]) -> str:
     """Return what the commands do, one line each: the first of their docstrings."""
-    lines = {True: [], False: []}
+    lines: dict[bool | None, list[str]] = {True: [], False: [], None: []}
     for name, module in found.items():
         path = PLACE.joinpath(*module.split(".")[1:]).with_suffix(".py")
         told = (ast.get_docstring(_tree(path)) or "").split("\n", 1)[0]
-        lines[name in NEED_PROGRAM].append(f"  {name:12s} {told}")
+        lines[None if name in STARTING else name in NEED_PROGRAM].append(f"  {name:12s} {told}")
     return "\n".join([
         "Results, theory, figures, film and report of the program battery.",
         "", "Without the program, from results files or none:", *lines[False],
+        "", "With the program, which they start (BATTERY_PROGRAM, or on the PATH):", *lines[None],
         "", "With programs that `make build` makes, in a checkout:", *lines[True],
         "", "NAME --help explains one. In Python, postproc.open_results reads a results file;",
         "postproc.run starts the program.",

@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NoReturn
 
+from postproc import progress
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -175,7 +177,8 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
     """
     try:
         try:
-            return main(arguments)
+            with progress.told():
+                return main(arguments)
         finally:
             sys.stdout.flush()
     except InputError as problem:

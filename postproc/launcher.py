@@ -29,6 +29,12 @@ ALONE = {
     "OMPI_MCA_orte_create_session_dirs": "0",
 }
 
+# A warning of Open MPI 5 wherever hosts have no network: each rank writes it in parts, which stand
+# anywhere in a line where ranks write at once.
+_WARNING = re.compile(
+    r"\[[^][\n]*\]\[\[\d+,\d+\],\d+\]\[[^][\n]*:mca_btl_tcp_proc_create_interface_graph\] ?"
+    r"|Unable to find reachable pairing between local and remote interfaces"
+)
 # A block between two rules; or a line that begins with [host:process], or with a launcher's name.
 _NOISE = re.compile(
     r"^([-=])\1{29,}\n(?:.*\n)*?\1{30,}\n"
@@ -44,4 +50,5 @@ def program_words(errors: str) -> str:
     Where nothing else was printed, the launcher's words are all there is to say.
     """
     text = errors.rstrip("\n") + "\n"
-    return _NOISE.sub("", text).strip() or text.strip()
+    words = _NOISE.sub("", _WARNING.sub("", text))
+    return "\n".join(line for line in words.splitlines() if line.strip()) or text.strip()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 
 from postproc import cli
+from postproc.progress import doing
 from postproc.theory.chain import lifetimes
 from postproc.theory.models import MODELS
 from postproc.theory.options import circuit_options, given_circuit
@@ -24,7 +25,8 @@ def main(arguments: list[str] | None = None) -> int:
     circuit = given_circuit(given)
     if not circuit.alike:
         raise cli.InputError("a chain of lifetimes wants two equal urns and gates")
-    found = lifetimes(*MODELS[given.model].of(circuit))
+    with doing(f"lifetimes, theory {given.model}"):
+        found = lifetimes(*MODELS[given.model].of(circuit))
     print(json.dumps(cli.finite(vars(found)), indent=2))
     return 0
 

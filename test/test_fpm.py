@@ -78,6 +78,16 @@ def fpm(*arguments: str, folder: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.parametrize("file", ["src/ensemble/communicator.f90", "src/store/hdf5_file.f90"])
+def test_without_switches_the_compiler_shows_what_to_type(file: str) -> None:
+    """`fpm build` alone ends at the first of these: it knows neither MPI nor HDF5."""
+    done = subprocess.run(
+        ["gfortran", "-fsyntax-only", file],
+        cwd=ROOT, env=WITHOUT_MAKE, check=False, text=True, capture_output=True,
+    )  # fmt: skip
+    assert 'type "fpm @release"' in done.stderr
+
+
 @pytest.mark.full
 def test_a_clean_checkout_builds_runs_and_installs(tmp_path: Path) -> None:
     place = clean_checkout(tmp_path / "battery")

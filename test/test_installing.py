@@ -54,10 +54,36 @@ def test_the_command_has_every_script() -> None:
     assert set(found) == scripts - {"postproc"}
     assert set(command.NEED_PROGRAM) < set(found)
     told = command.description(found)
-    without, needing = told.split("make build")
+    without, starting, needing = re.split("With the program|With programs", told)
     for name in found:
-        assert re.search(rf"^  {name} +\S", needing if name in command.NEED_PROGRAM else without,
+        place = starting if name in command.STARTING else without
+        assert re.search(rf"^  {name} +\S", needing if name in command.NEED_PROGRAM else place,
                          re.MULTILINE)  # fmt: skip
+
+
+def reached(module: str) -> set[str]:
+    """Return the modules of postproc that one imports, directly or not; itself is one of them."""
+    found, left = set(), [module]
+    while left:
+        name = left.pop()
+        path = ROOT.joinpath(*name.split(".")).with_suffix(".py")
+        if name in found or not path.is_file():
+            continue
+        found.add(name)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                left += [node.module, *(f"{node.module}.{one.name}" for one in node.names)]
+    return found
+
+
+def test_what_is_said_to_need_no_program_starts_none() -> None:
+    """A theory of walkers asks their program, and says so where it is not there."""
+    for name, module in command.commands().items():
+        starts = reached(module) & {"postproc.running", "postproc.launcher"}
+        if name in command.STARTING:
+            assert "postproc.running" in starts, name
+        elif name not in command.NEED_PROGRAM:
+            assert not starts, name
 
 
 def test_a_subcommand_does_what_the_script_does() -> None:

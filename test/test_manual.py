@@ -48,6 +48,8 @@ BAD = [
     ("```sh\npython3 test/no_such.py\n```", "there is no test/no_such.py"),
     ("```sh run\nbuild/bin/battery no_such.nml\n```", "exit code 2"),
     ("```python run\nunknown\n```", "NameError"),
+    ("```fortran file=namelists/map.nml\n&run\n/\n```", "first line does not name namelists/map"),
+    ("```fortran file=namelists/map.nml\n! namelists/map.nml\n```", "is not what is shown"),
 ]
 
 
@@ -116,10 +118,34 @@ def test_every_number_of_the_pages_says_where_it_comes_from() -> None:
     """And no line of theirs is longer than 120 characters, unless it is a table or a link."""
     for file in pages.pages(ROOT).values():
         text = (ROOT / file).read_text()
+        text = pages.filled(text, dict.fromkeys(("keys", "datasets", "help"), ""))
         assert numbers.unsourced(ROOT, file, text) == []
         long = [line for line in text.splitlines()
                 if len(line) > 120 and not line.lstrip().startswith(("|", "[", "!["))]  # fmt: skip
         assert long == [], file
+
+
+def test_reference_pages_hold_what_the_program_says(tmp_path: Path) -> None:
+    """They can be read where they lie; `make docs` writes those parts anew."""
+    made, problems = reference.generated(ROOT, tmp_path)
+    assert problems == []
+    texts = {name: (ROOT / f"docs/{name}.md").read_text()
+             for name in ("input", "output", "command_line")}  # fmt: skip
+    assert {name: pages.filled(text, made) for name, text in texts.items()} == texts
+    assert all(any(part in text for text in texts.values()) for part in made.values())
+
+
+def test_a_namelist_that_a_page_names_is_that_file() -> None:
+    """Its first line says the name, where a reader sees it; commands name files that are there."""
+    shown = set()
+    for file in pages.pages(ROOT).values():
+        for words, body in re.findall(r"^```fortran ([^\n]+)\n(.*?)^```", (ROOT / file).read_text(),
+                                      re.MULTILINE | re.DOTALL):  # fmt: skip
+            name = re.fullmatch(r"file=(namelists/\w+\.nml)", words)[1]
+            assert body.startswith(f"! {name}: "), file
+            assert body == (ROOT / name).read_text(), file
+            shown.add(name)
+    assert len(shown) >= 5
 
 
 def test_every_page_is_in_the_site() -> None:

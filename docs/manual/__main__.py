@@ -1,6 +1,7 @@
 """Makes the site: `make docs` calls it. Whatever is wrong is listed, and there is no site then.
 
-With `--dry` nothing of the pages is tried: to see how they look.
+With `--dry` nothing of the pages is tried: to see how they look. What lists of the program say of
+keys, results and options is written into the pages themselves first, to be read where they lie.
 """
 
 from __future__ import annotations
@@ -19,28 +20,6 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "build/manual/source"
 WORK = ROOT / "build/manual/work"
 SITE = ROOT / "build/site"
-# All that a results file may hold, of a few particles.
-EVERYTHING = """&particles
-  number = 100
-/
-&gate
-  threshold = 3
-/
-&run
-  duration = 30
-  transient_duration = 10
-/
-&scan
-  threshold = 3
-/
-&output
-  file = 'everything.h5'
-  series_interval = 10
-  snapshot_times = 0, 10
-  event_log = .true.
-  final_state = .true.
-/
-"""
 
 
 def main() -> int:
@@ -51,13 +30,15 @@ def main() -> int:
         folder.mkdir(parents=True)
     api, problems = write_api()
     there = pages.pages(ROOT)
-    made, wrong = generated()
+    made, wrong = reference.generated(ROOT, WORK)
     problems += wrong
     for name, file in there.items():
-        text = (ROOT / file).read_text(encoding="utf-8")
-        problems += numbers.unsourced(ROOT, file, text)
-        for marker, part in made.items():
-            text = text.replace(f"<!-- {marker} -->", part)
+        before = (ROOT / file).read_text(encoding="utf-8")
+        text = pages.filled(before, made)
+        if text != before:
+            (ROOT / file).write_text(text, encoding="utf-8")
+            print(f"{file}: its generated part was written anew")
+        problems += numbers.unsourced(ROOT, file, pages.filled(text, dict.fromkeys(made, "")))
         dry = "--dry" in sys.argv[1:]
         fences = Fences(ROOT, WORK / name, SOURCE / f"drawn_{name}", dry)
         text, wrong = pages.linked(ROOT, SOURCE, file, text)
@@ -92,22 +73,6 @@ def sphinx() -> int:
         (SITE / ".buildinfo").unlink(missing_ok=True)
         (SITE / "objects.inv").unlink(missing_ok=True)
     return done.returncode
-
-
-def generated() -> tuple[dict[str, str], list[str]]:
-    """Return the parts that are made of lists of the program, and what is wrong with them."""
-    program = ROOT / "build/bin/battery"
-    keys = reference.all_keys(program, ROOT / "src/run/keys.f90")
-    (WORK / "everything.nml").write_text(EVERYTHING)
-    subprocess.run([program, "--quiet", "everything.nml"], cwd=WORK, check=True)
-    results = WORK / "everything.h5"
-    told = reference.said(program, "--help").split("\nGroups and keys")[0].rstrip()
-    parts = {
-        "keys": reference.input_table(keys),
-        "observables": reference.output_table(results),
-        "help": f"```text\n{told}\n```",
-    }
-    return parts, reference.unexplained(results)
 
 
 def rooms() -> dict[str, dict[str, str]]:

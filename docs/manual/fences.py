@@ -2,7 +2,8 @@
 
 The words behind three back quotes say what to do:
 
-- `fortran`: a namelist, or a part of one, must pass `battery --check`; `file=NAME` writes it.
+- `fortran`: a namelist, or a part of one, must pass `battery --check`. `file=NAME`: it is that file
+  of the checkout, which its first line names.
 - `sh run`, `python run`: executed where the site is built; what it prints and draws is shown.
 - `sh check`: executed, without showing anything.
 - `sh`, or none: each command must exist, with its target, options and files.
@@ -81,7 +82,8 @@ class Fences:
 
     def _tried(self, word: str, words: list[str], body: str) -> tuple[list[str], str]:
         for name in (one.removeprefix("file=") for one in words if one.startswith("file=")):
-            (self.folder / name).write_text(body)
+            if wrong := self._other_file(name, body):
+                return [wrong], ""
         if word == "fortran" and re.search(r"^\s*&\w+", body, re.MULTILINE):
             return self._namelist(body), ""
         if word == "python":
@@ -93,6 +95,14 @@ class Fences:
             if word == "sh" or FIRST.match(body):
                 return self._commands(body), ""
         return [], ""
+
+    def _other_file(self, name: str, body: str) -> str:
+        """Say how a block that shows a file of the checkout is not that file; empty: it is."""
+        if not body.startswith(f"! {name}"):
+            return f"the first line does not name {name}"
+        path = self.root / name
+        same = path.is_file() and path.read_text(encoding="utf-8") == body
+        return "" if same else f"{name} is not what is shown"
 
     def _namelist(self, body: str) -> list[str]:
         (self.folder / "checked.nml").write_text(reference.completed(body))
@@ -109,8 +119,8 @@ class Fences:
         )
 
     def _shell(self, body: str) -> tuple[list[str], str]:
-        """Run a block; `build/` is that of the checkout."""
-        text = re.sub(r"(?<![\w/])build/", f"{self.root}/build/", body)
+        """Run a block; `build/` and `namelists/` are those of the checkout."""
+        text = re.sub(r"(?<![\w/])(build|namelists)/", rf"{self.root}/\1/", body)
         done = self._done(["bash", "-euo", "pipefail", "-c", text])
         if done.returncode:
             return [f"exit code {done.returncode}: {(done.stderr or done.stdout).strip()}"], ""
@@ -204,7 +214,7 @@ class Fences:
         if name not in self.helps:
             done = subprocess.run(
                 [sys.executable, "-m", *words, "--help"], check=False, cwd=folder, text=True,
-                env=ENVIRONMENT, stdin=subprocess.DEVNULL, capture_output=True,
+                env=ENVIRONMENT, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE,
             )
             self.helps[name] = done.stdout if done.returncode == 0 else ""
         return self.helps[name]

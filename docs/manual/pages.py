@@ -37,12 +37,15 @@ PAGES = {
         "method": "docs/method.md",
         "speed": "docs/speed.md",
         "reliability": "docs/reliability.md",
+        "contributing": "CONTRIBUTING.md",
         "development": "docs/development.md",
         "changes": "CHANGELOG.md",
     },
 }
 LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s]+)(\))")
 CODE = re.compile(r"```.*?^ *``` *$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
+# Between these lines of a page stands what lists of the program make.
+MADE = re.compile(r"(<!-- (\w+): written by make docs -->\n\n).*?(<!-- end of \2 -->)", re.DOTALL)
 PATH = re.compile(r"`((?:src|app|postproc|test|docs|namelists|studies)/[\w./-]+\w)(?::\d+)?`")
 
 
@@ -52,6 +55,15 @@ def pages(root: Path) -> dict[str, str]:
     for part in PAGES.values():
         found |= {name: file for name, file in part.items() if (root / file).exists()}
     return found
+
+
+def filled(text: str, made: dict[str, str]) -> str:
+    """Return the text of a page with its generated parts, by name, as they should be."""
+
+    def part(match: re.Match[str]) -> str:
+        return f"{match[1]}{made[match[2]].rstrip()}\n\n{match[3]}"
+
+    return MADE.sub(part, text)
 
 
 def contents(api: dict[str, list[str]], there: dict[str, str]) -> str:

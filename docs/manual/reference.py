@@ -77,6 +77,31 @@ EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
     "limits/wall_minutes": "115",
 }
 BASE = {"particles": {"number": "1000"}, "gate": {"threshold": "7"}}
+# All that a results file may hold, of a few particles.
+EVERYTHING = """&particles
+  number = 100
+/
+&gate
+  threshold = 3
+/
+&run
+  duration = 30
+  transient_duration = 10
+/
+&scan
+  threshold = 3
+/
+&output
+  file = 'everything.h5'
+  series_interval = 10
+  snapshot_times = 0, 10
+  event_log = .true.
+  final_state = .true.
+/
+"""
+# Attributes of a results file that are others with each machine, build or run.
+VARYING = {"compiler", "compiler_options", "created", "git_commit", "gsl_library", "hdf5_library",
+           "initial_file_fingerprint", "mpi_library", "version"}  # fmt: skip
 # A file with the start of two particles, for the snippet that names one.
 START = "-2 0.5 1 0\n2 -0.5 0 1\n"
 # What is allowed begins with one of these; before it stands what the key means.
@@ -107,6 +132,25 @@ class Key:
         told = EXAMPLES.get(f"{self.group}/{self.name}", self.default)
         groups = told if isinstance(told, dict) else {self.group: {self.name: told}}
         return written(groups)
+
+
+def generated(root: Path, folder: Path) -> tuple[dict[str, str], list[str]]:
+    """Return the parts of pages that lists of the program make, and what is wrong with them.
+
+    A run in `folder` leaves a results file with all that there may be.
+    """
+    program = root / "build/bin/battery"
+    keys = all_keys(program, root / "src/run/keys.f90")
+    (folder / "everything.nml").write_text(EVERYTHING)
+    subprocess.run([program, "--quiet", "--overwrite", "everything.nml"], cwd=folder, check=True)
+    results = folder / "everything.h5"
+    told = said(program, "--help").split("\nGroups and keys")[0].rstrip()
+    parts = {
+        "keys": input_table(keys),
+        "datasets": output_table(results),
+        "help": f"```text\n{told}\n```\n",
+    }
+    return parts, unexplained(results)
 
 
 def written(groups: dict[str, dict[str, str]]) -> str:
@@ -218,12 +262,12 @@ def output_table(path: Path) -> str:
             lines += [f"### {f'Group {group}' if group else 'Datasets'}", ""]
             lines += ["| name | unit | of each | what |", "| --- | --- | --- | --- |"]
             lines += [_row(one) for one in datasets] + [""]
-        lines += ["### Attributes of the file", "", "| name | here |", "| --- | --- |"]
+        lines += ["### Attributes of the file", "", "| name | for example |", "| --- | --- |"]
         for name, value in file.attrs.items():
             text = value.decode() if isinstance(value, bytes) else str(value)
             first = text.strip().splitlines()[0] if text.strip() else ""
             if not name.startswith("_NC"):
-                lines.append(f"| `{name}` | `{first[:60]}` |")
+                lines.append(f"| `{name}` | {'' if name in VARYING else f'`{first}`'} |")
     return "\n".join(lines) + "\n"
 
 

@@ -32,6 +32,7 @@ from scipy import stats
 
 from postproc.accuracy import ladder, predictions, transients
 from postproc.cli import InputError
+from postproc.progress import doing
 from postproc.reading.results import Results
 from postproc.running import RunError, plan, run
 from postproc.theory.circuit import gate_load
@@ -177,7 +178,7 @@ def cost_of(
     gates = thresholds[len(thresholds) // 2 :][:1] if thresholds else groups["gate"]["threshold"]
     tried["gate"] = {"threshold": [round(share * one) for one in np.atleast_1d(gates).tolist()]}
     one = namelist_of(tried, quantity, None, {**length, "replicas": 1})
-    with tempfile.TemporaryDirectory(prefix="advice") as folder:
+    with tempfile.TemporaryDirectory(prefix="advice") as folder, doing("how long a run takes"):
         seconds = plan(one, folder=folder).seconds
     return seconds * int(length["replicas"]) * len(thresholds or [1]) / share
 
@@ -189,7 +190,8 @@ def runs(
     namelist = namelist_of(groups, quantity, thresholds, length)
     with tempfile.TemporaryDirectory(prefix="advice") as folder:
         try:
-            return read(run(namelist, folder=folder, quiet=True), quantity)
+            with doing(f"runs of {quantity}, {length['replicas']} replicas"):
+                return read(run(namelist, folder=folder, quiet=True), quantity)
         except RunError as problem:
             raise InputError(f"the runs of {quantity} failed: {problem}") from problem
 
@@ -479,7 +481,9 @@ def _asked(
     """Return what a theory says and its processor time; NaN and infinity if that is too long."""
     if least * (8.0 if quantity == "transition" else 1.0) >= longest:
         return math.nan, math.inf
-    return theory_says(circuit, MODELS[name], quantity, found.value if quantity == "chi" else None)
+    spread = found.value if quantity == "chi" else None
+    with doing(f"theory {name}"):
+        return theory_says(circuit, MODELS[name], quantity, spread)
 
 
 def _apart(found: Pilot, value: float) -> float:

@@ -11,11 +11,11 @@ deviations of chance; exit code 1 where they disagree by more. Takes ten minutes
 from __future__ import annotations
 
 import math
-import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc import cli
 from postproc.accuracy import advice
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
@@ -67,10 +67,13 @@ def length_of_truth(found: Pilot, replicas: int) -> dict[str, int | float]:
     }  # fmt: skip
 
 
-def main(words: list[str]) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Draw points, follow the advice, print the table."""
-    wanted = int(words[0]) if words else 40
-    random = np.random.default_rng(int(words[1]) if len(words) > 1 else 1)
+    options = cli.parser("accuracy.advice_check", __doc__)
+    options.add_argument("points", metavar="POINTS", nargs="?", type=cli.integer(1), default=40)
+    options.add_argument("seed", metavar="SEED", nargs="?", type=cli.integer(0), default=1)
+    words = options.parse_args(arguments)
+    wanted, random = words.points, np.random.default_rng(words.seed)
     met, promised, said, left = [], [], 0, [0, 0]
     print(f"{'N':>4} {'T':>3} {'w':>5} {'w2':>6} {'quantity':18} {'within':>6} {'rung':10} "
           f"{'cost/s':>7} {'sure':>5} {'here':>5} {'found':>7} {'truth':>7} {'off':>8} "
@@ -115,4 +118,4 @@ def main(words: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
+    raise SystemExit(cli.run(main))

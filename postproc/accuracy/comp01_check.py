@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc import cli
 from postproc.reading.results import Results
 from postproc.theory.circuit import Circuit
 from postproc.theory.one_particle import stationary_states
@@ -117,11 +117,14 @@ def print_hollow(paths: Sequence[Path]) -> None:
                       f"{hollow(np.concatenate(spreads)):7.2f}")  # fmt: skip
 
 
-def main(words: list[str]) -> None:
+def main(arguments: list[str] | None = None) -> int:
     """Print the table."""
-    if words:
-        print_hollow([Path(word) for word in words])
-        return
+    options = cli.parser("accuracy.comp01_check", __doc__)
+    options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
+    files = options.parse_args(arguments).files
+    if files:
+        print_hollow(files)
+        return 0
     found = {}
     print(f"{'w2':>7} {'T':>3} {'chi':>7} {'+-':>7} {'off':>8} {'current':>8} {'off':>7}")
     for point in POINTS:
@@ -137,7 +140,8 @@ def main(words: list[str]) -> None:
         without = int(np.isnan(told)[:, 0].sum())
         print(f"{rule}: {len(points)} points, {without} of them without a state in theory, "
               f"chi {spread:.4f}, current {100.0 * current:.1f} %")  # fmt: skip
+    return 0
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    raise SystemExit(cli.run(main))

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc import cli
 from postproc.theory import ports
 from postproc.theory.circuit import Circuit
 from postproc.theory.direction import transfer
@@ -117,10 +117,19 @@ def expected(width1: float, width2: float) -> dict[str, float]:
     return values | blocks
 
 
-def main(words: list[str]) -> None:
+def pair(text: str) -> tuple[float, float]:
+    """Return w and w' of a word W1,W2."""
+    width1, width2 = map(float, text.split(","))
+    return width1, width2
+
+
+def main(arguments: list[str] | None = None) -> int:
     """Print a line for each integral and pair of widths."""
-    count = int(words[0]) if words else COUNT
-    pairs = [tuple(map(float, one.split(","))) for one in words[1:]] or PAIRS
+    options = cli.parser("accuracy.visits_check", __doc__)
+    options.add_argument("count", metavar="COUNT", nargs="?", type=cli.integer(1), default=COUNT)
+    options.add_argument("pairs", metavar="W1,W2", nargs="*", type=pair, default=PAIRS)
+    given = options.parse_args(arguments)
+    count, pairs = given.count, given.pairs or PAIRS
     print("w w' integral theory drawn error errors_apart")
     for width1, width2 in pairs:
         theory = expected(width1, width2)
@@ -128,7 +137,8 @@ def main(words: list[str]) -> None:
             apart = (theory[name] - mean) / error
             print(f"{width1:g} {width2:g} {name} {theory[name]:.6g} {mean:.6g} "
                   f"{error:.2g} {apart:+.1f}")  # fmt: skip
+    return 0
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    raise SystemExit(cli.run(main))

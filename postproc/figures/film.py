@@ -17,6 +17,7 @@ from postproc import cli
 from postproc.figures import style
 from postproc.figures.currents import binned
 from postproc.figures.scene import counted_by, draw_table, of_side
+from postproc.progress import each
 from postproc.reading.results import Results, Snapshot
 from postproc.theory import outlines
 
@@ -269,7 +270,7 @@ def frames(scenes: Scenes, seconds: float) -> Iterator[NDArray[np.uint8]]:
     stage = Stage(scenes)
     times = frame_times(scenes.times, seconds)
     flash_time = min(FLASH * float(np.diff(times).max()), LONGEST_FLASH)
-    for time in times:
+    for time in each(times, "frame"):
         yield stage.show(float(time), flash_time)
 
 

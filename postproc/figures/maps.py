@@ -8,7 +8,7 @@ import numpy as np
 
 from postproc import cli
 from postproc.figures import style
-from postproc.figures.models import ALL
+from postproc.figures.models import QUICK
 from postproc.reading.points import gather
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], marks: Floats
     axes.set_xlim(borders[0], borders[-1])
 
 
-def figure_numris(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
+def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> Figure:
     """Return maps of chi and current, a row a start, and where two starts end differently.
 
     The current is that along the polarity of the moment: where the polarity reverses in a run, one

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import interpolate
 
 from postproc.cli import InputError
+from postproc.progress import each
 from postproc.theory import direction, one_particle, two_port
 from postproc.theory import models as theories
 from postproc.theory.chain import between, passage_times
@@ -124,8 +125,9 @@ class Model:
         own, whole = self.of(circuit), np.arange(max(first, 1), last + 1)
         widths = self._widths(circuit, whole)
         values = np.array(
-            [self._stability(replace(own, threshold=int(one)), widths) for one in whole]
-        )
+            [self._stability(replace(own, threshold=int(one)), widths)
+             for one in each(whole, f"line of transition, {self.label}, threshold")]
+        )  # fmt: skip
         thresholds = np.linspace(whole[0], whole[-1], (whole.size - 1) * STEPS + 1)
         if whole.size > 1:
             values = interpolate.PchipInterpolator(whole, values)(thresholds)
@@ -264,7 +266,8 @@ class Remembering(Model):
     def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
         told, ask = f"growth {self.name} {widths.tolist()}", self.growth
         asked = [replace(circuit, channel2_width=float(one)) for one in widths]
-        return -np.array(kept(told, circuit, lambda: [ask(one) for one in asked]), float)
+        found = kept(told, circuit, lambda: [ask(one) for one in each(asked, "w'")])
+        return -np.array(found, float)
 
     def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
         """Return how long homogeneous and polarised state last by the chain (length/v)."""
@@ -296,6 +299,7 @@ MODELS: dict[str, Model] = {
 # of circuits: the paper's, the gate's own rule with well mixed urns, and the best
 ALL = (MODELS["window"], MODELS["renewal_occupation"], MODELS["direction"])
 PAIR = (ALL[0], ALL[-1])  # where there is no room for more
+QUICK = ALL[:2]  # where the best takes a minute
 WELL_MIXED = (ALL[0], replace(MODELS["renewal"], dashes="-"), ALL[1])  # of the single urn
 
 
@@ -341,7 +345,8 @@ def spread_and_current(
     model: Model, circuit: Circuit, thresholds: Sequence[int]
 ) -> tuple[Floats, Floats]:
     """Return chi and net current of the stable polarised state at each T, NaN without one."""
-    states = [model.stable_state(replace(circuit, threshold=int(one))) for one in thresholds]
+    states = [model.stable_state(replace(circuit, threshold=int(one)))
+              for one in each(thresholds, f"states, {model.label}, threshold")]  # fmt: skip
     found = [
         (math.nan, math.nan) if one is None else (one.mass_spread, one.net_current)
         for one in states

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc import cli
+from postproc.progress import each
 from postproc.reading.points import gather
 from postproc.reading.results import FLOWS as RESULT_FLOWS
 from postproc.reading.results import Results
@@ -113,7 +114,8 @@ def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, obje
         replace(files[file].circuit(int(point)), **changes)
         for file, point in zip(known.file, known.point, strict=True)
     ]
-    expected = [expected_state(one, chi) for one, chi in zip(circuits, known.chi, strict=True)]
+    asked = list(zip(circuits, known.chi, strict=True))
+    expected = [expected_state(one, chi) for one, chi in each(asked, f"{name}, point")]
     chi, current = np.array(expected).T
     apart, both = np.abs(known.chi - chi), polarised & (current > 0.0)
     errors = known.chi_error[polarised]

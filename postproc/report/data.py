@@ -12,6 +12,7 @@ import f90nml
 import numpy as np
 
 from postproc.figures.maps import edges
+from postproc.progress import each
 from postproc.reading.points import gather
 from postproc.report.compare import expected_state
 from postproc.theory.circuit import homogeneous_kind
@@ -103,7 +104,8 @@ def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
     columns |= {name: rounded(getattr(points, name))
                 for name in ("start", "chi", "chi_error", "current", "current_error")}  # fmt: skip
     for name, model in models.items():
-        found = [_expected(results, model, at, chi) for at, chi in enumerate(points.chi)]
+        found = [_expected(results, model, at, points.chi[at])
+                 for at in each(range(points.chi.size), f"{model.label}, point")]  # fmt: skip
         spread, current = np.array(found).T
         columns[f"{name}_chi"], columns[f"{name}_current"] = rounded(spread), rounded(current)
     columns["told"] = np.array([_told(scan, columns, at) for at in range(points.chi.size)])
@@ -212,20 +214,30 @@ def curves(columns: Columns, scan: Scan, models: dict[str, Model], name: str) ->
 
 
 def replicas_of(results: Results) -> Columns:
-    """Return the columns of the tasks, replica by replica of each point."""
-    done = results.done
+    """Return the columns of the tasks, replica by replica of each point, as texts.
+
+    What was measured has its error beside it: so the table is no wider than a telephone.
+    """
+    done = results.done.ravel()
     current = "polarised_current" if results.has("polarised_current") else "current1"
-    columns: Columns = {
-        "replica": np.tile(np.arange(1, results.replicas + 1), results.points),
-        "state": np.where(done, "complete", "no results").ravel(),
-    }
-    taken = {"chi": "chi", "chi_error": "chi_error", "current": current,
-             "current_error": f"{current}_error", "collisions": "collisions",
-             "seconds": "cpu_seconds"}  # fmt: skip
-    for name, source in taken.items():
+    columns: Columns = {"replica": np.tile(np.arange(1, results.replicas + 1), results.points)}
+    for name, source in {"chi": "chi", "current": current}.items():
         if results.has(source):
-            columns[name] = rounded(np.where(done, results.value(source), math.nan))
+            values = zip(results.value(source).ravel(), results.value(f"{source}_error").ravel(),
+                         strict=True)  # fmt: skip
+            columns[name] = np.array([_with_error(*one) for one in values])
+    columns["collisions"] = np.array([f"{one:.2e}".replace("e+0", "e").replace("e+", "e")
+                                      for one in results.value("collisions").ravel()])  # fmt: skip
+    columns["seconds"] = np.array([f"{one:.2g}" for one in results.value("cpu_seconds").ravel()])
+    for name in list(columns)[1:]:
+        columns[name] = np.where(done, columns[name], "-")
     return columns
+
+
+def _with_error(value: float, error: float) -> str:
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.4g} ± {error:.1g}" if math.isfinite(error) else f"{value:.4g}"
 
 
 def series_of(results: Results) -> tuple[Floats, Columns]:

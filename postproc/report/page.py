@@ -23,6 +23,9 @@ from bokeh.models import (
     Div,
     HoverTool,
     IndexFilter,
+    InlineStyleSheet,
+    Legend,
+    Line,
     LinearColorMapper,
     PreText,
     Select,
@@ -90,6 +93,26 @@ shown.data = {
   colour: kept.map((task) => colours[(task % count) % colours.length]),
   replica: kept.map((task) => `replica ${task % count + 1}`),
 }
+"""
+THEMED = """
+const theme = matchMedia('(prefers-color-scheme: dark)')
+const paint = () => {
+  const style = getComputedStyle(document.documentElement)
+  for (const [name, drawn] of [['--ink', inks], ['--paper', papers]]) {
+    for (const [model, property] of drawn) model[property] = style.getPropertyValue(name).trim()
+  }
+}
+theme.addEventListener('change', paint)
+paint()
+"""
+TABLES = """
+.slick-header, .slick-header-column.ui-state-default, .slick-row, .slick-cell {
+  background: var(--paper) !important; color: var(--ink); border-color: var(--shade) !important }
+.slick-row.odd .slick-cell { background: var(--shade) !important }
+.slick-cell.selected { background: var(--chosen) !important }
+"""
+CHOICES = """
+.bk-input { background-color: var(--paper); color: var(--ink); border-color: var(--rule) }
 """
 
 
@@ -203,7 +226,7 @@ class Page:
             options = [str(one) for one in np.unique(self.columns[name])]
             made.append(
                 Select(title=data.label(name), value=options[0], options=options,
-                       name=f"choice_{name}")
+                       name=f"choice_{name}", stylesheets=[InlineStyleSheet(css=CHOICES)])
             )  # fmt: skip
         self.choose = CustomJS(
             args={"points": self.points, "cells": self.cells, "lines": self.lines,
@@ -226,11 +249,12 @@ class Page:
 
     def detail(self) -> list[BokehModel]:
         """Return what a click fills: a line, a table of the replicas, their series, a namelist."""
-        tasks = ColumnDataSource(data.replicas_of(self.results))
+        told = data.replicas_of(self.results)
+        tasks = ColumnDataSource(told)
         time, columns = data.series_of(self.results)
         rows, count = IndexFilter([]), self.results.replicas
-        heads = {name: name.replace("_", " ") for name in tasks.data}
-        table = _table("replicas", tasks, heads, rows=min(count, 8), view=CDSView(filter=rows))
+        table = _table("replicas", tasks, {name: name for name in told}, rows=min(count, 8),
+                       widths=WIDTHS, view=CDSView(filter=rows))  # fmt: skip
         shown = ColumnDataSource({key: [] for key in (*SERIES, "time", "colour", "replica")})
         name, namelist = Div(name="name", render_as_text=True), PreText(name="namelist")
         there = np.isfinite(columns.get("spread", np.empty(0)).reshape(-1, max(time.size, 1)))
@@ -262,16 +286,22 @@ class Page:
 
 
 WIDTH_OF_NUMBER, WIDTH_OF_LETTER = 84, 7  # pixels, in a table
+# Of the replicas, in all what a telephone has beside margins.
+WIDTHS = {"replica": 48, "chi": 94, "current": 98, "collisions": 62, "seconds": 54}
+INKED = ("axis_label_text", "major_label_text", "axis_line", "major_tick_line", "minor_tick_line")
 SERIES = {"spread": "(N1 - N2)/N", "current": "net current of channel 1"}
 
 
 def _table(
-    name: str, source: ColumnDataSource, heads: dict[str, str], rows: int, **more: object
-) -> DataTable:
+    name: str, source: ColumnDataSource, heads: dict[str, str], rows: int,
+    widths: dict[str, int] | None = None, **more: object,
+) -> DataTable:  # fmt: skip
+    """Return a table; columns whose `widths` are given hold texts, which do not sort as numbers."""
     # A head that is cut says nothing: columns share the width by the lengths of theirs.
-    widths = {key: max(WIDTH_OF_NUMBER, WIDTH_OF_LETTER * len(title) + 16)
-              for key, title in heads.items()}  # fmt: skip
-    columns = [TableColumn(field=key, title=html.escape(title), width=widths[key])
+    wide = widths or {key: max(WIDTH_OF_NUMBER, WIDTH_OF_LETTER * len(title) + 16)
+                      for key, title in heads.items()}  # fmt: skip
+    columns = [TableColumn(field=key, title=html.escape(title), width=wide[key],
+                           sortable=widths is None)
                for key, title in heads.items()]  # fmt: skip
     return DataTable(
         name=name,
@@ -279,11 +309,36 @@ def _table(
         columns=columns,
         index_position=None,
         reorderable=False,
+        margin=0,
         height=28 * (rows + 1) + 16,
-        min_width=sum(widths.values()) + 20,
+        min_width=sum(wide[key] for key in heads),
         sizing_mode="stretch_width",
+        stylesheets=[InlineStyleSheet(css=TABLES)],
         **more,
     )
+
+
+def themed(figures: list[figure]) -> CustomJS:
+    """Return what gives figures, which are drawn on canvas, the colours of the page's theme."""
+    inks, papers = [], []
+    for one in figures:
+        papers += [[one, "background_fill_color"], [one, "border_fill_color"]]
+        inks.append([one.title, "text_color"])
+        for axis in one.axis:
+            inks += [[axis, f"{part}_color"] for part in INKED]
+        for other in (*one.center, *one.right):
+            if isinstance(other, Whisker):
+                inks += [[part, "line_color"] for part in (other, other.upper_head,
+                                                           other.lower_head)]  # fmt: skip
+            elif isinstance(other, Legend):
+                inks.append([other, "label_text_color"])
+                papers.append([other, "background_fill_color"])
+            elif isinstance(other, ColorBar):
+                inks.append([other, "major_label_text_color"])
+                papers.append([other, "background_fill_color"])
+        inks += [[drawn.glyph, "line_color"] for drawn in one.renderers
+                 if isinstance(drawn.glyph, Line)]  # fmt: skip
+    return CustomJS(args={"inks": inks, "papers": papers}, code=THEMED)
 
 
 def _run(results: Results) -> dict[str, str]:
@@ -328,7 +383,8 @@ def page(results: Results, models: dict[str, Model]) -> str:
     roots = [parts.reading] if panels else []
     for one in (*roots, *choices, *panels, *detail, parts.table()):
         document.add_root(one)
-    document.js_on_event("document_ready", parts.choose, parts.click)
+    paint = themed([*panels, *parts.series])
+    document.js_on_event("document_ready", paint, parts.choose, parts.click)
     remarks = {
         "Warnings": warnings(results),
         "What looks strange, and is not": explanations(results),

@@ -16,10 +16,13 @@ from postproc.tests.runs import BARE, leave_out, results_of
 READERS = [["currents"], ["scene"], ["report"], ["compare"], ["mixing"], ["renewal_fit", "--data"]]
 READERS += [["figures", name] for name in ("numris", "comp05", "app2", "lifetimes")]
 READERS += [["benchmarks", "compare", os.devnull]]
-COMMANDS = ["theory", "lifetimes", "currents", "scene", "figures", "compare", "mixing", "film"]
-COMMANDS += ["report", "accuracy", "benchmarks", "scaling", "scheduler", "renewal_fit"]
-COMMANDS += ["shapes", "lorentz"]
 ROOT = Path(__file__).resolve().parents[2]
+MODULES = [
+    ".".join(path.relative_to(ROOT / "postproc").with_suffix("").parts).removesuffix(".__main__")
+    for path in sorted((ROOT / "postproc").rglob("*.py"))
+    if '\nif __name__ == "__main__":' in path.read_text(encoding="utf-8")
+]
+COMMANDS = [name for name in MODULES if name != "__main__"]
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -236,16 +236,17 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
 
 
 @pytest.mark.full
-def test_unless_told_otherwise_the_best_theory_is_drawn_too(
+def test_unless_told_otherwise_the_best_theory_is_drawn_where_it_is_quick(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(models, "FEW_WIDTHS", 4)
     with opened([folder / "point.h5"]) as files:
-        slices, plane = circuits.figure_comp01(files), maps.figure_numris(files)
-        circuit = files[0].circuit(0)
+        slices, plane = circuits.figure_comp01(files), maps.figure_numris(files, models.ALL)
+        quick, circuit = maps.figure_numris(files), files[0].circuit(0)
     remembering = models.ALL[-1]
     assert labels_of(slices)[1:] == [f"theory, {one.label}" for one in models.best()]
     assert labels_of(plane)[:-1] == [f"transition, {one.label}" for one in models.ALL]
+    assert labels_of(quick)[:-1] == labels_of(plane)[:2]  # whose line takes a minute is asked for
     (line,) = lines_of(plane.axes[0], remembering.dashes)
     assert line[1] == pytest.approx(remembering.transition_line(circuit, 1, 3)[1])
 

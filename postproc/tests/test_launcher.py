@@ -9,10 +9,12 @@ from postproc.launcher import program_words
 OWN = "case.nml, line 3: threshold = -1: must be 0 or more\ncase.nml: [particles] is no group"
 RULE = "-" * 74
 # As Open MPI 4.1 and 5.0, Slurm 22.05 and MPICH 4.0 print them.
+PLACE = "[vm][[26710,1],%d][../opal/btl_tcp_proc.c:266:mca_btl_tcp_proc_create_interface_graph] "
+WARNING = "Unable to find reachable pairing between local and remote interfaces"
 NOISE = {
-    "warning of a rank": "[vm][[26710,1],0][../opal/mca/btl/tcp/btl_tcp_proc.c:266:"
-    "mca_btl_tcp_proc_create_interface_graph] Unable to find reachable pairing between local and "
-    "remote interfaces\n",
+    "warning of a rank": f"{PLACE % 0}{WARNING}\n",
+    "warnings of ranks at once": f"{PLACE % 1}{PLACE % 0}{WARNING}{WARNING}\n\n"
+    f"{WARNING}{PLACE % 1}\n{WARNING}\n",
     "word of a daemon": "[vm:00417] 1 more process has sent help message help-mpi.txt / no btl\n",
     "block": f"{RULE}\nWARNING: There was an error initializing a device.\n\n"
     f"  Local host: vm\n{RULE}\n",
@@ -26,6 +28,11 @@ NOISE = {
 @pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE.keys())
 def test_a_message_is_found_before_and_after_noise(noise: str) -> None:
     assert program_words(f"{noise}{OWN}\n{noise}") == OWN
+
+
+@pytest.mark.parametrize("part", [PLACE % 0, WARNING])
+def test_a_message_is_found_behind_a_part_of_a_warning(part: str) -> None:
+    assert program_words(f"{part}{OWN}\n{WARNING}\n") == OWN
 
 
 def test_all_noise_at_once() -> None:

@@ -173,6 +173,23 @@ def test_hover_and_click_show_the_point_and_the_console_is_silent(browser: WebDr
     assert shown("performance.getEntriesByType('resource').length") == 0
 
 
+@pytest.mark.full
+def test_a_page_follows_a_dark_theme_and_its_replicas_fit_a_telephone(browser: WebDriver) -> None:
+    """Figures, which are drawn on canvas, as well; when the theme changes and at once."""
+    dark = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    small = {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    paper = "return document_.get_model_by_name('chi').border_fill_color"
+    assert browser.execute_script(paper) == "#ffffff"
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", small)
+    WebDriverWait(browser, 20).until(lambda one: one.execute_script(paper) == "#181818")
+    background = "return getComputedStyle(document.body).backgroundColor"
+    assert browser.execute_script(background) == "rgb(24, 24, 24)"
+    beyond = "const one = document.querySelector('.wide'); return one.scrollWidth - one.clientWidth"
+    WebDriverWait(browser, 20).until(lambda one: one.execute_script(beyond) <= 0)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 400
+
+
 def test_report_of_the_single_urn(tmp_path: Path) -> None:
     path = results_of(tmp_path / "urn.h5", table={"shape": "urn"}, scan={"threshold": [3, 9]})
     assert call("report", [str(path), "--output", str(tmp_path)]) == 0

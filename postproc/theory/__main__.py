@@ -14,6 +14,7 @@ import json
 from typing import TYPE_CHECKING
 
 from postproc import cli
+from postproc.progress import doing
 from postproc.theory import tricritical, two_port
 from postproc.theory.models import MODELS, describe
 from postproc.theory.options import circuit_options, given_circuit
@@ -37,7 +38,8 @@ def main(arguments: list[str] | None = None) -> int:
     )
     given = options.parse_args(arguments)
     circuit, model = given_circuit(given), MODELS[given.model]
-    told = describe(circuit, model)
+    with doing(f"theory {given.model}"):
+        told = describe(circuit, model)
     if given.tricritical:
         if given.model not in MIXED:
             raise cli.InputError(f"--tricritical is of --model {' or '.join(MIXED)}")

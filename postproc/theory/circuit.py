@@ -83,6 +83,11 @@ class Circuit:
             raise InputError("no theory knows scatterers in channel 2: it would give wrong numbers")
 
     @property
+    def brief(self) -> str:
+        """What it is called where it is one of many: N and T."""
+        return f"N = {self.number}, T = {self.threshold}"
+
+    @property
     def sides(self) -> tuple[Circuit, Circuit]:
         """Two circuits with equal urns and gates, of urn 1's kind and of urn 2's."""
         one = replace(self, urn2_radius=None, gate2_threshold=None, urn2_outline=None)

@@ -38,6 +38,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import optimize
 
+from postproc.progress import doing
 from postproc.theory import fate, ports
 from postproc.theory.chain import between
 from postproc.theory.circuit import Circuit
@@ -307,14 +308,16 @@ def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
         shares = [*(1.0 - one for one in reversed(shares)), *shares]
     found: list[tuple[float, Held]] = []
     tries = NEARER
-    while shares and tries:
-        held = equations.held(shares[0], found[-1][1] if found else None)
-        if held.possible:
-            found.append((shares.pop(0), held))
-        elif found:
-            shares, tries = [0.5 * (found[-1][0] + shares[0])], tries - 1
-        else:
-            shares.pop(0)
+    with doing("directions, share", len(shares)) as part:
+        while shares and tries:
+            held = equations.held(shares[0], found[-1][1] if found else None)
+            if held.possible:
+                found.append((shares.pop(0), held))
+            elif found:
+                shares, tries = [0.5 * (found[-1][0] + shares[0])], tries - 1
+            else:
+                shares.pop(0)
+            part.done = min(part.done + 1, part.total - 1)
     return tuple(found)
 
 

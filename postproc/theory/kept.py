@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from postproc.progress import doing
 from postproc.theory.programs import FOLDER
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
             return told["found"]
     except (OSError, ValueError, KeyError, TypeError):
         pass
-    found = compute()
+    with doing(f"{' '.join(question.split()[:2])}, {circuit.brief}"):
+        found = compute()
     try:
         if FOLDER.is_dir():
             PLACE.mkdir(exist_ok=True)

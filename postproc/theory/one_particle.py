@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.progress import doing
 from postproc.theory import circuit as circuits
 from postproc.theory.programs import answers
 from postproc.theory.renewal import RENEWAL
@@ -129,7 +130,8 @@ def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = 
     line = " ".join(map(repr, words))
     mixed = "T" if well_mixed else "F"
     seeds = range(effort.seed, effort.seed + effort.batches)
-    found = answers("one_particle", [f"{line} {seed} {mixed}" for seed in seeds])
+    with doing(f"walkers, {share2:.2g} of them from urn 2"):
+        found = answers("one_particle", [f"{line} {seed} {mixed}" for seed in seeds])
     pairs = (found[:, first : first + 2] for first in (1, 3, 5, 7))
     return Walked(found[:, 0], *pairs, found[:, 9], found[:, 10])
 

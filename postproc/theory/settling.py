@@ -22,6 +22,7 @@ import numpy as np
 from scipy import interpolate, sparse
 from scipy.sparse import linalg
 
+from postproc.progress import each
 from postproc.theory import direction, fate
 
 if TYPE_CHECKING:
@@ -110,7 +111,8 @@ def settling(circuit: Circuit) -> Settling:
     held = [one for _, one in direction.scan(circuit)]
     circuits = [*(_mirrored(one) for one in held[::-1]), equations.held(0.5), *held]
     kept = circuits[len(held) % 2 :: 2]  # the even one among them, and the ends or nearly so
-    half = np.array([[_sent(equations, one, other) for other in kept] for one in circuits])
+    half = np.array([[_sent(equations, one, other) for other in kept]
+                     for one in each(circuits, "what is sent, share")])  # fmt: skip
     sent = np.stack([half, half[::-1, ::-1]], axis=2)
     second, settled = (np.array([one.in_half[1] for one in few]) for few in (circuits, kept))
     time = _time(equations, circuits[len(held)])

@@ -10,7 +10,9 @@ module battery_communicator
   use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_status_type, ieee_get_status, &
     ieee_set_status, ieee_set_halting_mode
   use, intrinsic :: iso_c_binding, only: c_ptr, c_f_pointer
-  use mpi_f08, only: MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
+  ! A compiler without the switches of fpm.rsp shows the next line, and stops.
+  use mpi_f08, only: & ! type "fpm @release": "fpm build" alone has no switches (docs/install.md)
+    MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
     MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
     MPI_ADDRESS_KIND, MPI_MAX_LIBRARY_VERSION_STRING, MPI_Init, MPI_Initialized, MPI_Finalize, &
     MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &

@@ -10,6 +10,7 @@ module battery_outlook
   use battery_needs, only: needs_type, needs_of
   use battery_preparation, only: progress_type, look_at_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
+  use battery_plan_remarks, only: remarks_of
   use battery_room, only: base_bytes, size_text
   use battery_screen, only: duration_text, rate_text
   use battery_signals, only: stop_requested, stopped_before_start
@@ -17,7 +18,7 @@ module battery_outlook
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_type, task_count, task_of, place_particles
   use battery_terminal, only: say
-  use battery_text, only: to_text
+  use battery_text, only: string_type, to_text
   implicit none (type, external)
   private
   public :: print_outlook
@@ -44,7 +45,9 @@ contains
     type(needs_type) :: needs
     type(progress_type) :: progress
     character(len=:), allocatable :: remark
+    type(string_type), allocatable :: remarks(:)
     real(dp) :: seconds, rate
+    integer :: at
 
     remark = ''
     if (overwrite) then
@@ -57,6 +60,10 @@ contains
     left = memory_left(sharing)
     needs = needs_of(plan, left)
     call print_parameters(plan)
+    remarks = remarks_of(plan)
+    do at = 1, size(remarks)
+      call say('remark:     '//remarks(at)%text)
+    end do
     call say('finished:   '//counted(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
     call calibrate(plan, progress%pending, needs%number, seconds, rate, error)

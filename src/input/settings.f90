@@ -54,6 +54,8 @@ contains
     type(settings_type), intent(out) :: settings
     type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
+    !> The key that was meant by each entry that is none; 0: that is not known.
+    integer, allocatable :: meant(:)
     integer :: at, place
 
     call split_namelist(text, groups, entries, settings%problems)
@@ -62,10 +64,12 @@ contains
     do at = 1, size(keys)
       call take_default(keys(at), settings%all(at))
     end do
+    allocate (meant(size(entries)), source=0)
     do at = 1, size(entries)
       place = find_key(keys, entries(at)%group, entries(at)%key)
       if (place == 0) then
-        call refuse_key(keys, entries(at), settings%problems)
+        meant(at) = meant_key(keys, entries(at))
+        call refuse_key(keys, entries(at), meant(at), settings%problems)
       else if (settings%all(place)%given) then
         call add_remark(settings%problems, entries(at)%line, name_of(entries(at)) &
           //' = '//written_text(entries(at)%values)//': is given again; allowed: once (line ' &
@@ -73,6 +77,16 @@ contains
       else
         call take_entry(entries(at), settings%all(place), settings%problems)
       end if
+    end do
+    ! A key that is misspelt counts as given and refused, so it is not told to be missing as well.
+    do at = 1, size(entries)
+      if (meant(at) == 0) cycle
+      associate (setting => settings%all(meant(at)))
+        if (setting%given) cycle
+        setting%given = .true.
+        setting%known = .false.
+        setting%line = entries(at)%line
+      end associate
     end do
   end subroutine read_settings
 
@@ -94,7 +108,7 @@ contains
       end do
       if (name > size(names)) then
         call add_remark(problems, groups(at)%line, '&'//shown_text(groups(at)%name) &
-          //': there is no such group'//suggestion('&', groups(at)%name, names) &
+          //': there is no such group'//suggestion('&', closest_word(groups(at)%name, names)) &
           //'; allowed: &'//join(names, ', &'))
       else if (first_line(name) > 0) then
         call add_remark(problems, groups(at)%line, '&'//groups(at)%name &
@@ -105,34 +119,67 @@ contains
     end do
   end subroutine check_groups
 
-  !> A key that its group does not have; says nothing more where the group itself is unknown.
-  subroutine refuse_key(keys, entry, problems)
+  !> Place of the key that was meant by one that its group does not have: of that name in another
+  !> group, of that symbol in the paper, or of a name that is much like it. 0: none is.
+  pure integer function meant_key(keys, entry) result(place)
     type(key_type), intent(in) :: keys(:)
     type(entry_type), intent(in) :: entry
-    type(remarks_type), intent(inout) :: problems
-    type(string_type), allocatable :: names(:)
-    character(len=:), allocatable :: hint
+    logical :: is_symbol(size(keys))
+    character(len=:), allocatable :: group
     integer :: at
 
+    group = entry%group
+    if (all(keys%group /= group)) group = closest_word(group, different(keys%group))
+    place = find_key(keys, group, entry%key)
+    if (place == 0) place = findloc(keys%name == entry%key, .true., dim=1)
+    is_symbol = keys%symbol /= '' .and. [(written_symbol(keys(at)) == entry%key, at=1, size(keys))]
+    if (place == 0) place = findloc(is_symbol .and. keys%group == group, .true., dim=1)
+    if (place == 0) place = findloc(is_symbol, .true., dim=1)
+    if (place == 0) place = find_key(keys, group, closest_word(entry%key, &
+      different(pack(keys%name, keys%group == group))))
+  end function meant_key
+
+  !> The symbol of a key as a name: `n` for N, `w_prime` for w'.
+  pure function written_symbol(key) result(name)
+    type(key_type), intent(in) :: key
+    character(len=:), allocatable :: name
+
+    name = lower_case(trim(key%symbol))
+    if (index(name, '''') > 0) name = name(:index(name, '''') - 1)//'_prime'
+  end function written_symbol
+
+  !> A key that its group does not have; says nothing more where the group itself is unknown.
+  subroutine refuse_key(keys, entry, meant, problems)
+    type(key_type), intent(in) :: keys(:)
+    type(entry_type), intent(in) :: entry
+    !> Place of the key that was meant; 0: that is not known.
+    integer, intent(in) :: meant
+    type(remarks_type), intent(inout) :: problems
+    character(len=:), allocatable :: hint
+
     if (all(keys%group /= entry%group)) return
-    names = different(pack(keys%name, keys%group == entry%group))
-    at = findloc(keys%name == entry%key, .true., dim=1)
-    if (at > 0) then
-      hint = ' (it belongs to &'//trim(keys(at)%group)//')'
-    else
-      hint = suggestion('', entry%key, names)
+    hint = ''
+    if (meant > 0) then
+      if (keys(meant)%name == entry%key) then
+        hint = ' (it belongs to &'//trim(keys(meant)%group)//')'
+      else if (keys(meant)%group == entry%group) then
+        hint = suggestion('', trim(keys(meant)%name))
+      else
+        hint = suggestion('&', trim(keys(meant)%group)//' '//trim(keys(meant)%name))
+      end if
     end if
     call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values) &
-      //': there is no such key'//hint//'; allowed: '//join(names, ', '))
+      //': there is no such key'//hint//'; allowed: ' &
+      //join(different(pack(keys%name, keys%group == entry%group)), ', '))
   end subroutine refuse_key
 
-  function suggestion(sign, word, names) result(text)
-    character(len=*), intent(in) :: sign, word
-    type(string_type), intent(in) :: names(:)
+  !> The name that may have been meant, behind its sign, as a question; empty: none.
+  pure function suggestion(sign, name) result(text)
+    character(len=*), intent(in) :: sign, name
     character(len=:), allocatable :: text
 
-    text = closest_word(word, names)
-    if (text /= '') text = ' (did you mean '//sign//text//'?)'
+    text = ''
+    if (name /= '') text = ' (did you mean '//sign//name//'?)'
   end function suggestion
 
   pure function name_of(entry) result(name)

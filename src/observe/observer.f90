@@ -17,11 +17,12 @@
 !> - a polarised state was seen in which the sparse urn's gate hardly ever reverses, for currents:
 !>   particles that circulate along the axis carry a part of the current, and go on until that gate
 !>   turns them back, so a run that has not seen it do so many times has not seen their mean;
-!> - N1 - N2 changed its sign, or may do so, but too few times to tell how long that takes, for
-!>   currents from urn 1 to urn 2. Where it never does the error is that of the one polarity.
+!> - N1 - N2 did not change its sign many times, for currents from urn 1 to urn 2: their mean is
+!>   over both polarities, of which such a run has seen one, or each too few times. The polarised
+!>   current has an error all the same.
 module battery_observer
   use battery_kinds, only: wp, dp, int64
-  use battery_blocks, only: blocks_type, add_block, standard_error, error_of_mean, pass_blocks
+  use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
   use battery_channel, only: gated, ungated
   use battery_history, only: history_type, channel1_12, channel2_12, channel_of
   use battery_quantities, only: measured_type, set_average, set_count, flow_names, &
@@ -42,9 +43,7 @@ module battery_observer
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
   integer, parameter :: least_changes = 6
-  !> A polarity is lasting if N1 - N2 differs from 0 by so many standard deviations of its blocks;
-  !> gates are unlike if one reverses so many times as often as the other.
-  real(wp), parameter :: lasting = 8.0_wp
+  !> Gates are unlike if one reverses so many times as often as the other.
   integer(int64), parameter :: unlike = 10
 
   !> What has been measured of a run so far.
@@ -314,28 +313,14 @@ contains
       maxval(reversals) > unlike*max(minval(reversals), unlike)
   end function circulates
 
-  !> Whether blocks of N1 - N2 have one sign for good, or changed it many times.
+  !> Whether blocks of N1 - N2 changed their sign many times.
   pure logical function polarity_told(blocks)
     type(blocks_type), intent(in) :: blocks
     logical, allocatable :: positive(:)
 
-    polarity_told = .false.
-    associate (n => blocks%count)
-      if (n < 2) return
-      positive = blocks%average(:n) > 0.0_wp
-      polarity_told = count(positive(2:) .neqv. positive(:n - 1)) >= least_changes
-      if (all(positive) .or. .not. any(positive)) polarity_told = &
-        lasts(real(blocks%average(:n), dp))
-    end associate
+    positive = blocks%average(:blocks%count) > 0.0_wp
+    polarity_told = count(positive(2:) .neqv. positive(:size(positive) - 1)) >= least_changes
   end function polarity_told
-
-  !> Whether values are so far from 0 that none of another sign is to be expected.
-  pure logical function lasts(values)
-    real(dp), intent(in) :: values(:)
-
-    lasts = abs(sum(values)) > lasting*sqrt(real(size(values), dp))*size(values) &
-      *error_of_mean(values)
-  end function lasts
 
   !> All that is needed to go on observing to the same last bit, into a stream or out of it.
   pure subroutine pass_observer(observer, stream)

@@ -125,6 +125,8 @@ contains
       key_type('output', 'snapshot_times', real_key, '', &
       'times at which positions and velocities are kept', least=0.0_wp, most_values=most_values, &
       unit='time'), &
+      key_type('output', 'snapshot_times_range', real_key, '', 'the same, evenly spaced', &
+      least=0.0_wp, most_values=3, is_range=.true., unit='time'), &
       key_type('output', 'event_log', logical_key, '.false.', &
       'whether events are kept (one task)'), &
       key_type('output', 'final_state', logical_key, '.false.', &

@@ -54,6 +54,7 @@ contains
   subroutine fill_values(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
+    real(wp), allocatable :: times(:)
 
     associate (base => plan%base)
       call take_text(settings, 'table', 'shape', plan%shape)
@@ -87,7 +88,8 @@ contains
       call take(settings, 'precision', 'largest_replicas', plan%replicas)
     call take_text(settings, 'output', 'file', plan%file)
     call take(settings, 'output', 'series_interval', plan%series_interval)
-    call take_list(settings, 'output', 'snapshot_times', plan%snapshot_times)
+    call take_values(settings, find_setting(settings, 'output', 'snapshot_times'), plan, times)
+    call move_alloc(times, plan%snapshot_times)
     call take(settings, 'output', 'event_log', plan%event_log)
     call take(settings, 'output', 'final_state', plan%final_state)
     call take(settings, 'limits', 'wall_minutes', plan%wall_minutes)
@@ -141,24 +143,11 @@ contains
     integer :: at, last
 
     do at = 1, size(settings%all) - 1
-      ! A list stands before its range.
       associate (list => settings%all(at), range => settings%all(at + 1))
         if (list%key%group /= 'scan' .or. .not. range%key%is_range) cycle
+        call take_values(settings, at, plan, one%values)
+        if (size(one%values) == 0) cycle
         one%key = trim(list%key%name)
-        ! The numbers of a key are of one of the two types.
-        one%values = [list%reals, real(list%integers, wp)]
-        if (list%given .and. range%given) then
-          call refuse(plan, trim(range%key%name), 'is given beside '//one%key, 'one of the two')
-          cycle
-        else if (range%known) then
-          one%values = range_of(range%reals, list%key%kind == whole_key)
-          if (any(is_beyond(list%key, one%values))) then
-            call refuse(plan, trim(range%key%name), to_text(maxval(one%values)), &
-              'numbers up to '//to_text(list%key%greatest))
-            cycle
-          end if
-        end if
-        if (.not. (list%known .or. range%known)) cycle
         last = size(plan%scanned)
         if (last > 0) then
           if (plan%scanned(last)%key//'2' == one%key) then
@@ -176,6 +165,32 @@ contains
       end associate
     end do
   end subroutine fill_scan
+
+  !> The values of setting number `at`, a list, or of its range, which stands behind it; none where
+  !> neither is given or known.
+  subroutine take_values(settings, at, plan, values)
+    type(settings_type), intent(in) :: settings
+    integer, intent(in) :: at
+    type(plan_type), intent(inout) :: plan
+    real(wp), allocatable, intent(out) :: values(:)
+
+    allocate (values(0))
+    associate (list => settings%all(at), range => settings%all(at + 1))
+      if (list%given .and. range%given) then
+        call refuse(plan, trim(range%key%name), 'is given beside '//trim(list%key%name), &
+          'one of the two')
+      else if (list%known) then
+        ! The numbers of a key are of one of the two types.
+        values = [list%reals, real(list%integers, wp)]
+      else if (range%known) then
+        values = range_of(range%reals, list%key%kind == whole_key)
+        if (all(.not. is_beyond(list%key, values))) return
+        call refuse(plan, trim(range%key%name), to_text(maxval(values)), &
+          'numbers up to '//to_text(list%key%greatest))
+        values = [real(wp) ::]
+      end if
+    end associate
+  end subroutine take_values
 
   !> The values of a range, evenly spaced: whole numbers, or numbers of 12 digits, so that a value
   !> is the same in ranges of other lengths.
@@ -221,14 +236,20 @@ contains
     type(plan_type), intent(in) :: plan
     type(problem_type), intent(in) :: problem
     character(len=:), allocatable :: joint
-    integer :: place
+    logical, allocatable :: refused(:)
+    integer :: place, next
 
     associate (all => settings%all)
-      ! A key stands before its list in &scan, and that before its range.
+      ! A key stands before its list in &scan, and a list before its range.
       place = findloc(all%key%name == problem%key, .true., dim=1, back=problem%scanned)
-      if (problem%scanned .and. .not. all(place)%given) place = place + 1
-      ! A key that was refused already is not refused again.
-      if (all(place)%given .and. .not. all(place)%known) return
+      next = min(place + 1, size(all))
+      if (all(next)%key%is_range .and. all(next)%given .and. .not. all(place)%given) place = next
+      ! A key that was refused already is not refused again, nor missed, also where it is one that
+      ! may be given in its place: as a list, as a share.
+      refused = all%given .and. .not. all%known
+      if (refused(place)) return
+      if (problem%value == 'is missing' .and. any(refused .and. index(all%key%name, problem%key) &
+        == 1)) return
       joint = ' = '
       if (index(problem%value, 'is ') == 1 .or. index(problem%value, 'has ') == 1) joint = ' '
       call add_remark(settings%problems, merge(all(place)%line, 0, all(place)%given), '&' &

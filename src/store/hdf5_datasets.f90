@@ -37,7 +37,7 @@ module battery_hdf5_datasets
       import :: c_char, c_int, hid_t
       implicit none (type, external)
       integer(hid_t), value, intent(in) :: dataset
-      character(kind=c_char), intent(in) :: name(*) ! allow(C071)
+      character(kind=c_char), intent(in) :: name(*)
     end function c_set_scale
 
     !> `dimension` counts from 0, the slowest first.

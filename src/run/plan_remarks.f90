@@ -1,0 +1,85 @@
+!> What is allowed in a plan, and yet is hardly ever meant.
+module battery_plan_remarks
+  use battery_kinds, only: wp
+  use battery_plan, only: plan_type, point_type, point_of, point_text
+  use battery_table, only: ungated
+  use battery_text, only: string_type, to_text
+  implicit none (type, external)
+  private
+  public :: remarks_of
+
+  !> What is looked for at a point. More than T in a gate reverse it; never more than N are in it.
+  integer, parameter :: no_gate = 1, not_gate_1 = 2, not_gate_2 = 3, shut = 4
+
+contains
+
+  !> What there is to say of a plan without problems, a sentence each, with the points of the scan.
+  function remarks_of(plan) result(remarks)
+    type(plan_type), intent(in) :: plan
+    type(string_type), allocatable :: remarks(:)
+    type(point_type) :: point
+    logical :: never(2)
+    !> How many points have it, and the first of them.
+    integer :: points(shut), first(shut)
+    integer :: at
+
+    points = 0
+    first = 0
+    do at = 1, plan%point_count
+      point = point_of(plan, at)
+      never = point%threshold >= point%number
+      if (plan%shape == 'urn') never(2) = never(1)
+      call count_point(no_gate, all(never))
+      call count_point(not_gate_1, never(1) .and. .not. never(2))
+      call count_point(not_gate_2, never(2) .and. .not. never(1))
+      call count_point(shut, shutting_disc(plan, point) > 0)
+    end do
+    allocate (remarks(0))
+    call add(no_gate, trim(merge('the gate never reverses   ', 'neither gate ever reverses', &
+      plan%shape == 'urn'))//', for T is not below N')
+    call add(not_gate_1, 'gate 1 never reverses, for its T is not below N')
+    call add(not_gate_2, 'gate 2 never reverses, for its T is not below N')
+    if (points(shut) > 0) call add(shut, 'disc '//to_text(shutting_disc(plan, point_of(plan, &
+      first(shut))))//' of scatterers reaches from wall to wall: no particle passes channel 2')
+
+  contains
+
+    subroutine count_point(what, is_so)
+      integer, intent(in) :: what
+      logical, intent(in) :: is_so
+
+      if (.not. is_so) return
+      if (points(what) == 0) first(what) = at
+      points(what) = points(what) + 1
+    end subroutine count_point
+
+    subroutine add(what, sentence)
+      integer, intent(in) :: what
+      character(len=*), intent(in) :: sentence
+      type(string_type) :: remark
+
+      if (points(what) == 0) return
+      remark%text = sentence
+      if (points(what) < plan%point_count) remark%text = sentence//' ('//to_text(points(what)) &
+        //' of '//to_text(plan%point_count)//' points, the first: ' &
+        //point_text(plan, first(what), '')//')'
+      remarks = [remarks, remark]
+    end subroutine add
+
+  end function remarks_of
+
+  !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs are apart, so
+  !> several shut a channel only where one of them does.
+  pure integer function shutting_disc(plan, point) result(disc)
+    type(plan_type), intent(in) :: plan
+    type(point_type), intent(in) :: point
+
+    do disc = 1, size(plan%scatterers)/3
+      associate (y => plan%scatterers(3*disc - 1), radius => plan%scatterers(3*disc))
+        if (abs(y) + 0.5_wp*point%channel(ungated)%width <= radius) return
+      end associate
+    end do
+    disc = 0
+  end function shutting_disc
+
+end module battery_plan_remarks
