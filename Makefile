@@ -12,33 +12,44 @@ export MPI := openmpi
 SUFFIX := $(if $(filter-out openmpi,$(MPI)),.$(MPI))
 BUILT  := build$(SUFFIX:.%=/%)
 
-# What compiling needs. The command after the colon tells whether it is there.
-define PACKAGES
-gfortran:            command -v gfortran
-$(MPI:openmpi=openmpi-bin): command -v mpirun$(SUFFIX)
-lib$(MPI)-dev:       command -v mpifort$(SUFFIX)
-pkg-config:          command -v pkg-config
-libhdf5-$(MPI)-dev:  pkg-config --exists hdf5-$(MPI)
-libgsl-dev:          pkg-config --exists gsl
-libssl-dev:          pkg-config --exists libcrypto
-python3-venv:        python3 -c 'import ensurepip, venv'
-endef
-export PACKAGES
+# What else a user may say: the compiler, the wrapper of MPI that calls it, the processor, folders that
+# libraries are installed in, an fpm. What `make build` was told holds until it is told otherwise.
+CHOICES := MPIFC FC MARCH HDF5 GSL OPENSSL FPM
+ifeq ($(origin FC),default)
+undefine FC
+endif
+# Some clusters set FC to the wrapper.
+ifneq ($(findstring mpi,$(notdir $(FC))),)
+MPIFC ?= $(FC)
+override FC :=
+endif
+-include build/choices$(SUFFIX)
+MPIFC ?= mpifort$(SUFFIX)
+MARCH ?= native
+override HDF5 := $(abspath $(HDF5))
+override GSL := $(abspath $(GSL))
+override OPENSSL := $(abspath $(OPENSSL))
+export MPIFC FC MARCH HDF5 GSL OPENSSL FPM
+ifneq ($(FC),)
+export OMPI_FC := $(FC)
+export MPICH_FC := $(FC)
+endif
 
-# Switches of compiler and linker stand in fpm.rsp; in quotes of the shell their calls of pkg-config
-# are made. fpm adds -fimplicit-none and -Werror=implicit-interface.
-switches = $(shell sed -nE '/^@$1$$/,/^$$/s/^options --$2 "(.*)"$$/\1/p' fpm.rsp \
-           | sed 's/hdf5-openmpi/hdf5-$(MPI)/g')
-RELEASE_FLAGS := $(call switches,release,flag)
-RELEASE_LINK  := $(call switches,release,link-flag)
-DEBUG_FLAGS   := $(call switches,debug,flag)
-DEBUG_LINK    := $(call switches,debug,link-flag)
-# `fpm @install` where it is Open MPI, for which fpm.rsp is made.
-FPM_INSTALL   := $(if $(SUFFIX),install --compiler mpifort$(SUFFIX) --archiver gcc-ar \
-                 --flag "$(RELEASE_FLAGS)" --link-flag "$(RELEASE_LINK)",@install)
+# Switches of compiler and linker. fpm adds -fimplicit-none and -Werror=implicit-interface.
+ask = $(shell MPI='$(MPI)' MPIFC='$(MPIFC)' HDF5='$(HDF5)' GSL='$(GSL)' OPENSSL='$(OPENSSL)' \
+      MARCH='$(MARCH)' packaging/switches $1)
+RELEASE_FLAGS = $(call ask,compile release)
+RELEASE_LINK  = $(call ask,link release)
+DEBUG_FLAGS   = $(call ask,compile debug)
+DEBUG_LINK    = $(call ask,link debug)
 
-export FPM_FC := mpifort$(SUFFIX)
+# fpm: what the user says, that of the virtual environment, that of the PATH, or pip installs one.
+fpm := $(abspath $(or $(shell command -v '$(FPM)'),$(FPM),$(wildcard build/venv/bin/fpm), \
+       $(shell command -v fpm),build/venv/bin/fpm))
+
+export FPM_FC := $(MPIFC)
 export FPM_AR := gcc-ar
+export FPM_CFLAGS := $(call ask,c)
 # Open MPI as root, and with more ranks than cores (4; 5). postproc/launcher.py has these for Python.
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
@@ -46,9 +57,11 @@ export OMPI_MCA_rmaps_base_oversubscribe := 1
 export PRTE_MCA_rmaps_default_mapping_policy := :oversubscribe
 
 PREFIX  ?= /usr/local
+POSTPROC ?= 1
 VENV    := build/venv
 PYTHON  := $(VENV)/bin/python
-PROGRAM := build/bin/battery
+PROGRAM := $(BUILT)/bin/battery
+SOURCES := Makefile fpm.toml packaging/switches $(shell find src app -type f)
 RANKS   := 2
 FULL    ?= 0
 
@@ -63,34 +76,37 @@ PLANES  := $(notdir $(wildcard namelists/one_channel/*.nml))
 COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|19)$$/, 10/)
 
 .PHONY: help demo test cluster build bench probes accuracy experiments figures docs lint clean install prefix \
-        packages information
+        libraries information
 
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 18
 
-demo: build ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
+demo: build build/stamps/python ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
 	@mkdir -p build/demo
 	cd build/demo
-	mpirun -n $(RANKS) ../bin/battery --overwrite ../../namelists/quickstart.nml
+	mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --overwrite ../../namelists/quickstart.nml
 	cd ../..
 	$(PYTHON) -m postproc.currents build/demo/quickstart.h5 --output build/demo
 	$(PYTHON) -m postproc.scene build/demo/quickstart.h5 --output build/demo
 	echo "The pictures are in build/demo:"
 	ls build/demo/*.png
 
-test: build ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
+test: build build/stamps/python ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
 	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) \
 	  --release=" $(RELEASE_FLAGS)" --release-link=" $(RELEASE_LINK)" \
 	  --debug=" $(DEBUG_FLAGS)" --debug-link=" $(DEBUG_LINK)"
 
-cluster: build ## as root: a Slurm of two nodes here runs the example jobs, machines die; then it is gone
+cluster: build build/stamps/python ## as root: a Slurm of two nodes here runs the example jobs, machines die; then it is gone
 	@$(PYTHON) test/support/needs.py
 	$(PYTHON) -m pytest -q -rs test/test_slurm.py test/test_nodes.py
 
-build: packages information ## only builds: the program is build/bin/battery; MPI=mpich: build/mpich/bin/battery
-	@flock build/.lock $(VENV)/bin/fpm $(FPM_INSTALL) --prefix $(BUILT)
+# What a user may say: docs/install.md.
+build: libraries $(fpm) information ## only builds: build/bin/battery; MPI=mpich MARCH=x86-64-v3 HDF5=DIR FC= MPIFC= GSL= FPM=
+	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
+	# fpm names each file that it copies.
+	flock build/.lock $(fpm) install --prefix $(BUILT) | sed '/^# /d'
 
-bench: build ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
+bench: build build/stamps/python ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
 	@if [[ -n "$(BASE)" ]]; then
 	  commit=$$(git rev-parse --quiet --verify --short=10 "$(BASE)^{commit}") || {
 	    echo "BASE=$(BASE): no such commit of this repository" >&2
@@ -103,7 +119,7 @@ bench: build ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a 
 	$(PYTHON) -m postproc.benchmarks run
 
 # An earlier commit, in a clone of its own, built with the present switches.
-build/base-%/build/bin/bench: FORCE | packages
+build/base-%/build/bin/bench: FORCE | libraries $(fpm)
 	@[[ -d build/base-$* ]] || git clone --quiet --shared --no-checkout . build/base-$*
 	cd build/base-$*
 	git checkout --quiet $*
@@ -111,7 +127,7 @@ build/base-%/build/bin/bench: FORCE | packages
 	$(MAKE) information
 	echo "Building commit $*"
 	export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	../venv/bin/fpm install --prefix build > build/log 2>&1 || { cat build/log; exit 1; }
+	$(fpm) install --prefix build > build/log 2>&1 || { cat build/log; exit 1; }
 
 FORCE:
 
@@ -119,12 +135,12 @@ FORCE:
 PROCESSORS := x86-64-v3 x86-64-v4
 
 .PHONY: $(PROCESSORS:%=build/%/bin/bench)
-$(PROCESSORS:%=build/%/bin/bench): build/%/bin/bench: packages information
+$(PROCESSORS:%=build/%/bin/bench): build/%/bin/bench: libraries $(fpm) information
 	@mkdir -p build/$*
-	export FPM_FFLAGS="$(subst -march=native,-march=$*,$(RELEASE_FLAGS))"
+	export FPM_FFLAGS="$(subst -march=$(MARCH),-march=$*,$(RELEASE_FLAGS))"
 	export FPM_LDFLAGS="$(RELEASE_LINK)"
 	echo "Building for $*"
-	flock build/.lock $(VENV)/bin/fpm install --prefix build/$* > build/$*/log 2>&1 || \
+	flock build/.lock $(fpm) install --prefix build/$* > build/$*/log 2>&1 || \
 	  { cat build/$*/log; exit 1; }
 
 # The physics in single, double and quadruple precision, and the program that asks it questions: a
@@ -137,7 +153,7 @@ auto-executables = false
 auto-tests = false
 auto-examples = false
 link = ["gsl", "gslcblas"]
-external-modules = ["hdf5", "h5ds", "mpi_f08"]
+external-modules = ["hdf5", "mpi_f08"]
 [library]
 source-dir = "../../src"
 [[executable]]
@@ -151,22 +167,22 @@ PRECISIONS := real32 real64 real128
 probes: build $(PRECISIONS:%=build/bin/accuracy-%)
 
 .PHONY: $(PRECISIONS:%=build/bin/accuracy-%)
-$(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: packages information
+$(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: libraries $(fpm) information
 	@mkdir -p build/probe/real$*
 	echo "$$PROBE_PACKAGE" > build/probe/fpm.toml
 	cd build/probe
 	export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto=auto"
 	echo "Building the physics in real$*"
-	flock .lock ../venv/bin/fpm install --prefix real$* > real$*/log 2>&1 || { cat real$*/log; exit 1; }
+	flock .lock $(fpm) install --prefix real$* > real$*/log 2>&1 || { cat real$*/log; exit 1; }
 	install real$*/bin/accuracy ../bin/accuracy-real$*
 
-accuracy: build probes ## the speed-accuracy charts and the stability tables; FULL=1: long runs
+accuracy: build probes build/stamps/python ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@$(PYTHON) -m postproc.accuracy --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 
-experiments: build ## five experiments that decide whether urns remember; FULL=1: long runs
+experiments: build build/stamps/python ## five experiments that decide whether urns remember; FULL=1: long runs
 	@$(PYTHON) -m postproc.experiments --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 
-figures: build ## every figure of the paper, quick; FULL=1: at the paper's own length
+figures: build build/stamps/python ## every figure of the paper, quick; FULL=1: at the paper's own length
 	@mkdir -p $(FIGURES)
 	cd $(FIGURES)
 	for case in $(CASES); do
@@ -197,24 +213,40 @@ build/stamps/docs: docs/requirements.txt build/stamps/python
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r docs/requirements.txt
 	touch $@
 
-lint: packages ## style of the Fortran and the Python sources
+lint: build/stamps/python ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs
 	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs studies
 
-install: prefix build ## program, man page and Python side into PREFIX (default: /usr/local)
+install: prefix information $(PROGRAM) ## program, library, man page, module file, Python side (not: POSTPROC=0) into PREFIX (default: /usr/local)
 	@prefix=$$(realpath -m -- "$(PREFIX)")
+	version=$$($(PROGRAM) --version | sed -n '1s/battery \([^ ]*\).*/\1/p')
 	install $(PROGRAM) "$$prefix/bin"
-	$(PYTHON) docs/man_page.py $(PROGRAM) > "$$prefix/share/man/man1/battery.1"
+	install -m 644 $(BUILT)/lib/libbattery.a "$$prefix/lib"
+	rm -f "$$prefix/include/battery/"*.mod
+	modules=$$(find src -name '*.[fF]90' -exec sed -nE 's/^module (\w+)$$/\1.mod/p' {} +)
+	(cd $(BUILT)/include; install -m 644 $$(ls $$modules 2> /dev/null) "$$prefix/include/battery")
+	sed -e "s|@version@|$$version|" -e "s|@switches@|$(RELEASE_LINK)|" packaging/battery.pc.in \
+	  > "$$prefix/lib/pkgconfig/battery.pc"
+	sed -e "s|@version@|$$version|" -e "s|@prefix@|$$prefix|" packaging/modulefile.in \
+	  > "$$prefix/share/modulefiles/battery/$$version"
+	python3 docs/man_page.py $(PROGRAM) > "$$prefix/share/man/man1/battery.1"
+	echo "battery is in $$prefix/bin; battery --self-test says whether it works"
+	[[ "$(POSTPROC)" != 0 ]] || exit 0
 	python3 -m venv "$$prefix/lib/battery"
 	"$$prefix/lib/battery/bin/python" -m pip install --quiet --disable-pip-version-check \
 	  --upgrade --constraint postproc/requirements.txt .
 	ln -sf ../lib/battery/bin/battery-postproc "$$prefix/bin"
-	echo "battery and battery-postproc are in $$prefix/bin"
+	echo "battery-postproc is in $$prefix/bin"
+
+# What is there and newer than all that it is made of is not built again.
+$(PROGRAM): $(SOURCES) build/choices$(SUFFIX) build/generated/commit.h
+	@$(MAKE) build
+	touch $@
 
 # The folders of an installation; whether they can be written to is asked before anything is built.
 prefix:
 	@prefix=$$(realpath -m -- "$(PREFIX)")
-	for folder in bin lib/battery share/man/man1; do
+	for folder in bin lib/pkgconfig lib/battery include/battery share/man/man1 share/modulefiles/battery; do
 	  mkdir -p "$$prefix/$$folder" 2> /dev/null && [[ -w "$$prefix/$$folder" ]] || {
 	    echo "$$prefix/$$folder: cannot be written to; make install PREFIX=DIR takes another place" >&2
 	    exit 1
@@ -224,35 +256,38 @@ prefix:
 clean: ## removes everything made, the virtual environment too
 	rm -rf build
 
-# What is missing is installed once; the stamps remember that it is there.
-packages: build/stamps/packages$(SUFFIX) build/stamps/python
+# What compiling needs is installed once, where that is allowed; the stamps remember that it is there.
+libraries: build/stamps/packages$(SUFFIX)
 
-build/stamps/packages$(SUFFIX): Makefile
+build/stamps/packages$(SUFFIX): packaging/switches build/choices$(SUFFIX)
 	@mkdir -p build/stamps
-	missing=()
-	while IFS=: read -r package question; do
-	  bash -c "$$question" > /dev/null 2>&1 || missing+=("$$package")
-	done <<< "$$PACKAGES"
-	if (( $${#missing[@]} )); then
-	  if [[ $$(id -u) == 0 ]]; then
-	    as_root=
-	  elif sudo -n true 2> /dev/null; then
-	    as_root='sudo -n'
-	  else
-	    echo "These packages are missing, and only root may install them: $${missing[*]}" >&2
-	    exit 1
-	  fi
-	  echo "Installing the packages $${missing[*]}"
+	missing=$$(packaging/switches missing apt)
+	if [[ $$(id -u) == 0 ]]; then as_root=; else as_root='sudo -n'; fi
+	if [[ -n "$$missing" ]] && command -v apt-get > /dev/null && $$as_root true 2> /dev/null; then
+	  echo "Installing the packages $$missing"
 	  { $$as_root apt-get update -qq &&
 	    $$as_root env DEBIAN_FRONTEND=noninteractive \
-	      apt-get install -y -qq --no-install-recommends "$${missing[@]}"; } \
-	    > build/stamps/apt.log 2>&1 || {
-	    tail -n 20 build/stamps/apt.log >&2
-	    echo "These packages are missing and could not be installed: $${missing[*]}" >&2
-	    exit 1
-	  }
+	      apt-get install -y -qq --no-install-recommends $$missing; } \
+	    > build/stamps/apt.log 2>&1 || tail -n 20 build/stamps/apt.log >&2
 	fi
+	packaging/switches missing >&2
 	touch $@
+
+# What was said, for the next make: written only where it is new.
+build/choices$(SUFFIX): FORCE
+	@mkdir -p build
+	said=$$(printf '%s\n' $(foreach name,$(CHOICES),$(if $($(name)),'$(name) ?= $($(name))')))
+	[[ "$$said" == "$$(cat $@ 2> /dev/null)" ]] || echo "$$said" > $@
+
+$(abspath build/venv/bin/fpm): | build/stamps/packages$(SUFFIX)
+	@wanted=$$(grep '^fpm==' postproc/requirements.txt)
+	echo "Installing $$wanted in $(VENV)"
+	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check "$$wanted" || {
+	  echo "fpm is missing. make build FPM=PATH takes one; how to get it without a network:" \
+	    "docs/install.md" >&2
+	  exit 1
+	}
 
 build/stamps/python: postproc/requirements.txt | build/stamps/packages$(SUFFIX)
 	@echo "Installing the Python packages of postproc/requirements.txt in $(VENV)"
@@ -261,23 +296,28 @@ build/stamps/python: postproc/requirements.txt | build/stamps/packages$(SUFFIX)
 	touch $@
 
 # The git commit for src/base/commit.c. fpm does not watch files that may not be there, so the object
-# that has it is removed when it changes; objects for another processor go as well.
-information: build/stamps/packages$(SUFFIX)
+# that has it is removed when it changes; objects for another processor or compiler go as well.
+information: build/generated/commit.h
+
+OBJECTS := build/*_[0-9A-F][0-9A-F][0-9A-F][0-9A-F][0-9A-F][0-9A-F]*
+
+build/generated/commit.h: FORCE | build/stamps/packages$(SUFFIX)
 	@mkdir -p build/generated
 	commit=$$(git describe --always --dirty --abbrev=40 --exclude='*' 2> /dev/null || echo unknown)
 	new="#define BATTERY_COMMIT \"$$commit\""
-	if [[ "$$new" != "$$(cat build/generated/commit.h 2> /dev/null)" ]]; then
-	  echo "$$new" > build/generated/commit.h
-	  rm -f build/mpifort*/battery/*commit.c.o*
+	# To another user, as root for whom make install is called, git may say nothing.
+	if [[ "$$new" != "$$(cat $@ 2> /dev/null)" && ! ( $$commit == unknown && -e .git && -e $@ ) ]]; then
+	  echo "$$new" > $@
+	  rm -f $(OBJECTS)/battery/*commit.c.o*
 	fi
 	# fpm keeps objects of sources that are gone or have moved.
 	sources=$$(find src app -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
 	if [[ "$$sources" != "$$(cat build/stamps/sources 2> /dev/null)" ]]; then
-	  rm -rf build/mpifort* build/probe/build build/test_package
+	  rm -rf $(OBJECTS) build/probe/build build/test_package
 	  echo "$$sources" > build/stamps/sources
 	fi
-	processor=$$(gfortran -march=native -Q --help=target | sha256sum)
-	if [[ "$$processor" != "$$(cat build/stamps/processor 2> /dev/null)" ]]; then
-	  rm -rf build/mpifort* build/probe/build
-	  echo "$$processor" > build/stamps/processor
+	processor=$$({ $(MPIFC) --version; $(MPIFC) -march=$(MARCH) -Q --help=target; } | sha256sum)
+	if [[ "$$processor" != "$$(cat build/stamps/processor$(SUFFIX) 2> /dev/null)" ]]; then
+	  rm -rf $(OBJECTS) build/probe/build
+	  echo "$$processor" > build/stamps/processor$(SUFFIX)
 	fi

@@ -13,6 +13,7 @@ program battery
   use battery_plan, only: plan_type
   use battery_plan_sharing, only: read_plan_once
   use battery_provenance, only: version_text
+  use battery_self_test, only: run_self_test
   use battery_signals, only: watch_signals
   use battery_process, only: leave
   use battery_terminal, only: guard_streams, say, complain, all_was_printed
@@ -39,7 +40,9 @@ program battery
   call check_command_lines(communicator, words, error)
   if (.not. allocated(error)) call parse_arguments(words, command_line, error)
   if (.not. allocated(error)) then
-    if (command_line%answer == '' .and. .not. command_line%version) then
+    if (command_line%self_test) then
+      call run_self_test(communicator, error)
+    else if (command_line%answer == '' .and. .not. command_line%version) then
       call run()
     else if (communicator%rank == 0) then
       if (command_line%version) command_line%answer = version_text()

@@ -32,16 +32,14 @@ def test_release_run_and_install_have_the_same_switches() -> None:
     assert all(words[1].endswith(common) for words in found.values())
 
 
-def test_make_has_no_switches_of_its_own() -> None:
-    made = subprocess.run(
-        ["make", "--no-print-directory", "-pn", "help"],
-        cwd=ROOT, env=WITHOUT_MAKE, check=False, text=True, capture_output=True,
-    ).stdout  # fmt: skip
-    found = sections()
-    for name, variable in (("release", "RELEASE"), ("debug", "DEBUG")):
-        flags, link = re.findall(r'"(.*)"', found[name][2])
-        assert f"\n{variable}_FLAGS := {flags}\n" in made
-        assert f"\n{variable}_LINK := {link}\n" in made
+def test_switches_stand_in_one_place() -> None:
+    for name in ("fpm.rsp", "Makefile"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert not re.search(r"-O[0-3g]\b|-fwrapv|-std=", text), name
+    for name, words in sections().items():
+        flavour = "debug" if name == "debug" else "release"
+        for what in ("compile", "link"):
+            assert f"`packaging/switches {what} {flavour}`" in words[2]
 
 
 def test_all_say_the_same_version() -> None:
@@ -62,7 +60,7 @@ def test_all_say_the_same_version() -> None:
 
 def clean_checkout(folder: Path) -> Path:
     """Copy what fpm needs, and nothing that make made."""
-    for name in ("src", "app", "docs/examples"):
+    for name in ("src", "app", "packaging", "docs/examples"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("build"))
     for name in ("fpm.toml", "fpm.rsp"):
         shutil.copy(ROOT / name, folder)

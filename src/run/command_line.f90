@@ -12,10 +12,10 @@ module battery_command_line
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
     'usage: battery [--check] [--overwrite] [--quiet] [--json FILE] FILE.nml, battery --help, '// &
-    'battery --schema, battery --version'
+    'battery --schema, battery --self-test, battery --version'
 
-  character(len=11), parameter :: options(7) = [character(len=11) :: '--check', '--overwrite', &
-    '--quiet', '--json', '--help', '--schema', '--version']
+  character(len=11), parameter :: options(8) = [character(len=11) :: '--check', '--overwrite', &
+    '--quiet', '--json', '--help', '--schema', '--self-test', '--version']
 
   !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
   !> second to save their states.
@@ -36,6 +36,8 @@ module battery_command_line
     character(len=:), allocatable :: answer
     !> Print the version instead.
     logical :: version = .false.
+    !> Test what is installed instead.
+    logical :: self_test = .false.
     !> Only check the input and show the plan.
     logical :: check = .false.
     !> Discard results that are there.
@@ -98,11 +100,12 @@ contains
       end if
     end do
     if (json_next) call add(problems, nameless)
-    if (command%answer == '' .and. .not. command%version .and. command%file == '' &
-      .and. problems == '') &
-      call add(problems, 'the namelist file is missing')
+    if (command%answer == '' .and. .not. (command%version .or. command%self_test) .and. &
+      command%file == '' .and. problems == '') call add(problems, 'the namelist file is missing')
     if (command%answer /= '' .and. command%file /= '' .and. is_one_of('--schema', words)) &
       call add(problems, command%file//': --schema takes no file; it is the same for all')
+    if (command%self_test .and. command%file /= '') &
+      call add(problems, command%file//': --self-test takes no file; it has what it needs')
     if (problems /= '') call fatal_error(error, problems//new_line_character//usage_line, &
       exit_bad_input)
   end subroutine parse_arguments
@@ -127,6 +130,8 @@ contains
       command%version = .true.
     case ('--schema')
       command%answer = schema_text(all_keys())
+    case ('--self-test')
+      command%self_test = .true.
     case default
       meant = closest_word(word, different(options))
       if (meant /= '') meant = ' (did you mean '//meant//'?)'
@@ -157,6 +162,7 @@ contains
       //'  --json FILE  write where the results are (--check: time and memory) as JSON'//nl &
       //'  --help       print this'//nl &
       //'  --schema     print a JSON Schema of FILE.nml as f90nml turns it into JSON'//nl &
+      //'  --self-test  test in seconds, on all ranks, that what is installed works'//nl &
       //'  --version    print version, commit, compiler and libraries'//nl//nl &
       //'Exit codes:'//nl &
       //'  0  every task is complete'//nl &

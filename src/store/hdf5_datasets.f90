@@ -7,7 +7,7 @@
 !> What is read may be of anyone: a dataset must lie in this file, in one of the ways in which
 !> `write_dataset` lays it down, and have the type and the extents that are expected of it.
 module battery_hdf5_datasets
-  use, intrinsic :: iso_c_binding, only: c_associated, c_loc, c_ptr
+  use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_int, c_loc, c_null_char, c_ptr
   use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dread_f, h5dwrite_f, &
     h5dget_space_f, h5sget_simple_extent_dims_f, h5sget_simple_extent_ndims_f, h5pcreate_f, &
     h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5pset_fill_value_f, h5screate_simple_f, &
@@ -17,7 +17,6 @@ module battery_hdf5_datasets
     h5dget_storage_size_f
   use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, &
     h5z_filter_shuffle_f, h5d_compact_f, h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
-  use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, release, check, check_links, no_handle
@@ -30,6 +29,26 @@ module battery_hdf5_datasets
   !> Datasets above so many bytes are compressed, in pieces of at most as many.
   integer(int64), parameter :: large = 1024_int64**2
   integer, parameter :: deflate_level = 4
+
+  ! Dimension scales in C: how the library of their Fortran interface is called depends on how HDF5
+  ! was built (hdf5hl_fortran, hdf5_hl_fortran).
+  interface
+    integer(c_int) function c_set_scale(dataset, name) bind(c, name='H5DSset_scale')
+      import :: c_char, c_int, hid_t
+      implicit none (type, external)
+      integer(hid_t), value, intent(in) :: dataset
+      character(kind=c_char), intent(in) :: name(*)
+    end function c_set_scale
+
+    !> `dimension` counts from 0, the slowest first.
+    integer(c_int) function c_attach_scale(dataset, scale, dimension) &
+        bind(c, name='H5DSattach_scale')
+      import :: c_int, hid_t
+      implicit none (type, external)
+      integer(hid_t), value, intent(in) :: dataset, scale
+      integer(c_int), value, intent(in) :: dimension
+    end function c_attach_scale
+  end interface
 
 contains
 
@@ -357,7 +376,8 @@ contains
       dcpl_id=layout)
     if (status == 0 .and. c_associated(memory%address) .and. product(memory%extents) > 0) &
       call h5dwrite_f(dataset, memory%value_type, memory%address, status, part, space)
-    if (present(scale_name) .and. status == 0) call h5dsset_scale_f(dataset, status, scale_name)
+    if (present(scale_name) .and. status == 0) &
+      status = c_set_scale(dataset, scale_name//c_null_char)
     if (present(scales)) call attach_scales(file, dataset, scales, status)
     call release(dataset, status)
     call release(layout, status)
@@ -368,7 +388,7 @@ contains
     call write_text(file, path, 'long_name', long_name, error)
   end subroutine write_memory
 
-  !> HDF5 counts dimensions the other way round here, in its Fortran interface too.
+  !> HDF5 counts dimensions the other way round than Fortran.
   subroutine attach_scales(file, dataset, scales, status)
     type(hdf5_file_type), intent(in) :: file
     integer(hid_t), intent(in) :: dataset
@@ -381,7 +401,7 @@ contains
       scale = no_handle
       if (status == 0) call h5dopen_f(file%id, trim(scales(dimension)), scale, status)
       if (status == 0) &
-        call h5dsattach_scale_f(dataset, scale, size(scales) - dimension + 1, status)
+        status = c_attach_scale(dataset, scale, int(size(scales) - dimension, c_int))
       call release(scale, status)
     end do
   end subroutine attach_scales

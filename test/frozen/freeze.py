@@ -1,9 +1,13 @@
 """Make the frozen answers anew, and check them against quadruple precision.
 
-By hand, after `make probes`: `cd test; ../build/venv/bin/python -m frozen.freeze [NAME ...]`. The
-times and places that are written are those of quadruple precision. A case is only written if the
-program finds the same events in the same order by every engine, and if events that are not of one
-instant are further apart than the tolerance.
+By hand, after `make probes`:
+
+    PYTHONPATH=.:test build/venv/bin/python -m frozen.freeze [NAME ...]
+
+The times and places that are written are those of quadruple precision. A case is only written if
+the program finds the same events in the same order by every engine, and if events that are not of
+one instant are further apart than the tolerance. `own` makes the logs that the program has in
+itself for `--self-test`, a Fortran module.
 """
 
 from __future__ import annotations
@@ -13,19 +17,22 @@ import json
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import h5py
 import numpy as np
 from support.program import ROOT, namelist, run
 
-from .cases import CASES, STOCHASTIC, Case
-from .frozen_file import FOLDER, Answer, Frozen, write_frozen
+from .cases import CASES, OWN, STOCHASTIC, Case
+from .frozen_file import EXACT, FOLDER, Answer, Frozen, write_frozen
 
 Differences = dict[str, tuple[float, float]]
 # So many times the greatest difference that was seen is allowed; never less than `LEAST`, and
 # never more than `MOST`, in units of the radius.
 MARGIN, LEAST, MOST = 100.0, 1.0e-12, 2.0e-6
+# The module with the program's own logs, whose numbers have so many digits behind the point.
+OWN_LOGS, DIGITS = ROOT / "src/run/frozen_logs.f90", 12
 
 
 class NotFrozenError(Exception):
@@ -133,23 +140,79 @@ def freeze(case: Case) -> str:
     return "; ".join(told)
 
 
-def freeze_stochastic(case: Case) -> str:
-    """Make one file that a Fortran test reads: numbers alone, the counts before what they count."""
-    _, particles = input_of(case)
+def numbers(case: Case, particles: str, answer: Answer, digits: str) -> list[str]:
+    """Give a case as `battery_frozen_log` reads it: numbers alone, counts first."""
+    table = case.table
+    lengths = (table.radius, table.width1, table.length1, table.width2, table.length2)
+    lines = [f"{len(particles.splitlines())} {len(answer.events)} {case.threshold} "
+             f"{1 + (table.shape == 'urn')}",
+             f"{case.duration} {answer.tolerance:.1e} {answer.final_tolerance:.1e} "
+             f"{case.time_step}",
+             " ".join(map(str, lengths)), *particles.splitlines()]
+    lines += [f"{kind} {where} {particle} {time:{digits}}" for (kind, where, particle), time
+              in zip(answer.events.tolist(), answer.times.tolist(), strict=True)]
+    return lines + [" ".join(f"{value:{digits}}" for value in row) for row in answer.final.tolist()]
+
+
+def frozen_reservoir(case: Case, particles: str) -> tuple[Answer, str]:
+    """Find the answer of `reservoir`; tell how far real64 is from it."""
     answer = of_probe(case, particles, "reservoir")
     found = difference(answer, of_probe(case, particles, "reservoir", 64), "reservoir")
     settled(answer, {"reservoir": found}, case.table.radius, "reservoir")
-    table = case.table
-    lines = [f"{len(particles.splitlines())} {len(answer.events)} {case.threshold}",
-             f"{case.duration} {answer.tolerance:.1e} {answer.final_tolerance:.1e}",
-             " ".join(map(str, (table.radius, table.width1, table.length1, table.width2,
-                                table.length2))), particles.rstrip()]
-    lines += [f"{kind} {where} {particle} {time:.15e}" for (kind, where, particle), time
-              in zip(answer.events.tolist(), answer.times.tolist(), strict=True)]
-    lines += [" ".join(f"{value:.15e}" for value in row) for row in answer.final.tolist()]
-    (FOLDER / f"{case.name}.dat").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return (f"{len(answer.events)} events of reservoir in real128; times and places of real64 "
-            f"differ by {found[0]:.1e} {found[1]:.1e}")
+    return answer, (f"{len(answer.events)} events of reservoir in real128; times and places of "
+                    f"real64 differ by {found[0]:.1e} {found[1]:.1e}")
+
+
+def freeze_stochastic(case: Case) -> str:
+    """Make one file that a Fortran test reads."""
+    particles = input_of(case)[1]
+    answer, told = frozen_reservoir(case, particles)
+    text = "\n".join(numbers(case, particles, answer, ".15e")) + "\n"
+    (FOLDER / f"{case.name}.dat").write_text(text, encoding="utf-8")
+    return told
+
+
+def freeze_own() -> str:
+    """Make the module with the program's own logs."""
+    logs = {}
+    for case in OWN:
+        frozen = Frozen(*input_of(case), {})
+        for name, engines in (("exact", EXACT), ("timestep", ("timestep",)), ("reservoir", ())):
+            if case.name != "circuit" and name != "exact":
+                continue
+            if name == "reservoir":
+                answer = frozen_reservoir(case, frozen.particles)[0]
+            else:
+                reference = "collision" if name == "exact" else name
+                answer = of_probe(case, frozen.particles, reference)
+                differences = {engine: difference(answer, of_program(frozen, engine), engine)
+                               for engine in engines}
+                settled(answer, differences, case.table.radius, name)
+            # No closer than the digits that are kept.
+            least = MARGIN * 10.0**-DIGITS
+            answer.tolerance = max(answer.tolerance, least)
+            answer.final_tolerance = max(answer.final_tolerance, least)
+            logs[f"{name}_{case.name}"] = (
+                f"{case.about}: {len(answer.events)} events",
+                numbers(case, frozen.particles, answer, f".{DIGITS}f"))
+    OWN_LOGS.write_text(module_of(logs), encoding="utf-8")
+    return ", ".join(f"{name}: {about}" for name, (about, _) in logs.items())
+
+
+def module_of(logs: dict[str, tuple[str, list[str]]]) -> str:
+    """Write the logs as a Fortran module."""
+    lines = ["!> Frozen event logs that the program has in itself, in the format that",
+             "!> `battery_frozen_log` reads. `test/frozen/freeze.py own` makes this file from",
+             "!> runs in quadruple precision.", "module battery_frozen_logs",
+             "  implicit none (type, external)", "  private",
+             f"  public :: {', '.join(logs)}"]
+    for name, (about, rows) in logs.items():
+        width = max(map(len, rows))
+        lines += ["", f"  !> {about[0].upper()}{about[1:]}.",
+                  f"  character(len={width}), parameter :: {name}({len(rows)}) = "
+                  f"[character(len={width}) :: &"]
+        lines += [f"    '{row}', &" for row in rows[:-1]] + [f"    '{rows[-1]}']"]
+    return "\n".join([*lines, "", "end module battery_frozen_logs"]) + "\n"
 
 
 def main() -> int:
@@ -158,15 +221,17 @@ def main() -> int:
     parser.add_argument("names", nargs="*", help="cases; all if none is named")
     names = parser.parse_args().names
     failed = 0
-    for case in CASES + STOCHASTIC:
-        if names and case.name not in names:
+    ways = {case.name: partial(freeze, case) for case in CASES}
+    ways |= {case.name: partial(freeze_stochastic, case) for case in STOCHASTIC}
+    ways["own"] = freeze_own
+    for name, make in ways.items():
+        if names and name not in names:
             continue
         try:
-            make = freeze_stochastic if case in STOCHASTIC else freeze
-            print(f"{case.name}: {make(case)}", flush=True)
+            print(f"{name}: {make()}", flush=True)
         except NotFrozenError as error:
             failed += 1
-            print(f"{case.name}: NOT FROZEN: {error}", flush=True)
+            print(f"{name}: NOT FROZEN: {error}", flush=True)
     return 1 if failed else 0
 
 

@@ -105,7 +105,7 @@ class Bench:
                       f"-J{folder}", "-c", str(source), "-o", str(compiled)]
         # What the object defines is not looked for in the archives.
         link_it = [*common, *map(str, self.objects), str(compiled), *map(str, self.archives),
-                   *shlex.split(self.libraries), "-lhdf5hl_fortran", "-lhdf5_hl", "-lhdf5_fortran",
+                   *shlex.split(self.libraries), "-lhdf5_hl", "-lhdf5_fortran",
                    "-lhdf5", "-lcrypto", "-lgsl", "-lgslcblas", "-o", str(folder / "serial_tests")]
         return all(subprocess.run(command, capture_output=True, check=False).returncode == 0
                    for command in (compile_it, link_it))

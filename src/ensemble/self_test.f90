@@ -1,0 +1,191 @@
+!> `battery --self-test`: whether what is installed works, in seconds, without a file beside the
+!> program. Every rank runs every frozen log by every engine that found it, since nodes may have
+!> other processors and other libraries. Then all ranks run an ensemble together, whose results file
+!> is written, read back and held against the same log.
+module battery_self_test
+  use battery_communicator, only: communicator_type, share_error, share_text
+  use battery_build_information, only: program_version, git_commit
+  use battery_ensemble, only: run_ensemble
+  use battery_error, only: error_type, fatal_error, exit_success
+  use battery_files, only: remove_file
+  use battery_frozen_log, only: frozen_log_type, read_frozen_log, what_differs, is_final_state
+  use battery_frozen_logs, only: exact_circuit, exact_urn, timestep_circuit, reservoir_circuit
+  use battery_journal_folder, only: remove_journal
+  use battery_kinds, only: wp, int64
+  use battery_namelist_input, only: parse_namelist
+  use battery_plan, only: plan_type
+  use battery_process, only: process_number
+  use battery_results, only: results_type, all_complete
+  use battery_results_file, only: read_results
+  use battery_table, only: gated, ungated
+  use battery_terminal, only: say
+  use battery_text, only: to_text, new_line_character
+  implicit none (type, external)
+  private
+  public :: run_self_test
+
+  !> Tasks of the ensemble for each rank.
+  integer, parameter :: tasks_a_rank = 2
+
+contains
+
+  !> Runs all tests on all ranks; rank 0 prints one line for each.
+  subroutine run_self_test(communicator, error)
+    type(communicator_type), intent(in) :: communicator
+    !> How many tests failed; the same on all ranks.
+    type(error_type), allocatable, intent(out) :: error
+    type(frozen_log_type) :: circuit
+    integer :: tests, failed
+    character(len=*), parameter :: exact(3) = [character(len=11) :: 'excursion', 'collision', &
+      'synchronous']
+
+    tests = 0
+    failed = 0
+    if (communicator%rank == 0) call say('battery '//program_version//' (commit '//git_commit() &
+      //') on '//counted(communicator%size, 'rank'))
+    call try_engines('two urns', exact_circuit, exact)
+    call try_engines('two urns', timestep_circuit, ['timestep'])
+    call try_engines('two urns', reservoir_circuit, ['reservoir'])
+    call try_engines('one urn', exact_urn, exact)
+    call read_frozen_log(exact_circuit, circuit)
+    call try_file(communicator, circuit, error)
+    call tell(counted(tasks_a_rank*communicator%size, 'task') &
+      //', results file written and read back', error)
+    if (failed > 0) then
+      call fatal_error(error, 'battery: '//to_text(failed)//' of '//counted(tests, 'test') &
+        //' failed')
+    else if (communicator%rank == 0) then
+      call say('all '//counted(tests, 'test')//' passed')
+    end if
+
+  contains
+
+    subroutine try_engines(name, lines, engines)
+      !> Name of the table; its log; the engines that found it.
+      character(len=*), intent(in) :: name, lines(:), engines(:)
+      type(frozen_log_type) :: log
+      type(error_type), allocatable :: difference
+      character(len=:), allocatable :: problem
+      integer :: k
+
+      call read_frozen_log(lines, log)
+      do k = 1, size(engines)
+        problem = what_differs(log, trim(engines(k)))
+        if (problem /= '') call fatal_error(difference, problem//' (rank ' &
+          //to_text(communicator%rank)//')')
+        call share_error(communicator, difference)
+        call tell(trim(engines(k))//', '//name//', '//counted(size(log%times), 'event'), difference)
+      end do
+    end subroutine try_engines
+
+    !> Rank 0 prints how a test ended, which is then forgotten.
+    subroutine tell(what, problem)
+      character(len=*), intent(in) :: what
+      type(error_type), allocatable, intent(inout) :: problem
+      character(len=:), allocatable :: line
+
+      tests = tests + 1
+      line = what//': '
+      if (allocated(problem)) then
+        failed = failed + 1
+        line = line//'FAILED: '//problem%message
+        deallocate (problem)
+      else
+        line = line//'passed'
+      end if
+      if (communicator%rank == 0) call say(line)
+    end subroutine tell
+
+  end subroutine run_self_test
+
+  !> Runs an ensemble of the particles of a log, in the present folder. Each of its tasks must end
+  !> where the log ends, as the results file has it.
+  subroutine try_file(communicator, log, error)
+    type(communicator_type), intent(in) :: communicator
+    type(frozen_log_type), intent(in) :: log
+    !> What is wrong; the same on all ranks.
+    type(error_type), allocatable, intent(out) :: error
+    type(error_type), allocatable :: other
+    type(plan_type) :: plan
+    character(len=:), allocatable :: name
+    integer :: exit_code
+
+    name = 'battery-self-test-'//to_text(int(process_number()))//'.h5'
+    call share_text(communicator, name, 0)
+    call parse_namelist(namelist_of(log, name, tasks_a_rank*communicator%size), &
+      'battery --self-test', plan, error)
+    if (allocated(error)) return
+    ! What reading the initial file would have set; its fingerprint need only be one.
+    plan%start = log%start
+    plan%base%urn1_number = count(log%start%x < 0.0_wp)
+    plan%initial_fingerprint = 1_int64
+    call run_ensemble(plan, communicator, overwrite=.false., quiet=.true., exit_code=exit_code, &
+      error=error)
+    if (.not. allocated(error) .and. exit_code /= exit_success) &
+      call fatal_error(error, 'exit code '//to_text(exit_code)//' of the run')
+    if (communicator%rank == 0) then
+      if (.not. allocated(error)) call compare(name, log, tasks_a_rank*communicator%size, error)
+      ! After an error they may not be there, or may be what is wrong.
+      call remove_journal(name//'.tasks', other)
+      call remove_file(name, other)
+    end if
+    call share_error(communicator, error)
+  end subroutine try_file
+
+  !> The run of a log as a namelist.
+  function namelist_of(log, name, replicas) result(text)
+    type(frozen_log_type), intent(in) :: log
+    !> Name of the results file.
+    character(len=*), intent(in) :: name
+    integer, intent(in) :: replicas
+    character(len=:), allocatable :: text
+    character(len=1), parameter :: nl = new_line_character
+
+    associate (setup => log%setup, table => log%setup%table)
+      text = '&table urn_radius = '//to_text(table%urn(1)%radius) &
+        //', channel1_width = '//to_text(table%channel(gated)%width) &
+        //', channel1_length = '//to_text(table%channel(gated)%length) &
+        //', channel2_width = '//to_text(table%channel(ungated)%width) &
+        //', channel2_length = '//to_text(table%channel(ungated)%length)//' /'//nl &
+        //'&particles number = '//to_text(size(log%start%x))//', initial_file = ''frozen'' /'//nl &
+        //'&gate threshold = '//to_text(setup%threshold(1))//' /'//nl &
+        //'&run duration = '//to_text(setup%duration)//' /'//nl &
+        //'&scan replicas = '//to_text(replicas)//' /'//nl &
+        //'&output file = '''//name//''', final_state = .true. /'//nl
+    end associate
+  end function namelist_of
+
+  !> Reads a results file back and holds it against a log.
+  subroutine compare(name, log, replicas, error)
+    character(len=*), intent(in) :: name
+    type(frozen_log_type), intent(in) :: log
+    integer, intent(in) :: replicas
+    type(error_type), allocatable, intent(out) :: error
+    type(results_type) :: results
+    integer :: k
+
+    call read_results(name, .true., results, error)
+    if (allocated(error)) return
+    if (results%replicas /= replicas .or. .not. all_complete(results)) then
+      call fatal_error(error, 'not all tasks are in the file')
+      return
+    end if
+    do k = 1, replicas
+      associate (final => results%final_state(:, 1, k, 1, :))
+        if (is_final_state(log, final(:, 1), final(:, 2), final(:, 3), final(:, 4))) cycle
+      end associate
+      call fatal_error(error, 'the final state of task '//to_text(k)//' in the file differs')
+      return
+    end do
+  end subroutine compare
+
+  !> A number of things.
+  pure function counted(number, what) result(text)
+    integer, intent(in) :: number
+    character(len=*), intent(in) :: what
+    character(len=:), allocatable :: text
+
+    text = to_text(number)//' '//what//trim(merge('s', ' ', number /= 1))
+  end function counted
+
+end module battery_self_test

@@ -1,0 +1,94 @@
+"""Where the build finds its libraries, and what it says of those that are missing."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+from support.program import ENVIRONMENT, ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CHOICES = ("MPI", "MPIFC", "FC", "HDF5", "GSL", "OPENSSL", "MARCH", "FPM", "OMPI_FC")
+#: What the tool itself calls; wrappers and pkg-config come from each test.
+TOOLS = ("bash", "awk", "find", "sort", "sed", "grep", "paste", "mktemp", "rm", "python3", "env",
+         "mpifort", "gfortran", "gcc", "cc", "as", "ld")  # fmt: skip
+
+
+def hdf5(place: Path) -> Path:
+    """Make a folder as that of an installed HDF5: empty files by the names that are looked for."""
+    for name in ("include/hdf5.mod", "lib/libhdf5_fortran.so"):
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        (place / name).write_text("", encoding="utf-8")
+    return place
+
+
+def script(path: Path, text: str) -> None:
+    """Write a program of the shell."""
+    path.write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
+    path.chmod(0o755)
+
+
+@pytest.fixture
+def tools(tmp_path: Path) -> Path:
+    """Make a PATH without h5pfc, gsl-config, pkg-config, apt and sudo."""
+    folder = tmp_path / "tools"
+    folder.mkdir()
+    for name in TOOLS:
+        if place := shutil.which(name):
+            (folder / name).symlink_to(place)
+    return folder
+
+
+def switches(tools: Path, *words: str, **said: object) -> subprocess.CompletedProcess[str]:
+    """Ask for switches, with nothing but these tools and what is said."""
+    environment = {name: value for name, value in ENVIRONMENT.items() if name not in CHOICES}
+    environment |= {"PATH": str(tools)} | {name: str(value) for name, value in said.items()}
+    return subprocess.run(
+        [ROOT / "packaging/switches", *words], cwd=tools, env=environment, text=True,
+        capture_output=True, check=False,
+    )  # fmt: skip
+
+
+def test_the_user_comes_before_wrappers_and_those_before_pkg_config(
+    tmp_path: Path, tools: Path
+) -> None:
+    said, wrapped, packed = (hdf5(tmp_path / name) for name in ("said", "wrapped", "packed"))
+    assert "hdf5" not in switches(tools, "compile", "release").stdout
+    script(tools / "pkg-config",
+           f'case "$*" in *" hdf5") echo -I{packed}/include -L{packed}/lib;; *) exit 1;; esac')
+    assert f"-I{packed}/include" in switches(tools, "compile", "release").stdout
+    # CMake's wrapper knows no -show, and its words are no switches; one without modules is no use.
+    script(tools / "h5pfc", "echo dir is /nowhere; exit 1")
+    assert f"-I{packed}/include" in switches(tools, "compile", "release").stdout
+    script(tools / "h5fc", f"echo gfortran -I{wrapped}/include {wrapped}/lib/libhdf5_fortran.a -lz")
+    assert f"-I{wrapped}/include" in switches(tools, "compile", "release").stdout
+    link = switches(tools, "link", "release").stdout
+    assert f"-L{wrapped}/lib -Wl,-rpath,{wrapped}/lib" in link
+    link = switches(tools, "link", "release", HDF5=said, GSL=said).stdout
+    assert f"-L{said}/lib -Wl,-rpath,{said}/lib" in link
+    assert f"-I{said}/include" in switches(tools, "compile", "debug", HDF5=said).stdout
+    assert switches(tools, "c", GSL=said).stdout == f"-I{said}/include\n"
+
+
+def test_the_processor_is_said_in_one_place(tools: Path) -> None:
+    assert " -march=native " in switches(tools, "compile", "release").stdout
+    said = switches(tools, "compile", "release", MARCH="x86-64-v3").stdout
+    assert " -march=x86-64-v3 " in said
+    assert "native" not in said
+
+
+def test_what_is_missing_is_named_with_what_to_type(tmp_path: Path, tools: Path) -> None:
+    done = switches(tools, "missing", HDF5=hdf5(tmp_path / "empty"))
+    assert done.returncode == 1
+    lines = done.stdout.splitlines()
+    assert lines[0] == "Missing, or older than this, or of another compiler:"
+    assert "  HDF5 1.10 with Fortran modules by this compiler, shared libraries (HDF5=DIR)" in lines
+    apt, dnf = (next(line for line in lines if who in line) for who in ("apt-get", "dnf"))
+    assert "apt-get install" in apt
+    assert "libhdf5-openmpi-dev" in apt
+    assert "hdf5-openmpi-devel" in dnf
+    assert "libhdf5-openmpi-dev" in switches(tools, "missing", "apt", HDF5=tmp_path).stdout.split()
