@@ -19,15 +19,16 @@ module battery_journal
     files_like
   use battery_journal_folder, only: numbers_in
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
-  use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single
+  use battery_record_file, only: record_type, append_record, write_single, read_single, &
+    record_reader_type, open_records, next_record
   use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
   use battery_tasks, only: task_type
   use battery_stream, only: stream_type, new_stream, measuring_stream, stream_of
   implicit none (type, external)
   private
-  public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
+  public :: journal_type, read_plan, begin_journal, join_journal, open_rank_file, &
+    next_result
   public :: rank_files_in, rank_files_of, kept_in, check_ownership
   public :: write_finished, write_state, read_state
 
@@ -200,29 +201,37 @@ contains
     journal%mine = rank_files + rank
   end subroutine join_journal
 
-  !> Good results in the rank file of that number; none if there is no such file.
-  subroutine read_rank_file(journal, file, results)
+  !> Opens the rank file of that number, for `next_result`; one that is not there has none.
+  subroutine open_rank_file(journal, file, reader)
     type(journal_type), intent(in) :: journal
     !> Its number.
     integer, intent(in) :: file
-    !> In the order of the file.
-    type(task_result_type), allocatable, intent(out) :: results(:)
-    type(record_type), allocatable :: records(:)
-    integer(int64) :: good_size
-    logical :: is_one
-    integer :: k, good
+    !> To be closed with `close_records`.
+    type(record_reader_type), intent(out) :: reader
 
-    call read_records(rank_file(journal, file), records, good_size)
-    allocate (results(size(records)))
-    good = 0
-    do k = 1, size(records)
-      call from_record(records(k), results(good + 1), is_one)
-      if (is_one) good = good + 1
-      ! Of large results there is not more than one copy here.
-      records(k) = record_type()
+    call open_records(reader, rank_file(journal, file))
+  end subroutine open_rank_file
+
+  !> The next good result of a rank file.
+  subroutine next_result(reader, result, at, found)
+    !> Open.
+    type(record_reader_type), intent(inout) :: reader
+    !> Whatever task's it is.
+    type(task_result_type), intent(out) :: result
+    !> Where in the file it stands: `reader%at` may be set to this.
+    integer(int64), intent(out) :: at
+    !> Whether there is one.
+    logical, intent(out) :: found
+    type(record_type) :: record
+
+    do
+      at = reader%at
+      call next_record(reader, record, found)
+      if (.not. found) exit
+      call from_record(record, result, found)
+      if (found) exit
     end do
-    if (good < size(results)) results = results(:good)
-  end subroutine read_rank_file
+  end subroutine next_result
 
   !> A task is finished: its result is written at once, so that nothing that happens to the program
   !> can spoil it, and is on its way to the disk. States are of no use any more when it is there.

@@ -19,8 +19,9 @@ module battery_room
   real(dp), parameter :: bytes_an_entry = 130.0_dp, bytes_a_state = 140.0_dp, &
     bytes_an_event = 160.0_dp
 
-  !> Bytes of each task on rank 0 at the end, and of an entry and a state of one task of many there.
-  real(dp), parameter :: bytes_a_task = 1800.0_dp, merged_entry = 65.0_dp, merged_state = 125.0_dp
+  !> Bytes of each task on rank 0 at the end, and of an entry and a state of one task of many there:
+  !> these are in the results file, which is made in memory, where they are compressed more or less.
+  real(dp), parameter :: bytes_a_task = 800.0_dp, merged_entry = 40.0_dp, merged_state = 35.0_dp
 
   !> Bytes that every process takes beside all these, and may still take once it has started.
   real(dp), parameter :: base_bytes = 16.0e6_dp
