@@ -6,13 +6,14 @@ module battery_work
   use battery_communicator, only: board_type, take_task, add_to_board, read_board, help_board, &
     help_interval, tasks_finished, tasks_failed, collisions_done, stop_wanted
   use battery_engine, only: particles_type
+  use battery_engines, only: bytes_a_particle
   use battery_error, only: error_type, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, read_state, write_state, write_finished
+  use battery_memory_limits, only: check_memory
   use battery_ownership, only: is_taken_over
   use battery_plan, only: plan_type
   use battery_process, only: leave
   use battery_results, only: task_failed
-  use battery_room, only: check_room, particle_bytes
   use battery_screen, only: screen_type, new_screen, show_ensemble, end_progress
   use battery_signals, only: stop_requested
   use battery_simulation, only: simulation_type, begin_simulation, step, progress, verify
@@ -221,7 +222,7 @@ contains
     logical :: resumed
 
     cpu_before = 0.0_dp
-    call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
+    call check_memory(bytes_a_particle(task%setup%engine)*task%number, to_text(task%number) &
       //' particles', error)
     if (allocated(error)) return
     call read_state(journal, task, simulation, cpu_before, resumed, error)

@@ -63,6 +63,7 @@ contains
   subroutine prepare_courses(file, most, series_interval, snapshot_time, courses, error)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
+    !> For how much; what is 0 is not there.
     type(extents_type), intent(in) :: most
     !> Time between two entries, and times of the snapshots, since the start: for the dimension
     !> scales of a new file.
@@ -232,6 +233,7 @@ contains
 
   !> Closes the datasets of a file that is still open.
   subroutine close_courses(file, courses, error)
+    !> Open still.
     type(hdf5_file_type), intent(in) :: file
     !> Open, or not.
     type(courses_type), intent(inout) :: courses

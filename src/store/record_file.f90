@@ -120,6 +120,7 @@ contains
 
   !> Closes a file of records; one that is not open is no error.
   subroutine close_records(reader)
+    !> Not open afterwards.
     type(record_reader_type), intent(inout) :: reader
 
     if (reader%is_open) close (reader%unit)

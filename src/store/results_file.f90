@@ -1,8 +1,8 @@
-!> The results file: what `battery_results` and `battery_courses` hold, by name, with units and named
-!> dimensions.
+!> The results file: what `battery_results` and `battery_courses` hold, by name, with units and
+!> named dimensions.
 !>
-!> It is made in memory (`create_results`), where it is compressed; then the course of each task goes
-!> straight into its datasets, from the journal or from the file of before (`open_results`).
+!> It is made in memory (`create_results`), where it is compressed; then the course of each task
+!> goes straight into its datasets, from the journal or from the file of before (`open_results`).
 !> `publish_results` writes it whole under another name, reads it back and compares it with its
 !> seal, and renames it, so that there is always either the old file or the new one. Not known are
 !> NaN and, where an attribute `_FillValue` says so, -1.
@@ -24,10 +24,11 @@ module battery_results_file
   use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
     task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
     point_undecided
+  use battery_memory_limits, only: check_memory, bytes_a_task, bytes_an_entry, bytes_a_state, &
+    most_numbers
   use battery_metadata, only: metadata_type, write_metadata
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type, point_type, point_of, setup_of
-  use battery_room, only: check_room, bytes_a_task, bytes_an_entry, bytes_a_state, most_numbers
   use battery_simulation, only: setup_type
   use battery_seal, only: check_seal
   use battery_table, only: gated, ungated
@@ -191,7 +192,7 @@ contains
     character(len=:), allocatable :: hosts
     integer :: p, r, host
 
-    call check_memory(bytes_a_task*plan%point_count*plan%replicas, 'tasks', file, error)
+    call check_memory_of(bytes_a_task*plan%point_count*plan%replicas, 'tasks', file, error)
     if (allocated(error)) return
     call new_results(results, plan%point_count, plan%replicas)
     call pass_measured(file, results, error)
@@ -241,7 +242,7 @@ contains
         call check(file, '/series/urn1_number', 'has '//to_text(series(1))//' entries, which is ' &
           //'not the length of a series by the namelist in the file', 1, error)
       else
-        call check_memory(bytes_an_entry*entries, '/series', file, error)
+        call check_memory_of(bytes_an_entry*entries, '/series', file, error)
       end if
       if (allocated(error)) return
       most%entries = int(series(1))
@@ -249,14 +250,14 @@ contains
     most%snapshots = size(plan%snapshot_times)
     most%particles = most_particles(plan, results)
     if (plan%final_state) most%final_particles = most%particles
-    call check_memory(bytes_a_state*most%particles*(most%snapshots + merge(1, 0, &
+    call check_memory_of(bytes_a_state*most%particles*(most%snapshots + merge(1, 0, &
       plan%final_state)), '/snapshots and /final', file, error)
     call prepare_courses(file, most, real(plan%series_interval, dp), real(plan%snapshot_times, &
       dp), courses, error)
   end subroutine open_courses
 
   !> An error if there is no memory for so many bytes of a file. Does nothing after an error.
-  subroutine check_memory(bytes, what, file, error)
+  subroutine check_memory_of(bytes, what, file, error)
     real(dp), intent(in) :: bytes
     !> Datasets that ask for them.
     character(len=*), intent(in) :: what
@@ -264,9 +265,9 @@ contains
     type(error_type), allocatable, intent(inout) :: error
 
     if (allocated(error)) return
-    call check_room(bytes, what//' in '//file%name, error)
+    call check_memory(bytes, what//' in '//file%name, error)
     if (allocated(error)) error%code = exit_bad_input
-  end subroutine check_memory
+  end subroutine check_memory_of
 
   !> Particles of the largest point that has a complete task: there is room for so many in a file.
   integer function most_particles(plan, results) result(most)
