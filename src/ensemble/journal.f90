@@ -14,7 +14,7 @@ module battery_journal
   use battery_error, only: error_type, fatal_error
   use battery_fingerprint, only: fingerprint_text
   use battery_text, only: string_type, to_text
-  use battery_background_sync, only: sync_type, begin_sync, end_sync
+  use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_like
   use battery_journal_folder, only: numbers_in
@@ -30,7 +30,7 @@ module battery_journal
   public :: journal_type, read_plan, begin_journal, join_journal, open_rank_file, &
     next_result
   public :: rank_files_in, rank_files_of, kept_in, check_ownership
-  public :: write_finished, write_state, read_state
+  public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank has it.
   type :: journal_type
@@ -44,8 +44,10 @@ module battery_journal
     integer(int64) :: written = 0
     !> Generation of the state written last.
     integer(int64) :: generation = 0
-    !> The rank file may be on its way to the disk.
-    type(sync_type) :: sync
+    !> Whether the rank file has results that may not be on the disk, and from when on the next one
+    !> is brought there, with all before it, in seconds of `wall_seconds`.
+    logical :: is_unsynced = .false.
+    real(dp) :: next_sync = 0.0_dp
   end type journal_type
 
   !> Ends of the names of a state's files: generations are written to them in turn.
@@ -234,26 +236,44 @@ contains
   end subroutine next_result
 
   !> A task is finished: its result is written at once, so that nothing that happens to the program
-  !> can spoil it, and is on its way to the disk. States are of no use any more when it is there.
+  !> can spoil it. It is brought to the disk, which makes it safe from the end of the machine, unless
+  !> that was done just before: then what the machine's end takes was computed since. States are of
+  !> no use any more when it is there.
   subroutine write_finished(journal, found, error)
     type(journal_type), intent(inout) :: journal
     !> The result of the task.
     type(task_result_type), intent(in) :: found
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: name
+    character(len=:), allocatable :: state
+    logical :: has_state
 
     call check_ownership(journal, error)
     if (allocated(error)) return
-    name = rank_file(journal, journal%mine)
-    call append_record(name, to_record(found), journal%written, error)
+    call append_record(rank_file(journal, journal%mine), to_record(found), journal%written, error)
     if (allocated(error)) return
-    call begin_sync(journal%sync, name, error)
-    if (allocated(error)) return
-    name = state_file(journal, found%kept)
-    if (.not. (file_exists(name//generations(1)) .or. file_exists(name//generations(2)))) return
-    call end_sync(journal%sync, error)
-    if (.not. allocated(error)) call remove_states(name, error)
+    journal%is_unsynced = .true.
+    state = state_file(journal, found%kept)
+    has_state = file_exists(state//generations(1)) .or. file_exists(state//generations(2))
+    if (has_state .or. wall_seconds() >= journal%next_sync) call sync_finished(journal, error)
+    if (has_state .and. .not. allocated(error)) call remove_states(state, error)
   end subroutine write_finished
+
+  !> Waits until all results of this rank are on the disk.
+  subroutine sync_finished(journal, error)
+    type(journal_type), intent(inout) :: journal
+    !> They may not be.
+    type(error_type), allocatable, intent(out) :: error
+    !> Seconds between two syncs at least, and the share of the time that they may take.
+    real(dp), parameter :: interval = 0.1_dp, share = 0.02_dp
+    real(dp) :: began, ended
+
+    if (.not. journal%is_unsynced) return
+    began = wall_seconds()
+    call sync_file(rank_file(journal, journal%mine), error)
+    ended = wall_seconds()
+    journal%is_unsynced = allocated(error)
+    journal%next_sync = ended + max(interval, (ended - began)/share)
+  end subroutine sync_finished
 
   !> A rank whose run has lost the output writes nothing.
   subroutine check_ownership(journal, error)

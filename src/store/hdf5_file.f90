@@ -10,8 +10,8 @@
 !> A file that is read may be of anyone, since its seal has no secret: nothing is opened in it
 !> before `check_links` found that it lies in this file, and no filter is loaded from elsewhere.
 module battery_hdf5_file
-  use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_int, c_associated, &
-    c_f_pointer
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_int, c_int64_t, &
+    c_associated, c_f_pointer
   use hdf5, only: hid_t, size_t, h5get_libversion_f, h5open_f, h5eset_auto_f, h5fcreate_f, &
     h5fopen_f, h5fflush_f, h5fget_file_image_f, h5gcreate_f, h5pcreate_f, &
     h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f, h5lget_info_f, haddr_t
@@ -54,9 +54,9 @@ module battery_hdf5_file
     !> What the way in which a file is kept has for a handle; of a file in memory, where the address
     !> of its bytes stands. There is no procedure of it in Fortran in all versions of HDF5.
     integer(c_int) function get_handle(file, access, handle) bind(c, name='H5Fget_vfd_handle')
-      import :: c_int, c_ptr, hid_t
+      import :: c_int, c_ptr, c_int64_t
       implicit none (type, external)
-      integer(hid_t), value, intent(in) :: file, access
+      integer(c_int64_t), value, intent(in) :: file, access
       type(c_ptr), intent(out) :: handle
     end function get_handle
   end interface
@@ -181,7 +181,8 @@ contains
     handle = c_null_ptr
     call h5fflush_f(file%id, h5f_scope_global_f, status)
     if (status == 0) call h5fget_file_image_f(file%id, handle, 0_size_t, status, bytes)
-    if (status == 0) status = get_handle(file%id, h5p_default_f, handle)
+    if (status == 0) &
+      status = get_handle(int(file%id, c_int64_t), int(h5p_default_f, c_int64_t), handle)
     if (status /= 0 .or. .not. c_associated(handle)) then
       status = -1
       return
