@@ -236,9 +236,9 @@ contains
   end subroutine next_result
 
   !> A task is finished: its result is written at once, so that nothing that happens to the program
-  !> can spoil it. It is brought to the disk, which makes it safe from the end of the machine, unless
-  !> that was done just before: then what the machine's end takes was computed since. States are of
-  !> no use any more when it is there.
+  !> can spoil it. It is brought to the disk, which makes it safe from the end of the machine,
+  !> unless that was done just before: then what the machine's end takes was computed since. States
+  !> are of no use any more when it is there.
   subroutine write_finished(journal, found, error)
     type(journal_type), intent(inout) :: journal
     !> The result of the task.
