@@ -7,8 +7,8 @@ program battery
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node
   use battery_ensemble, only: run_ensemble, heed_time_limit
-  use battery_limits, only: spare_address_space
-  use battery_needs, only: check_needs, check_start
+  use battery_memory_estimate, only: check_estimate, check_start
+  use battery_memory_limits, only: spare_address_space
   use battery_outlook, only: print_outlook
   use battery_plan, only: plan_type
   use battery_plan_sharing, only: read_plan_once
@@ -70,7 +70,7 @@ contains
     call read_plan_once(command_line%file, communicator, plan, error)
     if (allocated(error)) return
     call heed_time_limit(plan)
-    call check_needs(plan, sharing, error)
+    call check_estimate(plan, sharing, error)
     call share_error(communicator, error)
     if (allocated(error)) return
     if (.not. command_line%check) then

@@ -14,22 +14,23 @@ module battery_journal
   use battery_error, only: error_type, fatal_error
   use battery_fingerprint, only: fingerprint_text
   use battery_text, only: string_type, to_text
-  use battery_background_sync, only: sync_type, begin_sync, end_sync
+  use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_like
   use battery_journal_folder, only: numbers_in
   use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
-  use battery_record_file, only: record_type, append_record, read_records, &
-    write_single, read_single
+  use battery_record_file, only: record_type, append_record, write_single, read_single, &
+    record_reader_type, open_records, next_record
   use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, pass_simulation
   use battery_tasks, only: task_type
   use battery_stream, only: stream_type, new_stream, measuring_stream, stream_of
   implicit none (type, external)
   private
-  public :: journal_type, read_plan, begin_journal, join_journal, read_rank_file
+  public :: journal_type, read_plan, begin_journal, join_journal, open_rank_file, &
+    next_result
   public :: rank_files_in, rank_files_of, kept_in, check_ownership
-  public :: write_finished, write_state, read_state
+  public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank has it.
   type :: journal_type
@@ -43,8 +44,10 @@ module battery_journal
     integer(int64) :: written = 0
     !> Generation of the state written last.
     integer(int64) :: generation = 0
-    !> The rank file may be on its way to the disk.
-    type(sync_type) :: sync
+    !> Whether the rank file has results that may not be on the disk, and from when on the next one
+    !> is brought there, with all before it, in seconds of `wall_seconds`.
+    logical :: is_unsynced = .false.
+    real(dp) :: next_sync = 0.0_dp
   end type journal_type
 
   !> Ends of the names of a state's files: generations are written to them in turn.
@@ -200,51 +203,77 @@ contains
     journal%mine = rank_files + rank
   end subroutine join_journal
 
-  !> Good results in the rank file of that number; none if there is no such file.
-  subroutine read_rank_file(journal, file, results)
+  !> Opens the rank file of that number, for `next_result`; one that is not there has none.
+  subroutine open_rank_file(journal, file, reader)
     type(journal_type), intent(in) :: journal
     !> Its number.
     integer, intent(in) :: file
-    !> In the order of the file.
-    type(task_result_type), allocatable, intent(out) :: results(:)
-    type(record_type), allocatable :: records(:)
-    integer(int64) :: good_size
-    logical :: is_one
-    integer :: k, good
+    !> To be closed with `close_records`.
+    type(record_reader_type), intent(out) :: reader
 
-    call read_records(rank_file(journal, file), records, good_size)
-    allocate (results(size(records)))
-    good = 0
-    do k = 1, size(records)
-      call from_record(records(k), results(good + 1), is_one)
-      if (is_one) good = good + 1
-      ! Of large results there is not more than one copy here.
-      records(k) = record_type()
+    call open_records(reader, rank_file(journal, file))
+  end subroutine open_rank_file
+
+  !> The next good result of a rank file.
+  subroutine next_result(reader, result, at, found)
+    !> Open.
+    type(record_reader_type), intent(inout) :: reader
+    !> Whatever task's it is.
+    type(task_result_type), intent(out) :: result
+    !> Where in the file it stands: `reader%at` may be set to this.
+    integer(int64), intent(out) :: at
+    !> Whether there is one.
+    logical, intent(out) :: found
+    type(record_type) :: record
+
+    do
+      at = reader%at
+      call next_record(reader, record, found)
+      if (.not. found) exit
+      call from_record(record, result, found)
+      if (found) exit
     end do
-    if (good < size(results)) results = results(:good)
-  end subroutine read_rank_file
+  end subroutine next_result
 
   !> A task is finished: its result is written at once, so that nothing that happens to the program
-  !> can spoil it, and is on its way to the disk. States are of no use any more when it is there.
+  !> can spoil it. It is brought to the disk, which makes it safe from the end of the machine,
+  !> unless that was done just before: then what the machine's end takes was computed since. States
+  !> are of no use any more when it is there.
   subroutine write_finished(journal, found, error)
     type(journal_type), intent(inout) :: journal
     !> The result of the task.
     type(task_result_type), intent(in) :: found
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: name
+    character(len=:), allocatable :: state
+    logical :: has_state
 
     call check_ownership(journal, error)
     if (allocated(error)) return
-    name = rank_file(journal, journal%mine)
-    call append_record(name, to_record(found), journal%written, error)
+    call append_record(rank_file(journal, journal%mine), to_record(found), journal%written, error)
     if (allocated(error)) return
-    call begin_sync(journal%sync, name, error)
-    if (allocated(error)) return
-    name = state_file(journal, found%kept)
-    if (.not. (file_exists(name//generations(1)) .or. file_exists(name//generations(2)))) return
-    call end_sync(journal%sync, error)
-    if (.not. allocated(error)) call remove_states(name, error)
+    journal%is_unsynced = .true.
+    state = state_file(journal, found%kept)
+    has_state = file_exists(state//generations(1)) .or. file_exists(state//generations(2))
+    if (has_state .or. wall_seconds() >= journal%next_sync) call sync_finished(journal, error)
+    if (has_state .and. .not. allocated(error)) call remove_states(state, error)
   end subroutine write_finished
+
+  !> Waits until all results of this rank are on the disk.
+  subroutine sync_finished(journal, error)
+    type(journal_type), intent(inout) :: journal
+    !> They may not be.
+    type(error_type), allocatable, intent(out) :: error
+    !> Seconds between two syncs at least, and the share of the time that they may take.
+    real(dp), parameter :: interval = 0.1_dp, share = 0.02_dp
+    real(dp) :: began, ended
+
+    if (.not. journal%is_unsynced) return
+    began = wall_seconds()
+    call sync_file(rank_file(journal, journal%mine), error)
+    ended = wall_seconds()
+    journal%is_unsynced = allocated(error)
+    journal%next_sync = ended + max(interval, (ended - began)/share)
+  end subroutine sync_finished
 
   !> A rank whose run has lost the output writes nothing.
   subroutine check_ownership(journal, error)

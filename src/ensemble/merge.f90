@@ -1,30 +1,64 @@
 !> From the journal of an ensemble to its results file.
+!>
+!> A result goes straight. First all records are read once, one in memory at a time: the numbers of
+!> each task go into arrays, the place of its record is noted, and so is the most that any course
+!> takes (`collect_results`). Of what the journal does not have the same is taken from the results
+!> file of before. With that the new file is made and its datasets are prepared. Then, in the order
+!> of the tasks, each course goes from its place into its hyperslab (`move_courses`), the only one
+!> in memory. The old file is replaced when the new one is complete.
 module battery_merge
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp, dp, int64
-  use battery_error, only: error_type, exit_bad_input
+  use battery_courses, only: courses_type, extents_type, prepare_courses, &
+    write_course, read_course, close_courses, write_events
+  use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_files, only: file_exists, is_as_seen
   use battery_fingerprint, only: fingerprint_text
-  use battery_journal, only: journal_type, read_rank_file, rank_files_of
+  use battery_hdf5_file, only: hdf5_file_type
+  use battery_journal, only: journal_type, open_rank_file, next_result, rank_files_of
   use battery_metadata, only: metadata_type, add_text
   use battery_plan, only: plan_type, point_of
   use battery_precision, only: decide
   use battery_provenance, only: add_origin, command_text
   use battery_quantities, only: counted_quantities, place_of, unknown_real, unknown_count
+  use battery_record_file, only: record_reader_type, close_records
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
     task_not_asked, point_undecided, all_complete
-  use battery_results_file, only: read_results, write_results
+  use battery_results_file, only: create_results, publish_results, open_results, close_results
   use battery_task_result, only: task_result_type
   use battery_tasks, only: task_type, task_count, task_of, roster_type, roster_of, number_in, &
     kept_in_results
   use battery_text, only: string_type, to_text, join, new_line_character
   implicit none (type, external)
   private
-  public :: merge_results, collect_results
+  public :: merge_results, collect_results, sources_type, close_sources
+
+  !> Where the course of a task is: a record in a rank file, or columns of the old results file.
+  type :: place_type
+    private
+    !> Number of the rank file, and where in it the record stands; below 0: it is in none.
+    integer :: rank_file = -1
+    integer(int64) :: at = 0
+    !> In the old file, from 1; 0: it is not there.
+    integer :: replica = 0, point = 0
+  end type place_type
+
+  !> Where the courses of all tasks are.
+  type :: sources_type
+    private
+    !> (task).
+    type(place_type), allocatable :: place(:)
+    !> What they take at most.
+    type(extents_type) :: most
+    !> The old results file; open if it has something that the journal does not.
+    type(hdf5_file_type) :: file
+    type(courses_type) :: courses
+  end type sources_type
 
 contains
 
-  !> Writes the results file from all that the journal has, and what the file has already; it comes
-  !> back in `results`.
+  !> Writes the results file from all that the journal has, and what the file has already; its
+  !> numbers come back in `results`.
   subroutine merge_results(plan, journal, begun, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
@@ -34,12 +68,33 @@ contains
     !> Why a task failed; not allocated where it did not.
     type(string_type), allocatable, intent(out) :: failures(:)
     type(error_type), allocatable, intent(out) :: error
+    type(sources_type) :: sources
+    type(hdf5_file_type) :: file
     type(metadata_type) :: metadata
+    type(courses_type) :: courses
     integer, allocatable :: wanted(:)
 
-    call collect_results(plan, journal, .true., results, failures, wanted, error)
+    call collect_results(plan, journal, .true., results, failures, wanted, sources, error)
     if (allocated(error)) return
     call forget_unasked(results, wanted)
+    call describe(plan, journal, begun, results, metadata)
+    call create_results(plan%file, results, metadata, file, error)
+    call prepare_courses(file, sources%most, real(plan%series_interval, dp), &
+      real(plan%snapshot_times, dp), courses, error)
+    call move_courses(plan, journal, sources, file, courses, results, error)
+    call close_courses(file, courses, error)
+    call close_sources(sources)
+    call publish_results(plan%file, file, journal%ownership%before, error)
+  end subroutine merge_results
+
+  !> Where the results come from.
+  subroutine describe(plan, journal, begun, results, metadata)
+    type(plan_type), intent(in) :: plan
+    type(journal_type), intent(in) :: journal
+    character(len=*), intent(in) :: begun
+    type(results_type), intent(in) :: results
+    type(metadata_type), intent(out) :: metadata
+
     call add_origin(metadata)
     call add_text(metadata, 'namelist', plan%text)
     call add_text(metadata, 'initial_file_fingerprint', trim(merge(repeat(' ', 16), &
@@ -61,8 +116,7 @@ contains
     metadata%hosts = join(results%host, new_line_character)
     metadata%mpi_ranks = journal%ranks
     metadata%start_time = real(plan%start_time, dp)
-    call write_results(plan%file, results, metadata, journal%ownership%before, error)
-  end subroutine merge_results
+  end subroutine describe
 
   !> Numbers set apart by blanks.
   pure function numbers_text(numbers) result(text)
@@ -77,29 +131,34 @@ contains
     text = join(words, ' ')
   end function numbers_text
 
-  !> All results there are, in the arrays of the results file. A file that is there is read only
-  !> where the journal does not have all.
-  subroutine collect_results(plan, journal, whole, results, failures, wanted, error)
+  !> The numbers of all results there are, and where their courses are. A file that is there is read
+  !> only where the journal does not have all.
+  subroutine collect_results(plan, journal, whole, results, failures, wanted, sources, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    !> Whether points, seeds, series, states and events are collected as well.
+    !> Whether it is for a new file: then points and seeds are filled in, and what has appeared in
+    !> place of the old file is none of the run's business.
     logical, intent(in) :: whole
     type(results_type), intent(out) :: results
     !> Why a task failed, (task); not allocated where it did not.
     type(string_type), allocatable, intent(out) :: failures(:)
     !> Replicas that are asked for, (point).
     integer, allocatable, intent(out) :: wanted(:)
+    !> To be closed with `close_sources`; not open after an error.
+    type(sources_type), intent(out) :: sources
     !> The file is whole, but not what this program writes; one that is damaged is passed over.
     type(error_type), allocatable, intent(out) :: error
-    type(task_result_type), allocatable :: found(:)
+    type(task_result_type) :: found
     type(results_type) :: before
+    type(record_reader_type) :: reader
     type(roster_type) :: roster
     type(task_type) :: task
+    type(place_type) :: place
     integer, allocatable :: files(:)
-    integer :: file, k, r, p
-    logical :: old
+    integer :: k
+    logical :: old, is_one
 
-    allocate (failures(task_count(plan)))
+    allocate (failures(task_count(plan)), sources%place(task_count(plan)))
     call new_results(results, plan%point_count, plan%replicas)
     results%scanned = plan%scanned
     do k = 1, merge(task_count(plan), 0, whole)
@@ -108,89 +167,169 @@ contains
       results%point(task%point)%urn_radius = task%setup%table%urn%radius
       results%seed(task%replica, task%point) = task%setup%seed
     end do
+    sources%most%snapshots = size(plan%snapshot_times)
+    sources%most%replicas = plan%replicas
+    sources%most%points = plan%point_count
     files = rank_files_of(journal)
     if (size(files) > 0 .or. file_exists(plan%file)) roster = roster_of(plan)
-    do file = 1, size(files)
-      call read_rank_file(journal, files(file), found)
-      do k = 1, size(found)
-        call take(found(k))
+    do k = 1, size(files)
+      place%rank_file = files(k)
+      call open_rank_file(journal, files(k), reader)
+      do
+        call next_result(reader, found, place%at, is_one)
+        if (.not. is_one) exit
+        call take(found, place, size(found%series_urn1_number), size(found%snapshots) > 0, &
+          size(found%final_state) > 0)
       end do
+      call close_records(reader)
     end do
     old = file_exists(plan%file)
-    ! What has appeared there since the run began is none of its business.
     if (whole .and. old) old = is_as_seen(plan%file, journal%ownership%before)
     if (old .and. any(results%task_status /= task_complete)) then
-      call read_results(plan%file, whole, before, error)
-      if (allocated(error)) then
-        if (error%code == exit_bad_input) return
+      call open_results(plan%file, sources%file, before, sources%courses, error)
+      if (.not. allocated(error)) then
+        call take_all(before, sources%courses%most)
+      else if (error%code == exit_bad_input) then
+        return
+      else
         deallocate (error)
-        if (allocated(before%seed)) deallocate (before%seed)
       end if
-    end if
-    if (allocated(before%seed)) then
-      do p = 1, size(before%task_status, 2)
-        do r = 1, before%replicas
-          k = number_in(roster, kept_in_results(plan, before%seed(r, p)))
-          if (before%task_status(r, p) == task_complete .and. k > 0) &
-            call take(taken_from(before, task_of(plan, k), r, p))
-        end do
-      end do
     end if
     call decide(plan, results, wanted)
 
   contains
 
-    !> Takes a result if it is one of this plan, and there is none already.
-    subroutine take(one)
+    !> Takes all complete tasks of the old file.
+    subroutine take_all(before, most)
+      type(results_type), intent(in) :: before
+      type(extents_type), intent(in) :: most
+      integer :: r, p
+
+      do p = 1, size(before%task_status, 2)
+        do r = 1, before%replicas
+          if (before%task_status(r, p) /= task_complete) cycle
+          found = numbers_of(before, r, p)
+          found%kept = kept_in_results(plan, before%seed(r, p))
+          call take(found, place_type(replica=r, point=p), most%entries, most%particles &
+            *most%snapshots > 0, most%final_particles > 0)
+        end do
+      end do
+    end subroutine take_all
+
+    !> Takes the numbers of a result if it is one of this plan, and there is none already; notes
+    !> where its course is, and how much that takes.
+    subroutine take(one, place, entries, has_snapshots, has_final_state)
       type(task_result_type), intent(in) :: one
+      type(place_type), intent(in) :: place
+      integer, intent(in) :: entries
+      logical, intent(in) :: has_snapshots, has_final_state
       integer :: number
 
       number = number_in(roster, one%kept)
       if (number == 0) return
       task = task_of(plan, number)
-      if (results%task_status(task%replica, task%point) == task_complete) return
-      call place(plan, one, task, whole, results)
+      associate (p => task%point, r => task%replica, most => sources%most)
+        if (results%task_status(r, p) == task_complete) return
+        results%task_status(r, p) = one%status
+        results%average(r, p, :) = one%measured%average
+        results%error(r, p, :) = one%measured%error
+        results%counted(r, p, :) = one%measured%counted
+        results%counted(r, p, place_of('provenance/host', counted_quantities())) &
+          = place_among(one%host, results%host)
+        most%entries = max(most%entries, entries)
+        if (has_snapshots) most%particles = max(most%particles, task%number)
+        if (has_final_state) most%final_particles = max(most%final_particles, task%number)
+      end associate
+      sources%place(number) = place
       if (allocated(failures(number)%text)) deallocate (failures(number)%text)
       if (one%status == task_failed) failures(number)%text = one%message
     end subroutine take
 
   end subroutine collect_results
 
-  !> The result of a task from the place (r, p) of its results file: `place` the other way round.
-  function taken_from(results, task, r, p) result(found)
+  !> The numbers of a complete task at the place (r, p) of its results file.
+  function numbers_of(results, r, p) result(found)
     type(results_type), intent(in) :: results
-    type(task_type), intent(in) :: task
     integer, intent(in) :: r, p
     type(task_result_type) :: found
-    integer :: n
 
-    found%kept = task%kept
     found%status = task_complete
     found%measured%average = results%average(r, p, :)
     found%measured%error = results%error(r, p, :)
     found%measured%counted = results%counted(r, p, :)
     found%host = results%host(1 + results%counted(r, p, place_of('provenance/host', &
       counted_quantities())))%text
-    allocate (found%series_urn1_number(0), found%snapshots(0), found%final_state(0))
-    if (allocated(results%series_time)) then
-      n = count(results%series_urn1_number(:, r, p) >= 0)
-      found%series_urn1_number = results%series_urn1_number(:n, r, p)
-      found%series_flow = pack(transpose(results%series_flow(:n, r, p, :)), .true.)
-    end if
-    if (allocated(results%snapshots)) found%snapshots = flat(results%snapshots(:task%number, :, r, &
-      p, :))
-    if (allocated(results%final_state)) found%final_state = flat(results%final_state( &
-      :task%number, :, r, p, :))
-  end function taken_from
+  end function numbers_of
 
-  !> States (particle, time, which) as `place_states` takes them.
-  pure function flat(states) result(array)
-    real(dp), intent(in) :: states(:, :, :)
-    real(dp), allocatable :: array(:)
-    integer :: time
+  !> Closes the old results file, if it is open.
+  subroutine close_sources(sources)
+    !> From `collect_results`.
+    type(sources_type), intent(inout) :: sources
 
-    array = [(pack(states(:, time, :), .true.), time=1, size(states, 2))]
-  end function flat
+    call close_results(sources%file, sources%courses)
+  end subroutine close_sources
+
+  !> Moves the course of every task to its place in a new file, in the order of the tasks. Does
+  !> nothing after an error.
+  subroutine move_courses(plan, journal, sources, file, courses, results, error)
+    type(plan_type), intent(in) :: plan
+    type(journal_type), intent(in) :: journal
+    type(sources_type), intent(in) :: sources
+    type(hdf5_file_type), intent(in) :: file
+    type(courses_type), intent(in) :: courses
+    !> With the statuses of the tasks; takes how many were short.
+    type(results_type), intent(inout) :: results
+    type(error_type), allocatable, intent(inout) :: error
+    type(task_result_type) :: found
+    type(record_reader_type) :: reader
+    type(task_type) :: task
+    integer(int64) :: at
+    integer :: k, open_file
+    logical :: is_one
+
+    if (sources%most%entries + sources%most%particles + sources%most%final_particles == 0 .and. &
+      .not. plan%event_log) return
+    open_file = -1
+    do k = 1, task_count(plan)
+      if (allocated(error)) exit
+      task = task_of(plan, k)
+      if (all(results%task_status(task%replica, task%point) /= [task_complete, task_failed])) cycle
+      associate (place => sources%place(k))
+        if (place%replica > 0) then
+          call read_course(sources%file, sources%courses, place%replica, place%point, &
+            task%number, found%course_type, error)
+        else
+          if (place%rank_file /= open_file) then
+            call close_records(reader)
+            call open_rank_file(journal, place%rank_file, reader)
+            open_file = place%rank_file
+          end if
+          reader%at = place%at
+          call next_result(reader, found, at, is_one)
+          if (.not. is_one .or. found%kept /= task%kept) call fatal_error(error, journal%folder &
+            //': the result of task '//to_text(k)//' cannot be read a second time')
+        end if
+      end associate
+      if (allocated(error)) exit
+      call write_course(file, courses, task%replica, task%point, found%course_type, error)
+      if (plan%event_log) call write_events(file, found%course_type, error)
+      if (is_short(found%snapshots, size(plan%snapshot_times))) &
+        results%short_tasks = results%short_tasks + 1
+    end do
+    call close_records(reader)
+  end subroutine move_courses
+
+  !> Whether a run by collisions has ended before the last snapshot: that has no x of the first
+  !> particle.
+  pure logical function is_short(snapshots, times)
+    !> As in a course; how many there are.
+    real(dp), intent(in) :: snapshots(:)
+    integer, intent(in) :: times
+
+    is_short = .false.
+    if (size(snapshots) > 0) is_short = ieee_is_nan(snapshots(1 + size(snapshots)/times &
+      *(times - 1)))
+  end function is_short
 
   !> Replicas that nobody asks for, of points that are decided, are as if they had never been: they
   !> may be left from a run that asked for more.
@@ -207,12 +346,6 @@ contains
         results%average(n:, p, :) = unknown_real()
         results%error(n:, p, :) = unknown_real()
         results%counted(n:, p, :) = unknown_count
-        if (allocated(results%series_flow)) then
-          results%series_urn1_number(:, n:, p) = int(unknown_count)
-          results%series_flow(:, n:, p, :) = unknown_real()
-        end if
-        if (allocated(results%snapshots)) results%snapshots(:, :, n:, p, :) = unknown_real()
-        if (allocated(results%final_state)) results%final_state(:, :, n:, p, :) = unknown_real()
       end associate
     end do
   end subroutine forget_unasked
@@ -229,115 +362,5 @@ contains
     one%text = text
     list = [list, one]
   end function place_among
-
-  !> Puts one result into its place; runs of unequal length leave NaN behind the shorter.
-  subroutine place(plan, found, task, whole, results)
-    type(plan_type), intent(in) :: plan
-    type(task_result_type), intent(in) :: found
-    type(task_type), intent(in) :: task
-    !> Whether series, states and events are placed as well.
-    logical, intent(in) :: whole
-    type(results_type), intent(inout) :: results
-    integer :: entries, k
-
-    associate (p => task%point, r => task%replica)
-      results%task_status(r, p) = found%status
-      results%average(r, p, :) = found%measured%average
-      results%error(r, p, :) = found%measured%error
-      results%counted(r, p, :) = found%measured%counted
-      results%counted(r, p, place_of('provenance/host', counted_quantities())) &
-        = place_among(found%host, results%host)
-      if (.not. whole) return
-      entries = size(found%series_urn1_number)
-      if (entries > 0) then
-        call room_for_series(entries, r, plan, results)
-        results%series_urn1_number(:entries, r, p) = found%series_urn1_number
-        do k = 1, 4
-          results%series_flow(:entries, r, p, k) = found%series_flow(k::4)
-        end do
-      end if
-    end associate
-    if (size(found%snapshots) > 0) then
-      results%snapshot_time = real(plan%snapshot_times, dp)
-      call place_states(plan, found%snapshots, size(plan%snapshot_times), task, results%snapshots)
-    end if
-    if (size(found%final_state) > 0) &
-      call place_states(plan, found%final_state, 1, task, results%final_state)
-    if (plan%event_log) then
-      k = size(found%event_times)
-      results%event_time = found%event_times
-      results%event_kind = found%events(:k)
-      results%event_where = found%events(k + 1:2*k)
-      results%event_particle = found%events(2*k + 1:3*k)
-    end if
-  end subroutine place
-
-  !> Puts the states of a task at `times` times into their places in `states`, where there is room
-  !> for them afterwards.
-  subroutine place_states(plan, flat, times, task, states)
-    type(plan_type), intent(in) :: plan
-    !> One time after the other: x, y, ux, uy of all particles.
-    real(dp), intent(in) :: flat(:)
-    integer, intent(in) :: times
-    type(task_type), intent(in) :: task
-    real(dp), allocatable, intent(inout) :: states(:, :, :, :, :)
-    real(dp), allocatable :: longer(:, :, :, :, :)
-    integer :: n, before(2), time, which
-    integer(int64) :: at
-
-    n = task%number
-    before = 0
-    if (allocated(states)) before = [size(states, 1), size(states, 3)]
-    if (n > before(1) .or. task%replica > before(2)) then
-      allocate (longer(max(n, before(1)), times, room_for_replicas(plan, task%replica, &
-        before(2)), plan%point_count, 4), source=unknown_real())
-      if (allocated(states)) longer(:before(1), :, :before(2), :, :) = states
-      call move_alloc(longer, states)
-    end if
-    at = 0
-    do time = 1, times
-      do which = 1, 4
-        states(:n, time, task%replica, task%point, which) = flat(at + 1:at + n)
-        at = at + n
-      end do
-    end do
-  end subroutine place_states
-
-  !> For how many replicas of a point there should be room where `replica` comes next and there is
-  !> room for `before`: few points get as many as a precision allows.
-  pure integer function room_for_replicas(plan, replica, before) result(room)
-    type(plan_type), intent(in) :: plan
-    integer, intent(in) :: replica, before
-
-    room = before
-    if (replica > before) room = min(plan%replicas, max(replica, plan%first_replicas, &
-      before + before/2))
-  end function room_for_replicas
-
-  !> Series arrays with room for `entries` entries of a replica; keeps what is there.
-  subroutine room_for_series(entries, replica, plan, results)
-    integer, intent(in) :: entries, replica
-    type(plan_type), intent(in) :: plan
-    type(results_type), intent(inout) :: results
-    integer, allocatable :: urn1_number(:, :, :)
-    real(dp), allocatable :: flow(:, :, :, :)
-    integer :: before(2), most, room, k
-
-    before = 0
-    if (allocated(results%series_time)) before = [size(results%series_time), &
-      size(results%series_flow, 2)]
-    if (entries <= before(1) .and. replica <= before(2)) return
-    most = max(entries, before(1))
-    room = room_for_replicas(plan, replica, before(2))
-    allocate (urn1_number(most, room, plan%point_count), source=-1)
-    allocate (flow(most, room, plan%point_count, 4), source=unknown_real())
-    if (allocated(results%series_time)) then
-      urn1_number(:before(1), :before(2), :) = results%series_urn1_number
-      flow(:before(1), :before(2), :, :) = results%series_flow
-    end if
-    call move_alloc(urn1_number, results%series_urn1_number)
-    call move_alloc(flow, results%series_flow)
-    results%series_time = [(real(k - 1, dp)*real(plan%series_interval, dp), k=1, most)]
-  end subroutine room_for_series
 
 end module battery_merge

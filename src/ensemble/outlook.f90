@@ -5,13 +5,12 @@ module battery_outlook
   use battery_clocks, only: cpu_seconds
   use battery_engine, only: particles_type
   use battery_error, only: error_type
-  use battery_limits, only: memory_type, memory_left
   use battery_answer, only: write_plan_answer
-  use battery_needs, only: needs_type, needs_of
+  use battery_memory_estimate, only: estimate_type, estimate_of, bytes_a_rank, bytes_at_the_end
+  use battery_memory_limits, only: memory_type, memory_left, size_text
   use battery_preparation, only: progress_type, look_at_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
-  use battery_room, only: base_bytes, size_text
   use battery_screen, only: duration_text, rate_text
   use battery_signals, only: stop_requested, stopped_before_start
   use battery_simulation, only: simulation_type, begin_simulation, step
@@ -27,9 +26,6 @@ module battery_outlook
   integer, parameter :: most_tries = 5
   real(dp), parameter :: try_seconds = 0.4_dp
 
-  !> Bytes that a process has taken when it asks what is left.
-  real(dp), parameter :: taken = 30.0e6_dp
-
 contains
 
   !> Prints the plan and what it will cost on `ranks` ranks, `sharing` of them on one machine.
@@ -42,7 +38,7 @@ contains
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
-    type(needs_type) :: needs
+    type(estimate_type) :: needs
     type(progress_type) :: progress
     character(len=:), allocatable :: remark
     type(string_type), allocatable :: remarks(:)
@@ -58,7 +54,7 @@ contains
     if (allocated(error)) return
     if (remark /= '') call say(remark)
     left = memory_left(sharing)
-    needs = needs_of(plan, left)
+    needs = estimate_of(plan, left)
     call print_parameters(plan)
     remarks = remarks_of(plan)
     do at = 1, size(remarks)
@@ -76,7 +72,7 @@ contains
     call say('results:    '//plan%file)
     call say('nothing was written')
     call write_plan_answer(json, task_count(plan), size(progress%pending), seconds, &
-      memory_a_rank(needs), error)
+      bytes_a_rank(needs), error)
 
   contains
 
@@ -114,25 +110,17 @@ contains
 
   !> What a rank takes while it runs, what rank 0 takes at the end, and what there is.
   subroutine print_memory(needs, left)
-    type(needs_type), intent(in) :: needs
+    type(estimate_type), intent(in) :: needs
     type(memory_type), intent(in) :: left
 
-    call say('memory:     about '//size_text(memory_a_rank(needs))//' a rank; rank 0 about ' &
-      //size_text(taken + base_bytes + needs%merge)//' at the end; ' &
+    call say('memory:     about '//size_text(bytes_a_rank(needs))//' a rank; rank 0 about ' &
+      //size_text(bytes_at_the_end(needs))//' at the end; ' &
       //'there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
     if (needs%events > 0.0_dp) call say('            events take about '//size_text(needs%events) &
       //' of it; a run whose events outgrow the memory fails')
     if (needs%too_large > 0) call say('            '//counted(needs%too_large, 'point') &
       //' with up to '//to_text(needs%greatest)//' particles need more: their tasks will fail')
   end subroutine print_memory
-
-  !> Bytes that a rank takes while it runs.
-  pure real(dp) function memory_a_rank(needs) result(bytes)
-    type(needs_type), intent(in) :: needs
-
-    bytes = taken + base_bytes + needs%particles + needs%series + needs%estimated_series &
-      + needs%snapshots + needs%final_state + needs%events
-  end function memory_a_rank
 
   subroutine print_parameters(plan)
     type(plan_type), intent(in) :: plan

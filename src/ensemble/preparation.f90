@@ -8,7 +8,7 @@ module battery_preparation
   use battery_journal, only: journal_type, read_plan, kept_in, begin_journal, join_journal, &
     rank_files_in
   use battery_journal_folder, only: check_journal, remove_journal
-  use battery_merge, only: collect_results
+  use battery_merge, only: collect_results, sources_type, close_sources
   use battery_metadata, only: read_metadata
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
@@ -114,6 +114,7 @@ contains
     type(error_type), allocatable :: damage
     type(journal_type) :: journal
     type(results_type) :: results
+    type(sources_type) :: sources
     type(string_type), allocatable :: failures(:)
     integer, allocatable :: wanted(:)
     logical :: found
@@ -125,7 +126,8 @@ contains
     if (.not. allocated(error)) call look_at_journal(plan, progress%complete, found, error)
     if (allocated(error)) return
     call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
-    call collect_results(plan, journal, .false., results, failures, wanted, error)
+    call collect_results(plan, journal, .false., results, failures, wanted, sources, error)
+    call close_sources(sources)
     if (allocated(error)) then
       error%message = error%message//leave_it
       return

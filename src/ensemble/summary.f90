@@ -111,19 +111,9 @@ contains
   !> A run by collisions may end before the time of a snapshot.
   subroutine tell_missing_snapshots(results)
     type(results_type), intent(in) :: results
-    integer :: tasks, p, r
 
-    if (.not. allocated(results%snapshots)) return
-    tasks = 0
-    do p = 1, size(results%point)
-      do r = 1, results%replicas
-        ! No x of the first particle, for as long as the last snapshot has none.
-        if (results%task_status(r, p) == task_complete .and. &
-          ieee_is_nan(results%snapshots(1, size(results%snapshots, 2), r, p, 1))) tasks = tasks + 1
-      end do
-    end do
-    if (tasks > 0) call say(to_text(tasks)//' of the complete tasks ended before the last of ' &
-      //'snapshot_times: what they did not come to is NaN')
+    if (results%short_tasks > 0) call say(to_text(results%short_tasks)//' of the complete tasks ' &
+      //'ended before the last of snapshot_times: what they did not come to is NaN')
   end subroutine tell_missing_snapshots
 
   !> The task that took the most time of a processor.

@@ -2,6 +2,7 @@
 module battery_task_result
   use battery_kinds, only: dp, int32, int64
   use battery_clocks, only: utc_seconds
+  use battery_courses, only: course_type
   use battery_engine, only: particles_type
   use battery_machine, only: machine_text
   use battery_observer, only: measure
@@ -16,8 +17,8 @@ module battery_task_result
   private
   public :: task_result_type, result_of, failed_result, to_record, from_record
 
-  !> What one task has measured, or why it could not.
-  type :: task_result_type
+  !> What one task has measured, with its course, or why it could not.
+  type, extends(course_type) :: task_result_type
     !> Number of the task, from 1, and how it ended.
     integer :: task = 0
     integer :: status = task_not_done
@@ -26,15 +27,6 @@ module battery_task_result
     !> Why it failed, and on which machine it ran.
     character(len=:), allocatable :: message, host
     type(measured_type) :: measured
-    !> Arrays are empty or not allocated where there is nothing; those read back are allocated.
-    !> Series: N1, and flows as (4, entry).
-    integer(int32), allocatable :: series_urn1_number(:)
-    real(dp), allocatable :: series_flow(:)
-    !> Snapshots one after the other: x, y, ux, uy of all particles; the final state likewise.
-    real(dp), allocatable :: snapshots(:), final_state(:)
-    !> Events: kind, where, particle one after the other; times.
-    integer(int32), allocatable :: events(:)
-    real(dp), allocatable :: event_times(:)
   end type task_result_type
 
 contains

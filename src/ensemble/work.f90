@@ -1,18 +1,19 @@
 !> What each rank does in an ensemble: task after task, until none is left or all must stop.
 module battery_work
   use battery_kinds, only: dp, int64
-  use battery_background_sync, only: end_sync
   use battery_clocks, only: wall_seconds, cpu_seconds, utc_seconds, rest
   use battery_communicator, only: board_type, take_task, add_to_board, read_board, help_board, &
     help_interval, tasks_finished, tasks_failed, collisions_done, stop_wanted
   use battery_engine, only: particles_type
+  use battery_engines, only: bytes_a_particle
   use battery_error, only: error_type, exit_failure, exit_stopped_early
-  use battery_journal, only: journal_type, read_state, write_state, write_finished
+  use battery_journal, only: journal_type, read_state, write_state, write_finished, &
+    sync_finished
+  use battery_memory_limits, only: check_memory
   use battery_ownership, only: is_taken_over
   use battery_plan, only: plan_type
   use battery_process, only: leave
   use battery_results, only: task_failed
-  use battery_room, only: check_room, particle_bytes
   use battery_screen, only: screen_type, new_screen, show_ensemble, end_progress
   use battery_signals, only: stop_requested
   use battery_simulation, only: simulation_type, begin_simulation, step, progress, verify
@@ -76,7 +77,7 @@ contains
       call add_to_board(board, tasks_finished, 1_int64)
     end do
     ! All results of this rank must be on the disk.
-    if (.not. allocated(error)) call end_sync(journal%sync, error)
+    if (.not. allocated(error)) call sync_finished(journal, error)
     ! Its rank 0 may be dead: nobody can be told any more.
     if (allocated(error) .and. is_taken_over(journal%ownership)) then
       call complain(error%message)
@@ -221,7 +222,7 @@ contains
     logical :: resumed
 
     cpu_before = 0.0_dp
-    call check_room(particle_bytes(task%setup%engine, task%number), to_text(task%number) &
+    call check_memory(bytes_a_particle(task%setup%engine)*task%number, to_text(task%number) &
       //' particles', error)
     if (allocated(error)) return
     call read_state(journal, task, simulation, cpu_before, resumed, error)

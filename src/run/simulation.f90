@@ -13,10 +13,10 @@ module battery_simulation
   use battery_history, only: history_type
   use battery_observer, only: end_series, observer_type, new_observer, observe, &
     begin_measuring, pass_observer
-  use battery_engines, only: new_engine, refusal
+  use battery_engines, only: new_engine, refusal, bytes_a_particle
   use battery_event_log, only: event_log_type, append_events, pass_events
   use battery_stream, only: stream_type
-  use battery_room, only: check_room, enough_room, particle_bytes, bytes_an_entry, bytes_a_state, &
+  use battery_memory_limits, only: check_memory, enough_memory, bytes_an_entry, bytes_a_state, &
     bytes_an_event
   implicit none (type, external)
   private
@@ -161,11 +161,11 @@ contains
     real(dp) :: bytes
 
     associate (setup => simulation%setup, number => simulation%observer%number)
-      bytes = particle_bytes(setup%engine, number) - there*number &
+      bytes = (bytes_a_particle(setup%engine) - there)*number &
         + bytes_a_state*size(setup%snapshot_times)*number
       if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
         bytes = bytes + bytes_an_entry*real(setup%duration/setup%series_interval, dp)
-      call check_room(bytes, 'the engine of '//to_text(number) &
+      call check_memory(bytes, 'the engine of '//to_text(number) &
         //' particles and what is kept of them', error)
     end associate
   end subroutine check_rest
@@ -179,7 +179,7 @@ contains
         .not. (s%out_of_room .or. s%observer%out_of_room)) return
       s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. &
         max(s%observer%entries, s%events%count) > most_kept
-      if (.not. s%out_of_room) s%out_of_room = .not. enough_room(2.0_dp &
+      if (.not. s%out_of_room) s%out_of_room = .not. enough_memory(2.0_dp &
         *(bytes_an_entry*s%observer%entries + bytes_an_event*s%events%count))
       s%sure_room = 2*s%sure_room
       if (s%out_of_room) s%done = .true.

@@ -25,8 +25,17 @@ module battery_hdf5_datasets
   implicit none (type, external)
   private
   public :: pass_dataset, write_dataset, write_scale, write_dimension, extents_of
+  public :: dataset_type, prepare_dataset, pass_column, release_dataset
 
-  !> Datasets above so many bytes are compressed, in pieces of at most as many.
+  !> A dataset whose columns are passed one by one.
+  type :: dataset_type
+    private
+    character(len=:), allocatable :: path
+    integer(hid_t) :: id = no_handle
+  end type dataset_type
+
+  !> Datasets above so many bytes are compressed, in pieces of at most as many: HDF5 keeps a piece
+  !> in memory that is no larger than that.
   integer(int64), parameter :: large = 1024_int64**2
   integer, parameter :: deflate_level = 4
 
@@ -52,11 +61,9 @@ module battery_hdf5_datasets
 
 contains
 
-  !> A dataset, into a new file or out of one that is read, so that one procedure says what is in
-  !> both. The values may be the first of it alone, in every dimension: then the others are not
-  !> known, and a large dataset has no room for them. A dataset of which nothing is read is checked
-  !> all the same. Does nothing after an error.
-  subroutine pass_dataset(file, path, values, units, long_name, error, scales, extents, unknown)
+  !> A dataset whole, into a new file or out of one that is read, so that one procedure says what is
+  !> in both. Does nothing after an error.
+  subroutine pass_dataset(file, path, values, units, long_name, error, scales)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
     !> From the root.
@@ -68,36 +75,21 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     !> Paths of its dimension scales, in Fortran order.
     character(len=*), intent(in) :: scales(:)
-    !> Extents of the dataset in Fortran order; absent: those of the values.
-    integer, intent(in), optional :: extents(:)
-    !> What stands for a value that is not known, of the kind of the values; beside `extents`.
-    type(*), intent(in), target, optional :: unknown
     type(memory_type) :: memory
-    integer(hsize_t), allocatable :: whole(:)
-    integer(hid_t) :: dataset, space, part
+    integer(hid_t) :: dataset
     integer :: status
 
     memory = memory_of(values)
-    whole = memory%extents
-    if (present(extents)) whole = int(extents, hsize_t)
     if (allocated(error)) then
       return
     else if (file%is_new) then
-      if (present(unknown)) then
-        call write_memory(file, path, memory, units, long_name, error, scales, whole=whole, &
-          unknown=c_loc(unknown))
-      else
-        call write_memory(file, path, memory, units, long_name, error, scales)
-      end if
+      call write_memory(file, path, memory, units, long_name, error, scales)
     else
       call open_dataset(file, path, dataset, error)
-      call check_form(file, path, dataset, memory%value_type, whole, error)
+      call check_form(file, path, dataset, memory%value_type, memory%extents, error)
+      status = 0
       if (.not. allocated(error) .and. product(memory%extents) > 0) then
-        call select_first(whole, memory%extents, space, part, status)
-        if (status == 0) call h5dread_f(dataset, memory%value_type, memory%address, status, part, &
-          space)
-        call release(part, status)
-        call release(space, status)
+        call h5dread_f(dataset, memory%value_type, memory%address, status)
         call check(file, path, 'cannot be read', status, error)
       end if
       status = 0
@@ -105,21 +97,94 @@ contains
     end if
   end subroutine pass_dataset
 
-  !> The first of a dataset in every dimension, as a space of its own and as a part of the whole.
-  subroutine select_first(whole, first, space, part, status)
-    !> Extents of the dataset, and how many of each.
-    integer(hsize_t), intent(in) :: whole(:), first(:)
-    !> To be released.
-    integer(hid_t), intent(out) :: space, part
-    integer, intent(out) :: status
-    integer :: k
+  !> Makes a dataset of a new file, where nothing is known yet, or opens one of a file that is read
+  !> and checks it, so that one procedure says what is in both; then columns are passed one by one.
+  !> Does nothing after an error.
+  subroutine prepare_dataset(file, path, extents, unknown, units, long_name, error, scales, dataset)
+    !> Open.
+    type(hdf5_file_type), intent(in) :: file
+    !> From the root.
+    character(len=*), intent(in) :: path
+    !> In Fortran order.
+    integer, intent(in) :: extents(:)
+    !> One value, of the type of all, that stands for those that are not known.
+    type(*), intent(in), target, contiguous :: unknown(..)
+    !> Attributes of the same names, of a new file.
+    character(len=*), intent(in) :: units, long_name
+    type(error_type), allocatable, intent(inout) :: error
+    !> Paths of its dimension scales, in Fortran order.
+    character(len=*), intent(in) :: scales(:)
+    !> To be released with `release_dataset`.
+    type(dataset_type), intent(inout) :: dataset
+    type(memory_type) :: memory
 
+    if (allocated(error)) return
+    dataset%path = path
+    memory = memory_of(unknown)
+    memory%extents = int(extents, hsize_t)
+    if (file%is_new) then
+      call write_memory(file, path, memory, units, long_name, error, scales, prepared=dataset)
+    else
+      call open_dataset(file, path, dataset%id, error)
+      call check_form(file, path, dataset%id, memory%value_type, memory%extents, error)
+    end if
+  end subroutine prepare_dataset
+
+  !> A column, values along the first dimension, into a dataset of a new file or out of one that is
+  !> read. Columns in the order of the dataset fill its pieces one after the other: each is
+  !> compressed once, when HDF5, which keeps one in memory, comes to the next. Does nothing after an
+  !> error.
+  subroutine pass_column(file, dataset, values, first, error)
+    !> Open.
+    type(hdf5_file_type), intent(in) :: file
+    !> From `prepare_dataset`.
+    type(dataset_type), intent(in) :: dataset
+    !> As `memory_of` takes them; one dimension.
+    type(*), intent(inout), target, contiguous :: values(..)
+    !> Where the first of them stands, from 1.
+    integer, intent(in) :: first(:)
+    type(error_type), allocatable, intent(inout) :: error
+    type(memory_type) :: memory
+    integer(hsize_t) :: extents(size(first))
+    integer(hid_t) :: space, part
+    integer :: status
+
+    memory = memory_of(values)
+    if (allocated(error) .or. product(memory%extents) == 0) return
+    extents = 1
+    extents(1) = product(memory%extents)
+    space = no_handle
     part = no_handle
-    call h5screate_simple_f(size(whole), whole, space, status)
-    if (status == 0) call h5screate_simple_f(size(first), first, part, status)
-    if (status == 0 .and. any(first < whole)) call h5sselect_hyperslab_f(space, h5s_select_set_f, &
-      [(0_hsize_t, k=1, size(first))], first, status)
-  end subroutine select_first
+    call h5dget_space_f(dataset%id, space, status)
+    if (status == 0) call h5sselect_hyperslab_f(space, h5s_select_set_f, &
+      int(first - 1, hsize_t), extents, status)
+    if (status == 0) call h5screate_simple_f(1, extents(:1), part, status)
+    if (status == 0 .and. file%is_new) then
+      call h5dwrite_f(dataset%id, memory%value_type, memory%address, status, part, space)
+    else if (status == 0) then
+      call h5dread_f(dataset%id, memory%value_type, memory%address, status, part, space)
+    end if
+    call release(part, status)
+    call release(space, status)
+    call check(file, dataset%path, merge('cannot be written', 'cannot be read   ', file%is_new), &
+      status, error)
+  end subroutine pass_column
+
+  !> Closes a dataset; one that is not open is no error.
+  subroutine release_dataset(file, dataset, error)
+    !> In which it is, still open.
+    type(hdf5_file_type), intent(in) :: file
+    type(dataset_type), intent(inout) :: dataset
+    !> What was written last may not have been brought into the file. Stays as it is after an error.
+    type(error_type), allocatable, intent(inout) :: error
+    integer :: status
+
+    status = 0
+    call release(dataset%id, status)
+    dataset%id = no_handle
+    if (.not. allocated(error) .and. allocated(dataset%path)) &
+      call check(file, dataset%path, 'cannot be closed', status, error)
+  end subroutine release_dataset
 
   !> Opens a dataset that lies in the file itself, whole or in pieces of which none is large, and
   !> is made by no filter but those that `new_layout` uses. Asks for all that before anything else:
@@ -348,40 +413,38 @@ contains
   end subroutine write_dimension
 
   !> A new dataset from values in memory, or without values if their address is null. A scale if it
-  !> has a name as one. Of a `whole` that is larger, the values are the first.
-  subroutine write_memory(file, path, memory, units, long_name, error, scales, scale_name, whole, &
-    unknown)
+  !> has a name as one. One that is prepared stays open, and what stands in memory fills it.
+  subroutine write_memory(file, path, memory, units, long_name, error, scales, scale_name, prepared)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, units, long_name
     type(memory_type), intent(in) :: memory
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), intent(in), optional :: scales(:), scale_name
-    !> Extents of the dataset, and where what fills it stands.
-    integer(hsize_t), intent(in), optional :: whole(:)
-    type(c_ptr), intent(in), optional :: unknown
-    integer(hsize_t), allocatable :: extents(:)
-    integer(hid_t) :: space, part, layout, dataset
+    type(dataset_type), intent(inout), optional :: prepared
+    integer(hid_t) :: space, layout, dataset
     integer :: status
 
     if (allocated(error)) return
     layout = no_handle
     dataset = no_handle
-    extents = memory%extents
-    if (present(whole)) extents = whole
-    call select_first(extents, memory%extents, space, part, status)
-    if (status == 0) call new_layout(memory, extents, layout, status)
-    if (status == 0 .and. any(extents > memory%extents) .and. present(unknown)) &
-      call h5pset_fill_value_f(layout, memory%value_type, unknown, status)
+    call h5screate_simple_f(size(memory%extents), memory%extents, space, status)
+    if (status == 0) call new_layout(memory, layout, status)
+    if (status == 0 .and. present(prepared)) &
+      call h5pset_fill_value_f(layout, memory%value_type, memory%address, status)
     if (status == 0) call h5dcreate_f(file%id, path, memory%value_type, space, dataset, status, &
       dcpl_id=layout)
-    if (status == 0 .and. c_associated(memory%address) .and. product(memory%extents) > 0) &
-      call h5dwrite_f(dataset, memory%value_type, memory%address, status, part, space)
+    if (status == 0 .and. .not. present(prepared) .and. c_associated(memory%address) &
+      .and. product(memory%extents) > 0) &
+      call h5dwrite_f(dataset, memory%value_type, memory%address, status)
     if (present(scale_name) .and. status == 0) &
       status = c_set_scale(dataset, scale_name//c_null_char)
     if (present(scales)) call attach_scales(file, dataset, scales, status)
-    call release(dataset, status)
+    if (present(prepared)) then
+      prepared%id = dataset
+    else
+      call release(dataset, status)
+    end if
     call release(layout, status)
-    call release(part, status)
     call release(space, status)
     call check(file, path, 'cannot be written', status, error)
     call write_text(file, path, 'units', units, error)
@@ -407,13 +470,12 @@ contains
   end subroutine attach_scales
 
   !> How a dataset lies in the file: as it is, or, if large, in compressed pieces.
-  subroutine new_layout(memory, extents, layout, status)
+  subroutine new_layout(memory, layout, status)
+    !> With the extents of the dataset.
     type(memory_type), intent(in) :: memory
-    !> Of the dataset.
-    integer(hsize_t), intent(in) :: extents(:)
     integer(hid_t), intent(out) :: layout
     integer, intent(out) :: status
-    integer(hsize_t) :: piece(size(extents))
+    integer(hsize_t) :: piece(size(memory%extents))
     integer(size_t) :: bytes
     integer :: k
     logical :: can_deflate
@@ -422,7 +484,7 @@ contains
     call h5pcreate_f(h5p_dataset_create_f, layout, status)
     if (status == 0) call h5tget_size_f(memory%value_type, bytes, status)
     if (status /= 0 .or. .not. c_associated(memory%address)) return
-    piece = extents
+    piece = memory%extents
     if (product(piece)*bytes <= large) return
     call h5zfilter_avail_f(h5z_filter_deflate_f, can_deflate, status)
     if (status /= 0 .or. .not. can_deflate) return

@@ -4,14 +4,14 @@
 !> absolute, the groups on its way are there already. An error names the file and the path.
 !>
 !> A new file is made in memory and written to the disk when it is closed: after a write that failed
-!> HDF5 crashes at the end of the program, and it locks files, which some network disks refuse.
-!> Behind it comes its seal.
+!> HDF5 crashes when it closes the file, and it locks files, which some network disks refuse. Its
+!> bytes go to the disk from where HDF5 has them, its seal behind them.
 !>
 !> A file that is read may be of anyone, since its seal has no secret: nothing is opened in it
 !> before `check_links` found that it lies in this file, and no filter is loaded from elsewhere.
 module battery_hdf5_file
-  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_loc, c_null_char, c_null_ptr, &
-    c_ptr, c_size_t
+  use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_f_pointer, c_int, c_int64_t, &
+    c_null_char, c_null_ptr, c_ptr, c_size_t
   ! A compiler without the switches of fpm.rsp shows the next line, and stops.
   use hdf5, only: & ! type "fpm @release": "fpm build" alone has no switches (docs/install.md)
     hid_t, size_t, h5get_libversion_f, h5open_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, &
@@ -27,7 +27,8 @@ module battery_hdf5_file
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: hdf5_file_type, create_file, open_file, close_file, make_group
+  public :: hdf5_file_type, create_file, open_file, close_file, discard_file
+  public :: make_group
   public :: release, check, check_links, no_handle, hdf5_library
 
   !> What a handle is before HDF5 gives one.
@@ -63,6 +64,15 @@ module battery_hdf5_file
       type(c_ptr), value, intent(in) :: buffer
       integer(c_size_t), value, intent(in) :: length
     end function link_value
+
+    !> What the way in which a file is kept has for a handle; of a file in memory, where the address
+    !> of its bytes stands. There is no procedure of it in Fortran in all versions of HDF5.
+    integer(c_int) function get_handle(file, access, handle) bind(c, name='H5Fget_vfd_handle')
+      import :: c_int, c_ptr, c_int64_t
+      implicit none (type, external)
+      integer(c_int64_t), value, intent(in) :: file, access
+      type(c_ptr), intent(out) :: handle
+    end function get_handle
   end interface
 
 contains
@@ -146,43 +156,60 @@ contains
     !> Open.
     type(hdf5_file_type), intent(inout) :: file
     type(error_type), allocatable, intent(out) :: error
-    integer(int8), allocatable :: image(:)
+    integer(int8), pointer, contiguous :: image(:)
     integer :: status
 
     if (file%id < 0) return
     status = 0
     if (file%is_new) call get_image(file, image, status)
+    if (file%is_new .and. status == 0) call write_image(file%name, image, error)
     call release(file%id, status)
     file%id = no_handle
-    if (status /= 0) then
+    if (status /= 0 .and. .not. allocated(error)) &
       call fatal_error(error, file%name//': cannot be closed')
-    else if (file%is_new) then
-      call write_image(file%name, image, error)
-    end if
   end subroutine close_file
 
-  !> The bytes of a file that is in memory.
+  !> Closes a new file that is not to come to the disk.
+  subroutine discard_file(file)
+    !> Open.
+    type(hdf5_file_type), intent(inout) :: file
+    integer :: unheeded
+
+    unheeded = 0
+    call release(file%id, unheeded)
+    file%id = no_handle
+  end subroutine discard_file
+
+  !> The bytes of a file that is in memory, where HDF5 has them.
   subroutine get_image(file, image, status)
     type(hdf5_file_type), intent(in) :: file
-    integer(int8), allocatable, target, intent(out) :: image(:)
+    !> As long as the file is open and nothing is written to it.
+    integer(int8), pointer, contiguous, intent(out) :: image(:)
     integer, intent(out) :: status
     integer(size_t) :: bytes
-    type(c_ptr) :: address
+    type(c_ptr) :: handle
+    type(c_ptr), pointer :: memory
 
+    nullify (image)
     bytes = 0
-    address = c_null_ptr
+    handle = c_null_ptr
     call h5fflush_f(file%id, h5f_scope_global_f, status)
-    if (status == 0) call h5fget_file_image_f(file%id, address, 0_size_t, status, bytes)
-    allocate (image(bytes))
-    address = c_loc(image)
-    if (status == 0) call h5fget_file_image_f(file%id, address, bytes, status)
+    if (status == 0) call h5fget_file_image_f(file%id, handle, 0_size_t, status, bytes)
+    if (status == 0) &
+      status = get_handle(int(file%id, c_int64_t), int(h5p_default_f, c_int64_t), handle)
+    if (status /= 0 .or. .not. c_associated(handle)) then
+      status = -1
+      return
+    end if
+    call c_f_pointer(handle, memory)
+    call c_f_pointer(memory, image, [bytes])
   end subroutine get_image
 
   !> Writes bytes to a file that is made anew, their seal last. Its size is asked for in the end,
   !> since the runtime library reports no failure of what it has buffered.
   subroutine write_image(name, image, error)
     character(len=*), intent(in) :: name
-    integer(int8), intent(in) :: image(:)
+    integer(int8), intent(in), contiguous :: image(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=256) :: reason
     character(len=seal_length) :: seal

@@ -11,7 +11,8 @@ module battery_record_file
   use battery_paths, only: is_file
   implicit none (type, external)
   private
-  public :: record_type, append_record, read_records, write_single, read_single
+  public :: record_type, append_record, write_single, read_single
+  public :: record_reader_type, open_records, next_record, close_records
 
   !> What is kept in one piece.
   type :: record_type
@@ -23,6 +24,14 @@ module battery_record_file
     integer(int64) :: generation = 0
     integer(int64), allocatable :: word(:)
   end type record_type
+
+  !> A file that is read record by record: no more than one of them is in memory.
+  type :: record_reader_type
+    !> Bytes of the file before the next record; it may be set to where one began.
+    integer(int64) :: at = 0
+    integer, private :: unit = 0
+    logical, private :: is_open = .false.
+  end type record_reader_type
 
   !> First word of every record.
   integer(int64), parameter :: mark = int(z'6261747465727932', int64)
@@ -78,61 +87,45 @@ contains
     end if
   end subroutine append_record
 
-  !> All good records of a file, in their order, and the length of its good part in bytes; none if
-  !> there is no such file.
-  subroutine read_records(name, records, good_size, most)
+  !> Opens a file to be read from its beginning; where there is none it has no records.
+  subroutine open_records(reader, name)
+    !> To be closed with `close_records`.
+    type(record_reader_type), intent(out) :: reader
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> From the beginning of the file.
-    type(record_type), allocatable, intent(out) :: records(:)
-    !> 0 if there is nothing good.
-    integer(int64), intent(out) :: good_size
-    !> Records after which no more are read; absent: none.
-    integer, intent(in), optional :: most
-    integer :: unit, status, count
-    integer(int64) :: head(head_size), sum
-    integer(int64), allocatable :: word(:)
-    logical :: good
+    integer :: status
 
-    allocate (records(0))
-    good_size = 0
     if (.not. is_file(name)) return
-    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
+    open (newunit=reader%unit, file=name, access='stream', form='unformatted', action='read', &
       status='old', iostat=status)
-    if (status /= 0) return
-    count = 0
-    do
-      if (present(most)) then
-        if (count == most) exit
-      end if
-      call read_record(unit, good_size, head, sum, good, word)
-      if (.not. good) exit
-      if (count == size(records)) call resize(max(16, 2*count))
-      count = count + 1
-      records(count)%owner = head(2)
-      records(count)%tag = head(3)
-      records(count)%generation = head(4)
-      call move_alloc(word, records(count)%word)
-    end do
-    close (unit)
-    call resize(count)
+    reader%is_open = status == 0
+  end subroutine open_records
 
-  contains
+  !> The record that begins at `reader%at`, which is moved behind it.
+  subroutine next_record(reader, record, found)
+    !> Open, or of a file that is not there.
+    type(record_reader_type), intent(inout) :: reader
+    type(record_type), intent(out) :: record
+    !> Whether there is a good one; where not, nothing moves.
+    logical, intent(out) :: found
+    integer(int64) :: head(head_size), sum
 
-    !> Gives the list room for so many, without a copy of their words.
-    subroutine resize(room)
-      integer, intent(in) :: room
-      type(record_type), allocatable :: resized(:)
-      integer :: k
+    found = .false.
+    if (reader%is_open) call read_record(reader%unit, reader%at, head, sum, found, record%word)
+    if (.not. found) return
+    record%owner = head(2)
+    record%tag = head(3)
+    record%generation = head(4)
+  end subroutine next_record
 
-      allocate (resized(room))
-      do k = 1, count
-        call move_record(records(k), resized(k))
-      end do
-      call move_alloc(resized, records)
-    end subroutine resize
+  !> Closes a file of records; one that is not open is no error.
+  subroutine close_records(reader)
+    !> Not open afterwards.
+    type(record_reader_type), intent(inout) :: reader
 
-  end subroutine read_records
+    if (reader%is_open) close (reader%unit)
+    reader = record_reader_type()
+  end subroutine close_records
 
   !> The record that begins after `at` bytes; moves `at` behind it. It is read in pieces: where only
   !> its checksum is asked for, a large one may be more than there is memory for.
@@ -197,23 +190,11 @@ contains
     character(len=*), intent(in) :: name
     type(record_type), intent(out) :: record
     logical, intent(out) :: found
-    type(record_type), allocatable :: records(:)
-    integer(int64) :: good_size
+    type(record_reader_type) :: reader
 
-    call read_records(name, records, good_size, most=1)
-    found = size(records) == 1
-    if (found) call move_record(records(1), record)
+    call open_records(reader, name)
+    call next_record(reader, record, found)
+    call close_records(reader)
   end subroutine read_single
-
-  !> Moves a record to `to` without a copy of its words.
-  pure subroutine move_record(from, to)
-    type(record_type), intent(inout) :: from
-    type(record_type), intent(out) :: to
-
-    to%owner = from%owner
-    to%tag = from%tag
-    to%generation = from%generation
-    call move_alloc(from%word, to%word)
-  end subroutine move_record
 
 end module battery_record_file

@@ -1,4 +1,5 @@
-!> All that a scan has measured, in arrays: one entry a point of the scan and a replica.
+!> The numbers that a scan has measured, in arrays: one entry a point of the scan and a replica.
+!> Series, states and events, which are large, are not here (`battery_courses`).
 !>
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
@@ -42,23 +43,8 @@ module battery_results
     !> replicas of chi and polarised_current, (point, which).
     integer(int32), allocatable :: point_status(:)
     real(dp), allocatable :: replica_error(:, :)
-
-    !> Of what follows only the first replicas need be there: of the others nothing is known.
-    !> Series, if asked for: times since the start; N1 as (time, replica, point); crossings per unit
-    !> time since the entry before as (time, replica, point, which), which is 1_12, 1_21, 2_12,
-    !> 2_21.
-    real(dp), allocatable :: series_time(:)
-    integer(int32), allocatable :: series_urn1_number(:, :, :)
-    real(dp), allocatable :: series_flow(:, :, :, :)
-    !> Snapshots, if asked for: times since the start; positions and velocities as (particle,
-    !> snapshot, replica, point, which), which is x, y, ux, uy.
-    real(dp), allocatable :: snapshot_time(:)
-    real(dp), allocatable :: snapshots(:, :, :, :, :)
-    !> Event log of the only task, if asked for.
-    real(dp), allocatable :: event_time(:)
-    integer(int32), allocatable :: event_kind(:), event_where(:), event_particle(:)
-    !> Final state, if asked for: as a single snapshot.
-    real(dp), allocatable :: final_state(:, :, :, :, :)
+    !> Complete tasks that ended before the last snapshot.
+    integer :: short_tasks = 0
   end type results_type
 
 contains

@@ -1,82 +1,104 @@
-!> The results file: what `battery_results` holds, by name, with units and named dimensions.
+!> The results file: what `battery_results` and `battery_courses` hold, by name, with units and
+!> named dimensions.
 !>
-!> It is written whole under another name, read back and compared with its seal, and then renamed,
-!> so that there is always either the old file or the new one. Not known are NaN and, where an
-!> attribute `_FillValue` says so, -1.
+!> It is made in memory (`create_results`), where it is compressed; then the course of each task
+!> goes straight into its datasets, from the journal or from the file of before (`open_results`).
+!> `publish_results` writes it whole under another name, reads it back and compares it with its
+!> seal, and renames it, so that there is always either the old file or the new one. Not known are
+!> NaN and, where an attribute `_FillValue` says so, -1.
 module battery_results_file
-  use battery_kinds, only: wp, dp, int32, int64
+  use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_files, only: seen_type, sync_file, put_in_place, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, make_group, check
+  use battery_courses, only: courses_type, extents_type, prepare_courses, close_courses, &
+    write_count, by_task
+  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, discard_file, &
+    make_group, check, no_handle
   use battery_hdf5_attributes, only: read_text, write_attribute, write_text
-  use battery_hdf5_datasets, only: pass_dataset, write_dataset, write_scale, &
-    write_dimension, extents_of
+  use battery_hdf5_datasets, only: pass_dataset, write_dataset, write_scale, extents_of
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
-    flow_names, unknown_count, unknown_real
+    unknown_count
   use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
     task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
     point_undecided
+  use battery_memory_limits, only: check_memory, bytes_a_task, bytes_an_entry, bytes_a_state, &
+    most_numbers
   use battery_metadata, only: metadata_type, write_metadata
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type, point_type, point_of, setup_of
-  use battery_room, only: check_room, bytes_a_task, merged_entry, merged_state, most_numbers
   use battery_simulation, only: setup_type
   use battery_seal, only: check_seal
   use battery_table, only: gated, ungated
   use battery_text, only: lines_of, to_text
   implicit none (type, external)
   private
-  public :: write_results, read_results
+  public :: create_results, publish_results, open_results, close_results
 
   !> Paths of the dimension scales, in Fortran order.
   character(len=*), parameter :: by_point(*) = ['/point']
   character(len=*), parameter :: by_gate(*) = [character(len=6) :: '/gate', '/point']
   character(len=*), parameter :: by_urn(*) = [character(len=6) :: '/urn', '/point']
-  character(len=*), parameter :: by_task(*) = [character(len=8) :: '/replica', '/point']
-
-  !> What times and numbers of particles mean.
-  character(len=*), parameter :: since_start = 'time since the start'
-  character(len=*), parameter :: in_order = 'particle, from 1, in the order of the initial file'
 
 contains
 
-  !> Writes the file `name`, replacing what was there before; on an error that stays as it was. If
-  !> something else is there by now, the results stay in `name.part`.
-  subroutine write_results(name, results, metadata, before, error)
+  !> Makes a file with all but courses, in memory; `publish_results` must follow.
+  subroutine create_results(name, results, metadata, file, error)
+    !> Of the results file.
     character(len=*), intent(in) :: name
+    !> Stays as it is.
     type(results_type), intent(inout) :: results
     type(metadata_type), intent(in) :: metadata
-    !> What may be replaced.
-    type(seen_type), intent(in) :: before
+    !> Open; or not, where the file cannot be made.
+    type(hdf5_file_type), intent(out) :: file
     type(error_type), allocatable, intent(out) :: error
-    type(error_type), allocatable :: other
-    type(hdf5_file_type) :: file
-    character(len=:), allocatable :: temporary
 
-    temporary = name//'.part'
-    call create_file(file, temporary, error)
+    call create_file(file, temporary(name), error)
     if (allocated(error)) return
     call write_metadata(file, metadata, error)
     call write_scan(file, results, error)
     call write_points(file, results, error)
     call pass_measured(file, results, error)
     call write_precision(file, results, error)
-    call pass_series(file, results, error)
-    call pass_states(file, results, error)
-    call write_events(file, results, error)
-    call close_file(file, other)
-    if (.not. allocated(error)) call move_alloc(other, error)
-    if (.not. allocated(error)) call check_seal(temporary, error)
-    if (.not. allocated(error)) call sync_file(temporary, error)
+  end subroutine create_results
+
+  !> Puts a file that was made in the place of what was there before; after an error that stays as
+  !> it was. If something else is there by now, the results stay in `name.part`.
+  subroutine publish_results(name, file, before, error)
+    !> Of the results file.
+    character(len=*), intent(in) :: name
+    !> From `create_results`.
+    type(hdf5_file_type), intent(inout) :: file
+    !> What may be replaced.
+    type(seen_type), intent(in) :: before
+    !> After an error while it was filled it is not published.
+    type(error_type), allocatable, intent(inout) :: error
+    type(error_type), allocatable :: other
+
+    if (file%id == no_handle) return
     if (allocated(error)) then
-      call remove_file(temporary, other)
+      call discard_file(file)
     else
-      call put_in_place(temporary, name, before, error)
+      call close_file(file, error)
+      if (.not. allocated(error)) call check_seal(temporary(name), error)
+      if (.not. allocated(error)) call sync_file(temporary(name), error)
     end if
-  end subroutine write_results
+    if (allocated(error)) then
+      call remove_file(temporary(name), other)
+    else
+      call put_in_place(temporary(name), name, before, error)
+    end if
+  end subroutine publish_results
+
+  !> Under which name a results file is written.
+  pure function temporary(name)
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: temporary
+
+    temporary = name//'.part'
+  end function temporary
 
   !> The grid of the scan: its keys in the attribute `scan` of the root, the slowest first, and the
   !> values of each in the group of that name.
@@ -101,19 +123,19 @@ contains
     call write_text(file, '/', 'scan', names(2:), error)
   end subroutine write_scan
 
-  !> Reads what `write_results` wrote but for points and events, once its seal was found right. The
-  !> file may be of anyone: what it must have follows from the namelist in it, and anything else is
-  !> refused with the code `exit_bad_input`, also in what is not read. A file of another version has
-  !> its own datasets; it is an error of the code `exit_failure`, as a damaged one.
-  subroutine read_results(name, whole, results, error)
+  !> Opens a results file and reads its numbers, but for points, once its seal was found right; its
+  !> courses are read one by one (`read_course`). The file may be of anyone: what it must have
+  !> follows from the namelist in it, and anything else is refused with the code `exit_bad_input`,
+  !> also in what is not read. A file of another version has its own datasets; it is an error of the
+  !> code `exit_failure`, as a damaged one.
+  subroutine open_results(name, file, results, courses, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> Whether series and states are read as well.
-    logical, intent(in) :: whole
+    !> To be closed with `close_results`; not open after an error.
+    type(hdf5_file_type), intent(out) :: file
     type(results_type), intent(out) :: results
+    type(courses_type), intent(out) :: courses
     type(error_type), allocatable, intent(out) :: error
-    type(error_type), allocatable :: other
-    type(hdf5_file_type) :: file
     type(plan_type) :: plan
 
     call check_seal(name, error)
@@ -121,10 +143,22 @@ contains
     if (allocated(error)) return
     call read_plan(file, plan, error)
     if (.not. allocated(error)) call read_tasks(file, plan, results, error)
-    if (.not. allocated(error)) call read_courses(file, plan, whole, results, error)
-    call close_file(file, other)
-    if (.not. allocated(error)) call move_alloc(other, error)
-  end subroutine read_results
+    if (.not. allocated(error)) call open_courses(file, plan, results, courses, error)
+    if (allocated(error)) call close_results(file, courses)
+  end subroutine open_results
+
+  !> Closes a results file that was read; one that is not open is no error.
+  subroutine close_results(file, courses)
+    !> From `open_results`.
+    type(hdf5_file_type), intent(inout) :: file
+    type(courses_type), intent(inout) :: courses
+    !> Nothing is lost that was not read.
+    type(error_type), allocatable :: unheeded
+
+    if (file%id == no_handle) return
+    call close_courses(file, courses, unheeded)
+    call close_file(file, unheeded)
+  end subroutine close_results
 
   !> The plan that a file was made from, by this version.
   subroutine read_plan(file, plan, error)
@@ -158,7 +192,7 @@ contains
     character(len=:), allocatable :: hosts
     integer :: p, r, host
 
-    call check_memory(bytes_a_task*plan%point_count*plan%replicas, 'tasks', file, error)
+    call check_memory_of(bytes_a_task*plan%point_count*plan%replicas, 'tasks', file, error)
     if (allocated(error)) return
     call new_results(results, plan%point_count, plan%replicas)
     call pass_measured(file, results, error)
@@ -184,24 +218,21 @@ contains
     end do
   end subroutine read_tasks
 
-  !> Series and states of those replicas that any point has complete; of the others nothing is
-  !> known. What is not read is checked all the same.
-  subroutine read_courses(file, plan, whole, results, error)
+  !> Opens series and states, if any task is complete, and checks that there is memory for those of
+  !> one task.
+  subroutine open_courses(file, plan, results, courses, error)
     type(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
-    logical, intent(in) :: whole
-    type(results_type), intent(inout) :: results
+    type(results_type), intent(in) :: results
+    type(courses_type), intent(out) :: courses
     type(error_type), allocatable, intent(inout) :: error
+    type(extents_type) :: most
     integer(int64) :: series(3)
     real(dp) :: entries
-    integer :: complete, held, points, most, times, r
 
-    complete = findloc([(any(results%task_status(r, :) == task_complete), r=1, plan%replicas)], &
-      .true., dim=1, back=.true.)
-    if (complete == 0) return
-    held = merge(complete, 0, whole)
-    points = plan%point_count
-    times = size(plan%snapshot_times)
+    if (all(results%task_status /= task_complete)) return
+    most%replicas = plan%replicas
+    most%points = plan%point_count
     if (plan%series_interval > 0.0_wp) then
       series = extents_of(file, '/series/urn1_number', 3, error)
       if (allocated(error)) return
@@ -211,29 +242,22 @@ contains
         call check(file, '/series/urn1_number', 'has '//to_text(series(1))//' entries, which is ' &
           //'not the length of a series by the namelist in the file', 1, error)
       else
-        call check_memory(merged_entry*entries*held*points, '/series', file, error)
+        call check_memory_of(bytes_an_entry*entries, '/series', file, error)
       end if
       if (allocated(error)) return
-      allocate (results%series_time(series(1)), results%series_flow(series(1), held, points, 4))
-      allocate (results%series_urn1_number(series(1), held, points))
-      call pass_series(file, results, error)
+      most%entries = int(series(1))
     end if
-    most = most_particles(plan, results)
-    call check_memory(merged_state*most*held*points*(times + merge(1, 0, plan%final_state)), &
-      '/snapshots and /final', file, error)
-    if (allocated(error)) return
-    if (times > 0) allocate (results%snapshots(most, times, held, points, 4))
-    if (plan%final_state) allocate (results%final_state(most, 1, held, points, 4))
-    call pass_states(file, results, error)
-    if (whole) return
-    if (allocated(results%series_time)) deallocate (results%series_time, results%series_flow, &
-      results%series_urn1_number)
-    if (allocated(results%snapshots)) deallocate (results%snapshots)
-    if (allocated(results%final_state)) deallocate (results%final_state)
-  end subroutine read_courses
+    most%snapshots = size(plan%snapshot_times)
+    most%particles = most_particles(plan, results)
+    if (plan%final_state) most%final_particles = most%particles
+    call check_memory_of(bytes_a_state*most%particles*(most%snapshots + merge(1, 0, &
+      plan%final_state)), '/snapshots and /final', file, error)
+    call prepare_courses(file, most, real(plan%series_interval, dp), real(plan%snapshot_times, &
+      dp), courses, error)
+  end subroutine open_courses
 
   !> An error if there is no memory for so many bytes of a file. Does nothing after an error.
-  subroutine check_memory(bytes, what, file, error)
+  subroutine check_memory_of(bytes, what, file, error)
     real(dp), intent(in) :: bytes
     !> Datasets that ask for them.
     character(len=*), intent(in) :: what
@@ -241,9 +265,9 @@ contains
     type(error_type), allocatable, intent(inout) :: error
 
     if (allocated(error)) return
-    call check_room(bytes, what//' in '//file%name, error)
+    call check_memory(bytes, what//' in '//file%name, error)
     if (allocated(error)) error%code = exit_bad_input
-  end subroutine check_memory
+  end subroutine check_memory_of
 
   !> Particles of the largest point that has a complete task: there is room for so many in a file.
   integer function most_particles(plan, results) result(most)
@@ -351,105 +375,5 @@ contains
     call write_text(file, '/point_status', 'flag_meanings', &
       'reached not_reached two_states undecided', error)
   end subroutine write_precision
-
-  !> The course of N1 and of the flows.
-  subroutine pass_series(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(results_type), intent(inout) :: results
-    type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', by_task]
-    type(quantity_type), allocatable :: list(:)
-    integer :: which, extents(3)
-
-    if (.not. allocated(results%series_time)) return
-    extents = [size(results%series_time), shape(results%seed)]
-    if (file%is_new) then
-      call make_group(file, '/series', error)
-      call write_scale(file, '/series/time', results%series_time, 'time', since_start, error)
-    end if
-    call pass_dataset(file, '/series/urn1_number', results%series_urn1_number, '1', &
-      'particles at x < 0', error, by_time, extents, int(unknown_count, int32))
-    call write_attribute(file, '/series/urn1_number', '_FillValue', int(unknown_count, int32), &
-      error)
-    list = averaged_quantities()
-    do which = 1, 4
-      associate (flow => list(place_of(flow_names(which), list)))
-        call pass_dataset(file, '/series/'//trim(flow%name), results%series_flow(:, :, :, which), &
-          trim(flow%unit), trim(flow%meaning)//', since the entry before', error, by_time, &
-          extents, unknown_real())
-      end associate
-    end do
-  end subroutine pass_series
-
-  !> Positions and velocities at chosen times, and at the end.
-  subroutine pass_states(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(results_type), intent(inout) :: results
-    type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: names(4) = [character(len=2) :: 'x', 'y', 'ux', 'uy']
-    character(len=*), parameter :: units(4) = [character(len=6) :: 'length', 'length', '1', '1']
-    character(len=*), parameter :: meanings(4) = [character(len=10) :: 'position x', &
-      'position y', 'velocity x', 'velocity y']
-    character(len=*), parameter :: by_particle(*) = [character(len=19) :: &
-      '/snapshots/particle', '/snapshots/time', by_task]
-    character(len=*), parameter :: by_last(*) = [character(len=15) :: '/final/particle', by_task]
-    integer :: which
-
-    if (allocated(results%snapshots) .and. file%is_new) then
-      call make_group(file, '/snapshots', error)
-      call write_scale(file, '/snapshots/time', results%snapshot_time, 'time', since_start, error)
-      call write_count(file, '/snapshots/particle', 1, size(results%snapshots, 1), in_order, error)
-    end if
-    if (allocated(results%final_state) .and. file%is_new) then
-      call make_group(file, '/final', error)
-      call write_count(file, '/final/particle', 1, size(results%final_state, 1), in_order, error)
-    end if
-    do which = 1, 4
-      if (allocated(results%snapshots)) call pass_dataset(file, &
-        '/snapshots/'//trim(names(which)), results%snapshots(:, :, :, :, which), &
-        trim(units(which)), meanings(which), error, by_particle, [shape(results%snapshots(:, :, &
-        1, 1, 1)), shape(results%seed)], unknown_real())
-      if (allocated(results%final_state)) call pass_dataset(file, '/final/'//trim(names(which)), &
-        results%final_state(:, 1, :, :, which), trim(units(which)), meanings(which), error, &
-        by_last, [size(results%final_state, 1), shape(results%seed)], unknown_real())
-    end do
-  end subroutine pass_states
-
-  !> The event log.
-  subroutine write_events(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(results_type), intent(in) :: results
-    type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: by_event(*) = ['/events/event']
-
-    if (.not. allocated(results%event_time)) return
-    call make_group(file, '/events', error)
-    call write_dimension(file, '/events/event', size(results%event_time), &
-      'events in the order of time', error)
-    call write_dataset(file, '/events/time', results%event_time, 'time', since_start, error, &
-      by_event)
-    call write_dataset(file, '/events/kind', results%event_kind, '1', 'what happens', error, &
-      by_event)
-    call write_attribute(file, '/events/kind', 'flag_values', [1_int32, 2_int32, 3_int32, &
-      4_int32], error)
-    call write_text(file, '/events/kind', 'flag_meanings', &
-      'enters_gate gate_reverses crosses_channel_1 crosses_channel_2', error)
-    call write_dataset(file, '/events/where', results%event_where, '1', &
-      'gate (1 or 2), or direction of a crossing (12 or 21)', error, by_event)
-    call write_dataset(file, '/events/particle', results%event_particle, '1', &
-      'particle, from 1; where a gate reverses, how many turn back', error, by_event)
-  end subroutine write_events
-
-  !> A dimension whose coordinates count up from `first`.
-  subroutine write_count(file, path, first, length, long_name, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    integer, intent(in) :: first, length
-    character(len=*), intent(in) :: long_name
-    type(error_type), allocatable, intent(inout) :: error
-    integer :: k
-
-    call write_scale(file, path, int([(first + k, k=0, length - 1)], int32), '1', long_name, error)
-  end subroutine write_count
 
 end module battery_results_file

@@ -1,11 +1,41 @@
-!> How much memory can still be had: by this process, and by all processes of the machine together.
-module battery_limits
+!> Memory: what the parts of a run take, how much can still be had, by this process and by all
+!> processes of the machine together, and whether that is enough.
+!>
+!> What parts take are bounds of what was measured: the peak of the process over that of a run
+!> without the part, divided by how many there were (docs/ensembles.md says how). What a plan takes
+!> in all is `battery_memory_estimate`'s.
+module battery_memory_limits
   use, intrinsic :: iso_c_binding, only: c_int, c_double
   use battery_c_shapes, only: action
   use battery_kinds, only: dp
+  use battery_error, only: error_type, fatal_error
+  use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: memory_type, memory_left, spare_address_space
+  public :: bytes_an_entry, bytes_a_state, bytes_an_event, bytes_a_task
+  public :: merged_entry, merged_state, base_bytes, most_numbers
+  public :: check_memory, enough_memory, size_text
+
+  !> Bytes of an entry of the series, of a particle's state that is kept (a snapshot's or the final
+  !> one) and of an event, at the peak, when the result of the task is written.
+  real(dp), parameter :: bytes_an_entry = 130.0_dp, bytes_a_state = 140.0_dp, &
+    bytes_an_event = 160.0_dp
+
+  !> Bytes of each task on rank 0 at the end, and of an entry and a state of one task of many there:
+  !> these are in the results file, which is made in memory, where they are compressed more or less.
+  real(dp), parameter :: bytes_a_task = 800.0_dp, merged_entry = 40.0_dp, merged_state = 35.0_dp
+
+  !> Bytes that every process takes beside all these, and may still take once it has started.
+  real(dp), parameter :: base_bytes = 16.0e6_dp
+
+  !> So little is not asked for: it is among `base_bytes`, and a task of next to no work would spend
+  !> more time on reading what the system says of its memory than on all else.
+  real(dp), parameter :: little = 1.0e6_dp
+
+  !> Most entries of a series, and most states of one task: four numbers of each are counted by
+  !> default integers.
+  real(dp), parameter :: most_numbers = 0.25_dp*real(huge(1), dp)
 
   !> Bytes that can still be had, and what limits them, in words.
   type :: memory_type
@@ -30,6 +60,48 @@ module battery_limits
   end interface
 
 contains
+
+  !> Whether this process can have so many bytes, and then some to work with.
+  logical function enough_memory(bytes) result(enough)
+    !> Beside those that the process has already.
+    real(dp), intent(in) :: bytes
+    type(memory_type) :: left
+
+    if (bytes > little) left = memory_left(1)
+    enough = bytes <= little .or. bytes + base_bytes <= left%bytes
+  end function enough_memory
+
+  !> An error if so many bytes for `what` cannot be had: allocating without asking would end the
+  !> program, and where memory is promised that is not there, the system would.
+  subroutine check_memory(bytes, what, error)
+    !> Beside those that the process has already.
+    real(dp), intent(in) :: bytes
+    character(len=*), intent(in) :: what
+    type(error_type), allocatable, intent(out) :: error
+    type(memory_type) :: left
+
+    if (enough_memory(bytes)) return
+    left = memory_left(1)
+    call fatal_error(error, 'no memory for '//what//': '//size_text(bytes + base_bytes) &
+      //' are needed, there are '//size_text(left%bytes)//' ('//left%limit//')')
+  end subroutine check_memory
+
+  !> A number of bytes as a reader would say it: `35 MB`, `1.2 GB`.
+  pure function size_text(bytes) result(text)
+    !> Not negative.
+    real(dp), intent(in) :: bytes
+    character(len=:), allocatable :: text
+    character(len=32) :: buffer
+
+    if (bytes < 9.995e9_dp) then
+      text = to_text(ceiling(bytes/1.0e6_dp))//' MB'
+    else if (bytes < 9.995e15_dp) then
+      text = to_text(ceiling(bytes/1.0e9_dp))//' GB'
+    else
+      write (buffer, '(es8.1, a)') bytes, ' bytes'
+      text = trim(adjustl(buffer))
+    end if
+  end function size_text
 
   !> What this process can still have, if `sharing` processes of the machine want as much as it.
   type(memory_type) function memory_left(sharing) result(left)
@@ -131,4 +203,4 @@ contains
     close (unit)
   end function number_in
 
-end module battery_limits
+end module battery_memory_limits

@@ -1,24 +1,27 @@
 !> The memory that a plan needs, set against what there is before anything is run.
-module battery_needs
+module battery_memory_estimate
   use battery_kinds, only: wp, dp, pi
+  use battery_engines, only: bytes_a_particle
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_limits, only: memory_type, memory_left
+  use battery_memory_limits, only: memory_type, memory_left, bytes_an_entry, bytes_a_state, &
+    bytes_an_event, bytes_a_task, merged_entry, merged_state, base_bytes, most_numbers, size_text
   use battery_plan, only: plan_type, point_type, point_of, table_of, is_scanned
-  use battery_room, only: particle_bytes, bytes_an_entry, bytes_a_state, bytes_an_event, &
-    bytes_a_task, merged_entry, merged_state, base_bytes, most_numbers, size_text
   use battery_table, only: table_type, gated, ungated
   use battery_tasks, only: task_count
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
-  public :: needs_type, needs_of, check_needs, check_start
+  public :: estimate_type, estimate_of, bytes_a_rank, bytes_at_the_end, check_estimate, check_start
 
   !> Address space that MPI takes while it starts: most of Open MPI 4.1 is 54 MB. Where it has less,
   !> some versions crash in a few of their parts.
   real(dp), parameter :: start_bytes = 64.0e6_dp
 
+  !> Bytes that a process has taken when it asks what is left.
+  real(dp), parameter :: taken = 30.0e6_dp
+
   !> Bytes by what takes them, those of a task at its largest point that fits into memory.
-  type :: needs_type
+  type :: estimate_type
     real(dp) :: particles = 0.0_dp, series = 0.0_dp, snapshots = 0.0_dp, final_state = 0.0_dp
     !> Events are not known beforehand, nor is a series without a duration: these are estimates.
     real(dp) :: events = 0.0_dp, estimated_series = 0.0_dp
@@ -29,15 +32,15 @@ module battery_needs
     integer :: least = 0, greatest = 0, number = 0, too_large = 0
     !> Entries of the series, if known.
     real(dp) :: entries = 0.0_dp
-  end type needs_type
+  end type estimate_type
 
 contains
 
   !> What a plan needs where `left` is all that a rank can have.
-  function needs_of(plan, left) result(needs)
+  function estimate_of(plan, left) result(needs)
     type(plan_type), intent(in) :: plan
     type(memory_type), intent(in) :: left
-    type(needs_type) :: needs
+    type(estimate_type) :: needs
     type(point_type) :: point
     real(dp) :: others, tasks
     integer :: at
@@ -47,7 +50,7 @@ contains
       point = point_of(plan, at)
       needs%least = min(needs%least, point%number)
       needs%greatest = max(needs%greatest, point%number)
-      if (particle_bytes(plan%engine, point%number) + base_bytes > left%bytes) then
+      if (bytes_a_particle(plan%engine)*point%number + base_bytes > left%bytes) then
         needs%too_large = needs%too_large + 1
       else
         needs%number = max(needs%number, point%number)
@@ -57,7 +60,7 @@ contains
     tasks = real(task_count(plan), dp)
     others = real(plan%point_count - needs%too_large, dp)*plan%replicas - 1.0_dp
     others = max(others, 0.0_dp)
-    needs%particles = particle_bytes(plan%engine, needs%number)
+    needs%particles = bytes_a_particle(plan%engine)*needs%number
     needs%snapshots = bytes_a_state*size(plan%snapshot_times)*needs%number
     if (plan%final_state) needs%final_state = bytes_a_state*needs%number
     needs%merge = bytes_a_task*tasks + (needs%snapshots + needs%final_state) &
@@ -73,7 +76,24 @@ contains
       needs%merge = needs%merge + needs%series*(1.0_dp + others*merged_entry/bytes_an_entry)
     end if
     if (plan%event_log) needs%events = bytes_an_event*events_of(plan)
-  end function needs_of
+  end function estimate_of
+
+  !> Bytes that a rank takes while it runs.
+  pure real(dp) function bytes_a_rank(needs) result(bytes)
+    !> Of the plan.
+    type(estimate_type), intent(in) :: needs
+
+    bytes = taken + base_bytes + needs%particles + needs%series + needs%estimated_series &
+      + needs%snapshots + needs%final_state + needs%events
+  end function bytes_a_rank
+
+  !> Bytes that rank 0 takes at the end.
+  pure real(dp) function bytes_at_the_end(needs) result(bytes)
+    !> Of the plan.
+    type(estimate_type), intent(in) :: needs
+
+    bytes = taken + base_bytes + needs%merge
+  end function bytes_at_the_end
 
   !> Length of a run in time: as given, or from the mean time between the wall collisions of a
   !> particle in an urn, pi r/2.
@@ -116,17 +136,17 @@ contains
   !> An error that names the keys which ask for more than `left`: more for one task, more for rank 0
   !> at the end, or more than can be counted. Points of a scan that are too large for the memory
   !> fail alone, unless there are no others.
-  subroutine check_needs(plan, sharing, error)
+  subroutine check_estimate(plan, sharing, error)
     type(plan_type), intent(in) :: plan
     !> Ranks that share the machine's memory.
     integer, intent(in) :: sharing
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
-    type(needs_type) :: needs
+    type(estimate_type) :: needs
     character(len=:), allocatable :: problems
 
     left = memory_left(sharing)
-    needs = needs_of(plan, left)
+    needs = estimate_of(plan, left)
     problems = ''
     if (needs%too_large == plan%point_count) then
       call add(merge('scan     ', 'particles', is_scanned(plan, 'number')), 'number', &
@@ -188,6 +208,6 @@ contains
       problems = problems//plan%input_file//': '//text
     end subroutine add_text
 
-  end subroutine check_needs
+  end subroutine check_estimate
 
-end module battery_needs
+end module battery_memory_estimate
