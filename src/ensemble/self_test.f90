@@ -7,16 +7,18 @@ module battery_self_test
   use battery_build_information, only: program_version, git_commit
   use battery_ensemble, only: run_ensemble
   use battery_error, only: error_type, fatal_error, exit_success
+  use battery_courses, only: course_type, courses_type, read_course
   use battery_files, only: remove_file
   use battery_frozen_log, only: frozen_log_type, read_frozen_log, what_differs, is_final_state
   use battery_frozen_logs, only: exact_circuit, exact_urn, timestep_circuit, reservoir_circuit
+  use battery_hdf5_file, only: hdf5_file_type
   use battery_journal_folder, only: remove_journal
   use battery_kinds, only: wp, int64
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type
   use battery_process, only: process_number
   use battery_results, only: results_type, all_complete
-  use battery_results_file, only: read_results
+  use battery_results_file, only: open_results, close_results
   use battery_table, only: gated, ungated
   use battery_terminal, only: say
   use battery_text, only: to_text, new_line_character
@@ -162,21 +164,27 @@ contains
     integer, intent(in) :: replicas
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
-    integer :: k
+    type(hdf5_file_type) :: file
+    type(courses_type) :: courses
+    type(course_type) :: course
+    integer :: number, k
 
-    call read_results(name, .true., results, error)
+    call open_results(name, file, results, courses, error)
     if (allocated(error)) return
-    if (results%replicas /= replicas .or. .not. all_complete(results)) then
+    if (results%replicas /= replicas .or. .not. all_complete(results)) &
       call fatal_error(error, 'not all tasks are in the file')
-      return
-    end if
+    number = size(log%start%x)
     do k = 1, replicas
-      associate (final => results%final_state(:, 1, k, 1, :))
-        if (is_final_state(log, final(:, 1), final(:, 2), final(:, 3), final(:, 4))) cycle
+      if (allocated(error)) exit
+      call read_course(file, courses, k, 1, number, course, error)
+      if (allocated(error)) exit
+      associate (final => course%final_state)
+        if (.not. is_final_state(log, final(:number), final(number + 1:2*number), &
+          final(2*number + 1:3*number), final(3*number + 1:))) call fatal_error(error, &
+          'the final state of task '//to_text(k)//' in the file differs')
       end associate
-      call fatal_error(error, 'the final state of task '//to_text(k)//' in the file differs')
-      return
     end do
+    call close_results(file, courses)
   end subroutine compare
 
   !> A number of things.
