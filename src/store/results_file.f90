@@ -407,8 +407,9 @@ contains
     do which = 1, 4
       if (allocated(results%snapshots)) call pass_dataset(file, &
         '/snapshots/'//trim(names(which)), results%snapshots(:, :, :, :, which), &
-        trim(units(which)), meanings(which), error, by_particle, [shape(results%snapshots(:, :, &
-        1, 1, 1)), shape(results%seed)], unknown_real())
+        trim(units(which)), meanings(which), error, by_particle, &
+        [size(results%snapshots, 1), size(results%snapshots, 2), shape(results%seed)], &
+        unknown_real())
       if (allocated(results%final_state)) call pass_dataset(file, '/final/'//trim(names(which)), &
         results%final_state(:, 1, :, :, which), trim(units(which)), meanings(which), error, &
         by_last, [size(results%final_state, 1), shape(results%seed)], unknown_real())
