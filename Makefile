@@ -62,7 +62,7 @@ SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 PLANES  := $(notdir $(wildcard namelists/one_channel/*.nml))
 COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|19)$$/, 10/)
 
-.PHONY: help demo test build bench probes accuracy experiments figures docs lint clean install prefix \
+.PHONY: help demo test cluster build bench probes accuracy experiments figures docs lint clean install prefix \
         packages information
 
 help: ## lists the targets
@@ -82,6 +82,10 @@ test: build ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: 
 	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) \
 	  --release=" $(RELEASE_FLAGS)" --release-link=" $(RELEASE_LINK)" \
 	  --debug=" $(DEBUG_FLAGS)" --debug-link=" $(DEBUG_LINK)"
+
+cluster: build ## as root: a Slurm of two nodes here runs the example jobs, machines die; then it is gone
+	@$(PYTHON) test/support/needs.py
+	$(PYTHON) -m pytest -q -rs test/test_slurm.py test/test_nodes.py
 
 build: packages information ## only builds: the program is build/bin/battery; MPI=mpich: build/mpich/bin/battery
 	@flock build/.lock $(VENV)/bin/fpm $(FPM_INSTALL) --prefix $(BUILT)

@@ -1,4 +1,4 @@
-"""The example job for a cluster: its shell, its directives, and what it runs."""
+"""The example jobs for a cluster: their shell, their directives (test_slurm.py runs them)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SCRIPT = ROOT / "namelists/slurm.sh"
+SCRIPTS = sorted((ROOT / "namelists").glob("slurm*.sh"))
 
 # Options of sbatch that an example may use, and what they take (sbatch's manual, 22.05).
 COUNT = r"\d+"
@@ -18,6 +18,7 @@ TIME = r"(\d+-)?\d{1,2}(:\d{2}){0,2}"
 OPTIONS = {
     "job-name": r"[\w.-]+",
     "ntasks": COUNT,
+    "array": r"\d+-\d+",
     "nodes": rf"{COUNT}(-{COUNT})?",
     "ntasks-per-node": COUNT,
     "cpus-per-task": COUNT,
@@ -60,62 +61,47 @@ def directives(text: str) -> dict[str, str | None]:
     return found
 
 
-def test_shell_accepts_the_script() -> None:
+@pytest.fixture(params=SCRIPTS, ids=lambda script: script.name)
+def script(request: pytest.FixtureRequest) -> Path:
+    """Give each example."""
+    return request.param
+
+
+def test_shell_accepts_the_script(script: Path) -> None:
     """Bash reads the script without complaint."""
-    checked = subprocess.run(["bash", "-n", SCRIPT], capture_output=True, text=True, check=False)
+    checked = subprocess.run(["bash", "-n", script], capture_output=True, text=True, check=False)
     assert (checked.returncode, checked.stderr) == (0, "")
 
 
-def test_directives_are_those_of_sbatch() -> None:
+def test_directives_are_those_of_sbatch(script: Path) -> None:
     """Every directive is an option of sbatch with a value that it takes, before any command."""
-    text = SCRIPT.read_text()
+    text = script.read_text()
     found = directives(text)
-    assert len(found) == text.count("#SBATCH")
+    assert len(found) == sum(line.startswith("#SBATCH") for line in text.splitlines())
     assert {"ntasks", "time", "signal", "requeue"} <= found.keys()
     # A job that is queued again goes on with the same log.
     assert found["open-mode"] == "append"
+    # What else a site must change is there to be uncommented.
+    assert {"##SBATCH --partition=NAME", "##SBATCH --account=NAME"} <= set(text.splitlines())
+    assert "# module load " in text
 
 
-def test_signal_is_one_that_the_program_hears() -> None:
-    """All ranks get the signal (no B:), one that saves the state, a minute or more before."""
-    name, _, seconds = str(directives(SCRIPT.read_text())["signal"]).partition("@")
+def test_signal_reaches_the_program(script: Path) -> None:
+    """A signal that saves the state, a minute or more before; B: only to a script that hears it."""
+    signal = str(directives(script.read_text())["signal"])
+    name, _, seconds = signal.removeprefix("B:").partition("@")
     assert name in {"USR1", "TERM", "INT"}
     assert int(seconds) >= 60
+    hears = f"trap 'stopped=yes; kill -{name}" in script.read_text()
+    assert signal.startswith("B:") == hears
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("--requeue", "--requeu"),
-        ("--requeue", "--requeue=yes"),
-        ("USR1@120", "USR7@120"),
-        ("--time=04:00:00", "--time=4hours"),
-        ("--open-mode=append", "--open-mode=add"),
-        ("--ntasks=64", "--ntasks"),
-        ("--ntasks=64", "-ntasks=64"),
-    ],
-)
-def test_wrong_directives_are_found(old: str, new: str) -> None:
-    """The check of the directives finds what sbatch refuses."""
-    text = SCRIPT.read_text()
-    assert old in text
-    with pytest.raises(ValueError, match="no such"):
-        directives(text.replace(old, new))
-
-
-def test_what_it_runs_is_there() -> None:
-    """The namelist of the job is in the project, and exit code 3 queues the job again."""
-    text = SCRIPT.read_text()
-    (command,) = re.findall(r"^srun +(.*)$", text, re.MULTILINE)
-    program, *arguments = shlex.split(command)
-    assert program == "build/bin/battery"
-    assert (ROOT / arguments[-1]).is_file()
-    fake = 'srun() { return $CODE; }; scontrol() { echo "$@"; }; SLURM_JOB_ID=7\n'
-    for code, said in ((3, "requeue 7\n"), (0, ""), (1, "")):
-        ended = subprocess.run(
-            ["bash", "-c", f"CODE={code}; {fake}{text}"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert (ended.returncode, ended.stdout) == (code, said)
+def test_an_array_has_a_namelist_and_an_output_for_each_element() -> None:
+    """As many elements as namelists, each with an output file of its own."""
+    text = (ROOT / "namelists/slurm_array.sh").read_text()
+    pattern = re.search(r"namelists=\((.*)\)", text)
+    assert pattern
+    files = sorted(ROOT.glob(pattern[1]))
+    outputs = {re.search(r"file *= *'(.*)'", file.read_text())[1] for file in files}
+    assert directives(text)["array"] == f"0-{len(files) - 1}"
+    assert len(outputs) == len(files)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import socket
-import threading
+import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 #: So long that it is still at work when it is stopped or killed; or soon over.
 LONG, SHORT = 100_000_000_000, 20_000_000
-BEATS_OF_A_DEAD_OWNER = "elsewhere 4711 2026-11-21 12:00:00.000"
+OWNER_ELSEWHERE = "elsewhere 4711 2026-11-21 12:00:00.000"
 
 
 def write(folder: Path, name: str = "case.nml", collisions: int = SHORT, **keys: Any) -> None:
@@ -65,7 +64,7 @@ def test_a_second_run_is_told_who_has_the_output(tmp_path: Path, ranks: int) -> 
     ended = program.finish(process)
     for second in seconds:
         assert second.returncode == 2, (second.returncode, second.stdout, second.stderr)
-        assert "out.h5: another run is at work on it" in second.stderr
+        assert "out.h5: another run owns it, on " in second.stderr
         assert f"on {socket.gethostname()}, process " in second.stderr
         assert any(f"process {number}, since 20" in second.stderr for number in numbers)
     assert at_work
@@ -144,51 +143,89 @@ def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
     assert "stopped" in ended.stderr
 
 
-@pytest.mark.parametrize("beats", [True, pytest.param(False, marks=pytest.mark.full)])
-def test_an_owner_on_another_machine(tmp_path: Path, beats: bool) -> None:
-    """A lock may hold on one machine only: an owner that beats has it; else it is dead."""
+def test_nothing_is_taken_from_another_machine(tmp_path: Path) -> None:
+    """It may be cut off, and write again: the host and the file to remove are named."""
     write(tmp_path)
     owner = tmp_path / "out.h5.owner"
-    owner.write_text(BEATS_OF_A_DEAD_OWNER)
-    over = threading.Event()
-
-    def beat() -> None:
-        while not over.wait(0.5):
-            os.utime(owner)
-
-    thread = threading.Thread(target=beat)
-    if beats:
-        thread.start()
+    owner.write_text(OWNER_ELSEWHERE)
     ended = program.run("case.nml", folder=tmp_path)
-    over.set()
-    if beats:
-        thread.join()
-        assert ended.returncode == 2, ended.stdout
-        assert "on elsewhere, process 4711, since 2026-11-21 12:00:00" in ended.stderr
-        assert owner.read_text() == BEATS_OF_A_DEAD_OWNER
-    else:
-        assert ended.returncode == 0, ended.stderr
-        assert names(tmp_path) == ["case.nml", "out.h5"]
+    assert ended.returncode == 2, ended.stdout
+    assert "on elsewhere, process 4711, since 2026-11-21 12:00:00" in ended.stderr
+    assert "if it is dead for certain, remove out.h5.owner" in ended.stderr
+    assert owner.read_text() == OWNER_ELSEWHERE
+    assert names(tmp_path) == ["case.nml", "out.h5.owner"]
+    owner.unlink()
+    assert program.run("case.nml", folder=tmp_path).returncode == 0
+    assert names(tmp_path) == ["case.nml", "out.h5"]
 
 
-def test_an_owner_beats(tmp_path: Path) -> None:
-    """The file of the owner gets a new time now and then."""
+def test_without_locks_nothing_is_taken_over(tmp_path: Path) -> None:
+    """Nobody can know then whether an owner of this machine lives, either."""
+    source, library = tmp_path / "no_locks.c", tmp_path / "no_locks.so"
+    source.write_text("#include <errno.h>\nint fcntl64() { errno = ENOLCK; return -1; }\n"
+                      "int fcntl() { errno = ENOLCK; return -1; }\n")  # fmt: skip
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source], check=True)
+    no_locks = {"LD_PRELOAD": str(library)}
+    folder = tmp_path / "case"
+    folder.mkdir()
+    write(folder, collisions=LONG)
+    process = program.start("--quiet", "case.nml", folder=folder, environment=no_locks)
+    assert program.wait_for((folder / "out.h5.tasks/plan").exists, process)
+    program.kill_all(process)
+    program.finish(process)
+    write(folder)
+    ended = program.run("--overwrite", "case.nml", folder=folder, environment=no_locks)
+    assert ended.returncode == 2, ended.stdout
+    assert f"on {socket.gethostname()}, process {process.pid}, since 20" in ended.stderr
+    assert "remove out.h5.owner" in ended.stderr
+    (folder / "out.h5.owner").unlink()
+    ended = program.run("--overwrite", "case.nml", folder=folder, environment=no_locks)
+    assert ended.returncode == 0, ended.stderr
+    assert names(folder) == ["case.nml", "out.h5"]
+
+
+@pytest.mark.parametrize(
+    ("variable", "words"),
+    [
+        ("SLURM_STEP_NUM_TASKS", "srun has started 4 programs of one rank each, not one run of 4"),
+        ("OMPI_COMM_WORLD_SIZE", "the mpirun of Open MPI has started 4 programs of one rank each"),
+        ("PMI_SIZE", "the mpirun of MPICH has started 4 programs of one rank each"),
+        ("", ""),
+    ],
+)
+def test_a_launcher_that_does_not_fit_is_named(
+    tmp_path: Path, variable: str, words: str
+) -> None:
+    """Only where an output is refused; not under a mpirun that has started one run of two ranks."""
+    write(tmp_path)
+    started = {variable: "4"} if variable else {}
+    assert program.run("--check", "case.nml", folder=tmp_path, environment=started).returncode == 0
+    assert program.run("case.nml", folder=tmp_path, environment=started).returncode == 0
+    (tmp_path / "out.h5.owner").write_text(OWNER_ELSEWHERE)
+    alone = program.run("case.nml", folder=tmp_path, environment=started)
+    shared = program.run("case.nml", folder=tmp_path, environment=started, ranks=2)
+    assert alone.returncode == shared.returncode == 2
+    assert words in alone.stderr
+    for ended in (alone, shared):
+        assert ended.stderr.count("out.h5: another run owns it") == 1
+    for other in (shared.stderr, *([] if variable else [alone.stderr])):
+        assert "programs of one rank" not in other
+
+
+def test_the_file_of_the_owner_says_who_it_is(tmp_path: Path) -> None:
+    """Machine, process and time."""
     write(tmp_path, collisions=LONG)
     process, numbers = under_way(tmp_path, "case.nml")
-    owner = tmp_path / "out.h5.owner"
-    first = owner.stat().st_mtime_ns
-    beats = program.wait_for(lambda: owner.stat().st_mtime_ns != first, process)
-    text = owner.read_text()
+    text = (tmp_path / "out.h5.owner").read_text()
     program.send(numbers, signal.SIGKILL)
     program.finish(process)
-    assert beats
     assert text.startswith(f"{socket.gethostname()} {numbers[0]} 20")
 
 
 def test_a_check_takes_nothing(tmp_path: Path) -> None:
     """--check neither owns an output nor cares who does."""
     write(tmp_path)
-    (tmp_path / "out.h5.owner").write_text(BEATS_OF_A_DEAD_OWNER)
+    (tmp_path / "out.h5.owner").write_text(OWNER_ELSEWHERE)
     before = program.listing(tmp_path)
     assert program.run("--check", "case.nml", folder=tmp_path).returncode == 0
     assert program.listing(tmp_path) == before
@@ -230,15 +267,17 @@ def test_a_file_of_a_user_is_no_owner(tmp_path: Path, text: str) -> None:
 
 
 def test_what_an_owner_says_of_itself_gives_no_orders_to_a_terminal(tmp_path: Path) -> None:
-    """Control characters in the file of another owner are shown as numbers."""
+    """Control characters in the file of another owner are shown as numbers, or it is none."""
     write(tmp_path)
-    with (tmp_path / "out.h5.owner").open("w") as owner:
-        owner.write("\x1b[2Jhost\x9b 12 \x1b]0;title\x07")
-        owner.flush()
-        fcntl.lockf(owner, fcntl.LOCK_EX)
-        ended = program.run("case.nml", folder=tmp_path)
+    owner = tmp_path / "out.h5.owner"
+    owner.write_text("host\x9b 12 2026-11-21")
+    ended = program.run("case.nml", folder=tmp_path)
     assert ended.returncode == 2, (ended.stdout, ended.stderr)
-    assert "on \\x1B[2Jhost\\xC2\\x9B, process 12, since \\x1B]0;title\\x07; wait" in ended.stderr
+    assert "on host\\xC2\\x9B, process 12, since 2026-11-21; wait" in ended.stderr
+    owner.write_text("\x1b[2Jhost 12 2026-11-21")
+    ended = program.run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2, (ended.stdout, ended.stderr)
+    assert "is not a file that a run has left" in ended.stderr
 
 
 @pytest.mark.parametrize("what", ["file", "link", "other contents"])

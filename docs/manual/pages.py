@@ -22,6 +22,7 @@ PAGES = {
         "python": "docs/python.md",
         "commands": "postproc/README.md",
         "ensembles": "docs/ensembles.md",
+        "clusters": "docs/clusters.md",
     },
     "What is found": {
         "theory": "docs/theory.md",

@@ -18,9 +18,10 @@ module battery_communicator
     MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &
     MPI_Allreduce, MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, &
     MPI_Win_flush, MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, MPI_Get_library_version, &
-    MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED
+    MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED, &
+    MPI_Comm_set_errhandler, MPI_ERRORS_RETURN, MPI_ERRORS_ARE_FATAL, MPI_SUCCESS
   use battery_kinds, only: dp, int64
-  use battery_error, only: error_type
+  use battery_error, only: error_type, fatal_error
   use battery_signals, only: signals_watch
   use battery_terminal, only: is_terminal, parent_is_terminal
   implicit none (type, external)
@@ -196,12 +197,16 @@ contains
   end function mpi_library
 
   !> Sets up the board, all entries 0, with the list of tasks that rank 0 has. Collective.
-  subroutine open_board(board, communicator, tasks)
+  subroutine open_board(board, communicator, tasks, error)
     type(board_type), intent(out) :: board
     type(communicator_type), intent(in) :: communicator
     !> Looked at on rank 0 only.
     integer, intent(in) :: tasks(:)
+    !> The same on all ranks: this MPI has no one-sided operations between their nodes. Absent: MPI
+    !> ends the program then.
+    type(error_type), allocatable, intent(out), optional :: error
     integer(MPI_ADDRESS_KIND) :: bytes
+    integer :: status
     type(c_ptr) :: base
     integer(int64), pointer :: entries(:)
 
@@ -211,8 +216,17 @@ contains
     bytes = 0
     if (communicator%rank == 0) bytes = (board_size + int(board%tasks, MPI_ADDRESS_KIND)) &
       *storage_size(1_int64)/8
+    if (present(error)) call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_RETURN)
     call MPI_Win_allocate(bytes, storage_size(1_int64)/8, MPI_INFO_NULL, communicator%ranks, base, &
-      board%window)
+      board%window, status)
+    if (present(error)) then
+      call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_ARE_FATAL)
+      if (status /= MPI_SUCCESS) call fatal_error(error, 'battery: '//mpi_library()//' has no ' &
+        //'one-sided operations between the nodes of these ranks; Open MPI 4 has them with ' &
+        //'OMPI_MCA_osc=^ucx in the environment of all ranks')
+      call share_error(communicator, error)
+      if (allocated(error)) return
+    end if
     call MPI_Win_lock_all(0, board%window)
     if (communicator%rank == 0) then
       call c_f_pointer(base, entries, [board_size + board%tasks])

@@ -13,6 +13,7 @@ module battery_ensemble
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, check_ownership
   use battery_journal_folder, only: remove_journal
+  use battery_launcher, only: launcher_hint
   use battery_merge, only: merge_results
   use battery_ownership, only: ownership_type, take_ownership, give_up_ownership
   use battery_plan, only: plan_type
@@ -48,7 +49,8 @@ contains
     logical :: complete, goes_on
 
     exit_code = exit_failure
-    if (communicator%rank == 0) call take_ownership(ownership, plan%file, error)
+    if (communicator%rank == 0) call take_ownership(ownership, plan%file, error, &
+      hint=launcher_hint(communicator))
     call share_error(communicator, error)
     if (allocated(error)) return
     call share_text(communicator, ownership%path, 0)
@@ -71,7 +73,8 @@ contains
       if (complete .and. .not. allocated(error)) exit_code = exit_success
       if (complete .or. allocated(error)) exit
       journal%ownership = ownership
-      call open_board(board, communicator, pending)
+      call open_board(board, communicator, pending, error)
+      if (allocated(error)) exit
       call work(plan, journal, board, watch, quiet, error)
       call share_error(communicator, error)
       goes_on = .not. allocated(error) .and. any(plan%precision > 0.0_wp) .and. board%tasks > 0 &

@@ -1,19 +1,18 @@
 !> One run owns an output: a file beside it (`FILE.h5.owner`) says which, on which machine, since
 !> when, and is locked as long as that process lives.
 !>
-!> The lock is the kernel's and ends with the process, however that ends; then the next run takes
-!> over at once. Where the file system has no locks, or has them for one machine only, the file's
-!> time is set anew every few seconds: an owner that missed three of these beats is dead. Beats are
-!> watched by the watcher's own clock, so that clocks need not agree.
+!> Who makes the file has the output. An owner of this machine that holds the lock no more is dead,
+!> however it ended, and the next run takes over at once. Of an owner on another machine nobody can
+!> know that: it may be dead, or cut off from the network, and write again when that is back. So
+!> nothing is ever taken from another machine; a user who knows better removes the file. The same
+!> holds on this machine where the file system has no locks.
 !>
-!> Ranks that outlive their rank 0 may still write: each asks the file before it does
-!> (`is_taken_over`), no two starts write to the same rank file, and what is written over is made
-!> anew, so that two never write into one file.
+!> Ranks that outlive their rank 0 may still write, and so may a run whose file was removed: each
+!> asks the file before it does (`is_taken_over`), no two starts write to the same rank file, and
+!> what is written over is made anew, so that two never write into one file.
 module battery_ownership
-  use, intrinsic :: iso_c_binding, only: c_int, c_int64_t, c_double, c_char, c_ptr, c_null_char, &
-    c_null_ptr, c_associated
-  use battery_c_shapes, only: action_on_address, number_of_address, number_of_text, &
-    number_of_path_and_text
+  use, intrinsic :: iso_c_binding, only: c_int, c_char, c_ptr, c_null_char, c_null_ptr, c_associated
+  use battery_c_shapes, only: action_on_address, number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
   use battery_files, only: is_disk_error, file_exists, create_new_file, remove_file, seen_type, &
@@ -27,34 +26,17 @@ module battery_ownership
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: ownership_type, habits_type, take_ownership, give_up_ownership, is_taken_over
+  public :: ownership_type, take_ownership, give_up_ownership, is_taken_over
   public :: taken_over_text, leave_mark, remove_mark, sees_mark
 
   !> What an attempt came to, as in `owner.c`.
-  integer(c_int), parameter :: taken = 0, held = 1, doubtful = 2, again = 3, not_a_file = 5
+  integer(c_int), parameter :: taken = 0, held = 1, unknown = 2, again = 3, not_a_file = 5
 
   !> Bytes of the longest text of an owner, and of the name of a machine in it.
   integer, parameter :: longest_text = 256
 
-  !> Beats that a dead owner missed, and seconds between two attempts.
-  real(dp), parameter :: missed_beats = 3.0_dp, pause = 0.05_dp
-
-  !> How an output is owned.
-  type :: habits_type
-    !> Seconds to wait for the end of another owner, and between two beats.
-    real(dp) :: patience = 5.0_dp, interval = 3.0_dp
-    !> False: as on a file system without locks.
-    logical :: with_locks = .true.
-  end type habits_type
-
-  !> What was seen of another owner.
-  type :: watch_type
-    real(dp) :: began = 0.0_dp, last_beat = 0.0_dp
-    integer(c_int64_t) :: beat(4) = 0
-    !> What its file says.
-    character(len=longest_text) :: holder = c_null_char
-    logical :: owner_lives = .false.
-  end type watch_type
+  !> Seconds to wait for the end of another owner, and between two attempts.
+  real(dp), parameter :: usual_patience = 5.0_dp, pause = 0.05_dp
 
   !> An output that is owned, or that another rank owns.
   type :: ownership_type
@@ -62,23 +44,18 @@ module battery_ownership
     character(len=:), allocatable :: path, text
     !> What the output was when it was taken, on rank 0 alone.
     type(seen_type) :: before
-    !> The file and its beat, on rank 0 alone.
+    !> The file, on rank 0 alone.
     type(c_ptr), private :: handle = c_null_ptr
   end type ownership_type
 
-  procedure(number_of_address), bind(c, name='battery_still_owns') :: c_still_owns
   procedure(action_on_address), bind(c, name='battery_disown') :: c_disown
   procedure(number_of_path_and_text), bind(c, name='battery_read_owner') :: c_read_owner
 
   interface
-    integer(c_int) function c_own(path, text, interval, with_locks, insist, beat, holder, room, &
-      owner) bind(c, name='battery_own')
-      import :: c_char, c_int, c_int64_t, c_double, c_ptr
+    integer(c_int) function c_own(path, text, holder, room, owner) bind(c, name='battery_own')
+      import :: c_char, c_int, c_ptr
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*), text(*)
-      real(c_double), value, intent(in) :: interval
-      integer(c_int), value, intent(in) :: with_locks, insist
-      integer(c_int64_t), intent(inout) :: beat(4)
       integer(c_int), value, intent(in) :: room
       character(kind=c_char), intent(inout) :: holder(room)
       type(c_ptr), intent(inout) :: owner
@@ -88,40 +65,43 @@ module battery_ownership
 contains
 
   !> Makes this process the owner of the output `file`. Where another run owns it, waits a while for
-  !> that to end, and takes over from a dead one.
-  subroutine take_ownership(ownership, file, error, habits, text)
+  !> that to end, and takes over from a dead one of this machine.
+  subroutine take_ownership(ownership, file, error, patience, text, hint)
     type(ownership_type), intent(out) :: ownership
     character(len=*), intent(in) :: file
     !> Code `exit_bad_input` where another run owns it, `exit_stopped_early` where a signal came.
     type(error_type), allocatable, intent(out) :: error
-    !> The usual ones if absent.
-    type(habits_type), intent(in), optional :: habits
+    !> Seconds to wait, `usual_patience` if absent.
+    real(dp), intent(in), optional :: patience
     !> What the file is to say, `owner_text` if absent.
     character(len=*), intent(in), optional :: text
-    type(habits_type) :: usual
-    type(watch_type) :: watch
+    !> What is said besides where another run owns it.
+    character(len=*), intent(in), optional :: hint
+    character(len=longest_text) :: holder
     type(error_type), allocatable :: no_matter
+    real(dp) :: last_attempt
     integer(c_int) :: outcome
 
-    if (present(habits)) usual = habits
+    last_attempt = wall_seconds() + usual_patience
+    if (present(patience)) last_attempt = last_attempt - usual_patience + patience
     ownership%path = file//'.owner'
     ownership%text = owner_text()
     if (present(text)) ownership%text = text
-    watch%began = wall_seconds()
-    watch%last_beat = watch%began
     do
-      call try_to_own(ownership, usual, watch, outcome)
+      outcome = c_own(ownership%path//c_null_char, ownership%text//c_null_char, holder, &
+        longest_text, ownership%handle)
       select case (outcome)
       case (taken)
         ! A run that was killed may have left its mark as well.
-        if (words_of(watch%holder) /= '') call remove_file(mark_of(ownership%path, &
-          words_of(watch%holder)), no_matter)
+        if (words_of(holder) /= '') call remove_file(mark_of(ownership%path, words_of(holder)), &
+          no_matter)
         ownership%before = seen_at(file)
         return
-      case (held, doubtful)
-        if (wall_seconds() - watch%began > usual%patience .and. watch%owner_lives) then
-          call fatal_error(error, file//': '//owned_by(watch%holder) &
-            //'; wait for its end, or stop it', exit_bad_input)
+      case (held, unknown)
+        if (wall_seconds() > last_attempt) then
+          call fatal_error(error, file//': '//owned_by(holder)//what_to_do(outcome == held, &
+            ownership%path), exit_bad_input)
+          if (present(hint)) error%message = error%message//hint
           return
         end if
       case (again)
@@ -136,48 +116,12 @@ contains
         return
       end select
       if (stop_requested()) then
-        call fatal_error(error, 'stopped while it waited: '//owned_by(watch%holder), &
-          exit_stopped_early)
+        call fatal_error(error, 'stopped while it waited: '//owned_by(holder), exit_stopped_early)
         return
       end if
       call rest(pause)
     end do
   end subroutine take_ownership
-
-  !> One attempt; what it shows of another owner is noted in `watch`.
-  subroutine try_to_own(ownership, habits, watch, outcome)
-    type(ownership_type), intent(inout) :: ownership
-    type(habits_type), intent(in) :: habits
-    type(watch_type), intent(inout) :: watch
-    integer(c_int), intent(out) :: outcome
-    integer(c_int64_t) :: beat(4)
-    logical :: insist
-
-    insist = wall_seconds() - watch%last_beat > missed_beats*habits%interval
-    beat = watch%beat
-    outcome = c_own(ownership%path//c_null_char, ownership%text//c_null_char, &
-      habits%interval, merge(1, 0, habits%with_locks), merge(1, 0, insist), beat, watch%holder, &
-      longest_text, ownership%handle)
-    select case (outcome)
-    case (taken)
-      if (.not. insist) return
-      ! Of two that took over at once, the later one has it.
-      call rest(0.5_dp)
-      if (c_still_owns(ownership%handle) == 1) return
-      call give_up_ownership(ownership)
-      outcome = again
-    case (held)
-      watch%owner_lives = .true.
-    case (doubtful)
-      if (all(beat == watch%beat)) return
-      ! A beat after the first look: the owner lives.
-      watch%owner_lives = any(watch%beat /= 0)
-      watch%last_beat = wall_seconds()
-      watch%beat = beat
-    case default
-      continue
-    end select
-  end subroutine try_to_own
 
   !> The output is free for others; without an ownership, does nothing.
   subroutine give_up_ownership(ownership)
@@ -268,7 +212,7 @@ contains
     character(len=:), allocatable :: rest
     integer :: blank
 
-    words = 'another run is at work on it'
+    words = 'another run owns it'
     rest = words_of(holder)
     blank = index(rest, ' ')
     if (blank == 0) return
@@ -277,5 +221,18 @@ contains
     blank = index(rest, ' ')
     if (blank > 0) words = words//', process '//rest(:blank - 1)//', since '//rest(blank + 1:)
   end function owned_by
+
+  !> What a user can do about another owner.
+  function what_to_do(lives, path) result(words)
+    !> Whether it is known to be at work.
+    logical, intent(in) :: lives
+    !> Of its file.
+    character(len=*), intent(in) :: path
+    character(len=:), allocatable :: words
+
+    words = '; wait for its end, or stop it'
+    if (.not. lives) words = words//'; whether it is still at work cannot be known on ' &
+      //host_name()//': if it is dead for certain, remove '//path
+  end function what_to_do
 
 end module battery_ownership

@@ -46,10 +46,11 @@ def workshop() -> Path:
 
 
 @functools.cache
-def undisturbed(engine: str = "excursion", threshold: int = 3) -> Path:
-    """Give the results of a run that nobody disturbs."""
-    folder = workshop() / f"{engine}_{threshold}"
-    write(folder, engine, gate={"threshold": threshold})
+def undisturbed(engine: str = "excursion", threshold: int = 3, collisions: int = 0) -> Path:
+    """Give the results of a run that nobody disturbs; collisions 0: as many as usual."""
+    folder = workshop() / f"{engine}_{threshold}_{collisions}"
+    write(folder, engine, gate={"threshold": threshold},
+          run={"collisions": collisions or ENGINES[engine]})
     found = run("--quiet", "case.nml", folder=folder)
     assert found.returncode == 0, found.stderr
     return folder / "out.h5"

@@ -1,0 +1,200 @@
+"""The example jobs under a real Slurm of two nodes: stopped, queued again, and the same bits."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from support import needs, program
+from support.slurm import Slurm
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+ROOT = program.ROOT
+LACKING = needs.lacking()
+pytestmark = [pytest.mark.full, pytest.mark.skipif(bool(LACKING), reason=LACKING)]
+MPI = [
+    "openmpi",
+    pytest.param("mpich", marks=pytest.mark.skipif(
+        not shutil.which("mpirun.mpich"), reason="MPICH is not installed")),
+]  # fmt: skip
+# Collisions of a task: some seconds.
+SHORT = 200_000_000
+# Of a busy machine, seconds.
+PATIENCE = 600.0
+EXAMPLES = ["slurm.sh", "slurm_mpirun.sh"]
+
+
+@pytest.fixture(scope="module")
+def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Slurm]:
+    """Start the cluster once."""
+    with Slurm(tmp_path_factory.mktemp("s"), [tmp_path_factory.getbasetemp(), ROOT]) as cluster:
+        yield cluster
+
+
+def built(mpi: str) -> Path:
+    """Give the program of an MPI; that of MPICH is built first."""
+    if mpi == "openmpi":
+        return program.PROGRAM
+    program.make("build", "MPI=mpich", FPM_FC="mpifort.mpich")
+    return ROOT / "build/mpich/bin/battery"
+
+
+def checkout(folder: Path, mpi: str, collisions: int, seed: int = 1) -> Path:
+    """Make what an example expects of its folder: the program, and small cases for its namelists.
+
+    Its MPI's mpirun is the first of that name.
+    """
+    (folder / "build/bin").mkdir(parents=True)
+    (folder / "build/bin/battery").symlink_to(built(mpi))
+    (folder / "bin").mkdir()
+    mpirun = folder / "bin/mpirun"
+    path = shutil.which(f"mpirun.{mpi}") or "/usr/bin/mpirun"
+    mpirun.write_text(f'#!/bin/sh\nexec {path} "$@"\n')
+    mpirun.chmod(0o755)
+    (folder / "namelists/one_channel").mkdir(parents=True)
+    for place in ("phase_diagram", "one_channel/a", "one_channel/b"):
+        text = program.namelist(
+            particles={"number": 100, "seed": seed}, gate={"threshold": 3},
+            run={"collisions": collisions}, scan={"replicas": 2},
+            output={"file": f"'{Path(place).name}.h5'"},
+        )  # fmt: skip
+        (folder / f"namelists/{place}.nml").write_text(text)
+    return folder
+
+
+def submitted(slurm: Slurm, script: str, folder: Path, *options: str) -> str:
+    """Submit an example as it is; what a site must change is said to sbatch."""
+    return slurm.submit(
+        ROOT / "namelists" / script, "--nodes=2", "--ntasks=2", "--output=%x-%A-%a.log", *options,
+        f"--export=ALL,PATH={folder}/bin:/usr/bin:/bin,OMPI_ALLOW_RUN_AS_ROOT=1,"
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1",
+        folder=folder,
+    )  # fmt: skip
+
+
+def log(folder: Path) -> str:
+    """Give what jobs have printed."""
+    return "\n".join(file.read_text(errors="replace") for file in folder.glob("*.log"))
+
+
+def assert_ended_well(slurm: Slurm, job: str, folder: Path, name: str, restarts: int = 1) -> None:
+    """Wait for a job that was queued again; its file has the bits of an undisturbed run."""
+    found = slurm.end_of(job, PATIENCE)
+    assert found["JobState"] == "COMPLETED", (found, log(folder))
+    assert int(found["Restarts"]) >= restarts, (found, log(folder))
+    assert_undisturbed(folder, name)
+
+
+def assert_undisturbed(folder: Path, name: str) -> None:
+    """Compare a results file with that of a run of one rank that nothing disturbed."""
+    assert not list(folder.glob(f"{name}.h5.*")), log(folder)
+    calm = folder / "calm"
+    calm.mkdir(exist_ok=True)
+    namelist = next((folder / "namelists").rglob(f"{name}.nml"))
+    ended = program.run("--quiet", str(namelist), folder=calm)
+    assert ended.returncode == 0, ended.stderr
+    left, right = (program.contents(one / f"{name}.h5") for one in (folder, calm))
+    of_the_build = {"/@mpi_library", "/@compiler_options", "/@git_commit"}
+    assert left.keys() == right.keys()
+    assert {key for key in left if left[key] != right[key]} <= of_the_build
+
+
+def wait_for(condition: Callable[[], bool], folder: Path) -> None:
+    """Wait until something is so of jobs in that folder."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, log(folder)
+        time.sleep(0.05)
+
+
+def test_a_time_limit_is_no_end(slurm: Slurm, tmp_path: Path) -> None:
+    """Slurm's own signal before the limit: state saved, queued again, complete in the end.
+
+    Slurm looks every half minute which jobs are near their limits; a task lasts longer.
+    """
+    seconds = 35.0
+    folders = {one: checkout(tmp_path / one, "openmpi", SHORT) for one in EXAMPLES}
+    first = folders[EXAMPLES[0]]
+    program.run("--check", "--json", "plan", "namelists/phase_diagram.nml", folder=first)
+    speed = SHORT / json.loads((first / "plan").read_text())["seconds_a_task"]
+    jobs = {}
+    for script, folder in folders.items():
+        namelist = folder / "namelists/phase_diagram.nml"
+        text = namelist.read_text().replace(str(SHORT), str(int(seconds * speed)))
+        namelist.write_text(text.replace("replicas = 2", "replicas = 1"))
+        to = "B:" if "mpirun" in script else ""
+        jobs[script] = submitted(slurm, script, folder, "--time=1", f"--signal={to}USR1@50")
+    for script, folder in folders.items():
+        wait_for(lambda job=jobs[script]: slurm.about(job)["Restarts"] != "0", folder)
+        # Once is enough.
+        slurm.ask("scontrol", "update", f"JobId={jobs[script]}", "TimeLimit=60")
+    for script, folder in folders.items():
+        assert_ended_well(slurm, jobs[script], folder, "phase_diagram")
+
+
+@pytest.mark.parametrize("mpi", MPI)
+@pytest.mark.parametrize("script", [*EXAMPLES, "slurm_array.sh"])
+def test_a_job_that_is_told_to_stop_goes_on(
+    slurm: Slurm, tmp_path: Path, script: str, mpi: str
+) -> None:
+    """The signal, sent by hand, to whom each example has it sent; the array's elements by turns."""
+    folder = checkout(tmp_path, mpi, SHORT)
+    array = "array" in script
+    names = ["a", "b"] if array else ["phase_diagram"]
+    job = submitted(slurm, script, folder, *(["--array=0-1"] if array else []))
+    jobs = [f"{job}_{k}" for k in range(2)] if array else [job]
+    for one, name in zip(jobs, names, strict=True):
+        wait_for(lambda name=name: (folder / f"{name}.h5.tasks/plan").exists(), folder)
+        slurm.ask("scancel", *(["--batch"] if "mpirun" in script else []), "--signal=USR1", one)
+    for one, name in zip(jobs, names, strict=True):
+        assert_ended_well(slurm, one, folder, name)
+
+
+@pytest.mark.parametrize("script", EXAMPLES)
+def test_a_cancelled_job_goes_on_when_it_is_submitted_again(
+    slurm: Slurm, tmp_path: Path, script: str
+) -> None:
+    """Scancel saves the states under srun; the output is free for the next job in any case."""
+    folder = checkout(tmp_path, "openmpi", SHORT)
+    job = submitted(slurm, script, folder)
+    wait_for((folder / "phase_diagram.h5.tasks/plan").exists, folder)
+    slurm.ask("scancel", job)
+    assert slurm.end_of(job, PATIENCE)["JobState"] == "CANCELLED"
+    wait_for(lambda: slurm.state_of_nodes() == "idle", folder)
+    if "mpirun" not in script:
+        assert list((folder / "phase_diagram.h5.tasks").glob("task_*")), log(folder)
+    assert_ended_well(slurm, submitted(slurm, script, folder), folder, "phase_diagram", restarts=0)
+
+
+@pytest.mark.parametrize("mpi", MPI[1:])
+def test_programs_of_one_rank_are_told_what_to_type(
+    slurm: Slurm, tmp_path: Path, mpi: str
+) -> None:
+    """MPICH under srun without its PMI: one computes, the others name srun and the way out."""
+    folder = checkout(tmp_path, mpi, 20 * SHORT)
+    start = ["srun", "--mpi=none", "--nodes=2", "--ntasks=3", "build/bin/battery"]
+    check = ["--check", "namelists/phase_diagram.nml"]
+    for words in (["--version"], ["--help"], ["--schema"], check):
+        slurm.ask(*start, *words, folder=folder)
+    # Outputs of their own: nothing to complain of.
+    for k in range(3):
+        text = (folder / "namelists/one_channel/a.nml").read_text()
+        (folder / f"{k}.nml").write_text(text.replace("a.h5", f"{k}.h5"))
+    slurm.ask(*start[:-1], "sh", "-c", "build/bin/battery $SLURM_PROCID.nml", folder=folder)
+    run = slurm.nodes["head"].start(*start, "--quiet", "namelists/phase_diagram.nml", cwd=folder,
+        env=slurm.environment, stderr=(folder / "job.log").open("w"))  # fmt: skip
+    advice = ("; srun has started 3 programs of one rank each, not one run of 3 ranks: choose what "
+              "MPICH Version: ")  # fmt: skip
+    wait_for(lambda: log(folder).count(advice) == 2, folder)
+    run.terminate()
+    run.wait()
+    assert "`srun --mpi=list`, such as `srun --mpi=pmix` (Open MPI) or" in log(folder)
+    for line in log(folder).splitlines():
+        if advice in line:
+            assert "phase_diagram.h5: another run owns it, on node" in line
