@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import f90nml
 
 from postproc.cli import InputError, ended_with_python, finite, output_folder
-from postproc.launcher import LAUNCHER
+from postproc.launcher import LAUNCHER, program_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -74,7 +74,8 @@ class Job:
         if done.returncode == DIFFERENT:  # of another input, or of another version
             done = self._launch(path.name, alone, "--overwrite")
         if done.returncode:
-            said = (done.stderr or done.stdout).strip().splitlines() or ["nothing was said"]
+            said = (program_words(done.stderr) or done.stdout.strip()).splitlines()
+            said = said or ["nothing was said"]
             raise InputError(f"{path}: exit {done.returncode}: {said[0]}")
         return path.with_suffix(".h5")
 

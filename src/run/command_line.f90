@@ -18,13 +18,12 @@ module battery_command_line
     '--quiet', '--json', '--help', '--schema', '--self-test', '--version']
 
   !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
-  !> second to save their states.
+  !> second (version 5: a quarter of one) to save their states.
   character(len=*), parameter, public :: ways_to_stop = &
     'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. Open MPI''s mpirun' &
     //new_line_character &
-    //'kills its ranks 1 s after SIGTERM or SIGINT: a large run may lose what it did since its' &
-    //new_line_character &
-    //'last checkpoint, but with mpirun --mca odls_base_sigkill_timeout 60 it has a minute.'
+    //'kills its ranks within 1 s of SIGTERM or SIGINT: a large run may lose what it did since' &
+    //new_line_character//'its last checkpoint.'
 
   !> What is to be done.
   type :: command_line_type

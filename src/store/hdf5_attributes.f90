@@ -39,7 +39,8 @@ contains
     if (is_real == 1) memory%value_type = h5kind_to_type(int(bytes), h5_real_kind)
     if (is_integer == 1) memory%value_type = h5kind_to_type(int(bytes), h5_integer_kind)
     memory%address = c_loc(values)
-    memory%extents = shape(values, hsize_t)
+    ! gfortran 11: an empty array that was described has the extent -1.
+    memory%extents = max(shape(values, hsize_t), 0_hsize_t)
   end function memory_of
 
   !> Adds an attribute that is a number or an array of them; does nothing after an error, or to a

@@ -43,19 +43,26 @@ contains
   subroutine read_real64(file, path, name, value, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, name
-    real(dp), intent(inout), target :: value
+    real(dp), intent(inout) :: value
     type(error_type), allocatable, intent(out) :: error
+    ! gfortran 11 tells memory_of a wrong type of a scalar that is an argument itself.
+    real(dp), target :: found
 
-    call read_number(file, path, name, memory_of(value), error)
+    found = value
+    call read_number(file, path, name, memory_of(found), error)
+    value = found
   end subroutine read_real64
 
   subroutine read_int32(file, path, name, value, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, name
-    integer(int32), intent(inout), target :: value
+    integer(int32), intent(inout) :: value
     type(error_type), allocatable, intent(out) :: error
+    integer(int32), target :: found
 
-    call read_number(file, path, name, memory_of(value), error)
+    found = value
+    call read_number(file, path, name, memory_of(found), error)
+    value = found
   end subroutine read_int32
 
   subroutine read_number(file, path, name, memory, error)

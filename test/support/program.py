@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import time
@@ -58,17 +59,21 @@ class Rank:
     folder: Path | None = None
     environment: dict[str, str] = field(default_factory=dict)
 
-    def words(self) -> list[str]:
-        """Give its part of the command line of mpirun."""
-        where = ["-wdir", str(self.folder)] if self.folder else []
+    def start(self) -> str:
+        """Give what a shell does to become this rank."""
         settings = [f"{name}={value}" for name, value in self.environment.items()]
-        return ["-n", "1", *where, *(["env", *settings] if settings else []), str(PROGRAM),
-                *self.arguments]  # fmt: skip
+        where = f"cd {shlex.quote(str(self.folder))} && " if self.folder else ""
+        return f"{where}exec {shlex.join(['env', *settings, str(PROGRAM), *self.arguments])}"
 
 
 def command_of_ranks(ranks: list[Rank]) -> list[str]:
-    """Give the command that starts each rank in its own way."""
-    return [MPIRUN, *[word for rank in ranks for word in (":", *rank.words())][1:]]
+    """Give the command that starts each rank in its own way.
+
+    A shell asks which rank it is: mpirun of Debian's Open MPI 5.0.7 crashes at a colon.
+    """
+    cases = " ".join(f"{number}) {rank.start()};;" for number, rank in enumerate(ranks))
+    script = f"case ${{OMPI_COMM_WORLD_RANK:-$PMI_RANK}} in {cases} esac"
+    return [MPIRUN, "-n", str(len(ranks)), "sh", "-c", script]
 
 
 def make(*words: str, **more: str) -> None:
