@@ -3,6 +3,7 @@
 module battery_outlook
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
+  use battery_current_age, only: current_remark
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_limits, only: memory_type, memory_left
@@ -57,6 +58,8 @@ contains
     left = memory_left(sharing)
     needs = needs_of(plan, left)
     call print_parameters(plan)
+    remark = current_remark(plan)
+    if (remark /= '') call say(remark)
     call say('finished:   '//counted(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
     call calibrate(plan, progress%pending, needs%number, seconds, rate, error)
