@@ -370,6 +370,20 @@ def test_check_writes_nothing(tmp_path: Path, ranks: int) -> None:
     assert listing(tmp_path) == before
 
 
+def test_currents_of_a_young_run_are_remarked_on(tmp_path: Path) -> None:
+    """The plan and the run say in one and the same line what currents lack, --quiet says nothing."""
+    table = {"channel1_width": "0.3", "channel2_width": "0.01"}
+    length = {"duration": "3", "transient_duration": "1"}
+    write(tmp_path, table=table, particles={"number": "1000"}, gate={"threshold": "7"}, run=length)
+    told = [
+        [line for line in run(*words, folder=tmp_path).stdout.splitlines() if "currents: " in line]
+        for words in (["--check", "case.nml"], ["case.nml"], ["--quiet", "--overwrite", "case.nml"])
+    ]
+    assert len(told[0]) == 1
+    assert "too low: circulations still fill up; 1 % asks for a transient of" in told[0][0]
+    assert told[1:] == [told[0], []]
+
+
 def test_check_refuses_bad_input(tmp_path: Path) -> None:
     """--check complains as the run would."""
     lines = problems(tmp_path, GOOD + "&run\n collisions = 0\n/\n", "--check")

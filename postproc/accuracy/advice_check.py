@@ -5,7 +5,7 @@ with seeds of its own unless the pilot is the answer, and held against runs whos
 times as long. These measure five times as long as well, so that half as many do. Their error is
 known and makes the promise somewhat smaller (`here`; `sure` is what advice says). Printed: a line a
 point, and last how often the tolerance was met, how often that was promised, and two standard
-deviations of chance; exit code 1 where they disagree by more. Takes ten minutes or so of one core.
+deviations of chance; exit code 1 where they disagree by more. Takes half an hour or so of one core.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 OLDER = 10.0  # transients of what is held against, over the pilot's; it measures as long again
 FEWER = 0.5  # replicas of it, over those that would be advised
-LARGEST = 15.0  # processor time of what is held against, in s, beyond which it is not made
+LARGEST = 60.0  # processor time of what is held against, in s, beyond which it is not made
 TOLERANCES = {"chi": (0.003, 0.1), "polarised_current": (0.003, 0.01), "transition": (0.003, 0.1)}
 KINDS = ("chi", "polarised_current", "chi", "polarised_current", "transition")
 

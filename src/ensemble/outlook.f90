@@ -3,6 +3,7 @@
 module battery_outlook
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
+  use battery_current_age, only: current_remark
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_answer, only: write_plan_answer
@@ -60,6 +61,8 @@ contains
     do at = 1, size(remarks)
       call say('remark:     '//remarks(at)%text)
     end do
+    remark = current_remark(plan)
+    if (remark /= '') call say(remark)
     call say('finished:   '//counted(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
     call calibrate(plan, progress%pending, needs%number, seconds, rate, error)

@@ -3,6 +3,7 @@ module battery_preparation
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
+  use battery_current_age, only: current_remark
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_journal, only: journal_type, read_plan, kept_in, begin_journal, join_journal, &
@@ -97,6 +98,8 @@ contains
     if (complete) then
       call remove_journal(journal_folder(plan), error)
     else
+      remark = current_remark(plan)
+      if (remark /= '' .and. .not. quiet) call say(remark)
       rank_files = rank_files_in(journal_folder(plan))
       call open_journal(plan, ranks, rank_files, error)
       call put_longest_first(plan, pending)

@@ -1,7 +1,8 @@
 """Where each model fails on the map of T and w': python studies/where_models_fail/study.py.
 
-Runs map.nml beside it (or takes its results where they are in the folder), asks four theories at
-each point, and writes results.csv and where_models_fail.png. Two minutes of a core or so.
+Runs map.nml beside it and the same map by engines that are models (or takes their results where
+they are in the folder), asks six theories at each point, and writes where_models_fail.csv and
+where_models_fail.png. Some ten minutes of a core.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ import argparse
 import csv
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import f90nml
 import matplotlib as mpl
 
 mpl.use("Agg")
@@ -23,66 +26,159 @@ ROOT = PLACE.parents[1]
 sys.path.insert(0, str(ROOT))
 
 import postproc  # noqa: E402 (of the checkout, whose folder is known only now)
+from postproc.accuracy import ladder  # noqa: E402
+from postproc.accuracy.advice import theory_says  # noqa: E402
+from postproc.theory.models import MODELS  # noqa: E402
 
-MODELS = ("window", "renewal", "two_port", "direction")
 POLARISED = 0.3  # chi from which on a state is called so
 BOUNDS = (0.01, 0.03, 0.1)
 COLOURS = ("tab:green", "gold", "tab:orange", "tab:red")
+NAMES = [*MODELS, "chain", "reservoir", "timestep 0.01", "timestep 0.003"]
+# what the map of an engine is changed to: a fixed step costs a hundred times as much
+COARSE = {"threshold": [4, 6, 8, 10, 12, 14, 16], "replicas": 1}
+LENGTHS = {
+    "reservoir": ({}, {"replicas": 4}),
+    "timestep 0.01": ({"duration": 4000.0, "transient_duration": 2000.0}, COARSE),
+    "timestep 0.003": ({"duration": 4000.0, "transient_duration": 2000.0}, COARSE),
+}
+
+Points = dict[tuple[int, float], tuple[float, float]]
 
 
-def rows_of(file: Path) -> list[dict[str, float | str]]:
-    """Return a row for each point and model."""
-    data, found = postproc.open_results(file, theory=list(MODELS)), []
+def run_map(folder: Path, engine: str | None = None) -> Path:
+    """Run the map, by an engine of the ladder if one is named; return its results file."""
+    if engine is None:
+        return postproc.run(PLACE / "map.nml", folder=folder)
+    rung = next(one for one in ladder.RUNGS if one.name == engine)
+    length, scan = LENGTHS[engine]
+    groups = f90nml.read(PLACE / "map.nml").todict()
+    groups["run"] |= ladder.engine_keys(rung) | length
+    groups["scan"] |= scan
+    groups["output"]["file"] = f"map_{ladder.stem(rung)}.h5"
+    return postproc.run(groups, folder=folder)
+
+
+def of_runs(file: Path) -> tuple[Points, Points]:
+    """Return chi and current over chi by (T, w'), and the standard error of either."""
+    data, means, errors = postproc.open_results(file), {}, {}
     for threshold in data.threshold.to_numpy():
         for width in data.channel2_width.to_numpy():
             here = data.sel(threshold=threshold, channel2_width=width)
             chi, current = here.chi.to_numpy(), here.polarised_current.to_numpy()
-            spread, share = float(chi.mean()), float(current.mean() / chi.mean())
-            for model in MODELS:
-                said = here.sel(theory=model)
-                theirs, net = float(said.theory_chi), abs(float(said.theory_polarised_current))
-                both = spread > POLARISED and theirs > 0.0
-                found.append({
-                    "T": int(threshold), "w2": float(width), "model": model, "chi": spread,
-                    "chi_error": chi.std(ddof=1) / math.sqrt(chi.size), "current_over_chi": share,
-                    "model_chi": theirs,
-                    "off_chi": theirs / spread - 1.0 if both else math.nan,
-                    "off_share": net / theirs / share - 1.0 if both else math.nan,
-                    "other_state": int((theirs > POLARISED) != (spread > POLARISED)),
-                })  # fmt: skip
+            at, spread = (int(threshold), float(width)), float(chi.mean())
+            share = float(current.mean()) / spread
+            means[at] = spread, share
+            if chi.size > 1:
+                left = (current - share * chi) / spread
+                root = math.sqrt(chi.size)
+                errors[at] = float(chi.std(ddof=1)) / root, float(left.std(ddof=1)) / root
+    return means, errors
+
+
+def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
+    """Return chi and current over chi of the most polarised stable state; chi 0: there is none."""
+    found = {}
+    for at in points:
+        circuit = replace(ladder.BATTERY, threshold=at[0], channel2_width=at[1])
+        if model == "chain":
+            named = next(one for one in ladder.THEORIES if one[0] == "renewal chain")[1]
+            chi, current = ladder.chain(replace(named, threshold=at[0], channel2_width=at[1]))
+        else:
+            chi = theory_says(circuit, MODELS[model], "chi", None)[0]
+            current = theory_says(circuit, MODELS[model], "polarised_current", None)[0]
+        chi = chi if math.isfinite(chi) and chi > 0.0 else 0.0
+        found[at] = chi, abs(current) / chi if chi else math.nan
     return found
+
+
+def transition(means: Points, width: float) -> float:
+    """Return the T at which chi falls through 0.3 at a w'; NaN: it does not."""
+    thresholds = sorted(at[0] for at in means if at[1] == width)
+    return ladder.transition(thresholds, [means[one, width][0] for one in thresholds])
+
+
+def rows_of(
+    truth: Points, errors: Points, said: dict[str, Points]
+) -> list[dict[str, float | str]]:
+    """Return a row for each model and point that it has an answer of."""
+    found = []
+    for model, theirs in said.items():
+        for at, (chi, share) in theirs.items():
+            spread, conductance = truth[at]
+            both = spread > POLARISED and chi > POLARISED
+            falls, fall = transition(truth, at[1]), transition(theirs, at[1])
+            found.append({
+                "T": at[0], "w2": at[1], "model": model, "chi": spread,
+                "chi_error": errors[at][0], "current_over_chi": conductance,
+                "current_over_chi_error": errors[at][1], "model_chi": chi,
+                "off_chi": chi / spread - 1.0 if both else math.nan,
+                "off_share": share / conductance - 1.0 if both else math.nan,
+                "other_state": int((chi > POLARISED) != (spread > POLARISED)),
+                "transition": falls, "off_transition": fall / falls - 1.0,
+            })  # fmt: skip
+    return found
+
+
+def colour(off: float) -> str:
+    """Return the colour of an error; NaN: the last, for what is beyond the map."""
+    return COLOURS[int(np.searchsorted(BOUNDS, abs(off)))] if math.isfinite(off) else COLOURS[-1]
 
 
 def draw(rows: list[dict[str, float | str]], path: Path) -> None:
     """Draw a panel for each model and quantity; a cross is where model and runs differ in state."""
-    made, panels = plt.subplots(2, len(MODELS), figsize=(10.0, 5.0), layout="constrained",
-                                sharex=True, sharey=True)  # fmt: skip
+    models = list(dict.fromkeys(row["model"] for row in rows))
+    made, panels = plt.subplots(3, len(models), figsize=(1.45 * len(models), 7.5),
+                                layout="constrained", sharex=True, sharey=True)  # fmt: skip
     widths = sorted({row["w2"] for row in rows})
-    for column, model in enumerate(MODELS):
+    for column, model in enumerate(models):
         own = [row for row in rows if row["model"] == model]
-        for axes, quantity in zip(panels[:, column], ("off_chi", "off_share"), strict=True):
+        for axes, quantity in zip(panels[:2, column], ("off_chi", "off_share"), strict=True):
             for row in own:
                 at, off = (widths.index(row["w2"]), row["T"]), row[quantity]
                 if row["other_state"]:
-                    axes.plot(*at, "x", color="black", ms=7)
+                    axes.plot(*at, "x", color="black", ms=6)
                 elif math.isnan(off):
                     axes.plot(*at, ".", color="0.75", ms=4)
                 else:
-                    colour = COLOURS[int(np.searchsorted(BOUNDS, abs(off)))]
-                    axes.plot(*at, "s", color=colour, ms=9)
-        panels[0, column].set_title(f"{model}: chi", fontsize=9)
-        panels[1, column].set_title(f"{model}: current over chi", fontsize=9)
-        panels[1, column].set_xticks(range(len(widths)), [f"{one:g}" for one in widths], fontsize=7)
-        panels[1, column].set_xlabel("w'")
-    for axes in panels[:, 0]:
-        axes.set_ylabel("T")
+                    axes.plot(*at, "s", color=colour(off), ms=7)
+        for row in {row["w2"]: row for row in own}.values():
+            at, falls, off = widths.index(row["w2"]), row["transition"], row["off_transition"]
+            panels[2, column].plot(at, falls, "o", color=colour(off), ms=8)
+            if math.isfinite(off):
+                panels[2, column].plot(at, falls * (1.0 + off), "_", color="black", ms=10)
+        panels[0, column].set_title(model, fontsize=9)
+        panels[2, column].set_xticks(range(len(widths)), [f"{one:g}" for one in widths],
+                                     fontsize=6, rotation=90)  # fmt: skip
+        panels[2, column].set_xlabel("w'")
+    for axes, word in zip(panels[:, 0], ("chi", "current over chi", "transition"), strict=True):
+        axes.set_ylabel(f"{word}: T")
     words = ("below 1 %", "1 to 3 %", "3 to 10 %", "above 10 %")
-    for colour, word in zip(COLOURS, words, strict=True):
-        panels[0, 0].plot([], [], "s", color=colour, label=word)
+    for one, word in zip(COLOURS, words, strict=True):
+        panels[0, 0].plot([], [], "s", color=one, label=word)
     panels[0, 0].plot([], [], "x", color="black", label="polarised in one of both only")
     panels[0, 0].plot([], [], ".", color="0.75", label="not polarised in either")
-    made.legend(loc="outside upper center", ncols=6, fontsize=8)
-    made.savefig(path, dpi=130)
+    panels[0, 0].plot([], [], "o", color="0.5", label="runs' transition")
+    panels[0, 0].plot([], [], "_", color="black", label="the model's")
+    made.legend(loc="outside upper center", ncols=8, fontsize=8)
+    made.savefig(path, dpi=110)
+
+
+def table(rows: list[dict[str, float | str]]) -> list[str]:
+    """Return lines of a table: at how many points each model is within the bounds."""
+    lines = []
+    for model in dict.fromkeys(row["model"] for row in rows):
+        own = [row for row in rows if row["model"] == model]
+        cells = []
+        for quantity in ("off_chi", "off_share", "off_transition"):
+            rest = {row["w2"]: row for row in own}.values() if "trans" in quantity else own
+            sizes = [abs(row[quantity]) for row in rest]
+            within = ", ".join(str(sum(one <= bound for one in sizes)) for bound in BOUNDS)
+            asked = "trans" in quantity or "chi"
+            known = len(sizes) if asked is True else sum(map(math.isfinite, sizes))
+            cells.append(f"{within} of {known}")
+        cells.append(str(sum(row["other_state"] for row in own)))
+        lines.append(f"| {model} | {' | '.join(cells)} |")
+    return lines
 
 
 def main() -> None:
@@ -91,16 +187,23 @@ def main() -> None:
     options.add_argument("--runs", type=Path, default=Path("map_runs"), help="folder of results")
     options.add_argument("--output", type=Path, help="of table and picture (default: --runs)")
     given = options.parse_args()
-    rows = rows_of(postproc.run(PLACE / "map.nml", folder=given.runs))
+    truth, errors = of_runs(run_map(given.runs))
+    said = {}
+    for name in NAMES:
+        engine = name in LENGTHS
+        said[name] = of_runs(run_map(given.runs, name))[0] if engine else of_theory(name, [*truth])
+        print(f"{name}: done", flush=True)
+    rows = rows_of(truth, errors, said)
     place = given.output or given.runs
-    with (place / "results.csv").open("w", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        table.writeheader()
-        table.writerows(
-            {key: f"{value:.6g}" if isinstance(value, float) else value
+    with (place / "where_models_fail.csv").open("w", newline="") as file:
+        out = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        out.writeheader()
+        out.writerows(
+            {key: f"{value:.5g}" if isinstance(value, float) else value
              for key, value in row.items()} for row in rows
         )  # fmt: skip
     draw(rows, place / "where_models_fail.png")
+    print(*table(rows), sep="\n")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,261 @@
+!> How much of the current through channel 2 a run lacks because it is young.
+!>
+!> Particles that go round through both channels carry a part of that current. Orbits of ever more
+!> rounds fill up as a run goes on, until the gate of the sparse urn reverses those that are on
+!> them. With L the length of a round, R the share of entries that this gate reverses, and
+!> tau = L/R, the current at an age s lacks about this part of its stationary value:
+!>
+!>     3 (w'/L) exp(-s/tau) log(1 + tau/s)                                            (1)
+!>
+!> The number in the sparse urn comes from the balance of flows through both channels, the load of
+!> the dense gate times 0.85 (the paper's theory has 1). R is that of a gate whose visits last
+!> exponentially long, in closed form. The factors 3 and 0.85 are fitted to the theory of the
+!> currents that was measured in studies/age_of_a_run; how far (1) is from both stands there.
+!>
+!> That was measured, and so (1) is used, for equal discs with equal gates, channels without
+!> scatterers, engines that are exact, T up to 30, and runs without an initial file. Elsewhere, and
+!> where the balance has no polarised state, nothing is told.
+module battery_current_age
+  use battery_kinds, only: dp, int64
+  use battery_plan, only: plan_type, point_type, point_of, point_text, table_of
+  use battery_table, only: table_type, area, perimeter, gated, ungated
+  use battery_text, only: to_text
+  implicit none (type, external)
+  private
+  public :: circulation_type, circulation_at, lacking, transient_for, current_remark
+
+  !> Circulation at a parameter point.
+  type :: circulation_type
+    !> The factor 3 w'/L of (1); 0: there is no current to speak of, or nothing is known.
+    real(dp) :: growth = 0.0_dp
+    !> The time tau after which a circulating particle is reversed.
+    real(dp) :: lifetime = 1.0_dp
+  end type circulation_type
+
+  !> Engines that simulate the table as it is.
+  character(len=*), parameter :: exact_engines(3) = [character(len=11) :: 'excursion', &
+    'collision', 'synchronous']
+
+  real(dp), parameter :: pi = acos(-1.0_dp)
+
+  !> What is fitted: the factor of (1), and that of the dense gate's load.
+  real(dp), parameter :: steepness = 3.0_dp, dense_load = 0.85_dp
+
+  !> The tolerance of currents that the remark has in view, and which part of it a current may
+  !> lack, as in postproc.advise.
+  real(dp), parameter :: tolerance = 0.01_dp, allowed = 0.25_dp
+
+  !> Measured time over the transient of the runs that are recommended.
+  real(dp), parameter :: measured = 2.0_dp
+
+  !> The least chi of a state that counts as polarised.
+  real(dp), parameter :: polarised = 0.3_dp
+
+  !> The largest threshold at which (1) was held against theory, and most points that are looked at.
+  integer, parameter :: largest_threshold = 30, most_points = 1000
+
+contains
+
+  !> One line about the point of a plan whose currents lack most, and the transient that its
+  !> currents would need for one per cent; empty where all points lack less, or nothing is known.
+  function current_remark(plan) result(text)
+    type(plan_type), intent(in) :: plan
+    character(len=:), allocatable :: text
+    type(circulation_type) :: here, worst
+    type(point_type) :: point
+    real(dp) :: lacks, most, transient
+    integer :: at, worst_at
+
+    text = ''
+    if (plan%shape == 'urn' .or. plan%urn_shape == 'polygon' .or. size(plan%scatterers) > 0 &
+      .or. plan%initial_file /= '') return
+    if (.not. any(exact_engines == plan%engine)) return
+    most = 0.0_dp
+    worst_at = 0
+    do at = 1, plan%point_count, 1 + (plan%point_count - 1)/most_points
+      point = point_of(plan, at)
+      here = circulation_at(point)
+      lacks = lacking(here, ages_measured(plan, point))
+      if (lacks <= most) cycle
+      most = lacks
+      worst = here
+      worst_at = at
+    end do
+    if (most <= allowed*tolerance) return
+    transient = transient_for(worst, allowed*tolerance)
+    text = 'currents:   about '//percent_text(most)//' % too low'
+    if (point_text(plan, worst_at, '') /= '') text = text//', most at '//point_text(plan, &
+      worst_at, '')
+    text = text//': circulations still fill up; 1 % asks for a transient of ' &
+      //to_text(nint(transient, int64))//', then '//to_text(nint(measured*transient, int64)) &
+      //' measured'
+  end function current_remark
+
+  !> First and last age, since the start, of what a run of this plan averages at a point. Collisions
+  !> take as long as the mean free path of the empty table.
+  pure function ages_measured(plan, point) result(ages)
+    type(plan_type), intent(in) :: plan
+    type(point_type), intent(in) :: point
+    real(dp) :: ages(2)
+    type(table_type) :: table
+
+    if (plan%duration > 0.0_dp) then
+      ages = real([plan%transient_duration, plan%duration], dp)
+    else
+      table = table_of(plan, point)
+      ages = real([plan%transient_collisions, plan%collisions], dp) &
+        *pi*real(area(table)/perimeter(table), dp)/real(point%number, dp)
+    end if
+  end function ages_measured
+
+  !> Circulation at a parameter point, urns that are discs.
+  pure type(circulation_type) function circulation_at(point) result(found)
+    type(point_type), intent(in) :: point
+    real(dp) :: width, width2, radius, load, sparse, round_length
+    integer :: threshold
+
+    threshold = point%threshold(1)
+    width = real(point%channel(gated)%width, dp)
+    width2 = real(point%channel(ungated)%width, dp)
+    radius = real(point%urn_radius(1), dp)
+    if (point%threshold(2) /= threshold .or. threshold < 1 .or. threshold > largest_threshold &
+      .or. abs(real(point%urn_radius(2), dp) - radius) > 0.0_dp .or. .not. width2 > 0.0_dp &
+      .or. .not. width > 0.0_dp .or. point%number < 2) return
+    ! Mean number in a gate by particles in its urn: N w/(pi A) entries a unit of time, pi l/4 each.
+    load = width*real(point%channel(gated)%length, dp)/(4.0_dp*pi*radius**2)
+    sparse = sparse_number(real(point%number, dp), threshold, width2/width, load)
+    if (sparse > 0.5_dp*(1.0_dp - polarised)*real(point%number, dp)) return
+    round_length = sqrt(4.0_dp*radius**2 - width**2) + sqrt(4.0_dp*radius**2 - width2**2) &
+      + real(point%channel(gated)%length + point%channel(ungated)%length, dp)
+    found%growth = steepness*width2/round_length
+    found%lifetime = round_length/reversed_share(threshold, load*sparse)
+  end function circulation_at
+
+  !> Number in the sparse urn: where the current through channel 2 is what channel 1 brings back.
+  !> Where nothing but equal shares balances, half of all.
+  pure real(dp) function sparse_number(number, threshold, widths, load) result(sparse)
+    real(dp), intent(in) :: number
+    integer, intent(in) :: threshold
+    !> Width of channel 2 over that of channel 1, and the load of a gate by particles in its urn.
+    real(dp), intent(in) :: widths, load
+    integer, parameter :: steps = 200, halvings = 40
+    real(dp) :: low, high, middle
+    integer :: at
+
+    sparse = 0.5_dp*number
+    do at = 1, steps - 1
+      high = 0.5_dp*number*real(at, dp)/real(steps, dp)
+      if (excess(high) <= 0.0_dp) exit
+    end do
+    if (at == steps) return
+    low = 0.5_dp*number*real(at - 1, dp)/real(steps, dp)
+    do at = 1, halvings
+      middle = 0.5_dp*(low + high)
+      if (excess(middle) > 0.0_dp) then
+        low = middle
+      else
+        high = middle
+      end if
+    end do
+    sparse = 0.5_dp*(low + high)
+
+  contains
+
+    !> What flows into the sparse urn less what flows out, in units of one particle's flow.
+    pure real(dp) function excess(in_sparse)
+      real(dp), intent(in) :: in_sparse
+      real(dp) :: in_dense
+
+      in_dense = number - in_sparse
+      excess = (in_dense - in_sparse)*widths + in_dense*below(threshold, dense_load*load*in_dense) &
+        - in_sparse*below(threshold, load*in_sparse)
+    end function excess
+
+  end function sparse_number
+
+  !> Chance that a Poisson number of that mean is below `threshold`.
+  pure real(dp) function below(threshold, mean) result(chance)
+    integer, intent(in) :: threshold
+    real(dp), intent(in) :: mean
+    real(dp) :: term
+    integer :: k
+
+    term = exp(-mean)
+    chance = term
+    do k = 1, threshold - 1
+      term = term*mean/real(k, dp)
+      chance = chance + term
+    end do
+  end function below
+
+  !> Share of entries that a gate reverses whose visits last exponentially long: (T + 1) over the
+  !> sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
+  pure real(dp) function reversed_share(threshold, load) result(share)
+    integer, intent(in) :: threshold
+    !> Mean number inside were nobody reversed, above 0.
+    real(dp), intent(in) :: load
+    real(dp), parameter :: enough = 1.0e100_dp
+    real(dp) :: one, total
+    integer :: n
+
+    one = 1.0_dp
+    total = 1.0_dp
+    do n = 1, threshold
+      one = min(enough, 1.0_dp + real(n, dp)*one/load)
+      total = total + one
+    end do
+    share = real(threshold + 1, dp)/total
+  end function reversed_share
+
+  !> The part of its stationary value that a current lacks, (1) averaged over ages.
+  pure real(dp) function lacking(circulation, ages)
+    type(circulation_type), intent(in) :: circulation
+    !> The first and the last, in time units.
+    real(dp), intent(in) :: ages(2)
+    integer, parameter :: parts = 16
+    real(dp) :: age(parts)
+    integer :: k
+
+    age = (ages(1) + (ages(2) - ages(1))*[((real(k, dp) - 0.5_dp)/real(parts, dp), k=1, parts)]) &
+      /circulation%lifetime
+    age = max(age, tiny(1.0_dp))
+    lacking = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/real(parts, dp)
+  end function lacking
+
+  !> The transient, to two digits, behind which runs that measure twice as long lack no more than
+  !> `part` of their current.
+  pure real(dp) function transient_for(circulation, part) result(transient)
+    type(circulation_type), intent(in) :: circulation
+    !> Above 0.
+    real(dp), intent(in) :: part
+    integer, parameter :: halvings = 60
+    real(dp) :: low, high, unit
+    integer :: at
+
+    ! Powers of ten, in lifetimes.
+    low = -12.0_dp
+    high = 2.0_dp
+    do at = 1, halvings
+      transient = circulation%lifetime*10.0_dp**(0.5_dp*(low + high))
+      if (lacking(circulation, [1.0_dp, 1.0_dp + measured]*transient) > part) then
+        low = 0.5_dp*(low + high)
+      else
+        high = 0.5_dp*(low + high)
+      end if
+    end do
+    unit = 10.0_dp**(floor(log10(transient)) - 1)
+    transient = unit*real(ceiling(transient/unit), dp)
+  end function transient_for
+
+  !> Per cent with two digits: `0.31`, `1.2`, `12`.
+  pure function percent_text(part) result(text)
+    real(dp), intent(in) :: part
+    character(len=:), allocatable :: text
+    character(len=16) :: buffer
+
+    write (buffer, merge('(f0.2)', '(f0.1)', 100.0_dp*part < 0.995_dp)) 100.0_dp*part
+    text = trim(buffer)
+    if (text(1:1) == '.') text = '0'//text
+  end function percent_text
+
+end module battery_current_age
