@@ -371,16 +371,17 @@ def test_check_writes_nothing(tmp_path: Path, ranks: int) -> None:
 
 
 def test_currents_of_a_young_run_are_remarked_on(tmp_path: Path) -> None:
-    """The plan and the run say in one and the same line what currents lack, --quiet says nothing."""
+    """The plan and the run say in the same line what currents lack, --quiet says nothing."""
     table = {"channel1_width": "0.3", "channel2_width": "0.01"}
     length = {"duration": "3", "transient_duration": "1"}
-    write(tmp_path, table=table, particles={"number": "1000"}, gate={"threshold": "7"}, run=length)
+    groups = {"table": table, "run": length, "output": {"file": "'out.h5'"}}
+    write(tmp_path, particles={"number": "1000"}, gate={"threshold": "7"}, **groups)
     told = [
         [line for line in run(*words, folder=tmp_path).stdout.splitlines() if "currents: " in line]
         for words in (["--check", "case.nml"], ["case.nml"], ["--quiet", "--overwrite", "case.nml"])
     ]
     assert len(told[0]) == 1
-    assert "too low: circulations still fill up; 1 % asks for a transient of" in told[0][0]
+    assert "too low: circulations still fill up; for 0.25 % a transient of" in told[0][0]
     assert told[1:] == [told[0], []]
 
 

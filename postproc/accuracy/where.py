@@ -1,0 +1,78 @@
+"""Which model serves where: the map of studies/where_models_fail, asked for the circuit at hand.
+
+The map has N = 1000, w = 0.3, r = l = l' = 1. Another circuit is where its thresholds are as large
+beside what a gate would hold of equal shares, and w'/w is the same. Nothing is said of circuits
+beyond the map, nor of unlike urns.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from postproc.accuracy.ladder import BATTERY
+from postproc.theory.circuit import gate_load
+
+if TYPE_CHECKING:
+    from postproc.theory.circuit import Circuit
+
+TABLE = Path(__file__).with_name("where_models_fail.csv")
+COLUMNS = {
+    "chi": ("off_chi", "chi"),
+    "polarised_current": ("off_share", "current over chi"),
+    "transition": ("off_transition", "the transition"),
+}
+BEYOND = 1.25  # factor by which a circuit may lie beyond the edge of the map
+
+
+@cache
+def _table() -> list[dict[str, str]]:
+    with TABLE.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def nearest(circuit: Circuit) -> tuple[int, float] | None:
+    """Return T and w' of the map's point that is nearest in their logarithms; None: beyond it."""
+    if not circuit.alike or float(circuit.channel2_width) == 0.0:
+        return None
+    widths = float(circuit.channel2_width) / float(circuit.channel1_width)
+    width = widths * float(BATTERY.channel1_width)
+    loads = [
+        float(gate_load(one, 0.5 * float(one.number)))
+        for one in (replace(BATTERY, channel2_width=width), circuit)
+    ]
+    here = float(circuit.threshold) * loads[0] / loads[1], width
+    points = {(int(row["T"]), float(row["w2"])) for row in _table()}
+    for at, value in enumerate(here):
+        known = [point[at] for point in points]
+        if not min(known) / BEYOND <= value <= max(known) * BEYOND:
+            return None
+
+    def distance(point: tuple[int, float]) -> float:
+        return math.hypot(*(math.log(a / b) for a, b in zip(here, point, strict=True)))
+
+    return min(points, key=distance)
+
+
+def words(circuit: Circuit, quantity: str) -> str:
+    """Return in a sentence how far the models are off there, the best first; empty: not known."""
+    point = nearest(circuit)
+    if point is None:
+        return ""
+    column, name = COLUMNS[quantity]
+    here = [row for row in _table() if (int(row["T"]), float(row["w2"])) == point]
+    known = sorted(
+        (abs(float(row[column])), row["model"]) for row in here
+        if math.isfinite(float(row[column])) and row["other_state"] == "0"
+    )  # fmt: skip
+    if not known:
+        return ""
+    told = ", ".join(f"{model} {100.0 * off:.2g} %" for off, model in known)
+    return (
+        f" At the nearest point of the map (studies/where_models_fail: T = {point[0]}, "
+        f"w' = {point[1]:g}, N = 1000, w = 0.3) {name} is off by: {told}."
+    )
