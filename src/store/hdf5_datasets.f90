@@ -7,7 +7,7 @@
 !> What is read may be of anyone: a dataset must lie in this file, in one of the ways in which
 !> `write_dataset` lays it down, and have the type and the extents that are expected of it.
 module battery_hdf5_datasets
-  use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_int, c_loc, c_null_char, c_ptr
+  use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_int, c_int64_t, c_null_char
   use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dread_f, h5dwrite_f, &
     h5dget_space_f, h5sget_simple_extent_dims_f, h5sget_simple_extent_ndims_f, h5pcreate_f, &
     h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5pset_fill_value_f, h5screate_simple_f, &
@@ -43,18 +43,18 @@ module battery_hdf5_datasets
   ! was built (hdf5hl_fortran, hdf5_hl_fortran).
   interface
     integer(c_int) function c_set_scale(dataset, name) bind(c, name='H5DSset_scale')
-      import :: c_char, c_int, hid_t
+      import :: c_char, c_int, c_int64_t
       implicit none (type, external)
-      integer(hid_t), value, intent(in) :: dataset
+      integer(c_int64_t), value, intent(in) :: dataset
       character(kind=c_char), intent(in) :: name(*)
     end function c_set_scale
 
     !> `dimension` counts from 0, the slowest first.
     integer(c_int) function c_attach_scale(dataset, scale, dimension) &
         bind(c, name='H5DSattach_scale')
-      import :: c_int, hid_t
+      import :: c_int, c_int64_t
       implicit none (type, external)
-      integer(hid_t), value, intent(in) :: dataset, scale
+      integer(c_int64_t), value, intent(in) :: dataset, scale
       integer(c_int), value, intent(in) :: dimension
     end function c_attach_scale
   end interface

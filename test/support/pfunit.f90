@@ -100,7 +100,8 @@ contains
       return
     end if
     takes_part = rank < this%processes
-    call MPI_Comm_split(MPI_COMM_WORLD, merge(0, MPI_UNDEFINED, takes_part), rank, this%communicator)
+    call MPI_Comm_split(MPI_COMM_WORLD, merge(0, MPI_UNDEFINED, takes_part), rank, &
+      this%communicator)
     ! Asked of the rank: gfortran 11 finds no operator(==) in Open MPI's module mpi_f08.
     if (.not. takes_part) return
     if (associated(this%set_up)) call this%set_up(this)
