@@ -9,7 +9,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
-#include <time.h>
 #include <unistd.h>
 
 /* What an attempt came to. */
@@ -113,16 +112,12 @@ int battery_own(const char *path, const char *text, char *holder, int room, owne
   int length = battery_read_owner(path, holder, room), outcome = taken, got;
   if (length > 0 && (strlen(holder) != (size_t)length || !is_of_an_owner(holder)))
     outcome = not_a_file;
-  else if (length > 0 && !same_host(holder, text))
+  /* An empty one is what a kill may leave, or what another machine is about to write to: a network
+     disk may show it empty for many seconds. */
+  else if (!is_new && !same_host(holder, text))
     outcome = unknown;
   if (outcome == taken) {
     got = lock(descriptor);
-    /* An empty file is what a kill may leave, or what another machine, whose lock is not seen here,
-       has just made: that one will write within the second. */
-    if (got == locked && !is_new && length == 0) {
-      nanosleep(&(struct timespec){.tv_sec = 1}, NULL);
-      if (battery_read_owner(path, holder, room) > 0) outcome = again;
-    }
     /* Who gives a file up removes it: then the lock is one on a file without a name. */
     if (!names(path, descriptor)) outcome = again;
     else if (got == locked_by_another) outcome = held;
