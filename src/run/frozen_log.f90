@@ -39,6 +39,7 @@ contains
   subroutine read_frozen_log(lines, log)
     !> As described above; they are the project's own, so they are good.
     character(len=*), intent(in) :: lines(:)
+    !> What they say.
     type(frozen_log_type), intent(out) :: log
     real(wp) :: lengths(5)
     real(wp), allocatable :: start(:, :)
@@ -80,6 +81,7 @@ contains
 
   !> Runs a log anew by an engine, and says what is not as it was; empty: all is.
   function what_differs(log, engine) result(problem)
+    !> What was found before.
     type(frozen_log_type), intent(in) :: log
     !> Name of the engine.
     character(len=*), intent(in) :: engine
@@ -133,7 +135,9 @@ contains
 
   !> Whether all particles are where the log has them at the end.
   pure logical function is_final_state(log, x, y, ux, uy) result(yes)
+    !> What was found before.
     type(frozen_log_type), intent(in) :: log
+    !> Positions and velocities of all particles, in the order of the log.
     real(wp), intent(in) :: x(:), y(:), ux(:), uy(:)
 
     yes = size(x) == size(log%final, 2)
