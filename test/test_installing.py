@@ -134,6 +134,57 @@ def test_the_man_page_has_every_key_and_option(tmp_path: Path) -> None:
         assert (done.returncode, done.stderr) == (0, "")
 
 
+PROGRAM_OF_TWO = {
+    "main.f90": """program main
+  use cell, only: in_urn
+  use battery_kinds, only: wp
+  implicit none (type, external)
+
+  print '(l1)', in_urn(-1.4_wp)
+end program main
+""",
+    "cell.f90": """module cell
+  use battery_kinds, only: wp
+  use battery_table, only: table_type, new_table, shape_circuit, chamber_at, outside
+  implicit none (type, external)
+contains
+  logical function in_urn(x)
+    real(wp), intent(in) :: x
+    type(table_type) :: table
+
+    table = new_table(shape_circuit, 1.0_wp, 0.3_wp, 1.0_wp, 0.01_wp, 1.0_wp)
+    in_urn = chamber_at(table, x, 0.0_wp, 0.0_wp) /= outside
+  end function in_urn
+end module cell
+""",
+}
+
+
+def test_the_library_is_installed_without_building_and_others_link_with_it(
+    tmp_path: Path,
+) -> None:
+    prefix = tmp_path / "there"
+    make("build")
+    before = PROGRAM.stat().st_mtime_ns
+    make("install", f"PREFIX={prefix}", "POSTPROC=0")
+    assert PROGRAM.stat().st_mtime_ns == before
+    assert (prefix / "bin/battery").read_bytes() == PROGRAM.read_bytes()
+    assert not (prefix / "bin/battery-postproc").exists()
+    for name, text in PROGRAM_OF_TWO.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    words = subprocess.run(
+        ["pkg-config", "--cflags", "--libs", "battery"], check=True, text=True,
+        capture_output=True, env=OUTSIDE | {"PKG_CONFIG_PATH": str(prefix / "lib/pkgconfig")},
+    ).stdout.split()  # fmt: skip
+    built = call("mpifort", "cell.f90", "main.f90", *words, "-o", "two", folder=tmp_path)
+    assert built.returncode == 0, built.stderr
+    assert call(tmp_path / "two").stdout == "T\n"
+    version = call(PROGRAM, "--version").stdout.split()[1]
+    module = (prefix / "share/modulefiles/battery" / version).read_text(encoding="utf-8")
+    assert module.startswith("#%Module")
+    assert f"prepend-path PATH {prefix}/bin\n" in module
+
+
 @pytest.mark.full
 def test_an_installed_battery_needs_no_checkout(tmp_path: Path) -> None:
     prefix = tmp_path / "a prefix"

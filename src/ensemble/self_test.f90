@@ -33,6 +33,7 @@ contains
 
   !> Runs all tests on all ranks; rank 0 prints one line for each.
   subroutine run_self_test(communicator, error)
+    !> All ranks of the program.
     type(communicator_type), intent(in) :: communicator
     !> How many tests failed; the same on all ranks.
     type(error_type), allocatable, intent(out) :: error

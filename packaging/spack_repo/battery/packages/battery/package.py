@@ -31,6 +31,9 @@ class Battery(MakefilePackage):
 
     parallel = False
 
+    # `make test` wants Python packages; what was installed is tested below.
+    build_time_test_callbacks = []
+
     def choices(self):
         """What `make` is told: where everything is, and which processor."""
         flags = self.spec.target.optimization_flags("gcc", str(self.spec["fortran"].version))
