@@ -72,6 +72,7 @@ EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
     },
     "output/series_interval": "10",
     "output/snapshot_times": "0, 1000, 2000",
+    "output/snapshot_times_range": "0, 2000, 3",
     "output/event_log": {"run": {"duration": "50"}, "output": {"event_log": ".true."}},
     "output/final_state": ".true.",
     "limits/wall_minutes": "115",
