@@ -97,7 +97,7 @@ test: build build/stamps/python ## builds, runs the tests; at the end "N passed,
 	  --debug=" $(DEBUG_FLAGS)" --debug-link=" $(DEBUG_LINK)"
 
 cluster: build build/stamps/python ## as root: a Slurm of two nodes here runs the example jobs, machines die; then it is gone
-	@$(PYTHON) test/support/needs.py
+	@$(PYTHON) test/support/cluster_packages.py
 	$(PYTHON) -m pytest -q -rs test/test_slurm.py test/test_nodes.py
 
 # What a user may say: docs/install.md.

@@ -11,14 +11,14 @@ import pytest
 from attack import nodes as attack
 from attack.common import trials
 from attack.scene import undisturbed, write
-from support import needs, program
+from support import cluster_packages, program
 from support.nodes import Nodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-LACKING = needs.lacking()
+LACKING = cluster_packages.lacking()
 pytestmark = [pytest.mark.full, pytest.mark.skipif(bool(LACKING), reason=LACKING)]
 HOSTS = ["--host", "node1:1,node2:1"]
 

@@ -377,11 +377,11 @@ def test_currents_of_a_young_run_are_remarked_on(tmp_path: Path) -> None:
     groups = {"table": table, "run": length, "output": {"file": "'out.h5'"}}
     write(tmp_path, particles={"number": "1000"}, gate={"threshold": "7"}, **groups)
     told = [
-        [line for line in run(*words, folder=tmp_path).stdout.splitlines() if "currents: " in line]
+        re.findall(r"remark: +(currents lack .*)", run(*words, folder=tmp_path).stdout)
         for words in (["--check", "case.nml"], ["case.nml"], ["--quiet", "--overwrite", "case.nml"])
     ]
     assert len(told[0]) == 1
-    assert "too low: circulations still fill up; for 0.25 % a transient of" in told[0][0]
+    assert "%: circulations still fill up; for 0.25 % a transient of" in told[0][0]
     assert told[1:] == [told[0], []]
 
 

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 from attack.scene import workshop
-from support import needs, program
+from support import cluster_packages, program
 from support.slurm import Slurm
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 ROOT = program.ROOT
-LACKING = needs.lacking()
+LACKING = cluster_packages.lacking()
 pytestmark = [pytest.mark.full, pytest.mark.skipif(bool(LACKING), reason=LACKING)]
 MPI = [
     "openmpi",

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
-from postproc.accuracy import ladder, predictions, transients, where
+from postproc.accuracy import ladder, model_errors, predictions, transients
 from postproc.cli import InputError
 from postproc.progress import doing
 from postproc.reading.results import Results
@@ -453,7 +453,7 @@ def advise(
         )
     enough = replicas <= REPLICAS
     met = " The pilot itself meets the tolerance." if enough else ""
-    met += where.words(circuit, quantity)
+    met += model_errors.words(circuit, quantity)
     off = []
     for name, least in THEORIES.items():
         value, seconds = _asked(circuit, name, found, quantity, cost, least)

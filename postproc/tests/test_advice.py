@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from postproc.accuracy import advice, advice_check, transients, where
+from postproc.accuracy import advice, advice_check, model_errors, transients
 from postproc.accuracy.advice import Outcome, Pilot
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit
@@ -270,17 +270,17 @@ def test_transition_of_the_battery() -> None:
 def test_the_map_is_asked_at_the_nearest_point_of_like_circuits() -> None:
     """Its own point, and one with twice the N and T; not beyond the map, nor of unlike gates."""
     own = Circuit(1000, 8, 0.3, 0.02)
-    assert where.nearest(own) == (8, 0.02)
-    assert where.nearest(replace(own, number=2000, threshold=16)) == (8, 0.02)
-    assert where.nearest(replace(own, number=2000, threshold=60)) is None
-    assert where.nearest(replace(own, gate2_threshold=9)) is None
-    row = next(one for one in where._table() if one["model"] == "two_port"
+    assert model_errors.nearest(own) == (8, 0.02)
+    assert model_errors.nearest(replace(own, number=2000, threshold=16)) == (8, 0.02)
+    assert model_errors.nearest(replace(own, number=2000, threshold=60)) is None
+    assert model_errors.nearest(replace(own, gate2_threshold=9)) is None
+    row = next(one for one in model_errors._table() if one["model"] == "two_port"
                and (one["T"], one["w2"]) == ("8", "0.02"))  # fmt: skip
     for quantity, column in (("chi", "off_chi"), ("polarised_current", "off_share"),
                              ("transition", "off_transition")):  # fmt: skip
-        told = where.words(own, quantity)
+        told = model_errors.words(own, quantity)
         assert f"two_port {100.0 * abs(float(row[column])):.2g} %" in told
         assert told.index("two_port") < told.index("timestep 0.003")
     found = Pilot(0.87, 0.009, 0.0, 1000.0, 2000.0, 1e-6, 0.05)
     advised = advice.advise(advice.table_of(own), own, "chi", 0.001, found)
-    assert where.words(own, "chi") in advised.reason
+    assert model_errors.words(own, "chi") in advised.reason

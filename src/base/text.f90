@@ -4,7 +4,7 @@ module battery_text
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, lines_of, closest_word, is_one_of
-  public :: new_line_character, printable
+  public :: new_line_character, printable, counted
 
   character(len=1), parameter :: new_line_character = achar(10)
 
@@ -284,5 +284,17 @@ contains
     end do
     distance = row(len(other))
   end function edit_distance
+
+  !> A number of things: `1 point`, `2 points`.
+  pure function counted(number, noun) result(text)
+    !> How many.
+    integer, intent(in) :: number
+    !> One of them; its plural ends with s.
+    character(len=*), intent(in) :: noun
+    character(len=:), allocatable :: text
+
+    text = to_text(number)//' '//noun
+    if (number /= 1) text = text//'s'
+  end function counted
 
 end module battery_text

@@ -3,7 +3,6 @@
 module battery_outlook
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
-  use battery_current_age, only: current_remark
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_answer, only: write_plan_answer
@@ -18,7 +17,7 @@ module battery_outlook
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_type, task_count, task_of, place_particles
   use battery_terminal, only: say
-  use battery_text, only: string_type, to_text
+  use battery_text, only: string_type, to_text, counted
   implicit none (type, external)
   private
   public :: print_outlook
@@ -61,8 +60,6 @@ contains
     do at = 1, size(remarks)
       call say('remark:     '//remarks(at)%text)
     end do
-    remark = current_remark(plan)
-    if (remark /= '') call say(remark)
     call say('finished:   '//counted(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
     call calibrate(plan, progress%pending, needs%number, seconds, rate, error)
@@ -215,16 +212,6 @@ contains
         //' turned round to run counterclockwise'
     end do
   end function outline_text
-
-  !> `1 point`, `2 points`.
-  pure function counted(number, what) result(text)
-    integer, intent(in) :: number
-    character(len=*), intent(in) :: what
-    character(len=:), allocatable :: text
-
-    text = to_text(number)//' '//what
-    if (number /= 1) text = text//'s'
-  end function counted
 
   !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the
   !> plan that are run for a short while. Time is that of a processor, so that other work on the

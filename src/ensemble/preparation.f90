@@ -99,7 +99,7 @@ contains
       call remove_journal(journal_folder(plan), error)
     else
       remark = current_remark(plan)
-      if (remark /= '' .and. .not. quiet) call say(remark)
+      if (remark /= '' .and. .not. quiet) call say('remark: '//remark)
       rank_files = rank_files_in(journal_folder(plan))
       call open_journal(plan, ranks, rank_files, error)
       call put_longest_first(plan, pending)

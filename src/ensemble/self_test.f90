@@ -21,7 +21,7 @@ module battery_self_test
   use battery_results_file, only: open_results, close_results
   use battery_table, only: gated, ungated
   use battery_terminal, only: say
-  use battery_text, only: to_text, new_line_character
+  use battery_text, only: to_text, counted, new_line_character
   implicit none (type, external)
   private
   public :: run_self_test
@@ -187,14 +187,5 @@ contains
     end do
     call close_results(file, courses)
   end subroutine compare
-
-  !> A number of things.
-  pure function counted(number, what) result(text)
-    integer, intent(in) :: number
-    character(len=*), intent(in) :: what
-    character(len=:), allocatable :: text
-
-    text = to_text(number)//' '//what//trim(merge('s', ' ', number /= 1))
-  end function counted
 
 end module battery_self_test

@@ -13,7 +13,7 @@
 !> currents that was measured in studies/age_of_a_run; how far (1) is from both stands there.
 !>
 !> That was measured, and so (1) is used, for equal discs with equal gates, channels without
-!> scatterers, engines that are exact, T up to 30, and runs without an initial file. Elsewhere, and
+!> scatterers, engines that are exact, T up to 20, and runs without an initial file. Elsewhere, and
 !> where the balance has no polarised state, nothing is told.
 module battery_current_age
   use battery_kinds, only: dp, int64
@@ -51,8 +51,8 @@ module battery_current_age
   !> The least chi of a state that counts as polarised.
   real(dp), parameter :: polarised = 0.3_dp
 
-  !> The largest threshold at which (1) was held against theory, and most points that are looked at.
-  integer, parameter :: largest_threshold = 30, most_points = 1000
+  !> The largest threshold at which (1) was near to theory, and most points that are looked at.
+  integer, parameter :: largest_threshold = 20, most_points = 1000
 
 contains
 
@@ -83,7 +83,7 @@ contains
     end do
     if (most <= allowed*tolerance) return
     transient = transient_for(worst, allowed*tolerance)
-    text = 'currents:   about '//percent_text(most)//' % too low'
+    text = 'currents lack about '//percent_text(most)//' %'
     if (point_text(plan, worst_at, '') /= '') text = text//', most at '//point_text(plan, &
       worst_at, '')
     text = text//': circulations still fill up; for 0.25 % a transient of ' &

@@ -1,5 +1,6 @@
-!> What is allowed in a plan, and yet is hardly ever meant.
+!> What is allowed in a plan, and yet is hardly ever meant, and what its results will lack.
 module battery_plan_remarks
+  use battery_current_age, only: current_remark
   use battery_kinds, only: wp
   use battery_plan, only: plan_type, point_type, point_of, point_text
   use battery_table, only: ungated
@@ -21,6 +22,7 @@ contains
     logical :: never(2)
     !> How many points have it, and the first of them.
     integer :: points(shut), first(shut)
+    type(string_type) :: on_currents
     integer :: at
 
     points = 0
@@ -41,6 +43,8 @@ contains
     call add(not_gate_2, 'gate 2 never reverses, for its T is not below N')
     if (points(shut) > 0) call add(shut, 'disc '//to_text(shutting_disc(plan, point_of(plan, &
       first(shut))))//' of scatterers reaches from wall to wall: no particle passes channel 2')
+    on_currents%text = current_remark(plan)
+    if (on_currents%text /= '') remarks = [remarks, on_currents]
 
   contains
 

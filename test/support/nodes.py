@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .needs import SPACES
+from .cluster_packages import SPACES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,7 +12,7 @@ import subprocess
 import time
 from typing import TYPE_CHECKING
 
-from .needs import where
+from .cluster_packages import where
 from .nodes import Nodes
 
 if TYPE_CHECKING:

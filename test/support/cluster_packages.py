@@ -1,4 +1,4 @@
-"""What the tests of clusters need: `python test/support/needs.py` names what is not there.
+"""What the tests of clusters need; run as a program, this names what is not there.
 
 Nothing of it is needed to build the program, nor by `make test`.
 """
