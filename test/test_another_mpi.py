@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 PROGRAM = ROOT / "build/mpich/bin/battery"
 # For the program of MPICH under its own mpirun.
-WITH_MPICH = {**os.environ, "MPI": "mpich", "FPM_FC": "mpifort.mpich",
+WITH_MPICH = {**os.environ, "MPI": "mpich", "MPIFC": "mpifort.mpich", "FPM_FC": "mpifort.mpich",
               "BATTERY_PROGRAM": str(PROGRAM), "BATTERY_MPIRUN": "mpirun.mpich"}  # fmt: skip
 # What says how the program was built.
 OF_THE_BUILD = {"/@mpi_library", "/@compiler_options", "/@git_commit"}
@@ -44,7 +44,7 @@ def ended_well(*command: str) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def _built() -> None:
     """Build the program with MPICH, in a folder of its own."""
-    make("build", "MPI=mpich", FPM_FC="mpifort.mpich")
+    make("build", "MPI=mpich", "MPIFC=mpifort.mpich")
 
 
 def test_the_tests_of_ranks_pass() -> None:

@@ -45,7 +45,7 @@ def built(mpi: str) -> Path:
     """Give the program of an MPI; that of MPICH is built first."""
     if mpi == "openmpi":
         return program.PROGRAM
-    program.make("build", "MPI=mpich", FPM_FC="mpifort.mpich")
+    program.make("build", "MPI=mpich", "MPIFC=mpifort.mpich")
     return ROOT / "build/mpich/bin/battery"
 
 
