@@ -58,7 +58,8 @@ def test_a_file_that_cannot_be_written_is_found(tmp_path: Path) -> None:
                           preexec_fn=no_files, capture_output=True, check=False)
     assert done.returncode == 1, done.stderr
     assert "results file written and read back: FAILED: " in done.stdout
-    assert done.stderr == "battery: 1 of 9 tests failed\n"
+    # Open MPI 5 says first that it cannot write a file of its own.
+    assert done.stderr.endswith("battery: 1 of 9 tests failed\n")
 
 
 def test_it_takes_no_file(tmp_path: Path) -> None:

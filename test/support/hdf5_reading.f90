@@ -1,9 +1,9 @@
 !> What the tests read back from HDF5: the program itself reads no dataset.
 module hdf5_reading
-  use, intrinsic :: iso_c_binding, only: c_ptr
-  use hdf5, only: hid_t, hsize_t, h5dopen_f, h5dread_f, h5dget_space_f, h5aopen_by_name_f, &
-    h5aread_f, h5aget_space_f, h5lexists_f, h5sget_simple_extent_ndims_f, &
-    h5sget_simple_extent_dims_f
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_loc
+  use hdf5, only: hid_t, hsize_t, h5kind_to_type, h5_real_kind, h5_integer_kind, h5dopen_f, &
+    h5dread_f, h5dget_space_f, h5aopen_by_name_f, h5aread_f, h5aget_space_f, h5lexists_f, &
+    h5sget_simple_extent_ndims_f, h5sget_simple_extent_dims_f
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
   use battery_text, only: to_text
@@ -45,11 +45,13 @@ contains
     character(len=*), intent(in) :: path, name
     real(dp), intent(inout) :: value
     type(error_type), allocatable, intent(out) :: error
-    ! gfortran 11 tells memory_of a wrong type of a scalar that is an argument itself.
+    ! Not memory_of: gfortran 11 tells it a wrong type of a scalar that is an argument, and
+    ! gfortran 14 takes a scalar that was its argument as unchanged.
     real(dp), target :: found
 
     found = value
-    call read_number(file, path, name, memory_of(found), error)
+    call read_number(file, path, name, h5kind_to_type(kind(found), h5_real_kind), c_loc(found), &
+      error)
     value = found
   end subroutine read_real64
 
@@ -61,14 +63,16 @@ contains
     integer(int32), target :: found
 
     found = value
-    call read_number(file, path, name, memory_of(found), error)
+    call read_number(file, path, name, h5kind_to_type(kind(found), h5_integer_kind), c_loc(found), &
+      error)
     value = found
   end subroutine read_int32
 
-  subroutine read_number(file, path, name, memory, error)
+  subroutine read_number(file, path, name, value_type, address, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, name
-    type(memory_type), intent(in) :: memory
+    integer(hid_t), intent(in) :: value_type
+    type(c_ptr), intent(in) :: address
     type(error_type), allocatable, intent(out) :: error
     integer(hid_t) :: attribute, space
     integer :: dimensions, status
@@ -76,12 +80,12 @@ contains
 
     attribute = no_handle
     space = no_handle
-    buffer = memory%address
+    buffer = address
     call h5aopen_by_name_f(file%id, path, name, attribute, status)
     if (status == 0) call h5aget_space_f(attribute, space, status)
     if (status == 0) call h5sget_simple_extent_ndims_f(space, dimensions, status)
     if (status == 0) status = merge(-1, 0, dimensions > 0)
-    if (status == 0) call h5aread_f(attribute, memory%value_type, buffer, status)
+    if (status == 0) call h5aread_f(attribute, value_type, buffer, status)
     call release(space, status)
     call release(attribute, status)
     call check(file, path, 'has no attribute '//name//' that is one number', status, error)
