@@ -2,15 +2,12 @@
 !>
 !> Numbers are compared bit by bit, but for the sign of a zero; what is not known equals itself.
 module differences
-  use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
-  use battery_kinds, only: wp, dp, int64
+  use battery_kinds, only: wp, int64
   use battery_error, only: error_type
   use battery_engine, only: particles_type
   use battery_observer, only: observer_type, pass_observer
-  use battery_record_file, only: record_type
   use battery_simulation, only: simulation_type, pass_simulation
   use battery_stream, only: stream_type, new_stream
-  use battery_task_result, only: task_result_type, to_record
   use battery_text, only: to_text
   use scenes, only: same_bits
   use engine_runs, only: log_type
@@ -20,7 +17,7 @@ module differences
 
   interface first_difference
     module procedure :: of_numbers, of_planes, of_words, of_particles, of_logs, &
-      of_observers, of_results, of_simulations
+      of_observers, of_simulations
   end interface first_difference
 
 contains
@@ -145,33 +142,6 @@ contains
     end do
     text = of_sizes(size(a), size(b), 'words')
   end function of_words
-
-  !> Of two results, but for the numbers of their tasks.
-  function of_results(a, b) result(text)
-    type(task_result_type), intent(in) :: a, b
-    character(len=:), allocatable :: text
-    type(record_type) :: one, other
-
-    text = named('messages', of_sizes(len(a%message), len(b%message), 'letters'))
-    if (text == '' .and. a%message /= b%message) text = a%message//' and '//b%message
-    if (text == '') text = named('averages', of_numbers(known(a%measured%average), &
-      known(b%measured%average)))
-    if (text == '') text = named('errors', of_numbers(known(a%measured%error), &
-      known(b%measured%error)))
-    if (text /= '') return
-    one = to_record(a)
-    other = to_record(b)
-    text = of_words(one%word, other%word)
-  end function of_results
-
-  !> Numbers with some number for those that are not known.
-  elemental function known(number)
-    real(dp), intent(in) :: number
-    real(wp) :: known
-
-    known = -huge(1.0_wp)
-    if (.not. ieee_is_nan(number)) known = real(number, wp)
-  end function known
 
   !> Of two simulations: where their particles are, what they count, and all that their states hold.
   function of_simulations(a, b) result(text)
