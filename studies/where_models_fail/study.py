@@ -1,14 +1,15 @@
 """Where each model fails on the map of T and w': python studies/where_models_fail/study.py.
 
 Runs map.nml beside it and the same map by engines that are models (or takes their results where
-they are in the folder), asks five theories at each point, and writes where_models_fail.csv and
-where_models_fail.png. Some fifteen minutes of a core.
+they are in the folder), asks six theories at each point, and writes where_models_fail.csv and
+where_models_fail.png. Some twenty minutes of a core.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
 import math
 import sys
 from dataclasses import replace
@@ -32,8 +33,7 @@ from postproc.theory.models import MODELS  # noqa: E402
 POLARISED = 0.3  # chi from which on a state is called so
 BOUNDS = (0.01, 0.03, 0.1)
 COLOURS = ("tab:green", "gold", "tab:orange", "tab:red")
-# one_particle takes seconds a point, and is on the map of `make accuracy`
-THEORIES = [*(name for name in MODELS if name != "one_particle"), "chain"]
+THEORIES = [*MODELS, "chain"]
 # what the map of an engine is changed to: a fixed step costs a hundred times as much
 COARSE = {"threshold": [4, 6, 8, 10, 12, 14, 16], "replicas": 1}
 LENGTHS = {
@@ -73,6 +73,15 @@ def of_runs(file: Path) -> tuple[Points, Points]:
                 root = math.sqrt(chi.size)
                 errors[at] = float(chi.std(ddof=1)) / root, float(left.std(ddof=1)) / root
     return means, errors
+
+
+def kept(folder: Path, model: str, points: list[tuple[int, float]]) -> Points:
+    """Return what a theory says, from the file in the folder if it was asked before."""
+    file = folder / f"theory_{model}.json"
+    if not file.is_file():
+        found = of_theory(model, points)
+        file.write_text(json.dumps([[*at, *said] for at, said in found.items()]))
+    return {(at, width): (chi, share) for at, width, chi, share in json.loads(file.read_text())}
 
 
 def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
@@ -128,8 +137,9 @@ def colour(off: float) -> str:
 def draw(rows: list[dict[str, float | str]], path: Path) -> None:
     """Draw a panel for each model and quantity; a cross is where model and runs differ in state."""
     models = list(dict.fromkeys(row["model"] for row in rows))
-    made, panels = plt.subplots(3, len(models), figsize=(1.45 * len(models), 7.5),
+    made, panels = plt.subplots(3, len(models), figsize=(1.55 * len(models), 8.0),
                                 layout="constrained", sharex=True, sharey=True)  # fmt: skip
+    made.get_layout_engine().set(w_pad=0.06)
     widths = sorted({row["w2"] for row in rows})
     for column, model in enumerate(models):
         own = [row for row in rows if row["model"] == model]
@@ -149,7 +159,8 @@ def draw(rows: list[dict[str, float | str]], path: Path) -> None:
                 panels[2, column].plot(at, falls * (1.0 + off), "_", color="black", ms=10)
         panels[0, column].set_title(model, fontsize=9)
         panels[2, column].set_xticks(range(len(widths)), [f"{one:g}" for one in widths],
-                                     fontsize=6, rotation=90)  # fmt: skip
+                                     fontsize=7, rotation=90)  # fmt: skip
+        panels[2, column].set_xlim(-0.6, len(widths) - 0.4)
         panels[2, column].set_xlabel("w'")
     panels[0, 0].set_yticks(range(4, 20, 2))
     for axes, word in zip(panels[:, 0], ("chi", "current over chi", "transition"), strict=True):
@@ -205,7 +216,9 @@ def main() -> None:
     said = {}
     for name in [*THEORIES, *LENGTHS]:
         engine = name in LENGTHS
-        said[name] = of_runs(run_map(given.runs, name))[0] if engine else of_theory(name, [*truth])
+        said[name] = (
+            of_runs(run_map(given.runs, name))[0] if engine else kept(given.runs, name, [*truth])
+        )
         print(f"{name}: done", flush=True)
     write(rows_of(truth, errors, said), given.output or given.runs)
 

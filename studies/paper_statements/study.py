@@ -1,0 +1,194 @@
+"""Statements of the paper that need more than a run prints: study.py [PART ...] [--runs DIR].
+
+Each part makes its runs, or takes those that are in the folder, and prints the numbers that
+docs/paper.md cites, with standard errors over replicas:
+
+- flows: what channel 1 carries from urn 1 at T = 18, runs of comp05.nml, and theories (5 s);
+- slices: chi over T, and current over chi, of paper_slice.nml (15 s);
+- single: what eq. (eqapp5) adds to the current of the single urn, by w and T (5 s);
+- one_channel: chi against N w l/(8 T A) without channel 2 (25 s);
+- averages: chi over time and over wall collisions, from the same runs (8 s of a processor);
+- larger: four times the particles in urns of twice the radius (15 s);
+- polygons: currents of four shapes of urns at T = 7 (5 s);
+- discs: current over chi with 15 discs in channel 2 (5 s), and both starts at N = 4000 (30 s).
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+import postproc  # noqa: E402 (of the checkout, whose folder is known only now)
+from postproc import lorentz, shapes  # noqa: E402
+from postproc.accuracy import experiments  # noqa: E402
+from postproc.accuracy.experiments import mean_of_groups  # noqa: E402
+from postproc.accuracy.job import Job  # noqa: E402
+from postproc.theory.circuit import Circuit, flow1  # noqa: E402
+from postproc.theory.gates import WINDOW  # noqa: E402
+from postproc.theory.renewal import RENEWAL  # noqa: E402
+from postproc.theory.states import stable_state  # noqa: E402
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+
+POLARISED = 0.3  # chi from which on a state is called so
+
+
+def plain(width: float) -> float:
+    """Return what channel 2 carries at chi = 1 between well mixed urns, N = 1000, w = 0.3."""
+    return 1000.0 * width / (math.pi * float(Circuit(1000, 7, channel2_width=width).urn_area))
+
+
+def made(
+    folder: Path, name: str, run: dict[str, object], scan: dict[str, object],
+    **groups: dict[str, object],
+) -> xr.Dataset:  # fmt: skip
+    """Run N = 1000, w = 0.3, unless the groups say otherwise; return the results."""
+    own = {"particles": {"number": 1000}, **groups, "run": run, "scan": scan,
+           "output": {"file": f"{name}.h5"}}  # fmt: skip
+    return postproc.open_results(postproc.run(own, folder=folder, quiet=True))
+
+
+def said(values: np.ndarray) -> str:
+    """Return mean and standard error of replicas in words."""
+    return "{:.4g} +- {:.2g}".format(*mean_of_groups(values))
+
+
+def of_namelist(name: str, folder: Path) -> xr.Dataset:
+    """Run a namelist of `namelists/`; return the results."""
+    return postproc.open_results(
+        postproc.run(ROOT / f"namelists/{name}.nml", folder=folder, quiet=True)
+    )
+
+
+def flows(folder: Path) -> None:
+    """Print the flow of channel 1 out of urn 1 at T = 18, and what theories have."""
+    measured = of_namelist("comp05", folder).flow1_12.sel(threshold=18).to_numpy().ravel()
+    window, renewal = (float(flow1(Circuit(1000, 18, gate=gate), 500.0))
+                       for gate in (WINDOW, RENEWAL))  # fmt: skip
+    print(f"runs {said(measured)}, window {window:.2f}, renewal gate {renewal:.2f}")
+
+
+def slices(folder: Path) -> None:
+    """Print chi over T of four w', and current over chi in w' N/(pi A) where chi is above 0.3."""
+    data = of_namelist("paper_slice", folder)
+    for width in data.channel2_width.to_numpy():
+        print(f"w' = {width:g}:")
+        for threshold in data.threshold.to_numpy():
+            here = data.sel(channel2_width=width, threshold=threshold)
+            chi = here.chi.to_numpy().ravel()
+            share = here.polarised_current.to_numpy().ravel() / chi / plain(float(width))
+            known = f", current over chi {said(share)}" if chi.mean() > POLARISED else ""
+            print(f"  T = {threshold}: chi {said(chi)}{known}")
+
+
+def single(folder: Path) -> None:
+    """Print how far the paper's current of the single urn is above that of runs, by w and T."""
+    data = of_namelist("paper_single_urn", folder)
+    for width in data.channel1_width.to_numpy():
+        told = []
+        for at, threshold in enumerate(data.threshold.to_numpy()):
+            values = data.current1.sel(channel1_width=width)[at].to_numpy()
+            circuit = Circuit(1000, int(threshold), float(width), 0.0, gate=WINDOW)
+            if values.mean() > 0.0:
+                off = float(flow1(circuit, 1000.0)) / values.mean() - 1.0
+                told.append(f"T = {threshold} {100.0 * off:+.2g} %")
+        print(f"w = {width:g}: {', '.join(told)}")
+
+
+def one_channel(folder: Path) -> None:
+    """Print chi against N w l/(8 T A) without channel 2, for N = 1000 and 10,000."""
+    for name in ("paper_one_channel", "one_channel_starts"):
+        data = of_namelist(name, folder)
+        number, threshold = int(data.number), int(data.threshold)
+        area = float(Circuit(number, threshold, 0.5, 0.0).urn_area)
+        for length in data.channel1_length.to_numpy():
+            chi = data.chi.sel(channel1_length=length).transpose(..., "replica").to_numpy()
+            told = " and ".join(map(said, chi.reshape(-1, chi.shape[-1])))
+            print(f"N = {number}, {number * 0.5 * length / (8.0 * threshold * area):.3f}: {told}")
+
+
+def averages(folder: Path) -> None:
+    """Print chi as averaged over time, and what averages over wall collisions add to it."""
+    data = made(folder, "averages", {"engine": "collision", "duration": 4000.0,
+                                     "transient_duration": 500.0},
+                {"threshold": [2, 7, 14, 18], "replicas": 8},
+                table={"channel2_width": 0.01})  # fmt: skip
+    for threshold in data.threshold.to_numpy():
+        here = data.sel(threshold=threshold)
+        apart = (here.chi_collision - here.chi).to_numpy()
+        print(f"T = {threshold}: chi {said(here.chi.to_numpy())}, by collisions {said(apart)} more")
+
+
+def larger(folder: Path) -> None:
+    """Print experiment 3 of `postproc.experiments`."""
+    job = Job(folder, full=False, program=ROOT / "build/bin/battery", ranks=1, afresh=False)
+    for row in experiments.sizes(job):
+        print(f"{row.what}: {row.measured:.4g} +- {row.error:.2g}")
+
+
+def polygons(folder: Path) -> None:
+    """Print chi and current of four shapes of one area, and over that of well mixed urns."""
+    state = stable_state(Circuit(1000, 7, gate=RENEWAL, occupation=True))
+    for shape, table in shapes.tables(shapes.WIDTH).items():
+        data = made(folder, shape.replace(" ", "_"),
+                    {"duration": 6000.0, "transient_duration": 4000.0},
+                    {"urn1_fraction": [1.0], "replicas": 32},
+                    table={"channel2_width": shapes.WIDTH, **table},
+                    gate={"threshold": 7})  # fmt: skip
+        current = data.polarised_current.to_numpy().ravel()
+        print(f"{shape}: chi {said(data.chi.to_numpy().ravel())}, current {said(current)}, "
+              f"over that of well mixed urns {said(current / state.net_current)}")  # fmt: skip
+
+
+def discs(folder: Path) -> None:
+    """Print the conductance of channel 2 with 15 discs over T; chi of both starts at N = 4000."""
+    table = {"channel2_width": lorentz.WIDTH, "scatterers": lorentz.lattice(6, 0.015)}
+    data = made(folder, "discs", {"duration": 3000.0, "transient_duration": 1000.0},
+                {"threshold": [8, 9, 11, 13, 14], "replicas": 16}, table=table)  # fmt: skip
+    for threshold in data.threshold.to_numpy():
+        here = data.sel(threshold=threshold)
+        share = here.polarised_current.to_numpy() / (plain(lorentz.WIDTH) * here.chi.to_numpy())
+        print(f"T = {threshold}: chi {said(here.chi.to_numpy())}, current over chi {said(share)} "
+              "of a straight channel")  # fmt: skip
+    for number, radius in ((1000, 0.015), (4000, 0.012)):
+        table["scatterers"] = lorentz.lattice(6, radius)
+        data = made(folder, f"starts_{number}", {"duration": 16000.0, "transient_duration": 8000.0},
+                    {"urn1_fraction": [0.5, 1.0], "replicas": 8}, table=table,
+                    particles={"number": number},
+                    gate={"threshold": 7 * number // 1000})  # fmt: skip
+        starts = (data.chi.to_numpy().reshape(2, -1)[at] for at in (0, 1))
+        print(f"N = {number}, radius {radius:g}: chi {' and '.join(map(said, starts))} "
+              "from even urns and from one full urn")  # fmt: skip
+
+
+PARTS = {
+    part.__name__: part
+    for part in (flows, slices, single, one_channel, averages, larger, polygons, discs)
+}
+
+
+def main() -> None:
+    """Make the parts that are named, or all."""
+    options = argparse.ArgumentParser(description=__doc__.split("\n\n", maxsplit=1)[0])
+    options.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
+    options.add_argument("--runs", type=Path, default=Path("paper_runs"), help="folder of results")
+    given = options.parse_args()
+    for name in given.parts or PARTS:
+        if name not in PARTS:
+            options.error(f"there is no part {name}; allowed: {', '.join(PARTS)}")
+        given.runs.mkdir(parents=True, exist_ok=True)
+        print(f"{name}:")
+        PARTS[name](given.runs.resolve())
+
+
+if __name__ == "__main__":
+    main()
