@@ -39,9 +39,7 @@ PARTS = 4  # of each run, for errors of variances
 
 
 def counts_of(name: str, folder: Path, *, full: bool) -> tuple[np.ndarray, float, float]:
-    """Return net counts from urn 2 to urn 1, replica by interval, the length of an interval, and the
-    logarithm of the ratio of both flows through channel 2.
-    """
+    """Return net counts from urn 2 to urn 1, replica by interval; its length; ln of both flows' ratio."""
     groups = f90nml.read(PLACE / f"{name}.nml").todict()
     transient = groups["run"]["transient_duration"]
     if not full:
@@ -75,8 +73,9 @@ def slopes(name: str, counts: np.ndarray, step: float, predicted: float) -> list
         for j in range(1, 9):
             with_, against = int((whole == j).sum()), int((whole == -j).sum())
             if min(with_, against) >= FEWEST:
-                rows.append({"case": name, "t": length, "j": j, "slope": math.log(with_ / against) / j,
-                             "error": math.sqrt(1 / with_ + 1 / against) / j, "predicted": predicted})  # fmt: skip
+                slope, error = math.log(with_ / against), math.sqrt(1 / with_ + 1 / against)
+                rows.append({"case": name, "t": length, "j": j, "slope": slope / j,
+                             "error": error / j, "predicted": predicted})  # fmt: skip
     return rows
 
 
@@ -141,7 +140,7 @@ def main() -> None:
     """Run, write the tables and the picture."""
     options = argparse.ArgumentParser(description=__doc__.split("\n\n", maxsplit=1)[0])
     options.add_argument("--full", action="store_true", help="as the namelists say")
-    options.add_argument("--runs", type=Path, default=Path("fluctuation_runs"), help="folder of results")
+    options.add_argument("--runs", type=Path, default="fluctuation_runs", help="of results")
     options.add_argument("--output", type=Path, help="of tables and picture (default: --runs)")
     given = options.parse_args()
     ratios: list[dict[str, object]] = []
