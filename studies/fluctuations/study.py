@@ -1,0 +1,160 @@
+"""Counts of channel 2 with and against the current: python studies/fluctuations/study.py [--full].
+
+Runs the namelists beside it (or takes their results where they are in the folder) and writes
+slopes.csv, variances.csv and fluctuations.png. Quick: a tenth of their time, two minutes of a core.
+--full: as the namelists say, some twenty minutes of a core and 0.1 GB.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import sys
+from pathlib import Path
+
+import f90nml
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+PLACE = Path(__file__).resolve().parent
+sys.path.insert(0, str(PLACE.parents[1]))
+
+import postproc  # noqa: E402 (of the checkout, whose folder is known only now)
+
+CASES = {
+    "free": "free",
+    "gated": "T = 7",
+    "gated_reservoir": "T = 7, reservoir",
+    "wide": "T = 12",
+    "wide_reservoir": "T = 12, reservoir",
+}
+SHORT = (0.5, 1.0, 2.0, 4.0)
+LONG = (1.0, 4.0, 16.0, 64.0, 256.0, 1000.0, 4000.0, 10000.0)
+FEWEST = 25  # counts of -j for a ratio
+PARTS = 4  # of each run, for errors of variances
+
+
+def counts_of(name: str, folder: Path, *, full: bool) -> tuple[np.ndarray, float, float]:
+    """Return net counts from urn 2 to urn 1, replica by interval; its length; ln of both flows' ratio."""
+    groups = f90nml.read(PLACE / f"{name}.nml").todict()
+    transient = groups["run"]["transient_duration"]
+    if not full:
+        groups["run"]["duration"] = transient + 0.1 * (groups["run"]["duration"] - transient)
+        groups["output"]["file"] = f"{name}_quick.h5"
+    data = postproc.open_results(postproc.run(groups, folder=folder), group="series").squeeze()
+    time = data.time.to_numpy()
+    step = float(time[1] - time[0])
+    # A run may end just before its last entry.
+    kept = (time > transient) & (time < time[-1])
+    net = (data.flow2_21 - data.flow2_12).to_numpy()[:, kept] * step
+    counts = np.rint(net)
+    if not np.allclose(net, counts, atol=1e-6):
+        message = f"{name}: flows of an interval are no whole counts"
+        raise ValueError(message)
+    flows = [float(data[key].to_numpy()[:, kept].mean()) for key in ("flow2_21", "flow2_12")]
+    return counts.astype(int), step, math.log(flows[0] / flows[1])
+
+
+def summed(counts: np.ndarray, length: int) -> np.ndarray:
+    """Return the counts of longer intervals, replica by interval."""
+    many = counts.shape[1] // length
+    return counts[:, : many * length].reshape(counts.shape[0], many, length).sum(axis=2)
+
+
+def slopes(name: str, counts: np.ndarray, step: float, predicted: float) -> list[dict[str, object]]:
+    """Return ln P(j)/P(-j) over j for each length and each j that has counts enough."""
+    rows = []
+    for length in SHORT:
+        whole = summed(counts, round(length / step))
+        for j in range(1, 9):
+            with_, against = int((whole == j).sum()), int((whole == -j).sum())
+            if min(with_, against) >= FEWEST:
+                slope, error = math.log(with_ / against), math.sqrt(1 / with_ + 1 / against)
+                rows.append({"case": name, "t": length, "j": j, "slope": slope / j,
+                             "error": error / j, "predicted": predicted})  # fmt: skip
+    return rows
+
+
+def variances(name: str, counts: np.ndarray, step: float) -> list[dict[str, object]]:
+    """Return the variance of counts per unit time, and 2 mean/variance, by length.
+
+    Each run is cut into parts; errors are those of means over replicas and parts.
+    """
+    rows = []
+    mean = counts.mean() / step
+    for length in LONG:
+        whole = summed(counts, round(length / step))
+        usable = whole.shape[1] // PARTS
+        if usable < 2:
+            continue
+        parts = whole[:, : usable * PARTS].reshape(-1, usable)
+        # About the mean of all: a part's own would hide what is slower than it.
+        spread = ((parts - mean * length) ** 2).mean(axis=1) / length
+        rows.append({"case": name, "t": length, "current": mean, "variance_rate": spread.mean(),
+                     "error": spread.std(ddof=1) / math.sqrt(spread.size),
+                     "slope": 2.0 * mean / spread.mean()})  # fmt: skip
+    return rows
+
+
+def write(path: Path, rows: list[dict[str, object]]) -> None:
+    """Write rows as a table."""
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(
+            {key: f"{value:.6g}" if isinstance(value, float) else value
+             for key, value in row.items()} for row in rows
+        )  # fmt: skip
+
+
+def draw(ratios: list[dict], spreads: list[dict], path: Path) -> None:
+    """Draw ln P(j)/P(-j) against j at t = 1, and the rate of the variance against t."""
+    made, panels = plt.subplots(1, 2, figsize=(8.0, 3.4), layout="constrained")
+    for at, (name, label) in enumerate(CASES.items()):
+        mark = {"fmt": "osD^v"[at], "ms": 4.5, "color": f"C{at}", "label": label, "lw": 1.0,
+                "mfc": "white" if "reservoir" in name else f"C{at}"}  # fmt: skip
+        own = [row for row in ratios if row["case"] == name and row["t"] == 1.0]
+        panels[0].errorbar([row["j"] for row in own], [row["slope"] * row["j"] for row in own],
+                           [row["error"] * row["j"] for row in own], **mark)  # fmt: skip
+        panels[0].plot([0.0, 6.0], [0.0, 6.0 * own[0]["predicted"]], color=f"C{at}", lw=0.8)
+        own = [row for row in spreads if row["case"] == name]
+        first = own[0]["variance_rate"]
+        panels[1].errorbar([row["t"] for row in own], [row["variance_rate"] / first for row in own],
+                           [row["error"] / first for row in own], **mark)  # fmt: skip
+    panels[0].set_xlabel("net crossings j of channel 2 in one time unit")
+    panels[0].set_ylabel("ln P(j)/P(-j)")
+    panels[0].set_ylim(-0.5, 10.5)
+    panels[1].legend(fontsize=8, loc="upper left")
+    panels[1].set_xscale("log")
+    panels[1].set_yscale("log")
+    panels[1].set_xlabel("length t of the intervals")
+    panels[1].set_ylabel("variance of counts / t, relative to t = 1")
+    made.savefig(path, dpi=150)
+
+
+def main() -> None:
+    """Run, write the tables and the picture."""
+    options = argparse.ArgumentParser(description=__doc__.split("\n\n", maxsplit=1)[0])
+    options.add_argument("--full", action="store_true", help="as the namelists say")
+    options.add_argument("--runs", type=Path, default="fluctuation_runs", help="of results")
+    options.add_argument("--output", type=Path, help="of tables and picture (default: --runs)")
+    given = options.parse_args()
+    ratios: list[dict[str, object]] = []
+    spreads: list[dict[str, object]] = []
+    for name in CASES:
+        counts, step, predicted = counts_of(name, given.runs, full=given.full)
+        ratios += slopes(name, counts, step, predicted)
+        spreads += variances(name, counts, step)
+    place = given.output or given.runs
+    place.mkdir(parents=True, exist_ok=True)
+    write(place / "slopes.csv", ratios)
+    write(place / "variances.csv", spreads)
+    draw(ratios, spreads, place / "fluctuations.png")
+
+
+if __name__ == "__main__":
+    main()
