@@ -39,7 +39,7 @@ PARTS = 4  # of each run, for errors of variances
 
 
 def counts_of(name: str, folder: Path, *, full: bool) -> tuple[np.ndarray, float, float]:
-    """Return net counts from urn 2 to urn 1, replica by interval; its length; ln of both flows' ratio."""
+    """Return net counts per replica and interval, its length, and ln of the ratio of flows."""
     groups = f90nml.read(PLACE / f"{name}.nml").todict()
     transient = groups["run"]["transient_duration"]
     if not full:
