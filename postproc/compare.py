@@ -1,12 +1,12 @@
 """Measures theories against runs: by how much chi and the currents are off, and where the phase is.
 
-Prints a table, or JSON with `--json`, for the paper's theory, for the renewal gate, and for the
-renewal gate with the occupation of the channels counted. A point counts as polarised if chi exceeds
-0.15. Differences of chi are taken at all points where the measurement is polarised, the same for
-every theory (of two stable states the nearer one is taken), and again at those of them on the side
-of the upper transition, where T is larger than where chi is largest; those of the net current where
-the theory is polarised too. For the single urn only its current is compared, relative to theory,
-where that exceeds a hundredth of the free current.
+Prints a table, or JSON with `--json`, for the theories of well mixed urns, by name: the paper's
+window, the renewal gate, and the renewal gate with those in the channels counted. A point counts as
+polarised if chi exceeds 0.15. Differences of chi are taken at all points where the measurement is
+polarised, the same for every theory (of two stable states the nearer one is taken), and again at
+those of them on the side of the upper transition, where T is larger than where chi is largest;
+those of the net current where the theory is polarised too. For the single urn only its current is
+compared, relative to theory, where that exceeds a hundredth of the free current.
 
 Then, to tell where the rest comes from, the four flows of polarised circuits, summed over points,
 relative to those of the theory at the measured spread: out of the dense and of the sparse urn,

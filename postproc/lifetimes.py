@@ -22,11 +22,14 @@ from postproc.theory.options import circuit_options, given_circuit
 def main(arguments: list[str] | None = None) -> int:
     """Print the lifetimes of one circuit as JSON (null: it is never left)."""
     given = circuit_options("lifetimes", __doc__).parse_args(arguments)
-    circuit = given_circuit(given)
+    circuit, model = given_circuit(given), MODELS[given.model]
     if not circuit.alike:
         raise cli.InputError("a chain of lifetimes wants two equal urns and gates")
+    if not model.has_rates:
+        known = " or ".join(name for name, one in MODELS.items() if one.has_rates)
+        raise cli.InputError(f"theory {model.name} has no rates; lifetimes are of --model {known}")
     with doing(f"lifetimes, theory {given.model}"):
-        found = lifetimes(*MODELS[given.model].of(circuit))
+        found = lifetimes(model.of(circuit), model.theory)
     print(json.dumps(cli.finite(vars(found)), indent=2))
     return 0
 

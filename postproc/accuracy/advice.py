@@ -36,7 +36,7 @@ from postproc.progress import doing
 from postproc.reading.results import Results
 from postproc.running import RunError, plan, run
 from postproc.theory.circuit import gate_load
-from postproc.theory.models import MODELS
+from postproc.theory.models import MODELS, ancestry
 from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.theory.circuit import Circuit
-    from postproc.theory.models import Model
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
     Groups = dict[str, dict[str, object]]
@@ -59,8 +59,7 @@ LARGE = 0.75  # chi below which it may be next to a transition
 MEASURED = 2.0  # transients that a replica measures
 FEWEST = 4  # replicas of advised runs
 POLARISED = 0.05  # share of urn 1 at the start
-# what a theory takes at least, in s; of a transition about eight times as much
-THEORIES = {"window": 1e-3, "renewal": 3e-3, "two_port": 0.05, "direction": 1.0}
+SCAN = 8.0  # states of a theory that its transition takes, about
 PATIENCE = 5.0  # for a finer theory, in s, that tells whether errors cancel
 ACROSS = 5  # thresholds of a scan across a transition
 LEAST = 1e-300  # error where replicas do not scatter
@@ -305,8 +304,7 @@ def circulating(circuit: Circuit, duration: float) -> float:
     """Return what particles that go round add to the variance of a current over a time."""
     if float(circuit.channel2_width) == 0.0:
         return 0.0
-    said, theory = MODELS["renewal"].of(circuit)
-    stable = [state for state in theory.states(said) if state.kind == "stable"]
+    stable = MODELS["renewal"].solve_stable(circuit)
     if not stable:
         return 0.0
     number, found = float(circuit.number), 0.0
@@ -340,9 +338,8 @@ def transition_of(circuit: Circuit, model: Model) -> float:
     """
 
     def chi(threshold: int) -> float:
-        said, theory = model.of(replace(circuit, threshold=threshold, gate2_threshold=None))
-        stable = [state.mass_spread for state in theory.states(said) if state.kind == "stable"]
-        return max(stable, default=0.0)
+        asked = replace(circuit, threshold=threshold, gate2_threshold=None)
+        return max((one.mass_spread for one in model.solve_stable(asked)), default=0.0)
 
     load = float(gate_load(circuit, 0.5 * float(circuit.number)))
     tried = [max(1, round(load * factor)) for factor in (1.0, 0.7, 0.85, 1.2)]
@@ -367,8 +364,7 @@ def theory_says(
     if quantity == "transition":
         value = transition_of(circuit, model)
         return value, time.process_time() - began
-    said, theory = model.of(circuit)
-    stable = [state for state in theory.states(said) if state.kind == "stable"]
+    stable = model.solve_stable(circuit)
     if stable and spread is not None:
         state = min(stable, key=lambda one: abs(one.mass_spread - spread))
     elif stable:
@@ -455,8 +451,8 @@ def advise(
     met = " The pilot itself meets the tolerance." if enough else ""
     met += model_errors.words(circuit, quantity)
     off = []
-    for name, least in THEORIES.items():
-        value, seconds = _asked(circuit, name, found, quantity, cost, least)
+    for name, model in MODELS.items():
+        value, seconds = _asked(circuit, model, found, quantity, cost)
         if seconds >= cost or not math.isfinite(value):
             continue
         chance = chance_of_theory(found, value, tolerance)
@@ -477,14 +473,18 @@ def advise(
 
 
 def _asked(
-    circuit: Circuit, name: str, found: Pilot, quantity: str, longest: float, least: float
+    circuit: Circuit, model: Model, found: Pilot, quantity: str, longest: float
 ) -> tuple[float, float]:
-    """Return what a theory says and its processor time; NaN and infinity if that is too long."""
-    if least * (8.0 if quantity == "transition" else 1.0) >= longest:
+    """Return what a theory says and its processor time; NaN and infinity if that is too long.
+
+    Or if it says nothing of the circuit, or draws numbers: chances take a theory as exact.
+    """
+    least = model.seconds * (SCAN if quantity == "transition" else 1.0)
+    if least >= longest or model.draws or model.refusal(circuit):
         return math.nan, math.inf
     spread = found.value if quantity == "chi" else None
-    with doing(f"theory {name}"):
-        return theory_says(circuit, MODELS[name], quantity, spread)
+    with doing(f"theory {model.name}"):
+        return theory_says(circuit, model, quantity, spread)
 
 
 def _apart(found: Pilot, value: float) -> float:
@@ -496,9 +496,8 @@ def _cancelling(
     circuit: Circuit, name: str, found: Pilot, quantity: str, tolerance: float
 ) -> str:  # fmt: skip
     """Return in words that a theory is good by chance: one that has all of it and more is not."""
-    names = list(THEORIES)
-    for finer in names[names.index(name) + 1 :]:
-        value, _ = _asked(circuit, finer, found, quantity, PATIENCE, THEORIES[finer])
+    for finer in (one for one in MODELS if name in ancestry(one)[:-1]):
+        value, _ = _asked(circuit, MODELS[finer], found, quantity, PATIENCE)
         if math.isfinite(value) and chance_of_theory(found, value, tolerance) < 1.0 - SURE:
             return (
                 f" There errors cancel: {finer}, which has all of its physics and more, is "

@@ -10,24 +10,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.reading.results import Results
-from postproc.theory.chain import stationary_distribution
-from postproc.theory.circuit import Circuit, eta, half2_number, net_current2
+from postproc.theory.circuit import Circuit, eta
 from postproc.theory.direction import transfer
-from postproc.theory.gates import WINDOW
 from postproc.theory.models import MODELS
 from postproc.theory.ports import mean_stay
-from postproc.theory.renewal import RENEWAL
 from postproc.theory.returns import return_chance
-from postproc.theory.states import stable_state
 from postproc.theory.visits import unit_disc
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
 
     from postproc.accuracy.job import Job
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
 
@@ -98,57 +94,36 @@ def transition(thresholds: ArrayLike, chi: ArrayLike) -> float:
     return float(at[k] + share * (at[k + 1] - at[k]))
 
 
-def mean_field(circuit: Circuit) -> tuple[float, float]:
-    """Return chi and net current of the stable polarised state, zeros if there is none."""
-    state = stable_state(circuit)
-    return (state.mass_spread, state.net_current) if state else (0.0, 0.0)
+def theories(*, drawing: bool) -> list[Model]:
+    """Return the theories that can be asked here, those that draw numbers only if `drawing`."""
+    known = [model for model in MODELS.values() if drawing or not model.draws]
+    return [model for model in known if not model.refusal(BATTERY)]
 
 
-def chain(circuit: Circuit) -> tuple[float, float]:
-    """Return the means of chi and of the net current over the birth-death chain's distribution."""
-    weights = stationary_distribution(circuit)
-    share = np.arange(weights.size, dtype=float)
-    number = float(circuit.number)
-    chi = np.abs(2.0 * half2_number(circuit, share) - number) / number
-    return float(weights @ chi), float(weights @ np.abs(net_current2(circuit, share)))
+def label(name: str) -> str:
+    """Return what tables and legends call a rung: a theory by its label, an engine as it is."""
+    return MODELS[name].label if name in MODELS else name
 
 
-def by_model(name: str) -> Callable[[Circuit], tuple[float, float]]:
-    """Return what asks a model of `theory.models` as `mean_field` does.
+def ask(model: Model, circuit: Circuit) -> tuple[float, float]:
+    """Return a theory's chi and net current of the stable polarised state, zeros if there is none.
 
     Each question starts from nothing: what the urns remember is worked out anew.
     """
-
-    def ask(circuit: Circuit) -> tuple[float, float]:
-        for kept in (unit_disc, return_chance, mean_stay, transfer):
-            kept.cache_clear()
-        prepared, theory = MODELS[name].of(circuit)
-        stable = [state for state in theory.states(prepared) if state.kind == "stable"]
-        return (stable[-1].mass_spread, stable[-1].net_current) if stable else (0.0, 0.0)
-
-    return ask
+    for kept in (unit_disc, return_chance, mean_stay, transfer):
+        kept.cache_clear()
+    stable = model.solve_stable(circuit)
+    return (stable[-1].mass_spread, stable[-1].net_current) if stable else (0.0, 0.0)
 
 
-THEORIES: tuple[tuple[str, Circuit, Callable[[Circuit], tuple[float, float]]], ...] = (
-    ("eta of the paper", replace(BATTERY, gate=WINDOW), mean_field),
-    ("renewal gate", replace(BATTERY, gate=RENEWAL), mean_field),
-    ("renewal gate with channels", replace(BATTERY, gate=RENEWAL, occupation=True), mean_field),
-    ("two ports", BATTERY, by_model("two_port")),
-    ("directions", BATTERY, by_model("direction")),
-    ("renewal chain", replace(BATTERY, gate=RENEWAL, occupation=True), chain),
-)
-
-
-def theory_answers(
-    circuit: Circuit, ask: Callable[[Circuit], tuple[float, float]]
-) -> dict[str, Answer]:
+def theory_answers(model: Model) -> dict[str, Answer]:
     """Return what a theory says, and its time (after a first call that reads and prepares)."""
-    ask(circuit)
+    ask(model, BATTERY)
     began = time.process_time()
-    chi, current = ask(circuit)
+    chi, current = ask(model, BATTERY)
     single = time.process_time() - began
     began = time.process_time()
-    spreads = [ask(replace(circuit, threshold=one))[0] for one in THRESHOLDS]
+    spreads = [ask(model, replace(BATTERY, threshold=one))[0] for one in THRESHOLDS]
     scan = time.process_time() - began
     return {
         "chi": Answer(chi, 0.0, single),

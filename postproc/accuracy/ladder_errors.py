@@ -12,19 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.theory.models import MODELS, ancestry
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 TIMES = np.geomspace(1e-4, 1e5, 361)  # processor time of the Pareto line, in s
 TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # errors that are asked for
 SURE = 2.0  # errors from which on something is seen
-# each has in it all that those before it have, and more
-FINER = (
-    ("eta of the paper", "renewal gate", "renewal gate with channels", "two ports", "directions",
-     "one particle"),
-    ("renewal gate with channels", "renewal chain", "reservoir"),
-    ("timestep 0.1", "timestep 0.03", "timestep 0.01", "timestep 0.003"),
-)  # fmt: skip
+# engines, each with all that those before it have, and more; `reservoir` has all of this theory
+STEPS = ("timestep 0.1", "timestep 0.03", "timestep 0.01", "timestep 0.003")
+BELOW_RESERVOIR = "renewal_chain"
 
 
 def expected(line: dict, quantity: str, seconds: float) -> float:
@@ -59,11 +57,17 @@ def cheapest(rows: Sequence[dict], quantity: str, error: float) -> tuple[str, fl
     return "none", math.inf
 
 
+def families() -> list[tuple[str, ...]]:
+    """Return names of rungs, each with all the physics of those before it in its line, and more."""
+    theories = [ancestry(name) for name in MODELS]
+    return [*theories, (*ancestry(BELOW_RESERVOIR), "reservoir"), STEPS]
+
+
 def cancelling(rows: Sequence[dict], quantity: str) -> list[str]:
     """Return the rungs whose errors cancel: one that has all of theirs and more is farther off."""
     by_name = {line["name"]: line[quantity] for line in rows}
     found = []
-    for family in FINER:
+    for family in families():
         there_are = [name for name in family if name in by_name]
         for at, name in enumerate(there_are):
             own = by_name[name]

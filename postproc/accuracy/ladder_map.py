@@ -23,26 +23,21 @@ from postproc.accuracy.ladder import (
     LONGER,
     QUANTITIES,
     RUNGS,
-    THEORIES,
-    by_model,
 )
 from postproc.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
 from postproc.figures import style
 from postproc.reading.results import Results
-from postproc.theory.programs import there
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from postproc.accuracy.job import Job
     from postproc.accuracy.ladder import Rung
-    from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
-    Question = Callable[[Circuit], tuple[float, float]]
 
 RELAXATIONS = 3.0  # of directions, that a transient lasts
 CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
@@ -92,21 +87,15 @@ def transients() -> tuple[float, float]:
     return math.ceil(RELAXATIONS * predictions.memory_time(BATTERY) / 100.0) * 100.0, CRITICAL
 
 
-def theories() -> list[tuple[str, Circuit, Question]]:
-    """Return name, circuit and question of every theory, walkers last where they are built."""
-    walkers = [("one particle", BATTERY, by_model("one_particle"))] if there("one_particle") else []
-    return [*THEORIES, *walkers]
-
-
-def ask(circuit: Circuit, question: Question) -> Told:
+def ask(model: Model) -> Told:
     """Return what a theory says, and the processor time it takes, other programs' included."""
     found = []
     for width, threshold, _ in points():
-        one = replace(circuit, channel2_width=width, threshold=threshold)
+        one = replace(BATTERY, channel2_width=width, threshold=threshold)
         if not found:
-            question(one)  # reads and prepares what is needed once
+            ladder.ask(model, one)  # reads and prepares what is needed once
         began = _processor()
-        chi, current = question(one)
+        chi, current = ladder.ask(model, one)
         found.append((chi, abs(current) / chi if chi else math.nan, _processor() - began))
     chi, current, seconds = np.array(found).T
     none = np.zeros(chi.size)
@@ -274,8 +263,8 @@ def run(job: Job) -> None:
     rungs = {rung.name: rung for rung in (*RUNGS, *LONGER)}
     truth = run_points(job, rungs["excursion"], job.pick(1.2e5, 1.2e6), 16, doubled=True)
     one_unit = scatter(truth)
-    rows = [row(name, "theory", ask(circuit, question), truth)
-            for name, circuit, question in theories()]  # fmt: skip
+    rows = [row(model.name, "theory", ask(model), truth)
+            for model in ladder.theories(drawing=True)]  # fmt: skip
     once = truth
     for rung in RUNGS:
         if rung.name == SLOWEST and not job.full:

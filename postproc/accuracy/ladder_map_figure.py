@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.accuracy import ladder
 from postproc.accuracy.ladder import QUANTITIES
 from postproc.accuracy.ladder_errors import TIMES, expected, pareto
 from postproc.accuracy.observables import explain, look
@@ -52,7 +53,7 @@ def figure(rows: Sequence[dict]) -> Figure:
     for line in rows:
         if not line["name"].startswith("timestep"):
             mark, colour = look(line)
-            panels[0].plot([], [], mark, color=colour, label=line["name"])
+            panels[0].plot([], [], mark, color=colour, label=ladder.label(line["name"]))
     explain(panels[0])
     panels[0].plot([], [], ">", color=style.GREY, alpha=FAINT, label="faint: no answer at some")
     panels[0].plot([], [], "o", color=style.BLACK, mfc="none", ms=10, mew=0.6,

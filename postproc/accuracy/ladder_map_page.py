@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from postproc.accuracy.ladder import QUANTITIES
+from postproc.accuracy.ladder import QUANTITIES, label
 from postproc.accuracy.text import measured, number, percent, seconds, table
 
 HEADS = {"chi": "chi", "current": "current over chi", "transition": "transition T"}
@@ -23,7 +23,7 @@ def ladder_map(numbers: dict) -> str:
     head = ["rung", "a point costs", *(f"error of {HEADS[name]}" for name in QUANTITIES)]
     rows = [
         [
-            line["name"],
+            label(line["name"]),
             seconds(line["chi"]["seconds"]),
             *(_error(line[name], name) for name in QUANTITIES),
         ]
@@ -40,8 +40,8 @@ def ladder_map(numbers: dict) -> str:
         [
             f"{one['error']:g}",
             *(
-                "none" if one[name][1] is None else f"{one[name][0]}, {seconds(one[name][1])}"
-                for name in QUANTITIES
+                "none" if price is None else f"{label(rung)}, {seconds(price)}"
+                for rung, price in (one[name] for name in QUANTITIES)
             ),
         ]
         for one in numbers["choice"]

@@ -17,6 +17,7 @@ from postproc.accuracy import ladder, tail, transients
 from postproc.accuracy.ladder import QUANTITIES, Answer
 from postproc.figures import style
 from postproc.reading.results import Results
+from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,14 +38,10 @@ STEP_LABELS = {
     "timestep 0.01": (-1, "right", "top"), "timestep 0.003": (0, "left", "bottom"),
     "timestep 0.001": (0, "left", "bottom"),
 }  # fmt: skip
-# of rungs: theories are crosses and stars, engines discs, squares and triangles; a colour each
+# of engines: discs, squares and triangles; theories are crosses and stars (`theory.models`)
 LOOKS = {
     "excursion": ("o", style.BLUE), "collision": ("s", style.SKY),
     "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
-    "eta of the paper": ("P", style.VERMILION),
-    "renewal gate": ("X", style.ORANGE), "renewal gate with channels": ("*", style.BROWN),
-    "renewal chain": ("v", style.OLIVE), "two ports": ("P", style.PURPLE),
-    "directions": ("X", style.VIOLET), "one particle": ("*", style.NAVY),
 }  # fmt: skip
 STEPPED = (">", style.GREY)  # timestep, whatever its step
 WIDE = {"collision": 8.0, "synchronous": 4.0}  # marks that fall together, one inside the other
@@ -144,6 +141,8 @@ def least_cost(line: dict, quantity: str) -> float:
 
 def look(line: dict) -> tuple[str, str]:
     """Return mark and colour of a rung."""
+    if model := MODELS.get(line["name"]):
+        return model.mark, style.colour(model.colour)
     return LOOKS.get(line["name"], STEPPED)
 
 
@@ -168,7 +167,7 @@ def figure_observables(rows: Sequence[dict]) -> Figure:
     for line in rows:
         mark, colour = look(line)
         if not line["name"].startswith("timestep"):
-            panels[0].plot([], [], mark, color=colour, label=line["name"])
+            panels[0].plot([], [], mark, color=colour, label=ladder.label(line["name"]))
     explain(panels[0])
     made.legend(loc="outside upper center", ncols=4, fontsize=7)
     return made
@@ -211,8 +210,8 @@ def run(job: Job) -> None:
     """Run every rung, draw `observables`, keep the numbers."""
     truth = reference(job)
     rows = [
-        row(name, "theory", ladder.theory_answers(circuit, ask), truth)
-        for name, circuit, ask in ladder.THEORIES
+        row(model.name, "theory", ladder.theory_answers(model), truth)
+        for model in ladder.theories(drawing=False)
     ]
     spreads = {}
     for rung in (*ladder.RUNGS, *(ladder.LONGER if job.full else ())):

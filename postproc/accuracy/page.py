@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc.accuracy.job import ROOT
-from postproc.accuracy.ladder import QUANTITIES, SCANNED
+from postproc.accuracy.ladder import QUANTITIES, SCANNED, label
 from postproc.accuracy.sections import SECTIONS
 from postproc.accuracy.text import measured, number, percent, seconds, table, wrapped
 from postproc.cli import InputError, output_folder
@@ -57,15 +57,19 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
     rows = {line["name"]: line for line in numbers["rows"]}
     truth = numbers["reference"]
     excursion, reservoir = rows["excursion"], rows["reservoir"]
-    channels, eta = rows["renewal gate with channels"], rows["eta of the paper"]
+    channels, window = rows["renewal_occupation"], rows["window"]
     steps = [line for name, line in rows.items() if name.startswith("timestep")]
     seen = [line for line in steps if line["current"]["value"] is not None]
     finest = min(seen, key=lambda line: float(line["name"].split()[1]))
     head = ["rung", "CPU time", *(f"{HEADS[name]} (bias)" for name in QUANTITIES)]
     lines = [
-        [line["name"], seconds(line["chi"]["seconds"]), *(_with_bias(line[q]) for q in QUANTITIES)]
+        [
+            label(line["name"]), seconds(line["chi"]["seconds"]),
+            *(_with_bias(line[q]) for q in QUANTITIES),
+        ]
         for line in numbers["rows"]
-    ]
+    ]  # fmt: skip
+
     def price(line: dict) -> float:
         return line["per_time"] / excursion["per_time"]
 
@@ -81,8 +85,8 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
         "averages": table(["T", "chi, average over time", "by collisions less that"], averages),
         "farthest": measured(farthest["less"], farthest["less_error"]),
         "farthest_at": str(farthest["threshold"]),
-        "eta_current_bias": percent(abs(eta["current"]["bias"])),
-        "eta_transition_bias": percent(abs(eta["transition"]["bias"])),
+        "window_current_bias": percent(abs(window["current"]["bias"])),
+        "window_transition_bias": percent(abs(window["transition"]["bias"])),
         "reference_chi": measured(truth["chi"]["value"], truth["chi"]["error"]),
         "reference_current": measured(truth["current"]["value"], truth["current"]["error"]),
         "own_current": measured(truth["own_current"]["value"], truth["own_current"]["error"]),
@@ -94,9 +98,9 @@ def fields_of_observables(numbers: dict) -> dict[str, str]:
         "reference_time": number(numbers["reference_time"], 2),
         "rungs": table(head, lines),
         "eta_microseconds": number(1e6 * numbers["eta_seconds"], 2),
-        "mean_field_ms": number(1e3 * eta["chi"]["seconds"], 2),
+        "mean_field_ms": number(1e3 * window["chi"]["seconds"], 2),
         "channels_chi_bias": percent(abs(channels["chi"]["bias"])),
-        "eta_chi_bias": percent(abs(eta["chi"]["bias"])),
+        "window_chi_bias": percent(abs(window["chi"]["bias"])),
         "channels_chi": number(channels["chi"]["value"], 4),
         "channels_current": number(channels["current"]["value"], 4),
         "theory_current": number(channels["current"]["value"], 4),

@@ -52,7 +52,7 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
     """
     if float(circuit.channel2_width) == 0.0:
         return np.zeros(np.shape(transients))
-    said, _ = MODELS["two_port"].of(circuit)
+    said = MODELS["two_port"].of(circuit)
     number2 = 0.5 * float(circuit.number) * (1.0 + chi)
     around = two_port.circulating_at(said, number2, np.append(AGES, math.inf))
     lacking = integrate.cumulative_trapezoid(around[-1] - around[:-1], AGES, initial=0.0)

@@ -17,8 +17,7 @@ lifetimes    lifetimes of both states against N, from series that begin in them
 one_channel  maps of chi over l, w, r and T without channel 2 (a scan over two of them each, in any
              order), and where the transition is
 
-Theories are drawn by name (--model NAME ...): those of `theory --model`, with _occupation where the
-particles in the channels are counted.
+Theories are drawn by name (--model NAME ...): those of `theory --model`.
 """
 
 from __future__ import annotations

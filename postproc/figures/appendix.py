@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.figures.models import Model
     from postproc.reading.points import Points
     from postproc.reading.results import Results
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
 

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.figures.models import Model
     from postproc.reading.points import Points
     from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
     Drawing = Callable[[Sequence[Results]], Figure]
 

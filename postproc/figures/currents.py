@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.gridspec import SubplotSpec
     from numpy.typing import NDArray
 
-    from postproc.figures.models import Model
     from postproc.reading.results import Series
     from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ import numpy as np
 from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.maps import edges
-from postproc.figures.models import MODELS
 from postproc.theory.circuit import gate_load, in_urn, log_outflow
+from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.figures.models import Model
     from postproc.reading.results import Results
     from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
     LoadOf = Callable[[Circuit, Floats], Floats]

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.figures.models import Model
     from postproc.reading.results import Results, Series
     from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
 LOW, HIGH = 0.2, 0.7  # chi at which the polarised, the homogeneous state has been left
 MIDDLE = 0.5  # starts with chi above this are polarised

@@ -68,6 +68,11 @@ SETTINGS = {
 logging.getLogger("fontTools").setLevel(logging.ERROR)
 
 
+def colour(name: str) -> str:
+    """Return a colour of this module by its name in small letters."""
+    return globals()[name.upper()]
+
+
 def figure(width: float = PAGE, height: float = 3.2) -> Figure:
     """Return an empty figure of that size in inches, with the package's look."""
     mpl.rcParams.update(SETTINGS)

@@ -11,7 +11,6 @@ import xarray as xr
 
 from postproc.cli import InputError, path_of
 from postproc.reading.results import COMPLETE, NOT_ASKED, Results
-from postproc.theory.circuit import single_urn_current
 from postproc.theory.models import MODELS, describe
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, str]]]
 
 GROUPS = ("series", "snapshots", "final", "events")
-URN_MODELS = ("window", "renewal")  # that say something of the single urn
 # What a point of the scan is, whether it was scanned or not.
 PARAMETERS = (
     "number", "threshold", "gate_threshold", "urn1_number", "urn_radius",
@@ -172,8 +170,9 @@ def _theory(results: Results, models: Sequence[str]) -> dict[str, xr.Variable]:
     """Return what the models say of each point, by name, with dimensions (theory, point)."""
     urn = results.shape == "urn"
     meanings = URN_THEORY if urn else THEORY
-    if urn and not set(models) <= set(URN_MODELS):
-        raise InputError(f"{results.path}: of the shape 'urn' only {' and '.join(URN_MODELS)} know")
+    mixed = [name for name, model in MODELS.items() if model.mixed]
+    if urn and not set(models) <= set(mixed):
+        raise InputError(f"{results.path}: of the shape 'urn' only {', '.join(mixed)} know")
     found = np.full((len(meanings), len(models), results.points), math.nan)
     known: dict[tuple[Circuit, str], list[float]] = {}
     for at, model in enumerate(models):
@@ -192,7 +191,7 @@ def _theory(results: Results, models: Sequence[str]) -> dict[str, xr.Variable]:
 
 def _said_of_urn(circuit: Circuit, model: str) -> list[float]:
     """Return what a model says of the single urn, in the order of `URN_THEORY`."""
-    return [float(single_urn_current(MODELS[model].of(circuit)[0]))]
+    return [float(MODELS[model].urn_current(circuit))]
 
 
 def _said_of(circuit: Circuit, model: str) -> list[float]:

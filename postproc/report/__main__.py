@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from postproc import cli
-from postproc.figures.models import MODELS, add_models
+from postproc.figures.models import add_models, named
 from postproc.reading.results import Results
 from postproc.report.page import page
 
@@ -23,7 +23,7 @@ def main(arguments: list[str] | None = None) -> int:
     add_models(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
-    models = {name: MODELS[name] for name in given.model or DEFAULT}
+    models = {one.name: one for one in named(given.model or DEFAULT)}
     with Results(given.file) as results:
         text = page(results, models)
         results.say_if_partial()

@@ -13,9 +13,8 @@ from postproc.progress import each
 from postproc.reading.points import gather
 from postproc.reading.results import FLOWS as RESULT_FLOWS
 from postproc.reading.results import Results
-from postproc.theory.circuit import flow1, flow2, homogeneous_kind, single_urn_current
-from postproc.theory.renewal import THEORIES
-from postproc.theory.states import stationary_states
+from postproc.theory.circuit import flow1, flow2
+from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from postproc.reading.points import Points
     from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
 
@@ -64,23 +64,26 @@ class Comparison:
     sparse2: float = math.nan
 
 
-def expected_state(circuit: Circuit, chi: float) -> tuple[float, float]:
-    """Return chi and net current of the stable state nearest to the measured chi."""
+def expected_state(model: Model, circuit: Circuit, chi: float) -> tuple[float, float]:
+    """Return chi and net current of a theory's stable state nearest to the measured chi.
+
+    NaN if it knows none.
+    """
     choices = [
         (state.mass_spread, state.net_current)
-        for state in stationary_states(circuit)
+        for state in model.states(circuit)
         if state.kind == "stable"
     ]
-    if homogeneous_kind(circuit) != "unstable":
+    if model.homogeneous_kind(circuit) != "unstable":
         choices.append((0.0, 0.0))
-    return min(choices, key=lambda choice: abs(choice[0] - chi))
+    return min(choices, key=lambda one: abs(one[0] - chi), default=(math.nan, math.nan))
 
 
 def _root_mean_square(values: Sequence[float]) -> float:
     return math.sqrt(np.mean(np.square(values))) if len(values) else math.nan
 
 
-def flow_ratios(files: Sequence[Results], changes: dict[str, object]) -> dict[str, float]:
+def flow_ratios(files: Sequence[Results], model: Model) -> dict[str, float]:
     """Return measured over expected flows (`Comparison`) of the polarised circuits of all files."""
     measured, expected = np.zeros(4), np.zeros(4)
     for results in files:
@@ -88,7 +91,7 @@ def flow_ratios(files: Sequence[Results], changes: dict[str, object]) -> dict[st
         flows = {name: results.value(name) for name in RESULT_FLOWS}
         polarised = results.done & (chi > POLARISED)
         for point in np.flatnonzero(polarised.any(axis=1)):
-            circuit = replace(results.circuit(int(point)), **changes)
+            circuit = model.of(results.circuit(int(point)))
             spread = chi[point][polarised[point]]
             one, other = (0.5 * float(circuit.number) * (1.0 + sign * spread) for sign in (1, -1))
             expected += [
@@ -103,7 +106,7 @@ def flow_ratios(files: Sequence[Results], changes: dict[str, object]) -> dict[st
         return dict(zip(FLOWS, (measured / expected).tolist(), strict=True))
 
 
-def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, object]) -> Comparison:
+def compare_circuit(files: Sequence[Results], model: Model) -> Comparison:
     """Return how far one theory is from the circuits of all files."""
     points = gather(files)
     known = points.where(np.isfinite(points.chi))
@@ -111,23 +114,23 @@ def compare_circuit(files: Sequence[Results], name: str, changes: dict[str, obje
         raise cli.InputError("no point has a mass spread chi to compare")
     polarised, upper = known.chi > POLARISED, _upper(known)
     circuits = [
-        replace(files[file].circuit(int(point)), **changes)
+        files[file].circuit(int(point))
         for file, point in zip(known.file, known.point, strict=True)
     ]
     asked = list(zip(circuits, known.chi, strict=True))
-    expected = [expected_state(one, chi) for one, chi in each(asked, f"{name}, point")]
+    expected = [expected_state(model, *one) for one in each(asked, f"{model.label}, point")]
     chi, current = np.array(expected).T
     apart, both = np.abs(known.chi - chi), polarised & (current > 0.0)
     errors = known.chi_error[polarised]
     return Comparison(
-        name,
+        model.name,
         known.number.size,
         float(np.mean((chi > POLARISED) == polarised)),
         _mean(apart[polarised]),
         _mean(apart[polarised & upper]),
         _root_mean_square((current[both] - known.current[both]) / current[both]),
         _mean(errors[np.isfinite(errors)]),
-        **flow_ratios(files, changes),
+        **flow_ratios(files, model),
     )
 
 
@@ -146,26 +149,25 @@ def _upper(points: Points) -> NDArray[np.bool_]:
     return found
 
 
-def compare_urn(files: Sequence[Results], name: str, changes: dict[str, object]) -> Comparison:
+def compare_urn(files: Sequence[Results], model: Model) -> Comparison:
     """Return how far one theory is from the currents of the single urns of all files."""
     points = gather(files)
     known = points.where(np.isfinite(points.current))
     relative = []
     for at in range(known.number.size):
-        circuit = files[known.file[at]].circuit(int(known.point[at]))
-        urn = replace(circuit, **changes)
-        expected = float(single_urn_current(urn))
-        free = float(single_urn_current(replace(urn, threshold=urn.number)))
+        urn = files[known.file[at]].circuit(int(known.point[at]))
+        expected = float(model.urn_current(urn))
+        free = float(model.urn_current(replace(urn, threshold=urn.number)))
         if expected > 0.01 * free:
             relative.append((expected - known.current[at]) / expected)
     rest = (math.nan, math.nan, math.nan, _root_mean_square(relative), math.nan)
-    return Comparison(name, len(relative), *rest)
+    return Comparison(model.name, len(relative), *rest)
 
 
 def compare(files: Sequence[Results]) -> list[Comparison]:
-    """Return the comparison of each theory with all files, which are of one shape."""
+    """Return the comparison of each theory of well mixed urns with all files, of one shape."""
     shapes = {results.shape for results in files}
     if len(shapes) > 1:
         raise cli.InputError("compare needs files of one shape, circuit or urn")
     chosen = compare_circuit if shapes == {"circuit"} else compare_urn
-    return [chosen(files, name, changes) for name, changes in THEORIES.items()]
+    return [chosen(files, model) for model in MODELS.values() if model.mixed]

@@ -15,15 +15,14 @@ from postproc.figures.maps import edges
 from postproc.progress import each
 from postproc.reading.points import gather
 from postproc.report.compare import expected_state
-from postproc.theory.circuit import homogeneous_kind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from postproc.figures.models import Model
     from postproc.reading.results import Results
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
     Columns = dict[str, NDArray[np.generic]]
@@ -128,7 +127,7 @@ def _expected(results: Results, model: Model, point: int, chi: float) -> tuple[f
     circuit = results.circuit(point)
     if results.shape != "circuit":
         return math.nan, float(model.urn_current(circuit))
-    return expected_state(model.of(circuit), chi) if math.isfinite(chi) else (math.nan, math.nan)
+    return expected_state(model, circuit, chi) if math.isfinite(chi) else (math.nan, math.nan)
 
 
 def _told(scan: Scan, columns: Columns, at: int) -> str:
@@ -194,7 +193,7 @@ def _between(
     if min(one.size for one in values) < 2:
         return []
     unstable = np.full((values[1].size, values[0].size), math.nan)
-    kinds = [homogeneous_kind(model.of(results.circuit(int(point)))) for point in there]
+    kinds = [model.homogeneous_kind(results.circuit(int(point))) for point in there]
     unstable[at[1], at[0]] = [kind == "unstable" for kind in kinds]
     made = contourpy.contour_generator(*values, np.ma.masked_invalid(unstable))
     return [(line[:, 0], line[:, 1]) for line in made.lines(0.5)]

@@ -46,10 +46,10 @@ if TYPE_CHECKING:
     from bokeh.model import Model as BokehModel
     from numpy.typing import NDArray
 
-    from postproc.figures.models import Model
     from postproc.reading.results import Results
     from postproc.report.data import Columns, Scan
     from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
 

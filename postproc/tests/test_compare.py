@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from postproc.figures import passages
-from postproc.figures.models import MODELS, WELL_MIXED
+from postproc.figures.models import WELL_MIXED
 from postproc.reading.results import Results
 from postproc.report import compare
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, FORGETFUL, results_of
+from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,15 +33,17 @@ def test_runs_without_memory_agree_with_the_renewal_gate(
         output=BARE,
     )
     assert call("compare", [str(path), "--json"]) == 0
-    paper, renewal, counted = json.loads(capsys.readouterr().out)
+    found = json.loads(capsys.readouterr().out)
+    assert [one["theory"] for one in found] == ["window", "renewal", "renewal_occupation"]
+    window, renewal, counted = found
     assert counted["points"] == 4
     assert counted["right_phase"] == 1.0
     assert counted["chi"] < 0.01
-    assert paper["chi"] > 3 * counted["chi"]
+    assert window["chi"] > 3 * counted["chi"]
     for name in compare.FLOWS:
         assert counted[name] == pytest.approx(1.0, abs=0.1)
-    assert renewal["dense2"] == paper["dense2"]
-    assert paper["dense1"] > 3.0
+    assert renewal["dense2"] == window["dense2"]
+    assert window["dense1"] > 3.0
 
 
 def test_single_urns_are_compared_by_their_current(tmp_path: Path) -> None:

@@ -13,10 +13,8 @@ from postproc.reading import points
 from postproc.reading.results import Results, opened
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, results_of
-from postproc.theory.circuit import (
-    Circuit,
-    single_urn_current,
-)
+from postproc.theory import model as theory
+from postproc.theory.circuit import Circuit, single_urn_current
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -239,7 +237,7 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
 def test_unless_told_otherwise_the_best_theory_is_drawn_where_it_is_quick(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(models, "FEW_WIDTHS", 4)
+    monkeypatch.setattr(theory, "FEW_WIDTHS", 4)
     with opened([folder / "point.h5"]) as files:
         slices, plane = circuits.figure_comp01(files), maps.figure_numris(files, models.ALL)
         quick, circuit = maps.figure_numris(files), files[0].circuit(0)
@@ -323,7 +321,8 @@ def test_a_theory_without_a_transition_has_no_line(folder: Path) -> None:
     with opened([folder / "point.h5"]) as files:
         gathered, circuit = points.gather(files), files[0].circuit(0)
     both = models.named(["one_particle", "window"])
-    assert [one[3] for one in maps.transition_lines(gathered, circuit, both)] == ["paper"]
+    (line,) = maps.transition_lines(gathered, circuit, both)
+    assert line[3] == both[1].label
 
 
 def test_map_has_each_value_in_its_cell(folder: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from postproc.accuracy import ladder
 from postproc.accuracy.job import Job
 from postproc.accuracy.observables import by_time, figure_observables, lacking, row
-from postproc.theory.circuit import Circuit
+from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,14 +52,14 @@ def test_exact_engines_find_the_billiard(runs: dict, engine: str) -> None:
 
 
 def test_reservoir_is_the_theory_with_its_channels(runs: dict) -> None:
-    spread, flow = ladder.chain(ladder.THEORIES[-1][1])
+    spread, flow = ladder.ask(MODELS["renewal_chain"], ladder.BATTERY)
     chi, current = runs["reservoir"]["chi"], runs["reservoir"]["current"]
     assert abs(chi.value - spread) < 5.0 * chi.error + 2e-4
     assert abs(current.value - flow) < 5.0 * current.error + 1e-3
 
 
 def test_reservoir_lies_between_the_papers_theory_and_the_billiard(runs: dict) -> None:
-    paper, _ = ladder.mean_field(Circuit(1000, 7))
+    paper, _ = ladder.ask(MODELS["window"], ladder.BATTERY)
     reservoir, billiard = runs["reservoir"]["chi"], runs["excursion"]["chi"]
     assert reservoir.value + 5.0 * reservoir.error < paper
     assert _sigmas(reservoir, billiard) > 5.0
@@ -94,21 +94,22 @@ def test_transition_is_where_chi_falls_through() -> None:
 
 
 def test_chain_is_the_mean_field_but_for_fluctuations() -> None:
-    battery = ladder.THEORIES[2][1]
-    assert ladder.chain(battery) == pytest.approx(ladder.mean_field(battery), rel=1e-3)
-    homogeneous = replace(battery, threshold=1000)
-    assert ladder.mean_field(homogeneous) == (0.0, 0.0)
+    chain, mean_field = MODELS["renewal_chain"], MODELS["renewal_occupation"]
+    expected = ladder.ask(mean_field, ladder.BATTERY)
+    assert ladder.ask(chain, ladder.BATTERY) == pytest.approx(expected, rel=1e-3)
+    homogeneous = replace(ladder.BATTERY, threshold=1000)
+    assert ladder.ask(mean_field, homogeneous) == (0.0, 0.0)
     expected = math.sqrt(2.0 / (math.pi * 1000.0))
-    assert ladder.chain(homogeneous)[0] == pytest.approx(expected, rel=0.06)  # channels: 5 %
+    assert ladder.ask(chain, homogeneous)[0] == pytest.approx(expected, rel=0.06)  # channels: 5 %
 
 
-@pytest.mark.parametrize("name", ["two ports", "directions"])
+@pytest.mark.parametrize("name", ["two_port", "direction"])
 def test_theories_with_memory_find_the_billiard(name: str) -> None:
-    (circuit, ask), *_ = [(one, ask) for named, one, ask in ladder.THEORIES if named == name]
-    spread, flow = ask(circuit)
+    model = MODELS[name]
+    spread, flow = ladder.ask(model, ladder.BATTERY)
     assert spread == pytest.approx(SPREAD, abs=0.002)
     assert flow == pytest.approx(CURRENT, rel=0.01)
-    assert ask(replace(circuit, threshold=40)) == (0.0, 0.0)
+    assert ladder.ask(model, replace(ladder.BATTERY, threshold=40)) == (0.0, 0.0)
 
 
 def test_sets_of_runs_are_weighted_by_their_time() -> None:

@@ -159,7 +159,7 @@ def test_the_figure_has_each_map_with_its_lines(
             assert drawn.get_data()[1] == pytest.approx(y, nan_ok=True)
     (legend,) = made.legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        r"$N w \ell / 8 T A = 1$", "$J' = 0$, paper", "$J' = 0$, renewal gate",
+        r"$N w \ell / 8 T A = 1$", "$J' = 0$, window (the paper's)", "$J' = 0$, renewal gate",
         r"$J(N_1) = J(N_2)$ at $\chi(0)$, renewal gate",
     ]  # fmt: skip
     together = [axes for axes in made.axes if axes.get_xlabel() == r"$N w \ell / 8 T A$"]
@@ -186,7 +186,7 @@ def test_one_plane_is_drawn_by_the_command(
 ) -> None:
     arguments = [str(folder / "thresholds_50.h5"), "--output", str(tmp_path)]
     assert call("figures", ["one_channel", *arguments, "--model", "window"]) == 0
-    assert "start, paper" in capsys.readouterr().out
+    assert "start, window (the paper's)" in capsys.readouterr().out
     assert (tmp_path / "one_channel.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -16,12 +16,12 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.support.ui import WebDriverWait
 
 from postproc.figures import film
-from postproc.figures.models import MODELS
 from postproc.reading.results import Results, Snapshot
 from postproc.report import data, warn
 from postproc.tests.commands import call
 from postproc.tests.runs import edited, leave_out, results_of
 from postproc.theory.circuit import Circuit
+from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -14,7 +14,8 @@ from postproc.theory.models import MODELS
 from postproc.theory.settling import Settling, settling
 from postproc.theory.states import Theory
 
-ONE, THEORY = MODELS["direction"].of(Circuit(100, 1, channel1_length=3.8))
+THEORY = MODELS["direction"].theory
+ONE = MODELS["direction"].of(Circuit(100, 1, channel1_length=3.8))
 
 
 @pytest.fixture(scope="module")
@@ -63,10 +64,10 @@ def test_directions_that_settle_at_once_are_the_settled_chain(slow: Settling) ->
 
 def test_free_particles_do_not_know_of_the_lag() -> None:
     """No gate asks for directions then, so the chain is that of the settled circuit."""
-    circuit, theory = MODELS["direction"].of(Circuit(12, 12, channel2_width=0.05))
+    circuit = MODELS["direction"].of(Circuit(12, 12, channel2_width=0.05))
     late = settling(circuit)
     assert np.ptp(late.sent, axis=1) == pytest.approx(0.0, abs=1e-9)
-    settled = chain.passages(circuit, replace(theory, passages=None))
+    settled = chain.passages(circuit, replace(THEORY, passages=None))
     for time in (1.0, 1e4):
         found = replace(late, time=time).passage
         for start, stop in ((0, 3), (6, 1)):

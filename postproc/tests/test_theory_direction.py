@@ -37,7 +37,7 @@ CROSSING = 383.1  # N at which both lifetimes are equal, T = 1, by these runs
 
 def near(circuit: Circuit, *measured: float) -> None:
     """Hold the chain's passages from chi = 0 and from 1 against what is measured, if it is."""
-    asked, theory = MODELS["direction"].of(circuit)
+    asked, theory = MODELS["direction"].of(circuit), MODELS["direction"].theory
     for one, seen in zip(passage_times(asked, LOW, HIGH, theory=theory), measured, strict=True):
         assert math.isnan(seen) or seen / 3.0 < one < 3.0 * seen
 
@@ -238,8 +238,8 @@ def test_lifetimes_of_a_long_gate_are_within_a_factor_of_three(
 def test_both_states_live_equally_long_where_they_are_measured_to() -> None:
     numbers, logs = np.arange(370, 396, 5), []
     for number in numbers:
-        circuit, theory = MODELS["direction"].of(Circuit(int(number), 1))
-        one, other = passage_times(circuit, LOW, HIGH, theory=theory)
+        circuit = MODELS["direction"].of(Circuit(int(number), 1))
+        one, other = passage_times(circuit, LOW, HIGH, theory=MODELS["direction"].theory)
         logs.append(math.log(one / other))
     assert np.all(np.diff(logs) > 0.0)
     assert float(np.interp(0.0, logs, numbers)) == pytest.approx(CROSSING, rel=0.05)

@@ -1,52 +1,25 @@
-"""The theories by name: what each makes of a circuit, and what it says of it."""
+"""The theories by name, each declared once: whoever offers, asks, draws or prices them reads this.
+
+In the order of what they cost. What a declaration says is told by `model.Model`.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from postproc.cli import finite
-from postproc.theory import direction, one_particle, ports, settling, two_port
+from postproc.theory import chain, direction, one_particle, ports, settling, two_port
 from postproc.theory.circuit import transition_width
 from postproc.theory.gates import WINDOW
+from postproc.theory.model import Model
 from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import WELL_MIXED, Theory
+from postproc.theory.states import Theory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from postproc.theory.circuit import Circuit
-
-
-def _no_extras(_: Circuit) -> dict[str, object]:
-    return {}
-
-
-@dataclass(frozen=True)
-class Model:
-    """A theory as it is asked for by name.
-
-    Attributes
-    ----------
-    meaning : what it is, in a line.
-    changes : what it makes of a circuit, fields by name.
-    theory : what it says of circuits with equal urns and gates.
-    unlike : what it says of others.
-    extras : what it prints besides.
-    """
-
-    meaning: str
-    changes: dict[str, object]
-    theory: Theory
-    unlike: Theory
-    extras: Callable[[Circuit], dict[str, object]] = _no_extras
-
-    def of(self, circuit: Circuit) -> tuple[Circuit, Theory]:
-        """Return the circuit as the model has it, and what answers about it."""
-        circuit.need_empty_channels()
-        return replace(circuit, **self.changes), self.theory if circuit.alike else self.unlike
 
 
 def _no_line(_: Circuit) -> float:
@@ -80,42 +53,94 @@ _MIXED_UNLIKE = Theory(
     outflows=partial(two_port.outflows, memory=ports.well_mixed),
 )
 _PORTS = Theory(
-    two_port.stationary_states, two_port.homogeneous_kind, _line_of_two_ports, two_port.outflows
-)
+    two_port.stationary_states, two_port.homogeneous_kind, _line_of_two_ports, two_port.outflows,
+    flows=two_port.flows, growth=two_port.growth,
+)  # fmt: skip
 _DIRECTIONS = Theory(
     direction.stationary_states, direction.homogeneous_kind, _no_line, direction.outflows,
-    settling.passages,
+    settling.passages, direction.flows, direction.growth,
 )  # fmt: skip
 _WALKERS = Theory(
-    one_particle.stationary_states, _walked_kind, _no_line, two_port.outflows
+    one_particle.stationary_states, _walked_kind, _no_line, flows=one_particle.flows
 )
 _COUNTED = {"gate": RENEWAL, "occupation": True}
+_CHAIN_TO = 3000.0  # N; a state of 10000 takes 1.6 s, and time grows faster than N
 
-MODELS = {
-    "window": Model("the paper's gate, a window of time tau", {"gate": WINDOW}, WELL_MIXED,
-                    _MIXED_UNLIKE),
-    "renewal": Model("the gate's own rule", {"gate": RENEWAL}, WELL_MIXED, _MIXED_UNLIKE),
-    "two_port": Model("and urns that know by which opening one came, and circulation", _COUNTED,
-                      _PORTS, replace(_PORTS, transition_width=_no_line), _of_ports),
-    "direction": Model("and in which direction", _COUNTED, _DIRECTIONS, _DIRECTIONS),
-    "one_particle": Model("walkers between gates made of all the others", _COUNTED, _WALKERS,
-                          _WALKERS),
-}  # fmt: skip
+DECLARED = (
+    Model(
+        "window", "window (the paper's)", "the paper's gate, a window of time tau",
+        "to see where a circuit may polarise, and to repeat the paper", 1e-3, "--", "P",
+        "vermilion", changes={"gate": WINDOW}, unlike=_MIXED_UNLIKE, mixed=True,
+    ),
+    Model(
+        "renewal", "renewal gate", "the gate's own rule",
+        "the upper transition in milliseconds; the single urn", 3e-3, "-.", "X", "orange",
+        "window", {"gate": RENEWAL}, unlike=_MIXED_UNLIKE, mixed=True,
+    ),
+    Model(
+        "renewal_occupation", "renewal gate with channels", "and those in the channels counted",
+        "what exact gates do between urns that forget", 0.03, ":", "*", "brown",
+        "renewal", _COUNTED, unlike=_MIXED_UNLIKE, mixed=True,
+    ),
+    Model(
+        "renewal_chain", "renewal chain", "and the fluctuations of N2, means over them",
+        "the same where fluctuations count: small N, next to a transition", 0.04,
+        (0, (4, 1, 1, 1, 1, 1)), "v", "olive",
+        "renewal_occupation", _COUNTED, Theory(chain.mean_state), largest=_CHAIN_TO,
+    ),
+    Model(
+        "two_port", "two ports", "renewal_occupation and urns that know by which opening one "
+        "came, and circulation", "net currents well inside the polarised region; their age", 0.05,
+        "-.", "P", "purple",
+        "renewal_occupation", _COUNTED, _PORTS, replace(_PORTS, transition_width=_no_line),
+        extras=_of_ports, by_age=two_port.by_age,
+    ),
+    Model(
+        "direction", "directions", "and in which direction",
+        "chi, currents and transitions alike; lifetimes", 1.0, "-", "X", "violet",
+        "two_port", _COUNTED, _DIRECTIONS, _DIRECTIONS,
+    ),
+    Model(
+        "one_particle", "one particle", "walkers between gates made of all the others",
+        "the best single numbers without a run; it draws, so they have errors", 1.0, "-", "*",
+        "navy", "direction", _COUNTED, _WALKERS, _WALKERS, draws=True, program="one_particle",
+    ),
+)  # fmt: skip
+MODELS = {model.name: model for model in DECLARED}
+
+
+def guide() -> list[str]:
+    """Return the lines of a table of all theories, in Markdown: when to ask which."""
+    lines = ["| `--model` | label | what it is | a state takes | knows besides | ask it for |",
+             "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+    for one in MODELS.values():
+        seconds = f"{1e3 * one.seconds:g} ms" if one.seconds < 1.0 else f"{one.seconds:g} s"
+        limit = f" (N up to {one.largest:g})" if one.largest < math.inf else ""
+        cells = (f"`{one.name}`", one.label, one.meaning + limit, seconds,
+                 ", ".join(one.answers), one.use)  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def ancestry(name: str) -> tuple[str, ...]:
+    """Return a theory's name behind those all of whose physics it has, the simplest first."""
+    before = MODELS[name].adds_to
+    return (*ancestry(before), name) if before else (name,)
 
 
 def describe(circuit: Circuit, model: Model) -> dict[str, object]:
     """Return what a model says of one circuit, as the command line prints it."""
-    circuit, theory = model.of(circuit)
+    own, theory = model.of(circuit), model.theory_of(circuit)
     return finite(
         {
-            "homogeneous": theory.homogeneous_kind(circuit),
+            "homogeneous": theory.homogeneous_kind(own),
             "roots": [
                 {name: value for name, value in vars(state).items() if value is not None}
-                for state in theory.states(circuit)
+                for state in theory.states(own)
             ],
-            "transition_width": theory.transition_width(circuit),
-            "urn_area": _area(circuit),
-            **model.extras(circuit),
+            "transition_width": theory.transition_width(own),
+            "urn_area": _area(own),
+            **model.extras(own),
         }
     )
 

@@ -28,8 +28,6 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy import optimize, special
 
-from postproc.theory.gates import WINDOW
-
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -212,10 +210,3 @@ class RenewalGate:
 
 
 RENEWAL = RenewalGate()
-
-# the theories that runs are compared with: what each changes of a circuit, by name
-THEORIES = {
-    "paper": {"gate": WINDOW},
-    "renewal gate": {"gate": RENEWAL},
-    "renewal gate, channels counted": {"gate": RENEWAL, "occupation": True},
-}

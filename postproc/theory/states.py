@@ -187,6 +187,9 @@ class Theory:
         there, shape (half, case); None: `circuit.log_outflow`.
     passages : what tells the mean time from one |N2 - N/2| to another, as `chain.passages`, of urns
         that take their time to settle after N2; None: that of a chain with these outflows.
+    flows : what channels 1 and 2 carry from urn 1 to 2 and back at an N2, shape (channel, way);
+        None: `circuit.flow1` and `flow2`.
+    growth : what is positive where the homogeneous state is unstable; None: not told.
     """
 
     states: Callable[[Circuit], list[State]] = stationary_states
@@ -194,6 +197,8 @@ class Theory:
     transition_width: Callable[[Circuit], float] = transition_width
     outflows: Outflows | None = None
     passages: Callable[[Circuit], Passages] | None = None
+    flows: Callable[[Circuit, float], NDArray[np.float64]] | None = None
+    growth: Callable[[Circuit], float] | None = None
 
 
 WELL_MIXED = Theory()

@@ -28,7 +28,7 @@ from postproc.theory.circulation import circulating_current
 from postproc.theory.states import State, crossings, places_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -281,3 +281,15 @@ def transition_width(circuit: Circuit, start: float) -> float:
             if values[k] > 0.0 >= values[k + 1]:
                 return float(optimize.brentq(at, places[k], places[k + 1], rtol=1e-6))
     return math.nan
+
+
+def by_age(circuit: Circuit, ages: Sequence[float]) -> list[dict[str, float]]:
+    """Return the net current of runs of each age in the most polarised stable state, if any."""
+    stable = [one for one in stationary_states(circuit) if one.kind == "stable"]
+    if not stable:
+        return []
+    state = max(stable, key=lambda one: one.mass_spread)
+    around = circulating_at(circuit, state.urn2_number, ages)
+    rest = state.net_current - (state.circulating_current or 0.0)
+    return [{"age": age, "net_current": rest + float(one)}
+            for age, one in zip(ages, around, strict=True)]  # fmt: skip

@@ -1,7 +1,7 @@
 """Where each model fails on the map of T and w': python studies/where_models_fail/study.py.
 
 Runs map.nml beside it and the same map by engines that are models (or takes their results where
-they are in the folder), asks six theories at each point, and writes where_models_fail.csv and
+they are in the folder), asks the theories at each point, and writes where_models_fail.csv and
 where_models_fail.png. Some twenty minutes of a core.
 """
 
@@ -33,7 +33,7 @@ from postproc.theory.models import MODELS  # noqa: E402
 POLARISED = 0.3  # chi from which on a state is called so
 BOUNDS = (0.01, 0.03, 0.1)
 COLOURS = ("tab:green", "gold", "tab:orange", "tab:red")
-THEORIES = [*MODELS, "chain"]
+THEORIES = [*MODELS]
 # what the map of an engine is changed to: a fixed step costs a hundred times as much
 COARSE = {"threshold": [4, 6, 8, 10, 12, 14, 16], "replicas": 1}
 LENGTHS = {
@@ -89,14 +89,9 @@ def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
     found = {}
     for at in points:
         circuit = replace(ladder.BATTERY, threshold=at[0], channel2_width=at[1])
-        if model == "chain":
-            named = next(one for one in ladder.THEORIES if one[0] == "renewal chain")[1]
-            chi, current = ladder.chain(replace(named, threshold=at[0], channel2_width=at[1]))
-        else:
-            said, theory = MODELS[model].of(circuit)
-            stable = [state for state in theory.states(said) if state.kind == "stable"]
-            state = max(stable, key=lambda one: one.mass_spread, default=None)
-            chi, current = (state.mass_spread, state.net_current) if state else (0.0, 0.0)
+        stable = MODELS[model].solve_stable(circuit)
+        state = max(stable, key=lambda one: one.mass_spread, default=None)
+        chi, current = (state.mass_spread, state.net_current) if state else (0.0, 0.0)
         found[at] = chi, abs(current) / chi if chi > 0.0 else math.nan
     return found
 

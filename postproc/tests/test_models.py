@@ -1,0 +1,119 @@
+"""The list of theories: the only one, read by whoever offers, asks, draws or prices them."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib.util
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from postproc.accuracy import advice, ladder, ladder_errors, observables
+from postproc.figures import style
+from postproc.figures.models import add_models
+from postproc.report import compare
+from postproc.tests.commands import call
+from postproc.theory import programs
+from postproc.theory.circuit import Circuit
+from postproc.theory.model import Model
+from postproc.theory.models import MODELS, guide
+
+ROOT = Path(__file__).resolve().parents[2]
+TWIN = replace(MODELS["renewal"], name="twin", label="the twin", colour="sky", adds_to="renewal")
+WORDS = ["--number", "1000", "--threshold", "7", "--model", "twin"]
+SINGLE = Circuit(1000, 7, shape="urn", channel2_width=0.0)
+
+
+@pytest.fixture
+def twin(monkeypatch: pytest.MonkeyPatch) -> Model:
+    """Return a theory that was added to the list, and to nothing else."""
+    monkeypatch.setitem(MODELS, "twin", TWIN)
+    return TWIN
+
+
+def test_a_theory_that_is_added_to_the_list_is_known_everywhere(
+    twin: Model, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert call("theory", [*WORDS, "--tricritical"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["roots"][0]["mass_spread"] == pytest.approx(0.93607, abs=1e-5)
+    assert call("lifetimes", WORDS) == 0
+    options = argparse.ArgumentParser()
+    add_models(options)
+    assert options.parse_args(["--model", "twin"]).model == ["twin"]
+    assert twin in ladder.theories(drawing=False)
+    assert ladder.label("twin") == "the twin"
+    assert observables.look({"name": "twin"}) == (twin.mark, style.SKY)
+    assert ("window", "renewal", "twin") in ladder_errors.families()
+    asked = []
+    monkeypatch.setattr(
+        advice, "theory_says", lambda _, model, *__: asked.append(model.name) or (math.nan, 0.0)
+    )
+    circuit = Circuit(300, 3, 0.4, 0.02)
+    found = advice.Pilot(0.9, 0.009, 0.0, 1000.0, 2000.0, 1.0, 0.05)
+    advice.advise(advice.table_of(circuit), circuit, "chi", 0.02, found)
+    assert asked == [name for name, model in MODELS.items() if not model.draws]
+    place = ROOT / "studies/where_models_fail/study.py"
+    spec = importlib.util.spec_from_file_location("study", place)
+    study = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(study)
+    assert "twin" in study.THEORIES
+    assert any("| the twin |" in line for line in guide())
+
+
+def test_no_other_module_lists_theories() -> None:
+    """Nowhere do most of their names, or of their labels, stand in one list, dictionary or call."""
+    known = [set(MODELS), {model.label for model in MODELS.values()}]
+    paths = [*(ROOT / "postproc").rglob("*.py"), *(ROOT / "studies").rglob("*.py")]
+    for path in paths:
+        inside = path.relative_to(ROOT).parts
+        if "tests" in inside or inside[-2:] == ("theory", "models.py"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.List | ast.Tuple | ast.Set | ast.Dict | ast.Call):
+                texts = {one.value for one in ast.walk(node) if isinstance(one, ast.Constant)}
+                most = max(len(texts & names) for names in known)
+                assert most < 4, f"{path}:{node.lineno} lists theories"
+
+
+def test_the_page_tells_which_to_use_when() -> None:
+    text = (ROOT / "docs/theory.md").read_text(encoding="utf-8")
+    assert "\n".join(guide()) in text
+
+
+def test_each_theory_looks_and_is_called_unlike_the_others() -> None:
+    assert all(name == model.name for name, model in MODELS.items())
+    assert len({model.label for model in MODELS.values()}) == len(MODELS)
+    assert len({observables.look({"name": name}) for name in MODELS}) == len(MODELS)
+
+
+def test_what_a_theory_refuses_is_said_before_it_is_asked(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    unlike = Circuit(1000, 7, urn2_radius=1.2)
+    for model in MODELS.values():
+        assert bool(model.refusal(SINGLE)) != model.mixed
+        assert bool(model.refusal(unlike)) == (model.unlike is None)
+    assert "up to N = 3000" in MODELS["renewal_chain"].refusal(Circuit(10**8, 7))
+    monkeypatch.setattr(programs, "FOLDER", tmp_path)
+    assert "no such file" in MODELS["one_particle"].refusal(Circuit(1000, 7))
+
+
+def test_lifetimes_are_not_those_of_another_theory(capsys: pytest.CaptureFixture[str]) -> None:
+    """Walkers tell no rates."""
+    assert call("lifetimes", [*WORDS[:-1], "one_particle"]) == 2
+    error = capsys.readouterr().err
+    assert "one_particle has no rates" in error
+    assert "window or renewal" in error
+
+
+def test_a_measured_point_is_held_against_the_theory_that_is_named() -> None:
+    """Of urns that remember it is not the balance of the same gates between mixed urns."""
+    circuit = Circuit(1000, 7)
+    assert compare.expected_state(MODELS["two_port"], circuit, 0.93)[0] == pytest.approx(
+        MODELS["two_port"].solve_stable(circuit)[-1].mass_spread
+    )

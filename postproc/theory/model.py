@@ -1,0 +1,342 @@
+"""What a theory of the circuit is asked, by whatever name it has in `theory.models`.
+
+Who asks leaves out what a theory has no answer to (`None`, NaN, no level, `Model.refusal`). Answers
+that take seconds are kept for the next time (`kept`), but for those of `solve`, which are timed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import interpolate
+
+from postproc.cli import InputError
+from postproc.progress import each
+from postproc.theory.chain import between, passage_times
+from postproc.theory.circuit import (
+    eta,
+    flow1,
+    flow2,
+    gate_load,
+    in_urn,
+    single_urn_current,
+    transition_width,
+)
+from postproc.theory.kept import kept
+from postproc.theory.programs import FOLDER, there
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import WELL_MIXED, State
+from postproc.theory.tricritical import cubic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from postproc.theory.circuit import Circuit
+    from postproc.theory.states import Theory
+
+    Floats = NDArray[np.float64]
+
+STRONGEST = 4.0  # load of a gate over T at which a transition is a jump, whatever T
+STEPS = 20  # places on a line of transition from one whole T to the next
+WIDTHS = 400  # places between w' = 0 and 2r where a transition is looked for
+FEW_WIDTHS = 13  # of a theory that takes longer, as far as well mixed urns have a line
+
+
+def _no_extras(_: Circuit) -> dict[str, object]:
+    return {}
+
+
+@dataclass(frozen=True)
+class Model:
+    """A theory as it is asked for by name.
+
+    Attributes
+    ----------
+    name : on command lines and in files.
+    label : in legends and tables.
+    meaning : what it is, in a line.
+    use : when to ask it, in a line.
+    seconds : of a processor that a state takes at N = 1000, at least.
+    dashes : style of its lines.
+    mark, colour : of its point in charts of error against cost; the colour's name in
+        `figures.style`.
+    adds_to : name of the theory all of whose physics it has; "": none.
+    changes : what it makes of a circuit, fields by name.
+    theory : what it says of circuits with equal urns and gates.
+    unlike : what it says of others; None: nothing.
+    mixed : whether its urns are well mixed and its states are zeros of eta. Then it has an eta, the
+        line of eq. (transition), a tricritical point, and says something of the single urn.
+    draws : whether it draws numbers, so that its answers have errors.
+    program : that it asks; "": none.
+    largest : N up to which it is asked.
+    extras : what it prints besides.
+    by_age : net current of runs of each age in the most polarised stable state; None: not told.
+    """
+
+    name: str
+    label: str
+    meaning: str
+    use: str
+    seconds: float
+    dashes: str | tuple[int, tuple[int, ...]]
+    mark: str
+    colour: str
+    adds_to: str = ""
+    changes: Mapping[str, object] = field(default_factory=dict)
+    theory: Theory = WELL_MIXED
+    unlike: Theory | None = None
+    mixed: bool = False
+    draws: bool = False
+    program: str = ""
+    largest: float = math.inf
+    extras: Callable[[Circuit], dict[str, object]] = _no_extras
+    by_age: Callable[[Circuit, Sequence[float]], list[dict[str, float]]] | None = None
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether it says what an urn sends at any N2: an eta, and a chain of lifetimes."""
+        return self.mixed or self.theory.outflows is not None
+
+    @property
+    def has_line(self) -> bool:
+        """Whether it has a line of transition."""
+        return self.mixed or self.theory.growth is not None
+
+    @property
+    def answers(self) -> list[str]:
+        """What it says something of besides the states of two equal urns, in words."""
+        told = (
+            (self.unlike is not None, "unlike urns"),
+            (self.has_rates, "eta, lifetimes"),
+            (self.has_line, "line of transition"),
+            (self.mixed, "tricritical point, single urn, polygons"),
+            (self.by_age is not None, "age of a run"),
+        )
+        return [words for known, words in told if known]
+
+    def refusal(self, circuit: Circuit) -> str:
+        """Return why it says nothing of a circuit; empty: it does."""
+        if circuit.shape != "circuit" and not self.mixed:
+            return f"theory {self.name}: of the single urn it says nothing"
+        if self.unlike is None and not circuit.alike:
+            return f"theory {self.name}: it wants two equal urns and gates"
+        if self.largest < math.inf and float(circuit.number) > self.largest:
+            return f"theory {self.name}: it is asked up to N = {self.largest:g}"
+        if self.program and not there(self.program):
+            return f"{FOLDER / self.program}: no such file (make build builds it)"
+        return ""
+
+    def of(self, circuit: Circuit) -> Circuit:
+        """Return the circuit as this theory has it; raise `InputError` if it refuses."""
+        circuit.need_empty_channels()
+        if refused := self.refusal(circuit):
+            raise InputError(refused)
+        return replace(circuit, **self.changes)
+
+    def theory_of(self, circuit: Circuit) -> Theory:
+        """Return what answers about a circuit, by whether its urns and gates are alike."""
+        return self.theory if self.unlike is None or circuit.alike else self.unlike
+
+    def solve(self, circuit: Circuit) -> list[State]:
+        """Return all states with N2 > N/2, worked out now."""
+        return self.theory_of(circuit).states(self.of(circuit))
+
+    def solve_stable(self, circuit: Circuit) -> list[State]:
+        """Return those of `solve` that are stable."""
+        return [state for state in self.solve(circuit) if state.kind == "stable"]
+
+    def states(self, circuit: Circuit) -> list[State]:
+        """Return all states with N2 > N/2, from an earlier time if they take seconds."""
+        found = self._kept("states", circuit, lambda: [vars(one) for one in self.solve(circuit)])
+        return [State(**one) for one in found]
+
+    def homogeneous_kind(self, circuit: Circuit) -> str:
+        """Return the kind of the state with equal densities."""
+        own, theory = self.of(circuit), self.theory_of(circuit)
+        return str(self._kept("kind", circuit, lambda: theory.homogeneous_kind(own)))
+
+    def _kept(
+        self, what: str, circuit: Circuit, compute: Callable[[], object], at: object = ""
+    ) -> object:
+        """Return what `compute` says, from an earlier time unless it is quick."""
+        if self.mixed:
+            return compute()
+        return kept(f"{what} {self.name} {at}", self.of(circuit), compute)
+
+    def stable_state(self, circuit: Circuit) -> State | None:
+        """Return the stable polarised state with the largest chi, None if there is none."""
+        stable = [state for state in self.states(circuit) if state.kind == "stable"]
+        return stable[-1] if stable else None
+
+    def zeros(self, circuit: Circuit) -> list[tuple[float, str]]:
+        """Return (N2, kind) of all stationary states, on both sides of N/2 and at it."""
+        total = float(circuit.number)
+        found = [(one.urn2_number, one.kind) for one in self.states(circuit)]
+        found += [(total - number, kind) for number, kind in found]
+        return [*found, (0.5 * total, self.homogeneous_kind(circuit))]
+
+    def nearest_stable(self, circuit: Circuit, number2: float) -> float:
+        """Return N2 of the stable state (either sign of N2 - N1) nearest to `number2`."""
+        stable = [number for number, kind in self.zeros(circuit) if kind != "unstable"]
+        return min(stable, key=lambda number: abs(number - number2))
+
+    def eta(self, circuit: Circuit, number2: ArrayLike) -> Floats:
+        """Return eta of eq. (eq007), what urn 2 gains (per unit time); NaN if it is not told."""
+        second = np.asarray(number2, float)
+        if not self.has_rates:
+            return np.full(second.shape, math.nan)
+        if self.mixed:
+            return eta(self.of(circuit), second)
+        places, sent = self.theory.outflows(self.of(circuit))
+        # what each urn sends is smooth and keeps its sign; their difference has peaks in between
+        one, two = np.exp(between(places, sent, second))
+        known = (second >= places.min()) & (second <= places.max())
+        return np.where(known, one - two, math.nan)
+
+    def levels(self, circuit: Circuit, number2: float) -> dict[str, float]:
+        """Return flows and net current (per unit time) of the stable state nearest to `number2`.
+
+        By name: flow1_12 ... flow2_21 as in results, and "net", that of channel 2 by its size. What
+        circulates is part of them: it goes from the fuller urn through channel 2.
+        """
+        own, second = self.of(circuit), self.nearest_stable(circuit, number2)
+        carried = self.theory.flows or _carried
+        flows = np.array(
+            self._kept("flows", circuit, lambda: carried(own, second).tolist(), second)
+        )
+        states = self.states(circuit)
+        pairs = [abs(second - one.urn2_number) for one in states]
+        pairs += [abs(own.number - second - one.urn2_number) for one in states]
+        around = 0.0
+        if pairs and min(pairs) < 1e-6 * float(own.number):
+            state = states[int(np.argmin(pairs)) % len(states)]
+            around = abs(state.circulating_current or 0.0)
+        fuller = int(2.0 * second > float(own.number))
+        flows[1, fuller] += around
+        flows[0, 1 - fuller] += around
+        found = {
+            f"flow{channel}_{way}": float(flows[channel - 1, at])
+            for channel in (1, 2)
+            for at, way in enumerate(("12", "21"))
+        }
+        return {**found, "net": float(abs(flows[1, 0] - flows[1, 1]))}
+
+    def transition_line(self, circuit: Circuit, first: int, last: int) -> tuple[Floats, Floats]:
+        """Return (T, w') along the line of transition, eq. (transition), from one T to another.
+
+        w' is the least at which the homogeneous state turns stable, NaN where there is none. It is
+        what it is at whole T only: in between, what decides on stability is interpolated. Beyond
+        its last T the homogeneous state is stable without channel 2, so the line ends at w' = 0.
+        """
+        own, whole = self.of(circuit), np.arange(max(first, 1), last + 1)
+        if not self.has_line:
+            return whole.astype(float), np.full(whole.shape, math.nan)
+        label = f"line of transition, {self.label}, threshold"
+        if self.mixed:
+            return _mixed_line(own, whole, label)
+        _, mixed = _mixed_line(replace(circuit, gate=RENEWAL, occupation=False), whole, label)
+        most = float(np.nanmax(mixed, initial=0.0))
+        even = np.linspace(0.0, most or float(circuit.channel1_width), FEW_WIDTHS)
+        narrow = np.geomspace(1e-3 * even[-1], even[1], FEW_WIDTHS // 2)
+        widths = np.concatenate([even[:1], narrow, even[2:]])
+        return _line(own, whole, widths, self._stability, label)
+
+    def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
+        """Return what is negative at the w' where the homogeneous state is unstable."""
+        asked = [replace(circuit, channel2_width=float(one)) for one in widths]
+        found = self._kept(
+            "growth", circuit,
+            lambda: [self.theory.growth(one) for one in each(asked, "w'")], widths.tolist(),
+        )  # fmt: skip
+        return -np.array(found, float)
+
+    def tricritical_place(self, circuit: Circuit) -> tuple[float, float] | None:
+        """Return (T, w') on the line of transition at this N where a jump turns continuous.
+
+        None where there is none, or the theory does not tell. Between whole T it is interpolated.
+        """
+        if not self.mixed:
+            return None
+        own = self.of(circuit)
+        load = 0.5 * float(circuit.number) * float(circuit.load_per_particle)
+        whole = range(max(int(load / STRONGEST), 1), int(load) + 1)
+        values = [cubic(replace(own, threshold=one)) for one in whole]
+        for one, (low, high) in zip(whole, pairwise(values), strict=False):
+            if low < 0.0 <= high:
+                part = low / (low - high)
+                widths = [transition_width(replace(own, threshold=at)) for at in (one, one + 1)]
+                return one + part, float(np.interp(part, [0.0, 1.0], widths))
+        return None
+
+    def urn_current(self, urn: Circuit) -> Floats:
+        """Return the current of the single urn of the appendix (per unit time)."""
+        return single_urn_current(self.of(urn))
+
+    def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
+        """Return how long homogeneous and polarised state last by the chain (length/v).
+
+        NaN if it has none, or of one particle, which is always polarised.
+        """
+        if not self.has_rates or circuit.number < 2:
+            return math.nan, math.nan
+        own = self.of(circuit)
+        one, two = self._kept(
+            "passages", circuit,
+            lambda: passage_times(own, low, high, theory=self.theory), (low, high),
+        )  # fmt: skip
+        return one, two
+
+
+def _carried(circuit: Circuit, number2: float) -> Floats:
+    """Return what channels 1 and 2 carry from urn 1 to 2 and back, by well mixed urns."""
+    held = np.array([float(circuit.number) - number2, number2])
+    return np.stack([flow1(circuit, held), flow2(circuit, held)])
+
+
+def _mixed_line(circuit: Circuit, whole: NDArray[np.int_], label: str) -> tuple[Floats, Floats]:
+    widths = np.linspace(0.0, 2.0 * float(circuit.urn_radius), WIDTHS, endpoint=False)
+    return _line(circuit, whole, widths, _mixed_stability, label)
+
+
+def _mixed_stability(circuit: Circuit, widths: Floats) -> Floats:
+    """Return the change with N1 of what an urn sends out, but for a positive factor."""
+    at_width = replace(circuit, channel2_width=widths)
+    load = gate_load(at_width, in_urn(at_width, 0.5 * float(circuit.number)))
+    return widths + float(circuit.channel1_width) * circuit.gate.slope(circuit.threshold, load)
+
+
+def _line(
+    circuit: Circuit, whole: NDArray[np.int_], widths: Floats,
+    stability: Callable[[Circuit, Floats], Floats], label: str,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Return (T, w') of the line, from the stability of a circuit at each whole T and each w'."""
+    values = np.array(
+        [stability(replace(circuit, threshold=int(one)), widths) for one in each(whole, label)]
+    )
+    thresholds = np.linspace(whole[0], whole[-1], (whole.size - 1) * STEPS + 1)
+    if whole.size > 1:
+        values = interpolate.PchipInterpolator(whole, values)(thresholds)
+    return _where_zero(thresholds, widths, values)
+
+
+def _where_zero(thresholds: Floats, widths: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return (T, w') where `values` of shape (T, w') first rise through 0, its end at w' = 0."""
+    rises = (values[:, :-1] < 0.0) & (values[:, 1:] >= 0.0)
+    crossed = rises.any(axis=1) & (values[:, 0] <= 0.0)
+    at, row = np.argmax(rises, axis=1), np.arange(thresholds.size)
+    low, high = values[row, at], values[row, at + 1]
+    share = low / np.where(crossed, low - high, 1.0)
+    line = np.where(crossed, widths[at] + share * (widths[at + 1] - widths[at]), math.nan)
+    line = np.where(values[:, 0] == 0.0, 0.0, line)  # too small for any number
+    start = values[:, 0]
+    for one in np.flatnonzero((start[:-1] < 0.0) & (start[1:] > 0.0))[::-1]:
+        share = start[one] / (start[one] - start[one + 1])
+        end = thresholds[one] + share * (thresholds[one + 1] - thresholds[one])
+        thresholds, line = np.insert(thresholds, one + 1, end), np.insert(line, one + 1, 0.0)
+    return thresholds, line
