@@ -54,7 +54,7 @@ program battery
     exit_code = error%code
   end if
   if (.not. all_was_printed()) then
-    call complain('battery: not all could be printed; what was written is as it should be')
+    call complain('battery: part of the output could not be printed; files are as they should be')
     if (exit_code == exit_success) exit_code = exit_failure
   end if
   call close_communicator(communicator)

@@ -164,7 +164,7 @@ def test_ranks_with_other_command_lines_are_refused(
     ended = run(folder=tmp_path, ranks=[Rank(first.split()), Rank(second.split())])
     assert ended.returncode == 2, (ended.stdout, ended.stderr)
     assert [line for line in ended.stderr.splitlines() if line.startswith("battery: ")] == [
-        f"battery: rank 1 was started with other words ({second}) than rank 0 ({first}); "
+        f"battery: rank 1 was started with another command line ({second}) than rank 0 ({first}); "
         "allowed: one command line for all ranks"
     ]
     assert listing(tmp_path) == before

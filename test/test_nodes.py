@@ -76,7 +76,7 @@ def test_of_two_machines_that_start_at_once_one_has_the_output(
         (k, run), = lost.items()
         words = run.communicate()[0]
         assert run.returncode == 2, words
-        assert f"out.h5: another run owns it, on node{2 - k}, process " in words
+        assert f"out.h5: another run has locked it, on node{2 - k}, process " in words
         other = program.descendants(runs[1 - k].pid)
         program.send(other, signal.SIGTERM)
         assert runs[1 - k].wait(timeout=60) == 3

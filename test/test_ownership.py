@@ -64,7 +64,7 @@ def test_a_second_run_is_told_who_has_the_output(tmp_path: Path, ranks: int) -> 
     ended = program.finish(process)
     for second in seconds:
         assert second.returncode == 2, (second.returncode, second.stdout, second.stderr)
-        assert "out.h5: another run owns it, on " in second.stderr
+        assert "out.h5: another run has locked it, on " in second.stderr
         assert f"on {socket.gethostname()}, process " in second.stderr
         assert any(f"process {number}, since 20" in second.stderr for number in numbers)
     assert at_work
@@ -151,7 +151,7 @@ def test_nothing_is_taken_from_another_machine(tmp_path: Path) -> None:
     ended = program.run("case.nml", folder=tmp_path)
     assert ended.returncode == 2, ended.stdout
     assert "on elsewhere, process 4711, since 2026-11-21 12:00:00" in ended.stderr
-    assert "if it is dead for certain, remove out.h5.owner" in ended.stderr
+    assert "if it has ended for certain, remove out.h5.owner" in ended.stderr
     assert owner.read_text() == OWNER_ELSEWHERE
     assert names(tmp_path) == ["case.nml", "out.h5.owner"]
     owner.unlink()
@@ -207,7 +207,7 @@ def test_a_launcher_that_does_not_fit_is_named(
     assert alone.returncode == shared.returncode == 2
     assert words in alone.stderr
     for ended in (alone, shared):
-        assert ended.stderr.count("out.h5: another run owns it") == 1
+        assert ended.stderr.count("out.h5: another run has locked it") == 1
     for other in (shared.stderr, *([] if variable else [alone.stderr])):
         assert "programs of one rank" not in other
 
@@ -258,7 +258,7 @@ def test_a_file_of_a_user_is_no_owner(tmp_path: Path, text: str) -> None:
     owner.write_text(text)
     ended = program.run("case.nml", folder=tmp_path)
     assert ended.returncode == 2, (ended.stdout, ended.stderr)
-    words = "is not a file that a run has left" if text else "if it is dead for certain, remove"
+    words = "is not a file that a run has left" if text else "if it has ended for certain, remove"
     assert words in ended.stderr
     assert "out.h5.owner" in ended.stderr
     assert owner.read_text() == text

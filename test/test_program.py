@@ -381,7 +381,7 @@ def test_currents_of_a_young_run_are_remarked_on(tmp_path: Path) -> None:
         for words in (["--check", "case.nml"], ["case.nml"], ["--quiet", "--overwrite", "case.nml"])
     ]
     assert len(told[0]) == 1
-    assert "%: circulations still fill up; for 0.25 % a transient of" in told[0][0]
+    assert "%: circulations still build up; for 0.25 % a transient of" in told[0][0]
     assert told[1:] == [told[0], []]
 
 
@@ -593,7 +593,7 @@ def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None
         length = {"duration": duration, "transient_duration": "0"}
         write(tmp_path, table=wide, run=length, output={"file": "'out.h5'"})
         printed = run("--overwrite", "case.nml", folder=tmp_path).stdout
-        assert ("more replicas tell" in printed) is not known
+        assert ("use more replicas" in printed) is not known
         with xarray.open_dataset(tmp_path / "out.h5") as root:
             for name in ("chi", "current1", "polarised_current"):
                 assert np.isfinite(root[name].item())

@@ -208,4 +208,4 @@ def test_programs_of_one_rank_are_told_what_to_type(
     assert "`srun --mpi=list`, such as `srun --mpi=pmix` (Open MPI) or" in log(folder)
     for line in log(folder).splitlines():
         if advice in line:
-            assert "phase_diagram.h5: another run owns it, on node" in line
+            assert "phase_diagram.h5: another run has locked it, on node" in line

@@ -46,33 +46,27 @@ def ladder_map(numbers: dict) -> str:
         ]
         for one in numbers["choice"]
     ]
-    return f"""One point may flatter. So all rungs go to {len(numbers["points"])} points of the map, at w' =
+    return f"""One point is not enough. So all rungs are compared at {len(numbers["points"])} points of the map, at w' =
 {", ".join(f"{one:g}" for one in widths)}: three T well below each upper transition and five across it. chi and current
 over chi are compared at the {numbers["polarised"]} of them that are polarised (chi > 0.3), so that an error of chi does
 not hide one of the conductance. The transitions lie at T = {places}.
 
 ![Error over the map against processor time](accuracy_ladder_map.png)
 
-Faint marks are of a rung that has no polarised state at some of the points ("without" in the table), a ring is where
-errors cancel (the star in the table), an open mark with an arrow is a bound.
+Faint marks are rungs without a polarised state at some of the points ("without" in the table), a ring marks errors that cancel (the star in the table), an open mark with an arrow is a bound.
 
 {table(head, rows)}
 
-Errors are root mean squares over the points, of chi absolute and of the others relative, less what runs add by chance;
-"<" is a bound where none is seen. A star marks errors that cancel: a rung that has all of its physics and more is
-farther off. "Without" counts points at which the rung has no polarised state. `timestep 0.003` goes over the map in
-full runs only.
+Errors are root mean squares over the points, absolute for chi and relative for the others, after subtraction of the scatter of the runs; "<" is a bound where none is seen. A star marks errors that cancel: a more complete rung has a larger error. "Without" counts points at which the rung has no polarised state. `timestep 0.003` is run over the map in full runs only.
 
 **What a run costs.** Its transient is {number(away, 4)} time units, three relaxations of directions (25 r^4/w^3), and
 {number(near, 4)} next to a transition, a wide margin: at w' = 0.01 runs found the same transition after 500 time units
-as after 5000 ([experiment 5](experiments.md#5-the-transient-near-the-upper-transition)). All of it is charged, also to a
-run that could begin at the answer. Is it enough? With twice the transient chi differs by {number(twice["root_mean_square"], 2)} standard
+as after 5000 ([experiment 5](experiments.md#5-the-transient-near-the-upper-transition)). All of it is included in the cost, also of a run that could begin at the stationary state. With twice the transient chi differs by {number(twice["root_mean_square"], 2)} standard
 errors (root mean square over the {twice["points"]} points; one is chance), at most by
 {number(abs(twice["worst"]), 2)}, at w' = {twice["worst_width"]:g}, T = {twice["worst_threshold"]}.
-Currents settle later: at narrow channels even the reference's lack 1 to 2 %
-([the age of a run](../studies/age_of_a_run/README.md)), so smaller errors of current over chi are not told apart.
+Currents take longer: for narrow channels even the reference misses 1 to 2 % ([the age of a run](../studies/age_of_a_run/README.md)), so smaller errors of current over chi cannot be distinguished.
 
-The Pareto line is what can be had for the processor time of a point. Read from it, the cheapest rung that has an error:
+The Pareto line is the smallest error for a given processor time per point. The table has the cheapest rung for each error:
 
 {table(["error", *(HEADS[name] for name in QUANTITIES)], chosen)}
 """  # noqa: E501 (a paragraph is a line)

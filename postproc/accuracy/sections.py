@@ -41,26 +41,22 @@ def trajectories(numbers: dict) -> str:
         for precision, time in numbers["predicted_horizon"].items()
     )
     growth = measured(numbers["lyapunov"], numbers["lyapunov_error"])
-    return f"""{numbers["number"]} particles fly from one file; their places and the times of their events are held
-against `collision` in quadruple precision.
+    return f"""{numbers["number"]} particles fly from one file; their places and the times of their events are compared with `collision` in quadruple precision.
 
 ![Error of places and of event times against cost](accuracy_trajectory_cost.png)
 
 {table(head, lines)}
 
 - **A fixed step** is of first order: {number(order["place"], 3)} in places, {number(order["event_time"], 3)} in
-event times. Halving it costs twice as much and gains one bit; `excursion` has all bits for less than its coarsest
-step. Some particles it sends astray
-  altogether, past a corner on the wrong side; their share falls as the step to the power
-{number(order["worst"], 2)}. In single precision small steps make it worse: their rounding adds up.
+event times. Halving it costs twice as much and gains one bit; `excursion` has all bits for less than its coarsest step. Some particles pass a corner on the wrong side and take another path; their share falls as the step to the power
+{number(order["worst"], 2)}. In single precision small steps increase the error: their rounding adds up.
 - **Errors grow** as exp(lambda t). The tangent map of the free billiard gives lambda = {growth} directly
 ({number(numbers["lyapunov_same_start"], 3)} over the time that these particles fly); the column lambda is fitted
-to the errors themselves. The picture has lines of both rates: the errors follow the second, that of the same
+to the errors themselves. The picture has lines of both rates: the errors follow the second one, that of the same
 {numbers["number"]} particles.
 - **The horizon** of a precision is where the median error passes 0.1: half of the particles have taken another way.
 Half a unit in the last place grows to that in
-{predicted}. With gates it is nearer, since one particle that goes astray makes a gate fire, or not, for all the
-others.
+{predicted}. With gates it is nearer, since one particle on another path makes a gate reverse, or not, for all the others.
 
 ![Growth of errors, and order of the fixed step](accuracy_trajectory_growth.png)
 """  # noqa: E501 (a paragraph is a line)
@@ -91,17 +87,16 @@ def verdict(numbers: dict) -> str:
 
     return f"""**Verdict**, in five lines:
 
-1. Lost or not a number, in all odd cases and {number(hits, 2)} hits of long runs: {lost} in double and quadruple
+1. Lost or not a number, in all unusual cases and {number(hits, 2)} hits of long runs: {lost} in double and quadruple
 precision, {single} in single.
 2. Corner shots in double precision are wrong within {cell("beside a corner").split("within ")[-1]} of the corner
 (`excursion`), which is the rounding of a place; `timestep` is wrong within
 {cell("beside a corner", "timestep").split("within ")[-1]}.
-3. Grazing orbits, error of the exit time down to the smallest angle that was got: `excursion`
+3. Grazing orbits, error of the exit time down to the smallest angle that was computed: `excursion`
 {cell("whispering")}, `collision` {cell("whispering", "collision")}.
-4. Orders in memory that matter, of 96: {cell("four entries")}. Events move by {cell("clock")} where the clock
+4. Orders in memory that change results, of 96: {cell("four entries")}. Events move by {cell("clock")} where the clock
 shows 1e12.
-5. Given up are grazing orbits by `collision` and `synchronous`, which are too slow for them (in single precision
-their angle sticks), and digits by `timestep`, which has its step's error in all of it."""  # noqa: E501
+5. `collision` and `synchronous` are too slow for grazing orbits (in single precision their angle is rounded to zero); `timestep` has the error of its step in all results."""  # noqa: E501
 
 
 def stability(numbers: dict) -> str:
@@ -121,21 +116,17 @@ def stability(numbers: dict) -> str:
             for row in numbers["visits"]
         ],
     )  # fmt: skip
-    return f"""One particle or a few are sent where methods fail. In double and quadruple precision {lost}
-particles were lost and {odd} were not a number ({lost_single} lost in single precision); {trapped} orbits that
-never end were counted as trapped, in place of hanging the run.
+    return f"""Single particles, or a few, are started where methods fail. In double and quadruple precision {lost}
+particles were lost and {odd} were not a number ({lost_single} lost in single precision); {trapped} orbits that never end were counted as trapped, so the run did not hang.
 
 {verdict(numbers)}
 
-"Too slow" or "stopped" is an engine that ran out of the time the table gives it, "stick" one whose angle is
-rounded to zero, so that it takes the orbit for endless.
+"Too slow" and "stopped" mean that the engine ran out of the time given to it, "stick" that its angle was rounded to zero, so that it treats the orbit as endless.
 
 {numbers["markdown"].strip()}
 
-Single visits to an urn, against quadruple precision from the same way in; the error of place, direction and time
-is divided by the visit's own condition number. Where the opening is as
-small as the rounding of a place on the wall, some visits end on the other side of a corner: no precision of that
-size could tell.
+Single visits to an urn are compared with quadruple precision from the same entry; the error of place, direction and time is divided by the visit's own condition number. Where the opening is as
+small as the rounding of a place on the wall, some visits end on the other side of a corner: this precision cannot decide the side.
 
 {visits}
 
@@ -159,10 +150,8 @@ def polygons(numbers: dict) -> str:
     ]  # fmt: skip
     handed_on = sum(row["handed_on"] for row in numbers["visits"])
     return f"""The same for [polygons](shapes.md), w = {number(numbers["visits"][0]["channel1_width"], 1)}. Walls are
-straight, so the condition grows in proportion to the way and to the hits. A side that is met
-again is looked for up to 64 epsilon behind a place, so visits that come closer to a corner than 128 times the rounding
-of their way in, grown by the condition, may pass it on the other side; farther away they are wrong. {handed_on} were so
-long that they were handed on in parts, and are left out.
+straight, so the condition grows in proportion to the way and to the hits. A side that is hit again is searched up to 64 epsilon behind a place. So visits that come closer to a corner than 128 times the rounding of their entry, multiplied by the condition, may pass it on the other side; if they do so farther away they count as wrong. {handed_on} were so
+long that they were computed in parts, and are left out.
 
 {table(head, lines)}
 """  # noqa: E501 (a paragraph is a line)
@@ -177,10 +166,9 @@ def reversal(numbers: dict) -> str:
             numbers["predicted_horizon"][precision], 3
         )  # fmt: skip
         lines.append([f"`{engine}`", precision, predicted, number(time, 3)])
-    return f"""Run for a time t, turn all velocities, run as long again: without gates everyone arrives where he
-began, until rounding, grown by exp(lambda t), sends him another way (predicted as the horizons above, from the
+    return f"""Run for a time t, turn all velocities, run as long again: without gates every particle returns to its start, until rounding, grown by exp(lambda t), puts it on another path (predicted as the horizons above, from the
 tangent map's lambda = {number(numbers["lyapunov"], 3)}: the time in which half a unit in the
-last place grows to 0.1). A fixed step is lost much sooner, since its errors are not rounding.
+last place grows to 0.1). With a fixed step this happens much sooner, since its errors are larger than rounding.
 
 {table(["engine", "precision", "predicted", "half are astray after"], lines)}
 

@@ -33,8 +33,9 @@ contains
     first = mine
     call share_text(communicator, first, 0)
     if (len(mine) /= len(first) .or. mine /= first) call fatal_error(error, 'battery: rank ' &
-      //to_text(communicator%rank)//' was started with other words ('//shown(mine)//') than rank ' &
-      //'0 ('//shown(first)//'); allowed: one command line for all ranks', exit_bad_input)
+      //to_text(communicator%rank)//' was started with another command line (' &
+      //shown(mine)//') than rank 0 ('//shown(first)// &
+      '); allowed: one command line for all ranks', exit_bad_input)
     call share_error(communicator, error)
   end subroutine check_command_lines
 

@@ -139,7 +139,7 @@ contains
     call say('tasks:      '//to_text(task_count(plan))//' (' &
       //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)')
     if (plan%first_replicas < plan%replicas) call say('precision:  the first ' &
-      //to_text(plan%first_replicas)//' replicas of a point tell how many it gets, up to ' &
+      //to_text(plan%first_replicas)//' replicas of a point determine its number, up to ' &
       //to_text(plan%replicas)//'')
     call say('engine:     '//plan%engine)
     if (plan%urn_shape == 'disc') then

@@ -57,8 +57,8 @@ contains
       end do
     end if
     if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results)
-    if (some_too_short(results)) call say('errors of some runs are NaN, too short to tell: ' &
-      //'more replicas tell (&scan replicas), or longer runs')
+    if (some_too_short(results)) call say('errors of some runs are NaN (too short): ' &
+      //'use more replicas (&scan replicas) or longer runs')
     call say(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
     call list_points(results, point_two_states, 'replicas fall into two states')
@@ -113,7 +113,7 @@ contains
     type(results_type), intent(in) :: results
 
     if (results%short_tasks > 0) call say(to_text(results%short_tasks)//' of the complete tasks ' &
-      //'ended before the last of snapshot_times: what they did not come to is NaN')
+      //'ended before the last of snapshot_times: the later snapshots are NaN')
   end subroutine tell_missing_snapshots
 
   !> The task that took the most time of a processor.

@@ -212,7 +212,7 @@ contains
     character(len=:), allocatable :: rest
     integer :: blank
 
-    words = 'another run owns it'
+    words = 'another run has locked it'
     rest = words_of(holder)
     blank = index(rest, ' ')
     if (blank == 0) return
@@ -231,8 +231,8 @@ contains
     character(len=:), allocatable :: words
 
     words = '; wait for its end, or stop it'
-    if (.not. lives) words = words//'; whether it is still at work cannot be known on ' &
-      //host_name()//': if it is dead for certain, remove '//path
+    if (.not. lives) words = words//'; whether it still runs cannot be known on ' &
+      //host_name()//': if it has ended for certain, remove '//path
   end function what_to_do
 
 end module battery_ownership

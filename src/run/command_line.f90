@@ -104,7 +104,7 @@ contains
     if (command%answer /= '' .and. command%file /= '' .and. is_one_of('--schema', words)) &
       call add(problems, command%file//': --schema takes no file; it is the same for all')
     if (command%self_test .and. command%file /= '') &
-      call add(problems, command%file//': --self-test takes no file; it has what it needs')
+      call add(problems, command%file//': --self-test takes no file')
     if (problems /= '') call fatal_error(error, problems//new_line_character//usage_line, &
       exit_bad_input)
   end subroutine parse_arguments

@@ -86,7 +86,7 @@ contains
     text = 'currents lack about '//percent_text(most)//' %'
     if (point_text(plan, worst_at, '') /= '') text = text//', most at '//point_text(plan, &
       worst_at, '')
-    text = text//': circulations still fill up; for 0.25 % a transient of ' &
+    text = text//': circulations still build up; for 0.25 % a transient of ' &
       //to_text(nint(transient, int64))//', then '//to_text(nint(measured*transient, int64)) &
       //' measured'
   end function current_remark

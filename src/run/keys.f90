@@ -86,7 +86,7 @@ contains
       key_type('particles', 'initial_file', text_key, '''''', &
       'file with x y ux uy of each particle; x = 0 is the middle of channel 1'), &
       key_type('gate', 'threshold', whole_key, '', &
-      'more turn a gate back: both gates, or that of urn 1 and that of urn 2', least=0.0_wp, &
+      'a gate with more particles reverses; one T for both, or one for each gate', least=0.0_wp, &
       most_values=2, symbol='T'), &
       key_type('gate', 'threshold_fraction', real_key, '', 'the same as a share of number', &
       least=0.0_wp, most_values=2, symbol='T/N'), &
@@ -100,7 +100,7 @@ contains
       least=0.0_wp, unit='time'), &
       key_type('run', 'transient_duration', real_key, '0', 'time before the averages begin', &
       least=0.0_wp, unit='time'), &
-      key_type('run', 'start_time', real_key, '0', 'what the clock shows at the start', &
+      key_type('run', 'start_time', real_key, '0', 'time at the start of the run', &
       least=0.0_wp, unit='time'), &
       key_type('run', 'time_step', real_key, '', 'step of the engine timestep', least=0.0_wp, &
       above=.true., unit='time')]
@@ -115,9 +115,10 @@ contains
       key_type('precision', 'chi_replica_error', real_key, '', &
       'standard error over replicas that chi is to have', least=0.0_wp, above=.true.), &
       key_type('precision', 'polarised_current_replica_error', real_key, '', &
-      'that polarised_current is to have', least=0.0_wp, above=.true., unit='1/time'), &
+      'standard error over replicas that polarised_current is to have', least=0.0_wp, &
+      above=.true., unit='1/time'), &
       key_type('precision', 'largest_replicas', whole_key, '64', &
-      'most replicas that a point is given for it', least=1.0_wp), &
+      'largest number of replicas of a point', least=1.0_wp), &
       key_type('output', 'file', text_key, '''battery.h5''', 'where the results go', &
       decides=.false.), &
       key_type('output', 'series_interval', real_key, '0', 'time between series entries; 0: none', &

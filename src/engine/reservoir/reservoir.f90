@@ -85,7 +85,7 @@ contains
     character(len=:), allocatable :: reason
 
     reason = what_all_need(table)
-    if (is_scattered(table) .and. self%number >= 0) reason = 'it knows no scatterers'
+    if (is_scattered(table) .and. self%number >= 0) reason = 'it does not support scatterers'
   end function supports
 
   !> Sizes and lengths that follow from the table and the number of particles.

@@ -67,7 +67,7 @@ contains
     real(wp) :: longest
 
     reason = what_all_need(table)
-    if (is_scattered(table)) reason = 'it knows no scatterers'
+    if (is_scattered(table)) reason = 'it does not support scatterers'
     if (reason /= '') return
     longest = min(minval(table%urn%longest_step), minval(0.5_wp*table%channel%length, &
       mask=is_open(table%channel)))
