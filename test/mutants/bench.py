@@ -157,7 +157,7 @@ def newest(paths: object) -> list[Path]:
 
 
 def reached_from(file: str) -> set[str]:
-    """Return the files of src, and modules of programs, that a file comes to, over whatever it uses."""
+    """Return the files of src and of programs that a file comes to, over whatever it uses."""
     homes: dict[str, set[Path]] = {}
     for path in (ROOT / "src").rglob("*.[fF]90"):
         for name in MODULE.findall(path.read_text(encoding="utf-8")):
