@@ -62,6 +62,8 @@ VENV    := build/venv
 PYTHON  := $(VENV)/bin/python
 PROGRAM := $(BUILT)/bin/battery
 SOURCES := Makefile fpm.toml packaging/switches $(shell find src app -type f)
+# What commands of postproc ask.
+ASKED   := one_particle renewal_closure renewal_gate
 RANKS   := 2
 FULL    ?= 0
 
@@ -106,7 +108,7 @@ build: libraries $(fpm) information ## only builds: build/bin/battery; MPI=mpich
 	# fpm names each file that it copies.
 	flock build/.lock $(fpm) install --prefix $(BUILT) | sed '/^# /d'
 
-bench: build build/stamps/python ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
+bench: build/bin/bench build/stamps/python ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
 	@if [[ -n "$(BASE)" ]]; then
 	  commit=$$(git rev-parse --quiet --verify --short=10 "$(BASE)^{commit}") || {
 	    echo "BASE=$(BASE): no such commit of this repository" >&2
@@ -118,35 +120,10 @@ bench: build build/stamps/python ## the speed tables, JSON in build/bench; BASE=
 	if command -v valgrind > /dev/null; then $(MAKE) build/x86-64-v3/bin/bench; fi
 	$(PYTHON) -m postproc.benchmarks run
 
-# An earlier commit, in a clone of its own, built with the present switches.
-build/base-%/build/bin/bench: FORCE | libraries $(fpm)
-	@[[ -d build/base-$* ]] || git clone --quiet --shared --no-checkout . build/base-$*
-	cd build/base-$*
-	git checkout --quiet $*
-	mkdir -p build/bin
-	$(MAKE) information
-	echo "Building commit $*"
-	export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	$(fpm) install --prefix build > build/log 2>&1 || { cat build/log; exit 1; }
-
-FORCE:
-
-# For processors that are named: callgrind knows no AVX-512, and there are promises about both.
-PROCESSORS := x86-64-v3 x86-64-v4
-
-.PHONY: $(PROCESSORS:%=build/%/bin/bench)
-$(PROCESSORS:%=build/%/bin/bench): build/%/bin/bench: libraries $(fpm) information
-	@mkdir -p build/$*
-	export FPM_FFLAGS="$(subst -march=$(MARCH),-march=$*,$(RELEASE_FLAGS))"
-	export FPM_LDFLAGS="$(RELEASE_LINK)"
-	echo "Building for $*"
-	flock build/.lock $(fpm) install --prefix build/$* > build/$*/log 2>&1 || \
-	  { cat build/$*/log; exit 1; }
-
-# The physics in single, double and quadruple precision, and the program that asks it questions: a
-# package of its own, of the same sources. fpm keeps a build for each set of flags.
+# A program that measures: a package of its own, of the same sources, of which fpm compiles what is
+# used. fpm keeps a build for each set of flags.
 define PROBE_PACKAGE
-name = "accuracy"
+name = "NAME"
 version = "0.1.0"
 [build]
 auto-executables = false
@@ -155,26 +132,64 @@ auto-examples = false
 link = ["gsl", "gslcblas"]
 external-modules = ["hdf5", "mpi_f08"]
 [library]
-source-dir = "../../src"
+source-dir = "../../../src"
 [[executable]]
-name = "accuracy"
-source-dir = "../../app"
-main = "accuracy.f90"
+name = "NAME"
+source-dir = "../../../app"
+main = "NAME.f90"
 endef
 export PROBE_PACKAGE
+
+# $(call probe,NAME,VARIANT): its build from the sources of this folder, with the flags of the
+# environment.
+define probe
+echo "Building $1 for $2"
+mkdir -p build/probe/$1/$2 $(CURDIR)/$(@D)
+echo "$${PROBE_PACKAGE//NAME/$1}" > build/probe/$1/fpm.toml
+cd build/probe/$1
+flock .lock $(fpm) install --prefix $2 > $2/log 2>&1 || { cat $2/log; exit 1; }
+install $2/bin/$1 $(CURDIR)/$@
+endef
+
+build/bin/bench: FORCE | libraries $(fpm) information
+	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
+	$(call probe,bench,$(MARCH))
+
+# An earlier commit, in a clone of its own, built with the present switches.
+build/base-%/build/bin/bench: FORCE | libraries $(fpm)
+	@[[ -d build/base-$* ]] || git clone --quiet --shared --no-checkout . build/base-$*
+	cd build/base-$*
+	git checkout --quiet $*
+	$(MAKE) information
+	export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
+	$(call probe,bench,commit-$*)
+
+FORCE:
+
+# For processors that are named: callgrind knows no AVX-512, and there are promises about both.
+PROCESSORS := x86-64-v3 x86-64-v4
+
+$(PROCESSORS:%=build/%/bin/bench): build/%/bin/bench: FORCE | libraries $(fpm) information
+	@export FPM_FFLAGS="$(subst -march=$(MARCH),-march=$*,$(RELEASE_FLAGS))"
+	export FPM_LDFLAGS="$(RELEASE_LINK)"
+	$(call probe,bench,$*)
+
+$(PROCESSORS:%=build/%/bin/battery): build/%/bin/battery: FORCE | libraries $(fpm) information
+	@mkdir -p build/$*
+	export FPM_FFLAGS="$(subst -march=$(MARCH),-march=$*,$(RELEASE_FLAGS))"
+	export FPM_LDFLAGS="$(RELEASE_LINK)"
+	echo "Building for $*"
+	flock build/.lock $(fpm) install --prefix build/$* > build/$*/log 2>&1 || \
+	  { cat build/$*/log; exit 1; }
+
+# The physics in single, double and quadruple precision, and the program that asks it questions.
 PRECISIONS := real32 real64 real128
 
 probes: build $(PRECISIONS:%=build/bin/accuracy-%)
 
-.PHONY: $(PRECISIONS:%=build/bin/accuracy-%)
-$(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: libraries $(fpm) information
-	@mkdir -p build/probe/real$*
-	echo "$$PROBE_PACKAGE" > build/probe/fpm.toml
-	cd build/probe
-	export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto=auto"
-	echo "Building the physics in real$*"
-	flock .lock $(fpm) install --prefix real$* > real$*/log 2>&1 || { cat real$*/log; exit 1; }
-	install real$*/bin/accuracy ../bin/accuracy-real$*
+$(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: FORCE | libraries $(fpm) information
+	@export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto=auto"
+	$(call probe,accuracy,real$*)
 
 accuracy: build probes build/stamps/python ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@$(PYTHON) -m postproc.accuracy --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
@@ -233,6 +248,7 @@ install: prefix information $(PROGRAM) ## program, library, man page, module fil
 	echo "battery is in $$prefix/bin; battery --self-test says whether it works"
 	[[ "$(POSTPROC)" != 0 ]] || exit 0
 	python3 -m venv "$$prefix/lib/battery"
+	install $(ASKED:%=$(BUILT)/bin/%) "$$prefix/lib/battery/bin"
 	"$$prefix/lib/battery/bin/python" -m pip install --quiet --disable-pip-version-check \
 	  --upgrade --constraint postproc/requirements.txt .
 	ln -sf ../lib/battery/bin/battery-postproc "$$prefix/bin"
@@ -308,16 +324,16 @@ build/generated/commit.h: FORCE | build/stamps/packages$(SUFFIX)
 	# To another user, as root for whom make install is called, git may say nothing.
 	if [[ "$$new" != "$$(cat $@ 2> /dev/null)" && ! ( $$commit == unknown && -e .git && -e $@ ) ]]; then
 	  echo "$$new" > $@
-	  rm -f $(OBJECTS)/battery/*commit.c.o*
+	  rm -f $(OBJECTS)/battery/*commit.c.o* build/probe/*/$(OBJECTS)/*/*commit.c.o*
 	fi
 	# fpm keeps objects of sources that are gone or have moved.
 	sources=$$(find src app -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
 	if [[ "$$sources" != "$$(cat build/stamps/sources 2> /dev/null)" ]]; then
-	  rm -rf $(OBJECTS) build/probe/build build/test_package
+	  rm -rf $(OBJECTS) build/probe build/test_package
 	  echo "$$sources" > build/stamps/sources
 	fi
 	processor=$$({ $(MPIFC) --version; $(MPIFC) -march=$(MARCH) -Q --help=target; } | sha256sum)
 	if [[ "$$processor" != "$$(cat build/stamps/processor$(SUFFIX) 2> /dev/null)" ]]; then
-	  rm -rf $(OBJECTS) build/probe/build
+	  rm -rf $(OBJECTS) build/probe
 	  echo "$$processor" > build/stamps/processor$(SUFFIX)
 	fi

@@ -1,4 +1,4 @@
-"""Public procedures of src are explained, and so is each of their arguments."""
+"""Public procedures of src and of app/one_particle are explained, each of their arguments, too."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-SOURCES = Path(__file__).resolve().parents[1] / "src"
-ROOMS = sorted(path.name for path in SOURCES.iterdir() if path.is_dir())
+SOURCES = Path(__file__).resolve().parents[1]
+ROOMS = [f"src/{path.name}" for path in sorted((SOURCES / "src").iterdir()) if path.is_dir()]
+ROOMS.append("app/one_particle")
 START = re.compile(r"^  (?:\w[\w()=]* )*?(?:subroutine|function) (\w+)\((.*?)\)", re.MULTILINE)
 
 

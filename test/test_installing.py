@@ -195,6 +195,9 @@ def test_an_installed_battery_needs_no_checkout(tmp_path: Path) -> None:
     assert "mass_spread" in call(
         postproc, "theory", "--number", "1000", "--threshold", "7", folder=tmp_path
     ).stdout  # fmt: skip
+    asked = ["theory", "--number", "20", "--threshold", "3", "--model", "one_particle"]
+    walked = call(postproc, *asked, folder=tmp_path)
+    assert '"homogeneous"' in walked.stdout, walked.stderr
     assert "usage: battery-postproc theory" in call(
         postproc, "theory", "--help", folder=tmp_path
     ).stdout  # fmt: skip
@@ -210,5 +213,6 @@ def test_an_installed_battery_needs_no_checkout(tmp_path: Path) -> None:
     assert drawn.returncode == 0, drawn.stderr
     refused = call(postproc, "benchmarks", "run", folder=tmp_path)
     assert refused.returncode == 2
-    assert re.fullmatch(r"error: .*bench: no such program \(make build\)\n", refused.stderr)
+    told = r"error: .*bench: no such program \(make bench builds it\)\n"
+    assert re.fullmatch(told, refused.stderr)
     assert os.access(postproc, os.X_OK)

@@ -46,7 +46,7 @@ def builds() -> list[Path]:
     missing = NEEDED - flags_of_processor()
     if missing:
         pytest.skip(f"this processor has no AVX-512 ({', '.join(sorted(missing))})")
-    make(*(f"build/{name}/bin/bench" for name in PROCESSORS))
+    make(*(f"build/{name}/bin/battery" for name in PROCESSORS))
     return [*(ROOT / "build" / name / "bin/battery" for name in PROCESSORS), PROGRAM]
 
 

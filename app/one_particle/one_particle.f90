@@ -26,6 +26,7 @@ program one_particle
   real(wp) :: radius(2), width1, length1, width2, length2, share, transient, duration
   integer(int64) :: seed
   logical :: well_mixed
+  !> Of the line that was read last.
   type(walkers_type) :: walkers
 
   do

@@ -75,7 +75,7 @@ def count_instructions(program: Path, valgrind: str, lengths: tuple[int, int] = 
 def run(program: Path, counted: Path, output: Path, console: Console) -> None:
     """Run all benchmarks, print and write them."""
     if not program.exists():
-        raise cli.InputError(f"{program}: no such program (make build)")
+        raise cli.InputError(f"{program}: no such program (make bench builds it)")
     cli.output_folder(output.parent)
     command = [str(program), "--json", str(output)]
     if subprocess.run(cli.ended_with_python(command), check=False).returncode:

@@ -1,6 +1,6 @@
 """One-particle theory: one particle with exact visits between gates made of all the others.
 
-The program `one_particle` (src/walkers) lets walkers fly exact visits in several copies of the
+The program `one_particle` (app/one_particle) lets walkers fly exact visits in several copies of the
 circuit; whoever enters a gate does so in a copy drawn by chance. So every gate is a renewal gate at
 the walkers' own rate, with their own stays, and no number comes from a run. One copy would be the
 circuit itself. Two are the fewest in which those whom a gate turned back together do not meet

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,11 +17,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FOLDER = Path(__file__).resolve().parents[2] / "build/bin"
+#: Where `make install` puts them: beside the Python that runs `battery-postproc`.
+INSTALLED = Path(sys.prefix) / "bin"
+
+
+def place_of(name: str) -> Path:
+    """Return where a program is: built in this checkout, or installed; else where it would be."""
+    places = [folder / name for folder in (FOLDER, INSTALLED)]
+    return next((place for place in places if place.is_file()), places[0])
 
 
 def there(name: str) -> bool:
     """Tell whether a program has been built."""
-    return (FOLDER / name).is_file()
+    return place_of(name).is_file()
 
 
 def answers(name: str, lines: Sequence[str]) -> NDArray[np.float64]:
@@ -31,7 +40,7 @@ def answers(name: str, lines: Sequence[str]) -> NDArray[np.float64]:
     InputError : the program is not there, or it fails.
     """
     text = "".join(f"{line}\n" for line in lines)
-    program = FOLDER / name
+    program = place_of(name)
     if not there(name):
         raise InputError(f"{program}: no such file (make build builds it)")
     try:

@@ -34,6 +34,8 @@ module battery_history
     real(wp) :: duration = 0.0_wp
     !> Crossings in the order of time: when (since the window began) and which (`channel1_12` ...).
     integer :: crossings = 0
+    !> How many `make_room` has made room for; before, less than anybody asks for.
+    integer, private :: room = -1
     real(wp), allocatable :: crossing_time(:)
     integer(int8), allocatable :: crossing(:)
     !> Wall collisions that became known in the window (see `engine_type%collisions`).
@@ -74,7 +76,7 @@ contains
     history%collision_spread_sum = 0
     history%collisions_seen = 0
     history%events = 0
-    call make_room(history, crossings, events)
+    if (crossings > history%room .or. history%logging) call make_room(history, crossings, events)
   end subroutine reserve_history
 
   !> Makes room for that many crossings and events, at least doubling what must grow.
@@ -92,6 +94,7 @@ contains
         - size(history%crossing_time))]
       history%crossing = [history%crossing, spread(0_int8, 1, room - size(history%crossing))]
     end if
+    history%room = size(history%crossing_time)
     if (.not. history%logging) return
     if (.not. allocated(history%event_time)) allocate (history%event_time(0), &
       history%event_kind(0), history%event_where(0), history%event_particle(0))
@@ -114,8 +117,7 @@ contains
     !> Its number, from 1.
     integer, intent(in) :: particle
 
-    if (history%crossings == size(history%crossing_time)) call make_room(history, &
-      history%crossings + 1, 0)
+    if (history%crossings >= history%room) call make_room(history, history%crossings + 1, 0)
     history%crossings = history%crossings + 1
     history%crossing_time(history%crossings) = time
     history%crossing(history%crossings) = int(crossing, int8)

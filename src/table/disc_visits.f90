@@ -57,12 +57,12 @@ contains
         if (active == 0) exit
       end do
     end if
-    visits%many_count = active
-    visits%many(:active) = visits%slot(:active)
     do j = 1, active
+      visits%many(j) = visits%slot(j)
       call search(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
     end do
+    visits%many_count = active
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%along, visits%across, &
       visits%length, visits%through)

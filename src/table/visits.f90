@@ -23,6 +23,8 @@ module battery_visits
   !> A batch of visits, one entry a particle; arrays have room for whole groups of `together`.
   type :: visits_type
     integer :: count = 0
+    !> How many there is room for; before there is any, less than anybody asks for.
+    integer, private :: room = -1
     !> Who, and in which urn (1 or 2) the visit is.
     integer, allocatable :: particle(:), urn(:)
     !> In: when the particle entered the channel it comes from. Out of `leave_channels`: when it
@@ -68,15 +70,21 @@ contains
   subroutine reserve_visits(visits, room)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: room
-    integer :: n
 
     visits%count = 0
     visits%many_count = 0
-    if (allocated(visits%particle)) then
-      if (size(visits%particle) >= room) return
-    end if
+    if (room > visits%room) call make_room(visits, room)
+  end subroutine reserve_visits
+
+  !> Makes room for at least `room` visits in an empty batch.
+  subroutine make_room(visits, room)
+    type(visits_type), intent(inout) :: visits
+    integer, intent(in) :: room
+    integer :: n
+
     n = together*((max(room, 64) + max(room, 64)/2)/together + 1)
     visits = visits_type()
+    visits%room = n
     allocate (visits%time(n), visits%passage(n), visits%turned(n), visits%through(n), visits%x(n), &
       visits%y(n), visits%along(n), visits%across(n), visits%length(n), visits%hits(n), &
       visits%px(n), visits%py(n), visits%zx(n), visits%zy(n), visits%steps(n), visits%c(n), &
@@ -85,7 +93,7 @@ contains
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), visits%many(n), source=0)
     ! Who fills up the last group comes from a channel that is always open.
     allocate (visits%channel(n), source=int(gated, int64))
-  end subroutine reserve_visits
+  end subroutine make_room
 
   !> Those in urn 2 become a batch of their own: who, through which channel, and when turned back.
   subroutine part_visits(visits, other)

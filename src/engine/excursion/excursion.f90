@@ -15,8 +15,8 @@ module battery_excursion
   use battery_flight, only: gather, never, to_gate, to_return, in_gate, &
     parked_in_urn, parked_in_channel, in_parts
   use battery_launch, only: launch, lay_out, date_back
-  use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, land, &
-    set_back_long
+  use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
+    keep_beginnings, land, set_back_long
   use battery_few, only: walk_few, few
   use battery_foresight, only: pays, recall
   use battery_scattered_sides, only: sides_type, new_sides
@@ -244,8 +244,10 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      call land(self%long_visits, self%number, self%flight, v%count, v%particle, v%urn, v%channel, &
-        v%time, v%length, v%y, v%along, v%across, v%through, v%turned, v%hits, v%many_count, v%many)
+      if (v%many_count > 0) call keep_beginnings(self%long_visits, self%number, &
+        self%flight, v)
+      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
+        v%y, v%along, v%across, v%through)
       if (self%table%urn(b)%hands_on) self%parts = self%parts &
         + count(v%channel(:v%count) == goes_on)
     end associate

@@ -11,7 +11,7 @@ module battery_foresight
   use battery_chamber, only: leave_channels
   use battery_flight, only: gather, never, to_gate
   use battery_urn, only: urn_type, cross
-  use battery_visits, only: visits_type, reserve_visits, many_hits
+  use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
   private
   public :: pays, recall
@@ -67,12 +67,10 @@ contains
       visits%across(j) = ahead%across(at)
       visits%through(j) = ahead%through(at)
       visits%hits(j) = ahead%hits(at)
-      if (ahead%hits(at) >= many_hits .or. ahead%channel(at) < gated) then
-        visits%many_count = visits%many_count + 1
-        visits%many(visits%many_count) = j
-      end if
+      visits%many(j) = j
       known_hits = known_hits + int(ahead%hits(at), int64)
     end do
+    visits%many_count = visits%count
 
   contains
 

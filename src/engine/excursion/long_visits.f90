@@ -15,11 +15,11 @@ module battery_long_visits
   use battery_flight, only: never, to_gate, to_return, parked_in_urn, in_parts, go_back_to_channel
   use battery_stream, only: stream_type
   use battery_urn, only: urn_type, place_in_visit, place_after
-  use battery_visits, only: goes_on
+  use battery_visits, only: visits_type, goes_on
   implicit none (type, external)
   private
-  public :: long_visits_type, new_long_visits, is_long_visit, land, &
-    goes_forwards, locate_forwards, set_back_long, pass_long
+  public :: long_visits_type, new_long_visits, is_long_visit, keep_beginnings, &
+    land, goes_forwards, locate_forwards, set_back_long, pass_long
 
   !> A visit is long from so many times the reach of its urn on: going back through half of it costs
   !> no more than some 1e-13. One with fewer than `many_hits` hits has at most that many chords and
@@ -44,7 +44,8 @@ module battery_long_visits
   type :: long_visits_type
     !> Longer visits are long.
     real(wp) :: least = huge(1.0_wp)
-    integer, private :: number = 0, count = 0
+    !> How many particles and entries there are, and how many there is room for.
+    integer, private :: number = 0, count = 0, room = 0
     type(entry_type), allocatable, private :: entry(:)
     !> Where the entry of each particle is, or 0; not allocated before there is one.
     integer(int32), allocatable, private :: place(:)
@@ -95,12 +96,32 @@ contains
     end select
   end function is_long
 
-  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
-  !> Keeps how its visit began, if that is long.
-  pure subroutine land(visits, number, flight, n, particle, urn, channel, time, length, y, along, &
-    across, through, turned, hits, many, with_many)
-    !> Learns how the long ones of the batch began.
+  !> Keeps how the long visits of a batch began, before `land` writes their flights.
+  pure subroutine keep_beginnings(visits, number, flight, batch)
+    !> Learns how they began.
     type(long_visits_type), intent(inout) :: visits
+    !> How many particles there are.
+    integer, intent(in) :: number
+    !> As they still are.
+    type(flight_type), intent(in) :: flight(number)
+    !> As it comes out of `cross`; `turned` says when a gate turned each back before, or `never`.
+    type(visits_type), intent(in) :: batch
+    integer :: i, j, k
+
+    do k = 1, batch%many_count
+      j = batch%many(k)
+      if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
+      ! For all that are left: whose visit is kept already still has the flight of before.
+      if (visits%count + batch%many_count - k >= visits%room) call make_room(visits, flight, &
+        batch%many_count - k + 1)
+      i = batch%particle(j)
+      call keep(visits, i, flight(i), batch%turned(j), batch%hits(j))
+    end do
+  end subroutine keep_beginnings
+
+  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
+  pure subroutine land(number, flight, n, particle, urn, channel, time, length, y, along, across, &
+    through)
     !> How many particles there are, and how many are in the batch.
     integer, intent(in) :: number, n
     type(flight_type), intent(inout) :: flight(number)
@@ -113,21 +134,9 @@ contains
     real(wp), intent(in) :: length(n), y(n), along(n), across(n), through(n)
     !> In: when each visit begins. Out: huge if there is no event.
     real(wp), intent(inout) :: time(n)
-    !> When a gate turned each back before, or `never`; wall hits, those in the channel before too.
-    real(wp), intent(in) :: turned(n), hits(n)
-    !> How many have many hits or no known end, and which of the batch: the others are short.
-    integer, intent(in) :: many, with_many(many)
-    integer :: j, i, k
+    integer :: j, i
     real(wp) :: leaves
 
-    if (many > 0) then
-      if (visits%count + many > size(visits%entry)) call make_room(visits, flight, many)
-      do k = 1, many
-        j = with_many(k)
-        if (is_long_visit(visits%least, channel(j), length(j))) call keep(visits, particle(j), &
-          flight(particle(j)), turned(j), hits(j))
-      end do
-    end if
     do j = 1, n
       i = particle(j)
       leaves = time(j) + length(j)
@@ -160,11 +169,10 @@ contains
     integer, intent(in) :: particle
     !> As it still is.
     type(flight_type), intent(in) :: flight
-    !> As in `land`.
+    !> When a gate turned it back before, or `never`; wall hits, those in the channel before too.
     real(wp), intent(in) :: turned, hits
     integer :: at
 
-    if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
     at = visits%place(particle)
     if (at == 0) then
       at = visits%count + 1
@@ -198,6 +206,8 @@ contains
     allocate (entry(min(max(64, 2*(visits%count + more)), visits%number + more)))
     entry(:visits%count) = visits%entry(:visits%count)
     call move_alloc(entry, visits%entry)
+    visits%room = size(visits%entry)
+    if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
   end subroutine make_room
 
   !> Throws out the entries of visits that are over.
@@ -302,6 +312,7 @@ contains
     if (stream%failed()) return
     if (stream%reading) then
       visits%count = size(particle)
+      visits%room = size(particle)
       visits%entry = [(entry_type(particle=particle(at)), at=1, size(particle))]
       allocate (visits%place(visits%number), source=0_int32)
       visits%place(particle) = [(int(at, int32), at=1, size(particle))]

@@ -7,7 +7,7 @@ module battery_parts
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type
   use battery_flight, only: in_parts, never
-  use battery_long_visits, only: long_visits_type, land
+  use battery_long_visits, only: long_visits_type, keep_beginnings, land
   use battery_urn, only: urn_type, cross, place_in_visit
   use battery_visits, only: visits_type, reserve_visits, goes_on
   implicit none (type, external)
@@ -88,8 +88,11 @@ contains
       call cross(urn, v)
       known_hits = known_hits + v%all_hits
       v%length(:n) = v%length(:n) + rest(:n)
-      call land(long_visits, number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, &
-        v%y, v%along, v%across, v%through, v%turned, v%hits, n, [(k, k=1, n)])
+      v%many_count = n
+      v%many(:n) = [(k, k=1, n)]
+      call keep_beginnings(long_visits, number, flight, v)
+      call land(number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, v%y, v%along, &
+        v%across, v%through)
     end associate
   end subroutine compute_parts
 
