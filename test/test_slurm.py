@@ -29,7 +29,7 @@ MPI = [
         not shutil.which("mpirun.mpich"), reason="MPICH is not installed")),
 ]  # fmt: skip
 # Collisions of a task: about a second. Ranks that are to hear a signal stand still until it comes.
-SHORT = 20_000_000
+SHORT = 40_000_000
 # Of a busy machine, seconds.
 PATIENCE = 240.0
 # As the system shows signals that wait for a process.
@@ -69,7 +69,7 @@ def checkout(folder: Path, mpi: str, collisions: int, seed: int = 1) -> Path:
         text = program.namelist(
             particles={"number": 100, "seed": seed}, gate={"threshold": 3},
             run={"collisions": collisions}, scan={"replicas": 2},
-            output={"file": f"'{Path(place).name}.h5'"},
+            output={"file": f"'{Path(place).name}.h5'"}, limits={"checkpoint_minutes": 0.0005},
         )  # fmt: skip
         (folder / f"namelists/{place}.nml").write_text(text)
     return folder
@@ -127,11 +127,11 @@ def wait_for(condition: Callable[[], bool], folder: Path) -> None:
 
 
 def halted(folder: Path, *names: str) -> list[int]:
-    """Stop both ranks of each run in its first task; give their process numbers."""
+    """Stop both ranks of each run that has saved a state; give their process numbers."""
     found: set[int] = set()
 
     def all_stand_still() -> bool:
-        begun = [name for name in names if (folder / f"{name}.h5.tasks/plan").exists()]
+        begun = [name for name in names if any((folder / f"{name}.h5.tasks").glob("task_*"))]
         for one in filter(program.is_program, program.descendants(os.getpid())):
             words = command_line(one)
             if words.startswith(f"{folder} ") and any(f"/{name}.nml" in words for name in begun):
