@@ -289,6 +289,11 @@ build/stamps/packages$(SUFFIX): packaging/switches build/choices$(SUFFIX)
 	packaging/switches missing >&2
 	touch $@
 
+# One that the user names, and that is not there.
+$(filter-out $(abspath build/venv/bin/fpm),$(fpm)):
+	@echo "FPM=$@: there is no such program; how to get one: docs/install.md" >&2
+	exit 1
+
 # What was said, for the next make: written only where it is new.
 build/choices$(SUFFIX): FORCE
 	@mkdir -p build

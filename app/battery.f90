@@ -5,7 +5,7 @@ program battery
   use battery_agreement, only: check_command_lines
   use battery_command_line, only: command_line_type, command_line_words, parse_arguments
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
-    share_error, ranks_on_node
+    share_error, ranks_on_node, wait_for_all
   use battery_ensemble, only: run_ensemble, heed_time_limit
   use battery_memory_estimate, only: check_estimate, check_start
   use battery_memory_limits, only: spare_address_space
@@ -15,10 +15,13 @@ program battery
   use battery_provenance, only: version_text
   use battery_self_test, only: run_self_test
   use battery_signals, only: watch_signals
-  use battery_process, only: leave
+  use battery_process, only: leave, leave_after
   use battery_terminal, only: guard_streams, say, complain, all_was_printed
   use battery_text, only: string_type
   implicit none (type, external)
+
+  !> Seconds that MPI has for its end.
+  integer, parameter :: patience = 30
 
   type(command_line_type) :: command_line
   type(communicator_type) :: communicator
@@ -57,6 +60,10 @@ program battery
     call complain('battery: part of the output could not be printed; files are as they should be')
     if (exit_code == exit_success) exit_code = exit_failure
   end if
+  ! All is written. MPICH 4.0 over UCX hangs now and then in MPI_Finalize on several nodes: one rank
+  ! waits for another that no longer listens (its pull request 6596).
+  call wait_for_all(communicator)
+  call leave_after(patience, exit_code)
   call close_communicator(communicator)
   call leave(exit_code)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import time
 from typing import TYPE_CHECKING
 
 import h5py
@@ -12,7 +13,7 @@ from attack import nodes as attack
 from attack.common import trials
 from attack.scene import undisturbed, write
 from support import cluster_packages, program
-from support.nodes import Nodes
+from support.nodes import PATIENCE, Nodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,8 +36,7 @@ def start(machines: Nodes, folder: Path, **settings: str) -> subprocess.Complete
     environment = {**attack.SETTINGS, **settings}
     agent = machines.agent(folder.parent / "agent", env=environment)
     words = ["mpirun", "--mca", "plm_rsh_agent", str(agent), *HOSTS, str(program.PROGRAM)]
-    return machines["node1"].run(*words, "--quiet", "case.nml", cwd=folder, env=environment,
-                                 timeout=120)  # fmt: skip
+    return machines["node1"].run(*words, "--quiet", "case.nml", cwd=folder, env=environment)
 
 
 def test_ranks_on_two_machines_give_the_same_bits(machines: Nodes, tmp_path: Path) -> None:
@@ -70,16 +70,19 @@ def test_of_two_machines_that_start_at_once_one_has_the_output(
     place = attack.mount(machines, tmp_path / "case")
     for _ in range(3):
         runs = [attack.start(machines[name], place) for name in ("node1", "node2")]
-        lost = {}
+        lost: dict[int, subprocess.Popen[str]] = {}
+        end = time.monotonic() + PATIENCE
         while not lost:
+            assert time.monotonic() < end, "both run"
             lost = {k: run for k, run in enumerate(runs) if run.poll() is not None}
+            time.sleep(0.01)
         (k, run), = lost.items()
-        words = run.communicate()[0]
+        words = run.communicate(timeout=PATIENCE)[0]
         assert run.returncode == 2, words
         assert f"out.h5: another run has locked it, on node{2 - k}, process " in words
         other = program.descendants(runs[1 - k].pid)
         program.send(other, signal.SIGTERM)
-        assert runs[1 - k].wait(timeout=60) == 3
+        assert runs[1 - k].wait(timeout=PATIENCE) == 3
         assert not (tmp_path / "case/out.h5.owner").exists()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import subprocess
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
@@ -390,6 +391,27 @@ def test_check_refuses_bad_input(tmp_path: Path) -> None:
     lines = problems(tmp_path, GOOD + "&run\n collisions = 0\n/\n", "--check")
     assert len(lines) == 1
     assert "&run collisions = 0" in lines[0]
+
+
+def test_an_mpi_that_does_not_come_to_its_end(tmp_path: Path) -> None:
+    """The program ends by itself, with its exit code; here its clock runs fast."""
+    source, library = tmp_path / "hangs.c", tmp_path / "hangs.so"
+    source.write_text("""
+        #include <unistd.h>
+        #include <sys/time.h>
+        int MPI_Finalize(void) { for (;;) pause(); }
+        int PMPI_Finalize(void) { for (;;) pause(); }
+        unsigned alarm(unsigned seconds) {
+          struct itimerval soon = {{0, 0}, {0, 10000*seconds}};
+          return setitimer(ITIMER_REAL, &soon, 0);
+        }
+    """)
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source], check=True)
+    hangs = {"LD_PRELOAD": str(library)}
+    write(tmp_path)
+    assert run("--quiet", "case.nml", folder=tmp_path, environment=hangs).returncode == 0
+    assert (tmp_path / "out.h5").exists()
+    assert run("no.nml", folder=tmp_path, environment=hangs).returncode == 2
 
 
 def test_quiet(tmp_path: Path) -> None:

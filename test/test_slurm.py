@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
-import json
+import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
@@ -27,10 +28,12 @@ MPI = [
     pytest.param("mpich", marks=pytest.mark.skipif(
         not shutil.which("mpirun.mpich"), reason="MPICH is not installed")),
 ]  # fmt: skip
-# Collisions of a task: some seconds.
-SHORT = 200_000_000
+# Collisions of a task: about a second. Ranks that are to hear a signal stand still until it comes.
+SHORT = 40_000_000
 # Of a busy machine, seconds.
-PATIENCE = 600.0
+PATIENCE = 240.0
+# As the system shows signals that wait for a process.
+USR1_OR_TERM = 1 << signal.SIGUSR1 - 1 | 1 << signal.SIGTERM - 1
 EXAMPLES = ["slurm.sh", "slurm_mpirun.sh"]
 
 
@@ -66,7 +69,7 @@ def checkout(folder: Path, mpi: str, collisions: int, seed: int = 1) -> Path:
         text = program.namelist(
             particles={"number": 100, "seed": seed}, gate={"threshold": 3},
             run={"collisions": collisions}, scan={"replicas": 2},
-            output={"file": f"'{Path(place).name}.h5'"},
+            output={"file": f"'{Path(place).name}.h5'"}, limits={"checkpoint_minutes": 0.0005},
         )  # fmt: skip
         (folder / f"namelists/{place}.nml").write_text(text)
     return folder
@@ -123,27 +126,75 @@ def wait_for(condition: Callable[[], bool], folder: Path) -> None:
         time.sleep(0.05)
 
 
+def halted(folder: Path, *names: str) -> list[int]:
+    """Stop both ranks of each run that has saved a state; give their process numbers."""
+    found: set[int] = set()
+
+    def all_stand_still() -> bool:
+        begun = [name for name in names if any((folder / f"{name}.h5.tasks").glob("task_*"))]
+        for one in filter(program.is_program, program.descendants(os.getpid())):
+            words = command_line(one)
+            if words.startswith(f"{folder} ") and any(f"/{name}.nml" in words for name in begun):
+                found.add(one)
+        program.send(list(found), signal.SIGSTOP)
+        return len(found) == 2 * len(names) and all(
+            status(one)["State"][0] == "T" for one in found
+        )
+
+    wait_for(all_stand_still, folder)
+    return list(found)
+
+
+def go_on(ranks: list[int], folder: Path) -> None:
+    """Let ranks go on as soon as all have been told to stop (scancel itself lets them go on)."""
+
+    def told(rank: int) -> bool:
+        about = status(rank)
+        return about["State"][0] != "T" or bool(int(about["ShdPnd"], 16) & USR1_OR_TERM)
+
+    wait_for(lambda: all(map(told, ranks)), folder)
+    program.send(ranks, signal.SIGCONT)
+
+
+def command_line(process: int) -> str:
+    """Give the folder and the words of a process; none if it is gone."""
+    try:
+        folder = Path(f"/proc/{process}/cwd").readlink()
+    except OSError:
+        return ""
+    return f"{folder} " + " ".join(program.words_of(Path(f"/proc/{process}/cmdline")))
+
+
+def status(process: int) -> dict[str, str]:
+    """Give what the system knows of a process; of one that is gone, that it is dead."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return {"State": "X", "ShdPnd": "0"}
+    return {key: value.strip() for key, _, value in (line.partition(":") for line in lines)}
+
+
 def test_a_time_limit_is_no_end(slurm: Slurm, tmp_path: Path) -> None:
     """Slurm's own signal before the limit: state saved, queued again, complete in the end.
 
-    Slurm looks every half minute which jobs are near their limits; a task lasts longer.
+    Slurm looks every half minute which jobs are near their limits.
     """
-    seconds = 35.0
     folders = {one: checkout(tmp_path / one, "openmpi", SHORT) for one in EXAMPLES}
-    first = folders[EXAMPLES[0]]
-    program.run("--check", "--json", "plan", "namelists/phase_diagram.nml", folder=first)
-    speed = SHORT / json.loads((first / "plan").read_text())["seconds_a_task"]
-    jobs = {}
+    jobs, ranks = {}, {}
     for script, folder in folders.items():
-        namelist = folder / "namelists/phase_diagram.nml"
-        text = namelist.read_text().replace(str(SHORT), str(int(seconds * speed)))
-        namelist.write_text(text.replace("replicas = 2", "replicas = 1"))
         to = "B:" if "mpirun" in script else ""
-        jobs[script] = submitted(slurm, script, folder, "--time=1", f"--signal={to}USR1@50")
+        jobs[script] = submitted(slurm, script, folder, f"--signal={to}USR1@50")
+        ranks[script] = halted(folder, "phase_diagram")
+
+    def limit(script: str, minutes: int) -> None:
+        slurm.ask("scontrol", "update", f"JobId={jobs[script]}", f"TimeLimit={minutes}")
+
+    for script in EXAMPLES:
+        limit(script, 1)
     for script, folder in folders.items():
-        wait_for(lambda job=jobs[script]: slurm.about(job)["Restarts"] != "0", folder)
+        go_on(ranks[script], folder)
         # Once is enough.
-        slurm.ask("scontrol", "update", f"JobId={jobs[script]}", "TimeLimit=60")
+        limit(script, 60)
     for script, folder in folders.items():
         assert_ended_well(slurm, jobs[script], folder, "phase_diagram")
 
@@ -159,9 +210,10 @@ def test_a_job_that_is_told_to_stop_goes_on(
     names = ["a", "b"] if array else ["phase_diagram"]
     job = submitted(slurm, script, folder, *(["--array=0-1"] if array else []))
     jobs = [f"{job}_{k}" for k in range(2)] if array else [job]
-    for one, name in zip(jobs, names, strict=True):
-        wait_for(lambda name=name: (folder / f"{name}.h5.tasks/plan").exists(), folder)
+    ranks = halted(folder, *names)
+    for one in jobs:
         slurm.ask("scancel", *(["--batch"] if "mpirun" in script else []), "--signal=USR1", one)
+    go_on(ranks, folder)
     for one, name in zip(jobs, names, strict=True):
         assert_ended_well(slurm, one, folder, name)
 
@@ -173,8 +225,9 @@ def test_a_cancelled_job_goes_on_when_it_is_submitted_again(
     """Scancel saves the states under srun; the output is free for the next job in any case."""
     folder = checkout(tmp_path, "openmpi", SHORT)
     job = submitted(slurm, script, folder)
-    wait_for((folder / "phase_diagram.h5.tasks/plan").exists, folder)
+    ranks = halted(folder, "phase_diagram")
     slurm.ask("scancel", job)
+    go_on(ranks, folder)
     assert slurm.end_of(job, PATIENCE)["JobState"] == "CANCELLED"
     wait_for(lambda: slurm.state_of_nodes() == "idle", folder)
     if "mpirun" not in script:
@@ -187,25 +240,25 @@ def test_programs_of_one_rank_are_told_what_to_type(
     slurm: Slurm, tmp_path: Path, mpi: str
 ) -> None:
     """MPICH under srun without its PMI: one computes, the others name srun and the way out."""
-    folder = checkout(tmp_path, mpi, 20 * SHORT)
-    start = ["srun", "--mpi=none", "--nodes=2", "--ntasks=3", "build/bin/battery"]
-    check = ["--check", "namelists/phase_diagram.nml"]
-    for words in (["--version"], ["--help"], ["--schema"], check):
-        slurm.ask(*start, *words, folder=folder)
-    # Outputs of their own: nothing to complain of.
-    for k in range(3):
-        text = (folder / "namelists/one_channel/a.nml").read_text()
-        text = text.replace(str(20 * SHORT), str(SHORT // 10)).replace("a.h5", f"{k}.h5")
-        (folder / f"{k}.nml").write_text(text)
-    slurm.ask(*start[:-1], "sh", "-c", "build/bin/battery $SLURM_PROCID.nml", folder=folder)
-    run = slurm.nodes["head"].start(*start, "--quiet", "namelists/phase_diagram.nml", cwd=folder,
+    folder = checkout(tmp_path, mpi, 100 * SHORT)
+    start = ["srun", "--mpi=none", "--nodes=2", "--ntasks=3"]
+    program_itself, namelist = "build/bin/battery", "namelists/phase_diagram.nml"
+    run = slurm.nodes["head"].start(*start, program_itself, "--quiet", namelist, cwd=folder,
         env=slurm.environment, stderr=(folder / "job.log").open("w"))  # fmt: skip
     advice = ("; srun has started 3 programs of one rank each, not one run of 3 ranks: choose what "
               "MPICH Version: ")  # fmt: skip
     wait_for(lambda: log(folder).count(advice) == 2, folder)
-    run.terminate()
-    run.wait()
     assert "`srun --mpi=list`, such as `srun --mpi=pmix` (Open MPI) or" in log(folder)
     for line in log(folder).splitlines():
         if advice in line:
             assert "phase_diagram.h5: another run has locked it, on node" in line
+    # Words that write nothing, and outputs of their own: nothing to complain of.
+    for k in range(3):
+        text = (folder / "namelists/one_channel/a.nml").read_text()
+        text = text.replace(str(100 * SHORT), str(SHORT // 10)).replace("a.h5", f"{k}.h5")
+        (folder / f"{k}.nml").write_text(text)
+    words = ["--version", "--help", "--schema", f"--check {namelist}", "$SLURM_PROCID.nml"]
+    slurm.ask(*start, "sh", "-c", " && ".join(f"{program_itself} {one}" for one in words),
+              folder=folder)  # fmt: skip
+    slurm.ask("scancel", "--user=root")
+    run.wait(timeout=PATIENCE)

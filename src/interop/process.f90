@@ -4,7 +4,7 @@ module battery_process
   use battery_c_shapes, only: number_known
   implicit none (type, external)
   private
-  public :: leave, process_number
+  public :: leave, leave_after, process_number
 
   interface
     !> Ends the program, without the word `STOP` that Fortran prints.
@@ -14,6 +14,16 @@ module battery_process
       !> What the shell is told, 0 to 255.
       integer(c_int), value, intent(in) :: code
     end subroutine leave
+
+    !> Ends the program after that time, whatever it is doing then.
+    subroutine leave_after(seconds, code) bind(c, name='process_leave_after')
+      import :: c_int
+      implicit none (type, external)
+      !> From now on.
+      integer(c_int), value, intent(in) :: seconds
+      !> What the shell is told, 0 to 255.
+      integer(c_int), value, intent(in) :: code
+    end subroutine leave_after
   end interface
 
   !> Number of this process, as the system has it.

@@ -8,6 +8,7 @@ left. Only root may make them.
 
 from __future__ import annotations
 
+import select
 import subprocess
 import sys
 import time
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from types import TracebackType
 
 NETWORK = "10.77.0"
+# Seconds for a command, on a busy machine; one that lasts longer hangs.
+PATIENCE = 120.0
 # What a machine does before it is there: it can still reach processes of this machine as /host/PID.
 FIRST_PROCESS = """
 hostname "$1"
@@ -40,7 +43,9 @@ mount --rbind /mnt/tmp /tmp
 mount -t tmpfs tmpfs /dev/shm
 ip link set lo up
 echo ready
-exec cat
+# A shell that waits also takes leave of processes whose parents are gone; slurmd waits for that.
+cat
+exit 0
 """
 # Runs a command for whoever connects: each connection is its input and output.
 SERVER = """
@@ -72,6 +77,7 @@ class Node:
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
         )
         assert self.outside.stdout
+        assert select.select([self.outside.stdout], [], [], PATIENCE)[0], f"{name} is not ready"
         assert self.outside.stdout.readline() == "ready\n", f"{name} cannot be made"
         children = Path(f"/proc/{self.outside.pid}/task/{self.outside.pid}/children")
         self.first = int(children.read_text(encoding="utf-8"))
@@ -83,9 +89,11 @@ class Node:
 
     def run(self, *words: str, **more: Any) -> subprocess.CompletedProcess[str]:  # noqa: ANN401
         """Run a command there to its end."""
-        return subprocess.run(
-            self.command(*words), capture_output=True, text=True, check=False, **more
-        )
+        try:
+            return subprocess.run(self.command(*words), capture_output=True, text=True,
+                                  check=False, timeout=PATIENCE, **more)  # fmt: skip
+        except subprocess.TimeoutExpired as error:
+            raise TimeoutError(f"{error}: {error.stdout!r} {error.stderr!r}") from error
 
     def start(self, *words: str, **more: Any) -> subprocess.Popen[str]:  # noqa: ANN401
         """Start a command there."""
@@ -100,12 +108,9 @@ class Node:
             time.sleep(0.05)
 
     def die(self) -> None:
-        """End all its processes at once, as when the power fails."""
-        self.outside.kill()
-        self.outside.communicate()
-        end = time.monotonic() + 10.0
-        while Path(f"/proc/{self.first}").exists() and time.monotonic() < end:
-            time.sleep(0.01)
+        """End all its processes at once, as when the power fails: the first reads its last."""
+        if self.outside.poll() is None:
+            self.outside.communicate(timeout=PATIENCE)
 
 
 class Nodes:

@@ -151,7 +151,10 @@ def rank_processes(process: subprocess.Popen[str], ranks: int) -> list[int]:
 
 def descendants(number: int) -> list[int]:
     """List the children of a process and theirs; MPICH has a process between mpirun and ranks."""
-    tasks = Path(f"/proc/{number}/task").glob("*/children")
+    try:
+        tasks = list(Path(f"/proc/{number}/task").glob("*/children"))
+    except OSError:
+        return []  # It ended meanwhile.
     children = [int(child) for task in tasks for child in words_of(task)]
     return children + [one for child in children for one in descendants(child)]
 

@@ -13,7 +13,7 @@ import time
 from typing import TYPE_CHECKING
 
 from .cluster_packages import where
-from .nodes import Nodes
+from .nodes import PATIENCE, Nodes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,6 +44,8 @@ SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
 SchedulerParameters=sched_interval=2,batch_sched_delay=0,sched_min_interval=0
 KillWait=30
+# A signal before the limit may be late on a busy machine; then it still comes.
+OverTimeLimit=5
 ReturnToService=2
 SlurmdParameters=config_overrides
 NodeName={nodes} CPUs={processors} State=UNKNOWN
@@ -105,7 +107,7 @@ class Slurm:
             self.nodes[node].start(where(program) or program, *words, env=self.environment,
                                    stdin=subprocess.DEVNULL, stdout=out, stderr=out)  # fmt: skip
 
-    def _await(self, condition: Callable[[], bool], what: str, patience: float = 60.0) -> None:
+    def _await(self, condition: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
         end = time.monotonic() + patience
         while not condition():
             if time.monotonic() > end:
@@ -116,7 +118,7 @@ class Slurm:
 
     def ask(self, *words: str, folder: Path | None = None) -> str:
         """Give what a command of Slurm prints on the head."""
-        ended = self.nodes["head"].run(*words, env=self.environment, cwd=folder, timeout=60)
+        ended = self.nodes["head"].run(*words, env=self.environment, cwd=folder)
         assert ended.returncode == 0, f"{words}: {ended.stdout}{ended.stderr}"
         return ended.stdout.strip()
 
