@@ -10,8 +10,8 @@ from pathlib import Path
 
 from postproc import cli
 from postproc.accuracy import experiments, experiments_page
-from postproc.accuracy.job import ROOT, Job
 from postproc.figures import style
+from postproc.study.study import ROOT, Study
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -33,8 +33,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not given.program.exists():
         raise cli.InputError(f"{given.program}: no such program (make build)")
     folder = given.output or ROOT / "build/experiments" / ("full" if given.full else "quick")
-    job = Job(folder, given.full, given.program, given.ranks, given.afresh)
-    numbers = experiments.run(job)
+    study = Study(folder, given.full, given.program, given.ranks, given.afresh)
+    numbers = experiments.run(study)
     text = experiments_page.page(numbers)
     print(text)
     places = [folder, *([ROOT / "docs"] if given.publish else [])]

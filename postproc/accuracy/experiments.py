@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.accuracy.events import Stories
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
     Floats = NDArray[np.float64]
 
@@ -116,13 +116,13 @@ def fitted_diffusion(lags: NDArray[np.int64], values: Floats) -> float:
     return math.exp(optimize.least_squares(apart, [math.log(start)]).x[0])
 
 
-def directions(job: Job) -> tuple[list[Row], list[dict]]:
+def directions(study: Study) -> tuple[list[Row], list[dict]]:
     """Make experiment 1; return its rows, and the curves for the figure."""
     rows, curves = [], []
     for width in WIDTHS:
         stretch = (WIDTHS[0] / width) ** 2
         lags = np.unique(np.round(np.array(LAGS) * stretch).astype(int))
-        duration = job.pick(60.0, 300.0) * predictions.memory_time(Circuit(1, 1, width, 0.0))
+        duration = study.pick(60.0, 300.0) * predictions.memory_time(Circuit(1, 1, width, 0.0))
         duration = float(f"{duration / math.sqrt(stretch):.1e}")
         changes = {
             "table": {"shape": "urn", "channel1_width": width, "channel2_width": None},
@@ -130,7 +130,8 @@ def directions(job: Job) -> tuple[list[Row], list[dict]]:
             "gate": {"threshold": 100},
             "run": {"duration": duration},
         }
-        path = job.battery("events", f"directions_{width:g}".replace(".", "p"), changes, alone=True)
+        name = f"directions_{width:g}".replace(".", "p")
+        path = study.run("accuracy_events", name, changes, alone=True)
         with Results(path) as results:
             seen = entries_of(stories(read_log(results)))
         values = autocorrelations(*seen, lags, 0.5 * duration)
@@ -165,13 +166,13 @@ def after_channel2(told: Stories, circuit: Circuit) -> tuple[Floats, Floats]:
     return share, np.bincount(group, flight, minlength=GROUPS) / count - half * (1.0 + share)
 
 
-def two_ports(job: Job) -> list[Row]:
+def two_ports(study: Study) -> list[Row]:
     """Make experiment 2."""
     changes = {
         "particles": {"urn1_number": 500}, "gate": {"threshold": 1000},
-        "run": {"duration": job.pick(2.0e4, 4.0e5)},
+        "run": {"duration": study.pick(2.0e4, 4.0e5)},
     }  # fmt: skip
-    with Results(job.battery("events", "ports", changes, alone=True)) as results:
+    with Results(study.run("accuracy_events", "ports", changes, alone=True)) as results:
         circuit, told = results.circuit(0), stories(read_log(results))
     found, ratio = ports.disc(circuit), float(circuit.channel2_width)
     mixed = ratio / (ratio + float(circuit.channel1_width))
@@ -194,7 +195,7 @@ def of_halves(circuit: Circuit, chi: float) -> tuple[Floats, float]:
     return inside, float(halves[1] - halves[0])
 
 
-def sizes(job: Job) -> list[Row]:
+def sizes(study: Study) -> list[Row]:
     """Make experiment 3: conductance, and what the sparse gate lets through, for two sizes."""
     rows = []
     for radius, number in SIZES:
@@ -205,12 +206,12 @@ def sizes(job: Job) -> list[Row]:
             "particles": {"number": number, "urn1_number": number // 20},
             "gate": {"threshold": None},
             "run": {
-                "duration": transient + job.pick(6.0e4, 4.0e5),
+                "duration": transient + study.pick(6.0e4, 4.0e5),
                 "transient_duration": transient,
             },
             "scan": {"threshold": list(SIZED_T), "replicas": 4},
         }
-        with Results(job.battery("battery", f"size_{radius:g}", changes)) as results:
+        with Results(study.run("accuracy_battery", f"size_{radius:g}", changes)) as results:
             for point, threshold in enumerate(SIZED_T):
                 circuit = results.circuit(point, RENEWAL)
                 chi = results.value("chi")[point]
@@ -233,10 +234,10 @@ def sizes(job: Job) -> list[Row]:
     return rows
 
 
-def circulation(job: Job) -> tuple[list[Row], list[dict]]:
+def circulation(study: Study) -> tuple[list[Row], list[dict]]:
     """Make experiment 4; return its rows, and the laws for the figure."""
     rows, laws = [], []
-    logs, end = int(job.pick(2, 8)), job.pick(4.0e4, 8.0e4)
+    logs, end = int(study.pick(2, 8)), study.pick(4.0e4, 8.0e4)
     for width, length in TURNS:
         count, dense, reached = [], [], np.zeros(tail.ROUNDS.size)
         for seed in range(1, logs + 1):
@@ -246,7 +247,7 @@ def circulation(job: Job) -> tuple[list[Row], list[dict]]:
                 "run": {"duration": end},
             }
             name = f"turns_{width:g}_{length:g}_{seed}".replace(".", "p")
-            with Results(job.battery("events", name, changes, alone=True)) as results:
+            with Results(study.run("accuracy_events", name, changes, alone=True)) as results:
                 circuit, log = results.circuit(0), read_log(results)
                 start = int(circuit.number) - int(results.value("urn1_number")[0])
             told = stories(log)
@@ -275,7 +276,9 @@ def ratio_of(wide: Row, narrow: Row) -> Row:
     return Row(4, what, math.nan, wide.predicted / narrow.predicted, value, error)
 
 
-def transition_after(job: Job, transient: float, measured: float, replicas: int) -> ladder.Answer:
+def transition_after(
+    study: Study, transient: float, measured: float, replicas: int
+) -> ladder.Answer:
     """Return the upper transition of runs that measure for so long after a transient."""
     changes = {
         "particles": {"seed": 31},
@@ -283,17 +286,17 @@ def transition_after(job: Job, transient: float, measured: float, replicas: int)
         "scan": {"replicas": replicas},
     }
     name = f"transition_{transient:g}_{measured:g}"
-    return ladder.transition_answer(job.battery("transition", name, changes))
+    return ladder.transition_answer(study.run("accuracy_transition", name, changes))
 
 
-def transients(job: Job) -> list[Row]:
+def transients(study: Study) -> list[Row]:
     """Make experiment 5: how far a transient that is too short shifts the upper transition.
 
     Runs begin at chi = 0.4 and end at 0.3 where the transition is read off; an average over [t0, t]
     keeps (0.4 - 0.3) tau (exp(-t0/tau) - exp(-t/tau))/(t - t0) of that, over the slope of chi in T.
     """
-    measured, replicas = 5.0e3, int(job.pick(48, 256))
-    found = [transition_after(job, one, measured, replicas) for one in TRANSIENTS]
+    measured, replicas = 5.0e3, int(study.pick(48, 256))
+    found = [transition_after(study, one, measured, replicas) for one in TRANSIENTS]
     after = found[-1][1]
     slope = np.interp(
         ladder.HALFWAY, np.array(after["chi"])[::-1],
@@ -310,15 +313,15 @@ def transients(job: Job) -> list[Row]:
     return [Row(5, what, 0.0, predicted, one.value - other.value, error)]
 
 
-def run(job: Job) -> dict[str, object]:
+def run(study: Study) -> dict[str, object]:
     """Make all five; keep the numbers in `experiments.json` and return them."""
-    rows, curves = directions(job)
-    rows += two_ports(job)
-    rows += sizes(job)
-    turned, laws = circulation(job)
-    rows += turned + transients(job)
+    rows, curves = directions(study)
+    rows += two_ports(study)
+    rows += sizes(study)
+    turned, laws = circulation(study)
+    rows += turned + transients(study)
     numbers = {
-        "rows": [asdict(row) for row in rows], "curves": curves, "laws": laws, "full": job.full,
+        "rows": [asdict(row) for row in rows], "curves": curves, "laws": laws, "full": study.full,
     }  # fmt: skip
-    job.keep("experiments", numbers)
+    study.keep("experiments", numbers)
     return numbers

@@ -11,8 +11,8 @@ from matplotlib.legend_handler import HandlerTuple
 from scipy import stats
 
 from postproc.accuracy import predictions
-from postproc.accuracy.text import measured, number, table
 from postproc.figures import style
+from postproc.study.text import measured, number, table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
-    from postproc.accuracy.job import Changes, Job
+    from postproc.study.study import Groups, Study
 
     Floats = NDArray[np.float64]
 
@@ -136,20 +136,22 @@ def final_state(results: Results) -> list[Floats]:
     return [results.value(f"final/{name}")[0, 0] for name in ("x", "y", "ux", "uy")]
 
 
-def forth_and_back(job: Job, name: str, changes: Changes, columns: Sequence[Floats]) -> list[Path]:
+def forth_and_back(
+    study: Study, name: str, changes: Groups, columns: Sequence[Floats]
+) -> list[Path]:
     """Run from a state, turn all velocities, run as long again; return both results files."""
     files = []
     for way in ("forth", "back"):
-        state = states_file(job.folder / f"{name}_{way}.txt", columns)
+        state = states_file(study.folder / f"{name}_{way}.txt", columns)
         own = {**changes, "particles": {**changes["particles"], "initial_file": state}}
-        files.append(job.battery("reversal", f"{name}_{way}", own, alone=True))
+        files.append(study.run("accuracy_reversal", f"{name}_{way}", own, alone=True))
         with Results(files[-1]) as results:
             x, y, ux, uy = final_state(results)
         columns = (x, y, -ux, -uy)
     return files
 
 
-def _changes(number: int, threshold: int, duration: float, seed: int = 1) -> Changes:
+def _changes(number: int, threshold: int, duration: float, seed: int = 1) -> Groups:
     return {
         "particles": {
             "number": number, "urn1_number": start_number(number, threshold), "seed": seed,
@@ -160,7 +162,7 @@ def _changes(number: int, threshold: int, duration: float, seed: int = 1) -> Cha
 
 
 def example(
-    job: Job, name: str, states: Sequence[Sequence[float]], turn: float = EXAMPLE_TIME
+    study: Study, name: str, states: Sequence[Sequence[float]], turn: float = EXAMPLE_TIME
 ) -> dict[str, object]:
     """Run a few particles forth and back; return the events of both as rows, and the end."""
     changes = {
@@ -171,7 +173,7 @@ def example(
     columns = np.array(states).T
     told = {"turn": turn}
     for way, file in zip(
-        ("forth", "back"), forth_and_back(job, name, changes, columns), strict=True
+        ("forth", "back"), forth_and_back(study, name, changes, columns), strict=True
     ):
         with Results(file) as results:
             log, end = read_log(results), final_state(results)
@@ -221,14 +223,14 @@ def bound_of_none(count: float) -> float:
     return 1.0 - (1.0 - SURE) ** (1.0 / count)
 
 
-def _scan(job: Job) -> list[dict[str, object]]:
+def _scan(study: Study) -> list[dict[str, object]]:
     """Return, for each N and T, how many reversals single ones would be undone."""
     rows = []
     for number, threshold in SCAN:
-        duration = job.pick(2000.0, 20000.0) * max(1.0, (100.0 / number) ** 2)
+        duration = study.pick(2000.0, 20000.0) * max(1.0, (100.0 / number) ** 2)
         name = f"reversals_{number}_{threshold}"
         changes = _changes(number, threshold, duration)
-        with Results(job.battery("reversal", name, changes, alone=True)) as results:
+        with Results(study.run("accuracy_reversal", name, changes, alone=True)) as results:
             found = reversals_of(read_log(results), threshold)
         later = found.time > 0.1 * duration
         block = np.minimum(found.time[later] / duration * BLOCKS, BLOCKS - 1).astype(int)
@@ -245,7 +247,9 @@ def _scan(job: Job) -> list[dict[str, object]]:
     return rows
 
 
-def _backwards(job: Job, number: int, threshold: int, back: float, turns: int) -> dict[str, object]:
+def _backwards(
+    study: Study, number: int, threshold: int, back: float, turns: int
+) -> dict[str, object]:
     """Return how many reversals are undone against the time back, from runs turned round.
 
     One run with a log goes on; its state is taken every now and then, turned, and run backwards.
@@ -254,7 +258,7 @@ def _backwards(job: Job, number: int, threshold: int, back: float, turns: int) -
     name = f"turned_{number}_{threshold}"
     changes = _changes(number, threshold, float(times[-1]))
     changes["output"] = {"snapshot_times": times.tolist()}
-    with Results(job.battery("reversal", name, changes, alone=True)) as results:
+    with Results(study.run("accuracy_reversal", name, changes, alone=True)) as results:
         log = read_log(results)
         states = [results.snapshot(0, 0, at) for at in range(turns)]
 
@@ -262,11 +266,11 @@ def _backwards(job: Job, number: int, threshold: int, back: float, turns: int) -
         state = states[at]
         columns = (state.x, state.y, -state.ux, -state.uy)
         own = _changes(number, threshold, back)
-        own["particles"]["initial_file"] = states_file(job.folder / f"{name}_{at}.txt", columns)
-        with Results(job.battery("reversal", f"{name}_{at}", own, alone=True)) as results:
+        own["particles"]["initial_file"] = states_file(study.folder / f"{name}_{at}.txt", columns)
+        with Results(study.run("accuracy_reversal", f"{name}_{at}", own, alone=True)) as results:
             return reversals_of(read_log(results), threshold)
 
-    with ThreadPoolExecutor(job.ranks) as pool:
+    with ThreadPoolExecutor(study.ranks) as pool:
         backwards = list(pool.map(turned, range(turns)))
     ages, done, agreed, partings = [], [], 0, []
     for turn, backward in zip(times, backwards, strict=True):
@@ -337,14 +341,14 @@ def _draw_shares(
         style.bound(axes, place, bound_of_none(count), mark, colour, 3.5)
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Run forth and back, count, draw `reversal_gated`, keep the numbers."""
-    job.folder.mkdir(parents=True, exist_ok=True)
-    scan = _scan(job)
-    turned = [_backwards(job, *one, int(job.pick(20, 100))) for one in TURNED]
+    study.folder.mkdir(parents=True, exist_ok=True)
+    scan = _scan(study)
+    turned = [_backwards(study, *one, int(study.pick(20, 100))) for one in TURNED]
     examples = {
-        "undone": example(job, "example_undone", FROM_URN2),
-        "not_undone": example(job, "example_not_undone", (*FROM_URN2, PASSER)),
+        "undone": example(study, "example_undone", FROM_URN2),
+        "not_undone": example(study, "example_not_undone", (*FROM_URN2, PASSER)),
     }
-    job.keep("gated_reversal", {"scan": scan, "turned": turned, "examples": examples})
-    style.save(figure_reversal(scan, turned), job.folder, "reversal_gated")
+    study.keep("gated_reversal", {"scan": scan, "turned": turned, "examples": examples})
+    study.draw(figure_reversal(scan, turned), "reversal_gated")

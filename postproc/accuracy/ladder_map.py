@@ -27,7 +27,6 @@ from postproc.accuracy.ladder import (
     by_model,
 )
 from postproc.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
-from postproc.figures import style
 from postproc.reading.results import Results
 from postproc.theory.programs import there
 
@@ -37,8 +36,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from postproc.accuracy.job import Job
     from postproc.accuracy.ladder import Rung
+    from postproc.study.study import Study
     from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
@@ -119,7 +118,7 @@ def _processor() -> float:
 
 
 def run_points(
-    job: Job, rung: Rung, measured: float, replicas: int, *, doubled: bool = False
+    study: Study, rung: Rung, measured: float, replicas: int, *, doubled: bool = False
 ) -> Told:
     """Run an engine at all points, so long in each replica; `doubled`: with twice the transient."""
     columns = []
@@ -138,7 +137,7 @@ def run_points(
                 "scan": {"threshold": list(thresholds), "replicas": replicas},
             }
             stem = f"map_{name}_{width:g}_{thresholds[0]}".replace(".", "p")
-            columns.append(_read(job.battery("map", stem, changes), wait))
+            columns.append(_read(study.run("accuracy_map", stem, changes), wait))
     return Told(*np.concatenate(columns, axis=1))
 
 
@@ -269,19 +268,19 @@ def doubling(once: Told, twice: Told) -> dict[str, float]:
     }
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Ask and run every rung at every point, draw `ladder_map`, keep the numbers."""
     rungs = {rung.name: rung for rung in (*RUNGS, *LONGER)}
-    truth = run_points(job, rungs["excursion"], job.pick(1.2e5, 1.2e6), 16, doubled=True)
+    truth = run_points(study, rungs["excursion"], study.pick(1.2e5, 1.2e6), 16, doubled=True)
     one_unit = scatter(truth)
     rows = [row(name, "theory", ask(circuit, question), truth)
             for name, circuit, question in theories()]  # fmt: skip
     once = truth
     for rung in RUNGS:
-        if rung.name == SLOWEST and not job.full:
+        if rung.name == SLOWEST and not study.full:
             continue
         fast = rung.name in FAST
-        told = run_points(job, rung, job.pick(*(3e4, 3e5) if fast else (1500.0, 15000.0)),
+        told = run_points(study, rung, study.pick(*(3e4, 3e5) if fast else (1500.0, 15000.0)),
                           8 if fast else 1)  # fmt: skip
         if rung.name == "excursion":
             once = told
@@ -304,5 +303,5 @@ def run(job: Job) -> None:
             for error in TOLERANCES
         ],
     }
-    job.keep("ladder_map", numbers)
-    style.save(ladder_map_figure.figure(rows), job.folder, "ladder_map")
+    study.keep("ladder_map", numbers)
+    study.draw(ladder_map_figure.figure(rows), "ladder_map")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from postproc.accuracy.ladder import QUANTITIES
-from postproc.accuracy.text import measured, number, percent, seconds, table
+from postproc.study.text import measured, number, percent, seconds, table
 
 HEADS = {"chi": "chi", "current": "current over chi", "transition": "transition T"}
 SHOWN = {"chi": lambda value: number(value, 2), "current": percent, "transition": percent}

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
 NAMES = {
     "chi": r"$\chi$ at $T = 7$",
@@ -54,16 +54,16 @@ TRANSIENT = 500.0  # of namelists/accuracy_battery.nml
 AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is held against that over time
 
 
-def reference(job: Job) -> dict[str, Answer]:
+def reference(study: Study) -> dict[str, Answer]:
     """Return the quantities from long runs of `excursion`; the current with the other sets."""
-    found = ladder.battery_answers(tail.long_runs(job))
+    found = ladder.battery_answers(tail.long_runs(study))
     one = found["current"]
-    sets = ((one.value, one.error, tail.total_time(job)), *OTHER_SETS)
+    sets = ((one.value, one.error, tail.total_time(study)), *OTHER_SETS)
     found["own_current"] = one
     found["current"] = Answer(*by_time(sets), one.seconds)
-    changes = {"run": {"duration": job.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
+    changes = {"run": {"duration": study.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
     changes["particles"] = {"seed": 77}  # of its own: the rung itself must not be its own judge
-    path = job.battery("transition", "transition_reference", changes)
+    path = study.run("accuracy_transition", "transition_reference", changes)
     found["transition"], _ = ladder.transition_answer(path)
     return found
 
@@ -91,19 +91,19 @@ def lacking(seconds: float, per_time: float, chi: float) -> float:
     return float(transients.missing(ladder.BATTERY, chi, TRANSIENT * one, measured * one)[0])
 
 
-def averages(job: Job) -> list[dict[str, float]]:
+def averages(study: Study) -> list[dict[str, float]]:
     """Return chi averaged over time and, as the paper does, over wall collisions, for several T.
 
     Both of the same runs of `collision`, so that their difference has a small error of its own.
     """
     changes = {
-        "run": {"engine": "collision", "duration": job.pick(4.0e3, 4.0e4)},
+        "run": {"engine": "collision", "duration": study.pick(4.0e3, 4.0e4)},
         "scan": {"threshold": list(AVERAGED)},
         "gate": {"threshold": None},
         "particles": {"urn1_number": 500},
     }
     rows = []
-    with Results(job.battery("battery", "averages", changes)) as results:
+    with Results(study.run("accuracy_battery", "averages", changes)) as results:
         for point, threshold in enumerate(AVERAGED):
             time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
             (chi, error), (less, its) = ladder.mean_of(time), ladder.mean_of(hits - time)
@@ -207,16 +207,16 @@ def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
         )  # fmt: skip
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Run every rung, draw `observables`, keep the numbers."""
-    truth = reference(job)
+    truth = reference(study)
     rows = [
         row(name, "theory", ladder.theory_answers(circuit, ask), truth)
         for name, circuit, ask in ladder.THEORIES
     ]
     spreads = {}
-    for rung in (*ladder.RUNGS, *(ladder.LONGER if job.full else ())):
-        answers, chi, per_time = ladder.run_rung(job, rung, job.pick(10.0, 200.0))
+    for rung in (*ladder.RUNGS, *(ladder.LONGER if study.full else ())):
+        answers, chi, per_time = ladder.run_rung(study, rung, study.pick(10.0, 200.0))
         spreads[rung.name] = chi
         line = row(rung.name, "exact" if rung.exact else "model", answers, truth)
         if rung.exact:
@@ -224,8 +224,8 @@ def run(job: Job) -> None:
         rows.append({**line, "per_time": per_time})
     numbers = {
         "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,
-        "reference_time": tail.total_time(job),
-        "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(job),
+        "reference_time": tail.total_time(study),
+        "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(study),
     }  # fmt: skip
-    job.keep("observables", numbers)
-    style.save(figure_observables(rows), job.folder, "observables")
+    study.keep("observables", numbers)
+    study.draw(figure_observables(rows), "observables")

@@ -1,7 +1,7 @@
 """The page of the docs: a template, `page.md`, filled with the numbers that the parts have kept.
 
 What the parts `OWN` found is written out in the template; what the others found, if they have been
-made, by `sections`. A figure NAME.png of the job's folder is shown as ![what it
+made, by `sections`. A figure NAME.png of the study's folder is shown as ![what it
 is](accuracy_NAME.png). Nothing is run here.
 """
 
@@ -13,16 +13,16 @@ import string
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from postproc.accuracy.job import ROOT
 from postproc.accuracy.ladder import QUANTITIES, SCANNED
 from postproc.accuracy.sections import SECTIONS
-from postproc.accuracy.text import measured, number, percent, seconds, table, wrapped
 from postproc.cli import InputError, output_folder
+from postproc.study.study import ROOT
+from postproc.study.text import measured, number, percent, seconds, table, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
 TEMPLATE = Path(__file__).with_name("page.md")
 NOT_RUN = "_This part has not been run._"
@@ -249,16 +249,16 @@ def names_of(template: str) -> set[str]:
     return {name for _, name, _, _ in string.Formatter().parse(template) if name}
 
 
-def page(job: Job) -> str:
+def page(study: Study) -> str:
     """Return the page; every part of this file's own must have been made."""
-    fields = {"kind": "full" if job.full else "quick"}
+    fields = {"kind": "full" if study.full else "quick"}
     for part in OWN:
-        numbers = job.kept(part)
+        numbers = study.kept(part)
         if numbers is None:
-            raise InputError(f"{job.folder}: part {part} has not been made")
+            raise InputError(f"{study.folder}: part {part} has not been made")
         fields |= FIELDS[part](numbers)
     for part, show in SECTIONS.items():
-        numbers = job.kept(part)
+        numbers = study.kept(part)
         fields[part] = NOT_RUN if numbers is None else show(numbers)
     template = TEMPLATE.read_text(encoding="utf-8")
     lacking = names_of(template) - fields.keys()
@@ -287,9 +287,9 @@ def publish(text: str, source: Path, folder: Path) -> Path:
     return path
 
 
-def run(job: Job) -> None:
-    """Write the page into the job's folder, and into the docs if that is asked for."""
-    text = page(job)
-    publish(text, job.folder, job.folder)
-    if job.publish:
-        publish(text, job.folder, DOCS)
+def run(study: Study) -> None:
+    """Write the page into the study's folder, and into the docs if that is asked for."""
+    text = page(study)
+    publish(text, study.folder, study.folder)
+    if study.page is not None:
+        publish(text, study.folder, DOCS)

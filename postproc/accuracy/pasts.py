@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
     Floats = NDArray[np.float64]
 
@@ -80,13 +80,13 @@ def volume_ratio(past: int) -> float:
     return float(abs(np.linalg.det(np.array(columns))))
 
 
-def nearby(job: Job, tries: int) -> dict[str, object]:
+def nearby(study: Study, tries: int) -> dict[str, object]:
     """Return how closely starts near the one past and their other pasts meet in the program."""
     random, worst, apart = np.random.default_rng(6), 0.0, 0.0
     for at in range(tries):
         start = np.array(PASTS[0]) + random.uniform(-NEARBY, NEARBY, (3, 4))
-        one = np.array(example(job, f"nearby_{at}_one", start, PAST_TIME)["forth_end"])
-        other = example(job, f"nearby_{at}_other", other_past(one), PAST_TIME)
+        one = np.array(example(study, f"nearby_{at}_one", start, PAST_TIME)["forth_end"])
+        other = example(study, f"nearby_{at}_other", other_past(one), PAST_TIME)
         worst = max(worst, float(np.abs(one - np.array(other["forth_end"])).max()))
         speed = np.hypot(*start[:, 2:].T)[:, None]  # the program flies at the speed 1
         flown = present(np.column_stack([start[:, :2], start[:, 2:] / speed]), 0)
@@ -138,18 +138,18 @@ def figure_pasts() -> Figure:
     return made
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Fly both pasts, and others nearby; draw `two_pasts`, keep the numbers."""
     told = {
-        f"past{at}": example(job, f"example_past{at}", past, PAST_TIME)
+        f"past{at}": example(study, f"example_past{at}", past, PAST_TIME)
         for at, past in enumerate(PASTS, 1)
     }
     one, other = (np.array(past["forth_end"]) for past in told.values())
     numbers = {
         **told,
         "differ_by": float(np.abs(one - other).max()),
-        "nearby": nearby(job, int(job.pick(5, 50))),
+        "nearby": nearby(study, int(study.pick(5, 50))),
         "volume_ratios": [volume_ratio(past) for past in (0, 1)],
     }
-    job.keep("pasts", numbers)
-    style.save(figure_pasts(), job.folder, "two_pasts")
+    study.keep("pasts", numbers)
+    study.draw(figure_pasts(), "two_pasts")

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postproc.accuracy.probes import EPSILON, PRECISIONS, Question, ask
 from postproc.accuracy.trajectories import (
     ASTRAY,
     COLOUR,
@@ -22,13 +21,14 @@ from postproc.accuracy.trajectories import (
     start_file,
 )
 from postproc.figures import style
+from postproc.study.probes import EPSILON, PRECISIONS, Question, ask
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.figure import Figure
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
 ENGINES = ("collision", "excursion")
 TIMES = (1, 2, 5, 10, 20, 40, 60, 80, 100, 125, 150, 175, 200, 225, 250, 275, 300, 350, 400, 450,
@@ -81,21 +81,21 @@ def figure_return(rows: Sequence[dict[str, Any]], rate: float) -> Figure:
     return made
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Go there and back; keep the numbers, draw `reversal_free`."""
-    job.folder.mkdir(parents=True, exist_ok=True)
-    (job.folder / "start.txt").write_text(start_file(NUMBER), encoding="utf-8")
+    study.folder.mkdir(parents=True, exist_ok=True)
+    (study.folder / "start.txt").write_text(start_file(NUMBER), encoding="utf-8")
     lyapunov = Question(
         "lyapunov", "real64",
-        ("lyapunov", str(WIDTH1), str(WIDTH2), str(int(job.pick(2000, 20000))), "2000"),
+        ("lyapunov", str(WIDTH1), str(WIDTH2), str(int(study.pick(2000, 20000))), "2000"),
     )  # fmt: skip
-    ((tangent,), *answers) = ask(job, [lyapunov, *questions()])
+    ((tangent,), *answers) = ask(study, [lyapunov, *questions()])
     rate = float(tangent["lyapunov"])
     rows = [measure(answer) for answer in answers]
-    job.keep("reversal", {
+    study.keep("reversal", {
         "lyapunov": rate, "number": NUMBER,
         "predicted_horizon": {name: math.log(ASTRAY / eps) / rate for name, eps in EPSILON.items()},
         "horizon": {f"{row['engine']} {row['precision']}": horizon(row) for row in rows},
         "rows": rows,
     })  # fmt: skip
-    style.save(figure_return(rows, rate), job.folder, "reversal_free")
+    study.draw(figure_return(rows, rate), "reversal_free")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from postproc.accuracy.ladder_map_page import ladder_map
-from postproc.accuracy.text import measured, number, table
+from postproc.study.text import measured, number, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.accuracy.events import Log, Stories
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -161,24 +161,24 @@ def in_windows(time: Floats, weight: Floats, length: float, end: float) -> Float
     return np.histogram(time, edges, weights=np.asarray(weight, float))[0] / length
 
 
-def long_runs(job: Job) -> Path:
+def long_runs(study: Study) -> Path:
     """Make the long runs at T = 7, the reference of chart two as well; return their file."""
     changes = {
-        "run": {"duration": job.pick(1.0e6, 8.0e6)},
-        "scan": {"replicas": int(job.pick(24, 64))},
+        "run": {"duration": study.pick(1.0e6, 8.0e6)},
+        "scan": {"replicas": int(study.pick(24, 64))},
     }
-    return job.battery("tail", "tail", changes)
+    return study.run("accuracy_tail", "tail", changes)
 
 
-def total_time(job: Job) -> float:
+def total_time(study: Study) -> float:
     """Return the time that the long runs measured, all together."""
-    with Results(long_runs(job)) as results:
+    with Results(long_runs(study)) as results:
         return float((results.value("time")[results.done] - TRANSIENT).sum())
 
 
-def _ensemble(job: Job) -> dict[str, object]:
+def _ensemble(study: Study) -> dict[str, object]:
     """Return how the net current of long runs, and of windows cut from them, scatters."""
-    with Results(long_runs(job)) as results:
+    with Results(long_runs(study)) as results:
         end, interval = float(results.value("time").min()), WINDOW
         net = []
         for replica in range(results.replicas):
@@ -212,14 +212,15 @@ def _ensemble(job: Job) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _split(job: Job) -> dict[str, object]:
+def _split(study: Study) -> dict[str, object]:
     """Return who carries the current, from event logs."""
-    logs, end = int(job.pick(6, 48)), job.pick(1.0e5, 2.0e5)
+    logs, end = int(study.pick(6, 48)), study.pick(1.0e5, 2.0e5)
     duration = end - TRANSIENT
     found, parts, entries1, turned1, fed, circuit = [], [], 0, 0, np.zeros(2, int), None
     for seed in range(1, logs + 1):
         changes = {"particles": {"seed": 1000 + seed}, "run": {"duration": end}}
-        with Results(job.battery("events", f"events_{seed}", changes, alone=True)) as results:
+        path = study.run("accuracy_events", f"events_{seed}", changes, alone=True)
+        with Results(path) as results:
             circuit, log = results.circuit(0), read_log(results)
             start = int(circuit.number) - int(results.value("urn1_number")[0])
         told = stories(log)
@@ -373,8 +374,8 @@ def _draw_widths(axes: Axes, ensemble: dict, split: dict) -> None:
     axes.legend(fontsize=6.5, loc="lower left")
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Run the ensemble and the logs, draw `tail`, keep the numbers."""
-    numbers = {"ensemble": _ensemble(job), "split": _split(job)}
-    job.keep("tail", numbers)
-    style.save(figure_tail(**numbers), job.folder, "tail")
+    numbers = {"ensemble": _ensemble(study), "split": _split(study)}
+    study.keep("tail", numbers)
+    study.draw(figure_tail(**numbers), "tail")

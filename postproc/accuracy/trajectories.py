@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postproc.accuracy.probes import EPSILON, PRECISIONS, Answer, Question, ask
 from postproc.figures import style
+from postproc.study.probes import EPSILON, PRECISIONS, Answer, Question, ask
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
     Floats = NDArray[np.float64]
 
@@ -285,21 +285,21 @@ def figure_growth(rows: Sequence[dict[str, Any]], rate: float, found: dict[str, 
     return made
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Run all engines in all precisions; draw `trajectory_cost` and `trajectory_growth`."""
-    job.folder.mkdir(parents=True, exist_ok=True)
-    (job.folder / "start.txt").write_text(start_file(NUMBER), encoding="utf-8")
+    study.folder.mkdir(parents=True, exist_ok=True)
+    (study.folder / "start.txt").write_text(start_file(NUMBER), encoding="utf-8")
     todo = cases()
     lyapunov = Question(
         "lyapunov", "real64",
-        ("lyapunov", str(WIDTH1), str(WIDTH2), str(int(job.pick(2000, 20000))), "2000"),
+        ("lyapunov", str(WIDTH1), str(WIDTH2), str(int(study.pick(2000, 20000))), "2000"),
     )  # fmt: skip
     same_start = Question(
         "lyapunov-start", "real64",
         ("lyapunov", str(WIDTH1), str(WIDTH2), str(NUMBER), "250", "start.txt"),
     )  # fmt: skip
     ((tangent,), (same,), *answers) = ask(
-        job, [lyapunov, same_start, *(case.question() for case in todo)]
+        study, [lyapunov, same_start, *(case.question() for case in todo)]
     )
     truth = {case.gate: answer for case, answer in zip(todo, answers, strict=True)
              if (case.engine, case.precision) == REFERENCE}  # fmt: skip
@@ -319,6 +319,6 @@ def run(job: Job) -> None:
         "order": {gate: orders(rows, gate, "real64") for gate in GATES},
         "rows": rows,
     }  # fmt: skip
-    job.keep("trajectories", found)
-    style.save(figure_cost(rows), job.folder, "trajectory_cost")
-    style.save(figure_growth(rows, rate, found), job.folder, "trajectory_growth")
+    study.keep("trajectories", found)
+    study.draw(figure_cost(rows), "trajectory_cost")
+    study.draw(figure_growth(rows, rate, found), "trajectory_growth")

@@ -10,56 +10,56 @@ import pytest
 
 from postproc import cli
 from postproc.accuracy import page, sections
-from postproc.accuracy.job import ROOT, Job
+from postproc.study.study import ROOT, Study
 
 KEPT = Path(__file__).with_name("accuracy_numbers.json")  # of a quick run, long lists left out
 
 
 @pytest.fixture
-def job(tmp_path: Path) -> Job:
+def study(tmp_path: Path) -> Study:
     for part, numbers in json.loads(KEPT.read_text()).items():
         (tmp_path / f"{part}.json").write_text(json.dumps(numbers))
-    return Job(tmp_path)
+    return Study(tmp_path)
 
 
-def test_every_field_is_filled_and_every_number_used(job: Job) -> None:
+def test_every_field_is_filled_and_every_number_used(study: Study) -> None:
     names = page.names_of(page.TEMPLATE.read_text())
-    filled = {name for part, make in page.FIELDS.items() for name in make(job.kept(part))}
+    filled = {name for part, make in page.FIELDS.items() for name in make(study.kept(part))}
     assert names - filled == {"kind", *page.SECTIONS}
     assert filled - names == set()
-    text = page.page(job)
+    text = page.page(study)
     assert not re.search(r"[{}]", text)
     assert not re.search(r"\bNone\b|\bnan\b", text)
 
 
-def test_numbers_on_the_page_are_those_kept(job: Job) -> None:
-    many = job.kept("tail")["ensemble"]
-    text = page.page(job)
+def test_numbers_on_the_page_are_those_kept(study: Study) -> None:
+    many = study.kept("tail")["ensemble"]
+    text = page.page(study)
     assert page.measured(many["mean"], many["error"]) in text
     assert "timestep 0.003" in text
     assert page.NOT_RUN not in text
 
 
-def test_other_parts_may_be_missing(job: Job) -> None:
+def test_other_parts_may_be_missing(study: Study) -> None:
     for part in page.SECTIONS:
-        assert page.NOT_RUN not in page.page(job)
-        (job.folder / f"{part}.json").rename(job.folder / "away.json")
-        assert page.page(job).count(page.NOT_RUN) == 1
-        (job.folder / "away.json").rename(job.folder / f"{part}.json")
+        assert page.NOT_RUN not in page.page(study)
+        (study.folder / f"{part}.json").rename(study.folder / "away.json")
+        assert page.page(study).count(page.NOT_RUN) == 1
+        (study.folder / "away.json").rename(study.folder / f"{part}.json")
 
 
-def test_part_that_has_not_been_made_is_named(job: Job) -> None:
-    (job.folder / "tail.json").unlink()
+def test_part_that_has_not_been_made_is_named(study: Study) -> None:
+    (study.folder / "tail.json").unlink()
     with pytest.raises(cli.InputError, match="tail"):
-        page.page(job)
+        page.page(study)
 
 
-def test_figures_are_copied_beside_the_page(job: Job, tmp_path: Path) -> None:
+def test_figures_are_copied_beside_the_page(study: Study, tmp_path: Path) -> None:
     text = "![one](accuracy_one.png)"
     with pytest.raises(cli.InputError, match=r"one\.png"):
-        page.publish(text, job.folder, tmp_path / "docs")
-    (job.folder / "one.png").write_bytes(b"picture")
-    path = page.publish(text, job.folder, tmp_path / "docs")
+        page.publish(text, study.folder, tmp_path / "docs")
+    (study.folder / "one.png").write_bytes(b"picture")
+    path = page.publish(text, study.folder, tmp_path / "docs")
     assert path.read_text() == text
     assert (path.parent / "accuracy_one.png").read_bytes() == b"picture"
 
@@ -92,8 +92,8 @@ def test_measurements_in_words() -> None:
     ]  # fmt: skip
 
 
-def test_stability_table_begins_with_its_verdict(job: Job) -> None:
-    numbers = job.kept("stability")
+def test_stability_table_begins_with_its_verdict(study: Study) -> None:
+    numbers = study.kept("stability")
     text = sections.stability(numbers)
     told = text[text.index("**Verdict**") : text.index("| case |")]
     assert re.findall(r"^(\d)\. ", told, re.MULTILINE) == ["1", "2", "3", "4", "5"]
@@ -103,9 +103,9 @@ def test_stability_table_begins_with_its_verdict(job: Job) -> None:
     assert sections._cell(table[table.index("| case |") :], "long run", "none", "real64") == "-"
 
 
-def test_papers_average_stands_beside_that_over_time(job: Job) -> None:
-    averages = job.kept("observables")["averages"]
-    text = page.page(job)
+def test_papers_average_stands_beside_that_over_time(study: Study) -> None:
+    averages = study.kept("observables")["averages"]
+    text = page.page(study)
     assert "**The paper's average.**" in text
     for one in averages:
         assert page.measured(one["less"], one["less_error"]) in text

@@ -12,7 +12,7 @@ import pytest
 
 from postproc.accuracy import experiments, experiments_page, predictions
 from postproc.accuracy.events import Log, stories
-from postproc.accuracy.job import ROOT, Job
+from postproc.study.study import ROOT, Study
 from postproc.theory import ports, two_port
 from postproc.theory.circuit import Circuit, in_urn
 from postproc.theory.renewal import RENEWAL
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 CIRCUIT = Circuit(1000, 7)
 
 
-class Short(Job):
-    """A job whose runs are a fifth of the quick ones."""
+class Short(Study):
+    """A study whose runs are a fifth of the quick ones."""
 
     def pick(self, quick: float, full: float) -> float:
         """Return the quick one, shorter."""

@@ -11,7 +11,7 @@ import pytest
 from postproc.accuracy import gated_reversal as gated
 from postproc.accuracy import pasts
 from postproc.accuracy.events import Log, outward_stays, stories
-from postproc.accuracy.job import Job
+from postproc.study.study import Study
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -66,11 +66,11 @@ def test_mirror_images_need_gate_number_and_time() -> None:
 
 
 def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
-    job = Job(tmp_path)
-    good = gated.example(job, "good", gated.FROM_URN2)
+    study = Study(tmp_path)
+    good = gated.example(study, "good", gated.FROM_URN2)
     assert good["returns_within"] < 1e-14
     assert [words for _, words in good["back"]] == [words for _, words in good["forth"]]
-    bad = gated.example(job, "bad", (*gated.FROM_URN2, gated.PASSER))
+    bad = gated.example(study, "bad", (*gated.FROM_URN2, gated.PASSER))
     assert bad["returns_within"] > 0.5
     assert [words for _, words in bad["back"]] == [
         "particle 3 enters gate 2",
@@ -82,9 +82,9 @@ def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
 
 
 def test_two_pasts_have_one_present(tmp_path: Path) -> None:
-    job = Job(tmp_path)
+    study = Study(tmp_path)
     told = [
-        gated.example(job, f"past{at}", past, pasts.PAST_TIME)
+        gated.example(study, f"past{at}", past, pasts.PAST_TIME)
         for at, past in enumerate(pasts.PASTS)
     ]
     ends = [np.array(one["forth_end"]) for one in told]
@@ -100,7 +100,7 @@ def test_two_pasts_have_one_present(tmp_path: Path) -> None:
 def test_pasts_nearby_meet_too(tmp_path: Path) -> None:
     worked_out = pasts.other_past(np.array([[0.6, 0.05, 1, 0], [0.8, -0.05, 1, 0], [1, 0, 1, 0]]))
     assert worked_out == pytest.approx(np.array(pasts.PASTS[1]))
-    found = pasts.nearby(Job(tmp_path), 2)
+    found = pasts.nearby(Study(tmp_path), 2)
     assert found["differ_by"] < 1e-12
     assert found["by_hand_differ_by"] < 1e-12
 
@@ -144,7 +144,7 @@ def test_reversals_of_one_run_count_as_one_in_the_error() -> None:
 
 
 def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:
-    found = gated._backwards(Job(tmp_path), 100, 1, 12.0, turns=3)
+    found = gated._backwards(Study(tmp_path), 100, 1, 12.0, turns=3)
     assert found["parting_as_told"] == found["turns"] == 3
     assert found["parting_median"] < 12.0
     assert 0.0 < found["undone"] < 1.0

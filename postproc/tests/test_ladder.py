@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from postproc.accuracy import ladder
-from postproc.accuracy.job import Job
 from postproc.accuracy.observables import by_time, figure_observables, lacking, row
+from postproc.study.study import Study
 from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ SPREAD, CURRENT = 0.9291, 1.0168  # of the billiard at T = 7, by 88 runs of 1e6 
 
 def _battery(folder: Path, engine: str, duration: float, **more: float) -> dict[str, Answer]:
     changes = {"run": {"engine": engine, "duration": duration, **more}}
-    return ladder.battery_answers(Job(folder).battery("battery", engine, changes))
+    return ladder.battery_answers(Study(folder).run("accuracy_battery", engine, changes))
 
 
 def _sigmas(one: Answer, other: Answer) -> float:
@@ -80,7 +80,7 @@ def test_memory_of_the_urns_moves_the_transition(tmp_path: Path) -> None:
             "run": {"engine": engine, "duration": 4000.0},
             "scan": {"threshold": [15, 16, 17], "replicas": 6},
         }
-        path = Job(tmp_path).battery("transition", engine, changes)
+        path = Study(tmp_path).run("accuracy_transition", engine, changes)
         found[engine], _ = ladder.transition_answer(path)
     assert _sigmas(found["excursion"], found["reservoir"]) > 5.0
     assert abs(found["excursion"].value - 16.26) < 5.0 * found["excursion"].error

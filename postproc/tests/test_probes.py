@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from postproc.accuracy import polygons, reversal, stability, trajectories
-from postproc.accuracy.job import ROOT, Job
-from postproc.accuracy.probes import PRECISIONS, Question, ask
+from postproc.study.probes import PRECISIONS, Question, ask
+from postproc.study.study import ROOT, Study
 
 # Builds the physics in three precisions.
 pytestmark = pytest.mark.full
@@ -21,8 +21,8 @@ EXACT = ("excursion", "collision", "synchronous")
 
 
 @pytest.fixture(scope="module")
-def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
-    """Return a job whose probes are built, with an initial file."""
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """Return a study whose probes are built, with an initial file."""
     if shutil.which("make") is None:
         pytest.skip("there is no make")
     programs = [f"build/bin/accuracy-{precision}" for precision in PRECISIONS]
@@ -31,25 +31,27 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
     assert done.returncode == 0, done.stdout + done.stderr
     folder = tmp_path_factory.mktemp("probes")
     (folder / "start.txt").write_text(trajectories.start_file(NUMBER), encoding="utf-8")
-    return Job(folder)
+    return Study(folder)
 
 
-def run_probe(job: Job, precision: str, *words: object) -> list[dict]:
+def run_probe(study: Study, precision: str, *words: object) -> list[dict]:
     name = "-".join(map(str, (precision, *words))).replace("/", "_")
-    return ask(job, [Question(name[:100], precision, tuple(map(str, words)))])[0]
+    return ask(study, [Question(name[:100], precision, tuple(map(str, words)))])[0]
 
 
-def places(job: Job, precision: str, engine: str, step: float = 0.0, threshold: int = 100) -> list:
+def places(
+    study: Study, precision: str, engine: str, step: float = 0.0, threshold: int = 100
+) -> list:
     words = ("trajectory", engine, step, "start.txt", NUMBER, threshold, 5)
-    answer = run_probe(job, precision, *words)
+    answer = run_probe(study, precision, *words)
     return trajectories.places(answer)[5.0]
 
 
 @pytest.mark.parametrize(("width1", "width2"), [(0.3, 0.01), (1e-6, 1e-6)])
-def test_visits_agree_with_quadruple_precision(job: Job, width1: float, width2: float) -> None:
+def test_visits_agree_with_quadruple_precision(study: Study, width1: float, width2: float) -> None:
     words = ("visits", "disc", width1, width2, 20000, 52)
-    run_probe(job, "real64", *words, "double.bin")
-    (found,) = run_probe(job, "real128", *words, "quadruple.bin", "double.bin")
+    run_probe(study, "real64", *words, "double.bin")
+    (found,) = run_probe(study, "real128", *words, "quadruple.bin", "double.bin")
     assert found["wrong"] == 0
     assert found["same"] + found["corner"] == 20000
     assert found["corner"] < 100
@@ -57,11 +59,11 @@ def test_visits_agree_with_quadruple_precision(job: Job, width1: float, width2: 
 
 
 @pytest.mark.parametrize("urn", polygons.POLYGONS)
-def test_visits_to_polygons_agree_with_quadruple_precision(job: Job, urn: str) -> None:
+def test_visits_to_polygons_agree_with_quadruple_precision(study: Study, urn: str) -> None:
     corners = ",".join(str(float(one)) for corner in polygons.POLYGONS[urn] for one in corner)
     words = ("visits", corners, 0.3, 0.01, 5000, 52)
-    run_probe(job, "real64", *words, "double.bin")
-    (found,) = run_probe(job, "real128", *words, "quadruple.bin", "double.bin")
+    run_probe(study, "real64", *words, "double.bin")
+    (found,) = run_probe(study, "real128", *words, "quadruple.bin", "double.bin")
     assert found["same"] + found["corner"] == 5000
     assert found["corner"] < 5
     assert found["greatest_condition"] > 1e4
@@ -80,40 +82,41 @@ def test_the_photon_of_the_hundred_digits(engine: str) -> None:
         assert abs(Decimal(distance) - answer) < close
 
 
-def test_visits_in_single_precision_are_as_good_as_it_is(job: Job) -> None:
+def test_visits_in_single_precision_are_as_good_as_it_is(study: Study) -> None:
     words = ("visits", "disc", 0.3, 0.01, 20000, 23)
-    run_probe(job, "real32", *words, "single.bin")
-    (found,) = run_probe(job, "real128", *words, "quadruple.bin", "single.bin")
+    run_probe(study, "real32", *words, "single.bin")
+    (found,) = run_probe(study, "real128", *words, "quadruple.bin", "single.bin")
     assert found["wrong"] == 0
     assert found["corner"] < 20
     assert 1e-9 < found["worst"] < 1e-6
 
 
 @pytest.mark.parametrize("engine", EXACT)
-def test_exact_engines_agree_to_their_precision(job: Job, engine: str) -> None:
-    truth = places(job, "real128", "collision", threshold=2)
+def test_exact_engines_agree_to_their_precision(study: Study, engine: str) -> None:
+    truth = places(study, "real128", "collision", threshold=2)
     # gates share errors out among those they turn back, so it is the median that is held
     for precision, least, most in (("real32", 1e-9, 1e-4), ("real64", 1e-18, 1e-13)):
-        errors = trajectories.distances(places(job, precision, engine, threshold=2), truth)
+        errors = trajectories.distances(places(study, precision, engine, threshold=2), truth)
         assert least < np.median(errors) < most
     if engine != "collision":
-        errors = trajectories.distances(places(job, "real128", engine, threshold=2), truth)
+        errors = trajectories.distances(places(study, "real128", engine, threshold=2), truth)
         assert np.median(errors) < 1e-31
 
 
-def test_fixed_step_is_of_first_order_in_each_precision(job: Job) -> None:
-    truth = places(job, "real128", "collision")
+def test_fixed_step_is_of_first_order_in_each_precision(study: Study) -> None:
+    truth = places(study, "real128", "collision")
     for precision in ("real32", "real64"):
-        error = [np.median(trajectories.distances(places(job, precision, "timestep", step), truth))
+        found = [places(study, precision, "timestep", step)
                  for step in (0.016, 0.008, 0.004, 0.002)]  # fmt: skip
+        error = [np.median(trajectories.distances(one, truth)) for one in found]
         order = -np.polyfit(range(4), np.log2(error), 1)[0]
         assert 0.8 < order < 1.2
 
 
 @pytest.mark.parametrize("engine", stability.ENGINES)
 @pytest.mark.parametrize("precision", ["real32", "real64"])
-def test_nobody_is_lost_where_methods_fail(job: Job, engine: str, precision: str) -> None:
-    answer = run_probe(job, precision, "stability", engine, 20000, 0.02)
+def test_nobody_is_lost_where_methods_fail(study: Study, engine: str, precision: str) -> None:
+    answer = run_probe(study, precision, "stability", engine, 20000, 0.02)
     known = {"openings of 1e-9"} if (engine, precision) == ("excursion", "real32") else set()
     for line in answer:
         if line["case"] not in known:
@@ -127,7 +130,7 @@ def test_nobody_is_lost_where_methods_fail(job: Job, engine: str, precision: str
         assert far < 1e-15
 
 
-def test_tangent_map_grows_as_two_neighbours_part(job: Job) -> None:
+def test_tangent_map_grows_as_two_neighbours_part(study: Study) -> None:
     apart, time = Decimal("1e-25"), 100
     lines, shifted = trajectories.start_file(NUMBER).split("\n")[:40], []
     for line in lines:
@@ -135,17 +138,17 @@ def test_tangent_map_grows_as_two_neighbours_part(job: Job) -> None:
         shifted.append(f"{x - apart * uy} {y + apart * ux} {ux} {uy}")
     found = []
     for name, content in (("here.txt", lines), ("there.txt", shifted)):
-        (job.folder / name).write_text("\n".join(content) + "\n", encoding="utf-8")
-        answer = run_probe(job, "real128", "trajectory", "collision", 0, name, 40, 40, time)
+        (study.folder / name).write_text("\n".join(content) + "\n", encoding="utf-8")
+        answer = run_probe(study, "real128", "trajectory", "collision", 0, name, 40, 40, time)
         found.append(trajectories.places(answer)[float(time)])
     grown = np.log(trajectories.distances(*found) / float(apart)).mean() / time
-    (tangent,) = run_probe(job, "real128", "lyapunov", 0.3, 0.01, 40, time, "here.txt")
+    (tangent,) = run_probe(study, "real128", "lyapunov", 0.3, 0.01, 40, time, "here.txt")
     assert 0.08 < grown < 0.25
     assert grown == pytest.approx(float(tangent["lyapunov"]), abs=0.02)
 
 
-def test_free_circuit_returns_until_rounding_has_grown(job: Job) -> None:
-    answer = run_probe(job, "real64", "reversal", "collision", 0, "start.txt", NUMBER, 5, 50, 600)
+def test_free_circuit_returns_until_rounding_has_grown(study: Study) -> None:
+    answer = run_probe(study, "real64", "reversal", "collision", 0, "start.txt", NUMBER, 5, 50, 600)
     row = reversal.measure(answer)
     assert row["median"][0] < 1e-13
     assert row["median"][0] < row["median"][1] < 1e-8

@@ -10,8 +10,8 @@ import pytest
 
 from postproc.accuracy import tail
 from postproc.accuracy.events import Log, read_log, stories
-from postproc.accuracy.job import Job
 from postproc.reading.results import Results
+from postproc.study.study import Study
 from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def test_program_keeps_a_particle_on_a_closed_orbit(tmp_path: Path, slope: float
         "gate": {"threshold": 1},
         "run": {"duration": tail.TRANSIENT + 100.0},
     }
-    with Results(Job(tmp_path).battery("events", "one", changes, alone=True)) as results:
+    with Results(Study(tmp_path).run("accuracy_events", "one", changes, alone=True)) as results:
         found = tail.circulations(stories(read_log(results)), results.circuit(0))
     assert found.rounds.size > 10
     assert (np.diff(found.rounds) == 1).all()
@@ -81,7 +81,7 @@ def test_number_inside_an_urn_is_its_share_of_a_free_circuit(tmp_path: Path) -> 
         "gate": {"threshold": number},
         "run": {"duration": end},
     }
-    with Results(Job(tmp_path).battery("events", "free", changes, alone=True)) as results:
+    with Results(Study(tmp_path).run("accuracy_events", "free", changes, alone=True)) as results:
         log, circuit = read_log(results), results.circuit(0)
     both = tail.urn_numbers(log, stories(log), circuit, 100, end)
     area = float(circuit.urn_area)

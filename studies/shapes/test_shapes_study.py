@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import csv
 from fractions import Fraction
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -10,29 +10,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from postproc import shapes
-from postproc.accuracy.events import read_log, stories
-from postproc.accuracy.experiments import entries_of
-from postproc.reading.results import Results
-from postproc.theory import outlines
-from postproc.theory.circuit import Circuit
+from postproc.study import Study
+from studies.event_log import Circuit, entries_of, read_log, stories
+from studies.shapes import study as shapes
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
 def test_all_urns_have_the_area_of_the_disc() -> None:
-    area = float(Circuit(1, 1, channel2_width=0.05).urn_area)
+    area = Circuit(channel2_width=0.05).urn_area
     given = shapes.tables(0.05)
     for name in (shapes.SQUARE, shapes.REGULAR):
-        outline = outlines.regular(given[name]["urn_sides"], given[name]["urn_radius"])
-        assert outlines.area(outline) == pytest.approx(area, rel=1e-12)
+        angles = 2.0 * np.pi * np.arange(given[name]["urn_sides"]) / given[name]["urn_sides"]
+        corners = given[name]["urn_radius"] * np.transpose([np.cos(angles), np.sin(angles)])
+        assert shapes.area_of(corners) == pytest.approx(area, rel=1e-12)
     corners = np.reshape(given[shapes.IRRATIONAL]["urn_vertices"], (-1, 2))
-    assert outlines.area(outlines.outline_of(corners)) == pytest.approx(area, rel=1e-12)
+    assert shapes.area_of(corners) == pytest.approx(area, rel=1e-12)
 
 
 def test_crooked_hexagon_is_convex_with_irrational_angles() -> None:
-    corners = [[Fraction(str(one)) for one in xy] for xy in outlines.CROOKED]
+    corners = [[Fraction(str(one)) for one in xy] for xy in shapes.CROOKED]
     following = corners[1:] + corners[:1]
     sides = [(c - a, d - b) for (a, b), (c, d) in zip(corners, following, strict=True)]
     for (a, b), (c, d) in zip(sides, sides[1:] + sides[:1], strict=True):
@@ -54,14 +52,16 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, shapes.Found]:
         patch.setattr(shapes, "THRESHOLDS", (7,))
         patch.setattr(shapes, "PASSAGES", (0.05,))
         patch.setattr(shapes, "LAGS", (1, 2))
-        assert shapes.main(["--replicas=2", "--duration=20", f"--output={folder}"]) == 0
-    return folder, json.loads((folder / "shapes.json").read_text("utf-8"))
+        work = Study(folder, ranks=1)
+        found = shapes.measure(work, 2, 20.0)
+        shapes.write_tables(work, found)
+    return folder, found
 
 
 def cosines(folder: Path, shape: str) -> tuple[np.ndarray, np.ndarray]:
     """Return particle and cos(theta) of entries of the run that follows directions."""
-    with Results(folder / f"directions_{shape.replace(' ', '_')}.h5") as results:
-        _, particle, cosine = entries_of(stories(read_log(results)))
+    path = folder / f"directions_{shape.replace(' ', '_')}.h5"
+    _, particle, cosine = entries_of(stories(read_log(path)))
     return particle, cosine
 
 
@@ -75,7 +75,7 @@ def test_only_a_square_keeps_the_direction(made: tuple[Path, shapes.Found]) -> N
 
 
 def test_picture_shows_every_shape(made: tuple[Path, shapes.Found]) -> None:
-    folder, found = made
+    _, found = made
     spread, current, memory, back = shapes.figure(found).axes
     labels = [axes.get_ylabel() for axes in (spread, current)]
     assert labels == [r"$\chi$", "net current (per unit time)"]
@@ -87,4 +87,12 @@ def test_picture_shows_every_shape(made: tuple[Path, shapes.Found]) -> None:
     drawn = [one.lines[0].get_ydata()[0] for one in spread.containers]
     assert drawn == [found["states"][shape][0]["chi"] for shape in shapes.LOOKS]
     assert min(drawn) > 0.5
-    assert (folder / "shapes.png").stat().st_size > 0
+
+
+def test_tables_have_every_shape(made: tuple[Path, shapes.Found]) -> None:
+    folder, found = made
+    with (folder / "states_chi.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert list(row) == ["T", "chi, disc", "square", "regular hexagon", "crooked hexagon",
+                         "well mixed"]  # fmt: skip
+    assert row["square"].startswith(f"{found['states'][shapes.SQUARE][0]['chi']:.3f} ±")

@@ -1,27 +1,27 @@
-"""Makes the experiments of the Lorentz circuit: scatterers in channel 2, current over chi.
+"""Experiments of the Lorentz circuit: scatterers in channel 2, current over chi.
 
-Runs are made in build/lorentz (some minutes of one core), and not repeated where they are complete.
-Numbers go to lorentz.json, the picture to lorentz.png and lorentz.pdf.
+Runs are made in build/lorentz/quick, or full (some minutes of one core), and not repeated where
+they are complete. Numbers go to lorentz.json, tables to CSV files, the picture to lorentz.png.
 """
 
 from __future__ import annotations
 
-import json
+import itertools
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import cli, running
-from postproc.accuracy.experiments import mean_of_groups
+import postproc
+from postproc import study
 from postproc.figures import style
-from postproc.reading.results import Results
-from postproc.theory.circuit import Circuit
+from studies.event_log import Circuit, mean_of_groups
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterator
+    from pathlib import Path
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
@@ -58,12 +58,12 @@ def lattice(columns: int, radius: float, width: float = WIDTH, length: float = 1
     return found
 
 
-class Job:
-    """Runs of one kind, in a folder."""
+class Runs:
+    """Runs of one kind, in a study's folder."""
 
-    def __init__(self, folder: Path, replicas: int, duration: float) -> None:
+    def __init__(self, work: study.Study, replicas: int, duration: float) -> None:
         """Keep where, how many, how long."""
-        self.folder, self.replicas, self.duration = folder, replicas, duration
+        self.work, self.replicas, self.duration = work, replicas, duration
 
     def rows(self, name: str, scan: dict[str, object], **table: object) -> Rows:
         """Run a scan; return a row for each of its points."""
@@ -73,11 +73,8 @@ class Job:
             "gate": {} if "threshold" in scan else {"threshold": THRESHOLD},
             "run": {"duration": 1.5 * self.duration, "transient_duration": 0.5 * self.duration},
             "scan": {"replicas": self.replicas, **scan},
-            "output": {"file": f"{name}.h5"},
         }
-        made = running.run(groups, folder=self.folder, quiet=True)
-        with Results(made) as results:
-            return [self._row(results, point) for point in range(results.points)]
+        return [self._row(one) for one in points(self.work.run(groups, name))]
 
     def close_rows(self, number: int, radius: float) -> Rows:
         """Run long from both starts; return chi and Binder's cumulant of each."""
@@ -88,47 +85,58 @@ class Job:
             "run": {"duration": 1.5 * LONG * self.duration,
                     "transient_duration": 0.5 * LONG * self.duration},
             "scan": {"replicas": max(self.replicas // 2, 2), "urn1_fraction": list(STARTS)},
-            "output": {"file": f"close_{number}_{radius:g}.h5", "series_interval": APART},
+            "output": {"series_interval": APART},
         }  # fmt: skip
-        made = running.run(groups, folder=self.folder, quiet=True)
+        made = self.work.run(groups, f"close_{number}_{radius:g}")
         found = []
-        with Results(made) as results:
-            for point, start in enumerate(STARTS):
-                chi, error = mean_of_groups(results.value("chi")[point])
-                looks = [results.series(point, replica) for replica in range(results.replicas)]
-                since = float(results.value("transient_time")[point].max())
-                spread = np.array([2.0 * one.urn1_number / number - 1.0 for one in looks])
-                late = spread[:, looks[0].time >= since]
-                binder, binder_error = cumulant(late)
-                beyond = (np.abs(spread) > HALFWAY) if start == STARTS[0] else (
-                    np.abs(spread) < HALFWAY)  # fmt: skip
-                low, high = BETWEEN
-                found.append({
-                    "number": number, "radius": radius, "urn1_number": start * number, "chi": chi,
-                    "chi_error": error, "binder": binder, "binder_error": binder_error,
-                    "stay": int((~beyond.any(axis=1)).sum()), "runs": len(looks),
-                    "between": float(((np.abs(late) > low) & (np.abs(late) < high)).mean()),
-                })  # fmt: skip
+        for start, whole, looks in zip(STARTS, points(made), points(made, "series"), strict=True):
+            chi, error = mean_of_groups(whole.chi.to_numpy())
+            spread = 2.0 * looks.urn1_number.to_numpy() / number - 1.0
+            late = spread[:, looks.time.to_numpy() >= float(whole.transient_time.max())]
+            binder, binder_error = cumulant(late)
+            beyond = (np.abs(spread) > HALFWAY) if start == STARTS[0] else (
+                np.abs(spread) < HALFWAY)  # fmt: skip
+            low, high = BETWEEN
+            found.append({
+                "number": number, "radius": radius, "urn1_number": start * number, "chi": chi,
+                "chi_error": error, "binder": binder, "binder_error": binder_error,
+                "stay": int((~beyond.any(axis=1)).sum()), "runs": len(spread),
+                "between": float(((np.abs(late) > low) & (np.abs(late) < high)).mean()),
+            })  # fmt: skip
         return found
 
-    def _row(self, results: Results, point: int) -> dict[str, float]:
+    def _row(self, point: xr.Dataset) -> dict[str, float]:
         """Return what a point says, with standard errors over its replicas."""
-        row = {name: float(results.value(name)[point])
+        row = {name: float(point[name])
                for name in ("threshold", "channel2_width", "urn1_number")}  # fmt: skip
-        for name in ("chi", "polarised_current"):
-            row[name], row[f"{name}_error"] = mean_of_groups(results.value(name)[point])
+        chi, current = point.chi.to_numpy(), point.polarised_current.to_numpy()
+        row["chi"], row["chi_error"] = mean_of_groups(chi)
+        row["polarised_current"], row["polarised_current_error"] = mean_of_groups(current)
         # Conductance, in that of a straight channel of this width and well mixed urns.
-        plain = row["channel2_width"] / (math.pi * float(Circuit(NUMBER, 1, channel2_width=row[
-            "channel2_width"]).urn_area))  # fmt: skip
-        ratio = results.value("polarised_current")[point] / (
-            results.value("chi")[point] * NUMBER * plain
-        )
+        width = row["channel2_width"]
+        ratio = current / (chi * NUMBER * well_mixed(width, width))
         row["conductance"], row["conductance_error"] = mean_of_groups(ratio)
         # What the net crossings scatter by over replicas, a particle and a time unit.
-        net = results.value("current2")[point]
+        net = point.current2.to_numpy()
         row["noise"] = float(net.var(ddof=1) * self.duration / NUMBER)
         row["noise_error"] = row["noise"] * math.sqrt(2.0 / (net.size - 1))
         return row
+
+
+def points(path: Path, group: str | None = None) -> Iterator[xr.Dataset]:
+    """Give the results of each point of a scan, with the dimension replica left."""
+    data = postproc.open_results(path, group=group)
+    axes = [name for name in data.dims if name not in ("replica", "time", "urn", "gate")]
+    for place in itertools.product(*(range(data.sizes[name]) for name in axes)):
+        yield data.isel(dict(zip(axes, place, strict=True)))
+
+
+def well_mixed(width: float, channel2_width: float = WIDTH) -> float:
+    """Return the conductance of a straight channel of a width between well mixed urns.
+
+    `channel2_width` is that of the other opening of the urns, whose radius is 1.
+    """
+    return width / (math.pi * Circuit(channel2_width=channel2_width).urn_area)
 
 
 def cumulant(spread: NDArray[np.float64]) -> tuple[float, float]:
@@ -146,31 +154,31 @@ def cumulant(spread: NDArray[np.float64]) -> tuple[float, float]:
     return float(1.0 - fourth.mean() / (3.0 * second.mean() ** 2)), error
 
 
-def measure(folder: Path, replicas: int, duration: float) -> dict[str, Rows]:
+def measure(work: study.Study, replicas: int, duration: float) -> dict[str, Rows]:
     """Make all runs; return their rows."""
-    job = Job(folder, replicas, duration)
+    runs = Runs(work, replicas, duration)
     both = {"urn1_fraction": list(STARTS)}
     found: dict[str, Rows] = {"radius": [], "columns": [], "free": []}
     for radius in RADII:
         discs = {"scatterers": lattice(6, radius)} if radius else {}
-        rows = job.rows(f"radius_{radius:g}", both, **discs)
+        rows = runs.rows(f"radius_{radius:g}", both, **discs)
         found["radius"] += [{"radius": radius} | row for row in rows]
     for columns in COLUMNS:
         discs = {"scatterers": lattice(columns, 0.04)} if columns else {}
-        rows = job.rows(f"columns_{columns}", both, **discs)
+        rows = runs.rows(f"columns_{columns}", both, **discs)
         found["columns"] += [{"columns": columns} | row for row in rows]
-    found["straight"] = job.rows("straight", {"channel2_width": list(WIDTHS)} | both)
+    found["straight"] = runs.rows("straight", {"channel2_width": list(WIDTHS)} | both)
     polarised = {"threshold": list(THRESHOLDS), "urn1_fraction": [1.0]}
-    found["ohm"] = job.rows("ohm", polarised, scatterers=lattice(6, 0.015))
-    found["ohm_straight"] = job.rows("ohm_straight", polarised, channel2_width=0.06)
+    found["ohm"] = runs.rows("ohm", polarised, scatterers=lattice(6, 0.015))
+    found["ohm_straight"] = runs.rows("ohm_straight", polarised, channel2_width=0.06)
     for radius in FREE_RADII:
         discs = {"scatterers": lattice(6, radius)} if radius else {}
         scan = {"threshold": [NUMBER], "replicas": 4 * replicas}
         chance = nyquist(found["radius"], radius)
         found["free"] += [{"radius": radius, "nyquist": chance} | row
-                          for row in job.rows(f"free_{radius:g}", scan, **discs)]  # fmt: skip
+                          for row in runs.rows(f"free_{radius:g}", scan, **discs)]  # fmt: skip
     found["close"] = [row for number, radii in CLOSE.items() for radius in radii
-                      for row in job.close_rows(number, radius)]  # fmt: skip
+                      for row in runs.close_rows(number, radius)]  # fmt: skip
     return found
 
 
@@ -180,8 +188,7 @@ def nyquist(rows: Rows, radius: float) -> float:
     Two conductors in a ring at equilibrium: 2 (N/2) g1 g2/(g1 + g2), for one particle. Without
     scatterers both conduct as straight channels at well mixed urns do.
     """
-    rates = [width / (math.pi * float(Circuit(NUMBER, 1, channel2_width=WIDTH).urn_area))
-             for width in (0.3, WIDTH)]  # fmt: skip
+    rates = [well_mixed(width) for width in (0.3, WIDTH)]
     if radius:
         rates[1] *= next(row["conductance"] for row in reversed(rows) if row["radius"] == radius)
     return rates[0] * rates[1] / sum(rates)
@@ -240,54 +247,54 @@ def figure(found: dict[str, Rows]) -> Figure:
     return made
 
 
-def table(rows: Rows, first: Iterable[str]) -> str:
-    """Return rows as a table of Markdown."""
-    lines = ["| " + " | ".join([*first, "start", "chi", "net current", "conductance"]) + " |"]
-    lines.append("|" + " --- |" * (4 + len(list(first))))
-    for row in rows:
-        parts = [f"{row[name]:g}" for name in first] + [f"{row['urn1_number'] / NUMBER:g}"]
-        for name, digits in (("chi", 4), ("polarised_current", 3), ("conductance", 3)):
-            parts.append(f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}")
-        lines.append("| " + " | ".join(parts) + " |")
-    return "\n".join(lines)
+def value(row: dict[str, float], name: str, digits: int) -> str:
+    """Return a number of a row with its error."""
+    return f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
 
 
-def close_table(rows: Rows) -> str:
-    """Return chi from both starts and Binder's cumulant close to the transition, in Markdown."""
+def tables(work: study.Study, found: dict[str, Rows]) -> None:
+    """Write the tables of the page."""
+    chi, conductance = ("chi", 3), ("conductance", 3)
+    work.table(
+        "ohm", ["T", "chi, discs", "conductance, discs", "chi, straight", "conductance, straight"],
+        [[f"{discs['threshold']:g}", *(value(row, *one) for row in (discs, straight)
+                                       for one in (chi, conductance))]
+         for discs, straight in zip(found["ohm"], found["ohm_straight"], strict=True)],
+    )  # fmt: skip
+    for name, head in (("radius", "radius"), ("columns", "columns of radius 0.04")):
+        work.table(
+            name, [head, "chi, from equal urns", "chi, from one full urn", "conductance"],
+            [[f"{equal[name]:g}", value(equal, "chi", 4), value(full, "chi", 4),
+              value(full, *conductance)]
+             for equal, full in zip(found[name][::2], found[name][1::2], strict=True)],
+        )  # fmt: skip
+    work.table(
+        "circulation",
+        ["discs of radius", "scatter of the net current, in what it would be without memory"],
+        [[f"{row['radius']:g}", f"{row['noise'] / row['nyquist']:.1f} ± "
+          f"{row['noise_error'] / row['nyquist']:.1f}"] for row in found["free"]],
+    )  # fmt: skip
     head = ["N", "radius", "chi, from equal urns", "chi, from one full urn", "cumulant, equal",
             "cumulant, full", "stay, equal", "stay, full", "time in between"]  # fmt: skip
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
-    for equal, full in zip(rows[::2], rows[1::2], strict=True):
-        parts = [f"{equal['number']:g}", f"{equal['radius']:g}"]
-        parts += [f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
-                  for name, digits in (("chi", 3), ("binder", 2)) for row in (equal, full)]
-        parts += [f"{row['stay']:g} of {row['runs']:g}" for row in (equal, full)]
-        parts.append(f"{50.0 * (equal['between'] + full['between']):.1f} %")
-        lines.append("| " + " | ".join(parts) + " |")
-    return "\n".join(lines)
+    rows = []
+    for equal, full in zip(found["close"][::2], found["close"][1::2], strict=True):
+        rows.append([
+            f"{equal['number']:g}", f"{equal['radius']:g}",
+            *(value(row, name, digits) for name, digits in (("chi", 3), ("binder", 2))
+              for row in (equal, full)),
+            *(f"{row['stay']:g} of {row['runs']:g}" for row in (equal, full)),
+            f"{50.0 * (equal['between'] + full['between']):.1f} %",
+        ])  # fmt: skip
+    work.table("close", head, rows)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Make the runs, print the tables, write numbers and picture."""
-    given = cli.parser_of_runs("lorentz", __doc__, replicas=16).parse_args(arguments)
-    folder = cli.output_folder(given.output)
-    found = measure(folder, given.replicas, given.duration)
-    (folder / "lorentz.json").write_text(json.dumps(cli.finite(found), indent=1) + "\n", "utf-8")
-    for name, rows in found.items():
-        if name == "close":
-            continue
-        first = [key for key in ("radius", "columns") if key in rows[0]]
-        print(f"{name}\n\n{table(rows, [*first, 'threshold', 'channel2_width'])}\n")
-    for row in found["free"]:
-        print(
-            f"free, radius {row['radius']:g}: the net current scatters over replicas by "
-            f"{row['noise'] / row['nyquist']:.2f} ± {row['noise_error'] / row['nyquist']:.2f} "
-            "of what it would without memory"
-        )
-    print(f"\nclose\n\n{close_table(found['close'])}")
-    style.save(figure(found), folder, "lorentz")
-    return 0
+def run(work: study.Study) -> None:
+    """Make the runs; keep numbers, write tables, draw `lorentz`."""
+    found = measure(work, int(work.pick(4, 16)), 2000.0)
+    work.keep("lorentz", found)
+    tables(work, found)
+    work.draw(figure(found), "lorentz")
 
 
 if __name__ == "__main__":
-    raise SystemExit(cli.run(main))
+    raise SystemExit(study.main(__file__, __doc__, run))

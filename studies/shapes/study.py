@@ -1,34 +1,27 @@
-"""Makes the experiments of other urns: disc, square and hexagons of one area, openings alike.
+"""Experiments of other urns: disc, square and hexagons of one area, openings alike.
 
-Runs are made in build/shapes (minutes of one core), and not repeated where they are complete.
-Numbers go to shapes.json, the picture to shapes.png and shapes.pdf.
+Runs are made in build/shapes/quick, or full (minutes of one core), and not repeated where they are
+complete. Numbers go to shapes.json, tables to CSV files, the picture to shapes.png.
 """
 
 from __future__ import annotations
 
-import json
+import itertools
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc import cli, running
-from postproc.accuracy.events import CROSSING2, read_log, stories
-from postproc.accuracy.experiments import (
-    after_channel2,
-    autocorrelations,
-    entries_of,
-    mean_of_groups,
-)
+import postproc
+from postproc import study
 from postproc.figures import style
-from postproc.reading.results import Results
-from postproc.theory import outlines
-from postproc.theory.circuit import Circuit
-from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import stable_state
+from studies import event_log
+from studies.event_log import CROSSING2, Circuit, mean_of_groups
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -43,17 +36,27 @@ THRESHOLDS = (1, 2, 3, 5, 7, 9, 11, 13, 15, 17, 20, 24)
 PASSAGES = (0.01, 0.05)  # widths of channel 2 at which returns are counted
 LAGS = (1, 2, 5, 10, 20, 40, 80)  # visits
 DISC, SQUARE, REGULAR, IRRATIONAL = "disc", "square", "regular hexagon", "crooked hexagon"
+# Slopes of its sides are fractions other than 0, 1 and -1, so all angles are irrational parts of pi
+CROOKED = (
+    (0.9, -0.55), (0.9, 0.48), (0.13, 1.07), (-0.85, 0.44), (-0.85, -0.52), (-0.21, -0.97),
+)  # fmt: skip
 LOOKS = {
     DISC: ("o", style.BLUE), SQUARE: ("s", style.VERMILION), REGULAR: ("h", style.ORANGE),
     IRRATIONAL: ("^", style.GREEN),
 }  # fmt: skip
 
 
+def area_of(corners: Sequence[Sequence[float]]) -> float:
+    """Return the area that corners enclose, counterclockwise."""
+    x, y = np.transpose(corners)
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
 def tables(width: float) -> dict[str, dict[str, object]]:
     """Return the keys of `&table` by shape: all urns have the area of the disc of radius 1."""
-    area = float(Circuit(NUMBER, 1, channel2_width=width).urn_area)
-    stretch = math.sqrt(area / outlines.area(outlines.CROOKED))
-    radii = {sides: math.sqrt(area / outlines.area(outlines.regular(sides, 1.0)))
+    area = Circuit(channel2_width=width).urn_area
+    stretch = math.sqrt(area / area_of(CROOKED))
+    radii = {sides: math.sqrt(2.0 * area / (sides * math.sin(2.0 * math.pi / sides)))
              for sides in (4, 6)}  # fmt: skip
     polygon = {"urn_shape": "polygon"}
     return {
@@ -61,22 +64,22 @@ def tables(width: float) -> dict[str, dict[str, object]]:
         SQUARE: polygon | {"urn_sides": 4, "urn_radius": radii[4]},
         REGULAR: polygon | {"urn_sides": 6, "urn_radius": radii[6]},
         IRRATIONAL: polygon
-        | {"urn_vertices": [stretch * one for xy in outlines.CROOKED for one in xy]},
+        | {"urn_vertices": [stretch * one for xy in CROOKED for one in xy]},
     }
 
 
-class Job:
-    """Runs in a folder; all their times are multiples of `duration`."""
+class Runs:
+    """Runs in a study's folder; all their times are multiples of `duration`."""
 
-    def __init__(self, folder: Path, replicas: int, duration: float) -> None:
+    def __init__(self, work: study.Study, replicas: int, duration: float) -> None:
         """Keep where, how many, how long."""
-        self.folder, self.replicas, self.duration = folder, replicas, duration
+        self.work, self.replicas, self.duration = work, replicas, duration
 
     def run(self, name: str, **groups: dict[str, object]) -> Path:
         """Make a run; return its results."""
-        output = {**groups.get("output", {}), "file": f"{name.replace(' ', '_')}.h5"}
-        given = {"particles": {"number": NUMBER}, **groups, "output": output}
-        return running.run(given, folder=self.folder, quiet=True)
+        given = {"particles": {"number": NUMBER}, **groups}
+        single = "replicas" not in given.get("scan", {})
+        return self.work.run(given, name.replace(" ", "_"), alone=single)
 
     def states(self, shape: str, fraction: float, transients: float) -> Rows:
         """Return chi and current over T, with standard errors over replicas."""
@@ -88,13 +91,13 @@ class Job:
             scan={"threshold": list(THRESHOLDS), "replicas": self.replicas,
                   "urn1_fraction": [fraction]},
         )  # fmt: skip
-        with Results(made) as results:
-            rows = []
-            for point in range(results.points):
-                row = {"threshold": float(results.value("threshold")[point])}
-                for name in ("chi", "polarised_current"):
-                    row[name], row[f"{name}_error"] = mean_of_groups(results.value(name)[point])
-                rows.append(row)
+        data, rows = postproc.open_results(made).squeeze(), []
+        for threshold in THRESHOLDS:
+            point = data.sel(threshold=threshold) if "threshold" in data.dims else data
+            row = {"threshold": float(threshold)}
+            for name in ("chi", "polarised_current"):
+                row[name], row[f"{name}_error"] = mean_of_groups(point[name].to_numpy())
+            rows.append(row)
         return rows
 
     def returns(self, shape: str) -> Rows:
@@ -107,10 +110,9 @@ class Job:
                 particles={"number": MANY}, gate={"threshold": MANY},
                 run={"duration": 4.0 * self.duration}, output={"event_log": True},
             )  # fmt: skip
-            with Results(made) as results:
-                circuit, told = results.circuit(0), stories(read_log(results))
-            share, stay = (mean_of_groups(one) for one in after_channel2(told, circuit))
-            chance = width / (width + float(circuit.channel1_width))
+            told = event_log.stories(event_log.read_log(made))
+            share, stay = (mean_of_groups(one) for one in event_log.after_channel2(told))
+            chance = width / (width + 0.3)
             count = int(np.count_nonzero((told.kind == CROSSING2) & (told.after >= 0)))
             rows.append({
                 "channel2_width": width, "visits": count, "chance": chance,
@@ -126,9 +128,8 @@ class Job:
             f"directions {shape}", table={"shape": "urn", **tables(0.0)[shape]},
             gate={"threshold": NUMBER}, run={"duration": duration}, output={"event_log": True},
         )  # fmt: skip
-        with Results(made) as results:
-            seen = entries_of(stories(read_log(results)))
-        values = autocorrelations(*seen, np.array(LAGS), 0.5 * duration)
+        seen = event_log.entries_of(event_log.stories(event_log.read_log(made)))
+        values = event_log.autocorrelations(*seen, np.array(LAGS), 0.5 * duration)
         rows = []
         for lag, column in zip(LAGS, values.T, strict=True):
             mean, error = mean_of_groups(column)
@@ -136,27 +137,30 @@ class Job:
         return rows
 
 
-def measure(folder: Path, replicas: int, duration: float) -> Found:
-    """Make all runs; return rows by kind and shape."""
-    job = Job(folder, replicas, duration)
+def measure(work: study.Study, replicas: int, duration: float) -> Found:
+    """Make all runs; return rows by kind and shape, and those of well mixed urns."""
+    runs = Runs(work, replicas, duration)
     return {
-        "states": {shape: job.states(shape, 1.0, 2.0) for shape in LOOKS},
-        "shorter": {shape: job.states(shape, 1.0, 1.0) for shape in LOOKS},
-        "equal": {shape: job.states(shape, 0.5, 2.0) for shape in LOOKS},
-        "returns": {shape: job.returns(shape) for shape in LOOKS},
-        "directions": {shape: job.directions(shape) for shape in LOOKS},
+        "well mixed": {"renewal": well_mixed(work)},
+        "states": {shape: runs.states(shape, 1.0, 2.0) for shape in LOOKS},
+        "shorter": {shape: runs.states(shape, 1.0, 1.0) for shape in LOOKS},
+        "equal": {shape: runs.states(shape, 0.5, 2.0) for shape in LOOKS},
+        "returns": {shape: runs.returns(shape) for shape in LOOKS},
+        "directions": {shape: runs.directions(shape) for shape in LOOKS},
     }
 
 
-def well_mixed() -> Rows:
+def well_mixed(work: study.Study) -> Rows:
     """Return chi and current of well mixed urns of this area behind renewal gates, over T."""
     rows = []
     for threshold in range(THRESHOLDS[0], THRESHOLDS[-1] + 1):
-        circuit = Circuit(NUMBER, threshold, channel2_width=WIDTH, gate=RENEWAL, occupation=True)
-        state = stable_state(circuit)
+        said = work.theory("renewal", number=NUMBER, threshold=threshold, channel2_width=WIDTH,
+                           occupation=True)  # fmt: skip
+        stable = [root for root in said["roots"] if root["kind"] == "stable"]
+        state = stable[-1] if stable else {"mass_spread": 0.0, "net_current": 0.0}
         rows.append({
-            "threshold": threshold, "chi": state.mass_spread if state else 0.0,
-            "polarised_current": abs(state.net_current) if state else 0.0,
+            "threshold": threshold, "chi": state["mass_spread"],
+            "polarised_current": abs(state["net_current"]),
         })  # fmt: skip
     return rows
 
@@ -173,7 +177,7 @@ def figure(found: Found) -> Figure:
     """Return chi and current over T, memory of directions over visits, and returns over chance."""
     made = style.figure(style.PAGE, 4.8)
     (spread, current), (memory, back) = made.subplots(2, 2)
-    mixed = well_mixed()
+    mixed = found["well mixed"]["renewal"]
     for axes, name, label in (
         (spread, "chi", r"$\chi$"), (current, "polarised_current", "net current (per unit time)"),
     ):  # fmt: skip
@@ -199,46 +203,39 @@ def _number(row: Row, name: str, digits: int) -> str:
     return f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
 
 
-def _print(heads: list[str], rows: list[list[str]]) -> None:
-    lines = [heads, ["---"] * len(heads), *rows]
-    print("\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n")
-
-
-def tell(found: Found) -> None:
-    """Print all numbers as tables of Markdown."""
-    mixed = {row["threshold"]: row for row in well_mixed()}
-    for kind in ("states", "shorter", "equal"):
-        for name in ("chi", "polarised_current"):
-            print(f"{kind}, {name}\n")
-            columns = found[kind].values()
-            _print(["T", *LOOKS, "well mixed"], [
-                [f"{rows[0]['threshold']:g}", *(_number(row, name, 4) for row in rows),
-                 f"{mixed[rows[0]['threshold']][name]:.4f}"]
-                for rows in zip(*columns, strict=True)
-            ])  # fmt: skip
-    print("returns through channel 2\n")
-    _print(["shape", "w'", "visits", "a", "binomial error", "over chance", "mean stay"], [
-        [shape, f"{row['channel2_width']:g}", f"{row['visits']}", _number(row, "return", 5),
-         f"{row['binomial']:.5f}", f"{row['return'] / row['chance']:.3f}", _number(row, "stay", 2)]
-        for shape, rows in found["returns"].items() for row in rows
+def write_tables(work: study.Study, found: Found) -> None:
+    """Write the tables of the page: names, and those of the transients and starts beside them."""
+    mixed = {row["threshold"]: row for row in found["well mixed"]["renewal"]}
+    kinds, names = ("states", "shorter", "equal"), ("chi", "polarised_current")
+    for kind, name in itertools.product(kinds, names):
+        title = "chi" if name == "chi" else "net current"
+        work.table(f"{kind}_{name}", ["T", f"{title}, {DISC}", *list(LOOKS)[1:], "well mixed"], [
+            [f"{rows[0]['threshold']:g}", *(_number(row, name, 3) for row in rows),
+             f"{mixed[rows[0]['threshold']][name]:.3f}"]
+            for rows in zip(*found[kind].values(), strict=True)
+        ])  # fmt: skip
+    widths = [f"w' = {one:g}" for one in PASSAGES]
+    head = ["shape", *itertools.chain(*((f"a, {one}", "over chance") for one in widths)),
+            "binomial errors"]  # fmt: skip
+    work.table("returns", head, [
+        [shape, *itertools.chain(*(
+            (_number(row, "return", 4), f"{row['return'] / row['chance']:.2f}") for row in rows)),
+         ", ".join(f"{row['binomial']:.4f}" for row in rows)]
+        for shape, rows in found["returns"].items()
     ])  # fmt: skip
-    print("autocorrelation of cos(theta) after so many visits\n")
-    _print(["visits", *LOOKS], [
+    work.table("directions", ["visits", *LOOKS], [
         [f"{rows[0]['lag']}", *(_number(row, "correlation", 3) for row in rows)]
         for rows in zip(*found["directions"].values(), strict=True)
     ])  # fmt: skip
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Make the runs, print the tables, write numbers and picture."""
-    given = cli.parser_of_runs("shapes", __doc__, replicas=8).parse_args(arguments)
-    folder = cli.output_folder(given.output)
-    found = measure(folder, given.replicas, given.duration)
-    (folder / "shapes.json").write_text(json.dumps(cli.finite(found), indent=1) + "\n", "utf-8")
-    tell(found)
-    style.save(figure(found), folder, "shapes")
-    return 0
+def run(work: study.Study) -> None:
+    """Make the runs; keep numbers, write tables, draw `shapes`."""
+    found = measure(work, int(work.pick(2, 8)), 2000.0)
+    work.keep("shapes", found)
+    write_tables(work, found)
+    work.draw(figure(found), "shapes")
 
 
 if __name__ == "__main__":
-    raise SystemExit(cli.run(main))
+    raise SystemExit(study.main(__file__, __doc__, run))

@@ -14,11 +14,12 @@ from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
 from postproc.cli import InputError, ended_with_python, output_folder
+from postproc.running import find_program
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
 PRECISIONS = ("real32", "real64", "real128")
 EPSILON = {"real32": 2.0**-24, "real64": 2.0**-53, "real128": 2.0**-113}  # half a unit of 1
@@ -44,33 +45,33 @@ class Question:
     patience: float = 600.0
 
 
-def ask(job: Job, questions: Sequence[Question], *, exact: bool = True) -> list[Answer]:
-    """Ask all questions, as many at a time as the job has ranks; return the answers in order.
+def ask(study: Study, questions: Sequence[Question], *, exact: bool = True) -> list[Answer]:
+    """Ask all questions, as many at a time as the study has ranks; return the answers in order.
 
     exact : numbers with a point as Decimals, otherwise as floats.
     """
-    output_folder(job.folder / "probes")
-    with ThreadPoolExecutor(max(job.ranks, 1)) as pool:
-        texts = list(pool.map(lambda one: _text(job, one), questions))
+    output_folder(study.folder / "probes")
+    with ThreadPoolExecutor(max(study.ranks, 1)) as pool:
+        texts = list(pool.map(lambda one: _text(study, one), questions))
     number = Decimal if exact else float
     return [
         [json.loads(line, parse_float=number) for line in text.splitlines()[1:]] for text in texts
     ]
 
 
-def _text(job: Job, question: Question) -> str:
-    path = job.folder / "probes" / f"{question.name}.jsonl"
+def _text(study: Study, question: Question) -> str:
+    path = study.folder / "probes" / f"{question.name}.jsonl"
     head = json.dumps({"question": [question.precision, *question.words]})
-    if path.exists() and not job.afresh:
+    if path.exists() and not study.afresh:
         text = path.read_text(encoding="utf-8")
         if text.split("\n", 1)[0] == head:
             return text
-    program = job.program.resolve().parent / f"accuracy-{question.precision}"
+    program = find_program(study.program).parent / f"accuracy-{question.precision}"
     if not program.exists():
         raise InputError(f"{program}: no such program (make probes)")
     try:
         done = subprocess.run(
-            ended_with_python([program, *question.words]), cwd=job.folder, check=False, text=True,
+            ended_with_python([program, *question.words]), cwd=study.folder, check=False, text=True,
             stdin=subprocess.DEVNULL, capture_output=True, timeout=question.patience,
         )  # fmt: skip
     except subprocess.TimeoutExpired as problem:

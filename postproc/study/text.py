@@ -1,4 +1,4 @@
-"""Numbers in words, and tables, for the page."""
+"""Numbers in words, for tables of pages."""
 
 from __future__ import annotations
 
