@@ -30,11 +30,10 @@ PAGES = {
         "theory": "docs/theory.md",
         "figures": "docs/figures.md",
         "paper": "docs/paper.md",
-        "experiments": "docs/experiments.md",
         "scatterers": "docs/scatterers.md",
         "accuracy": "docs/accuracy.md",
     },
-    STUDIES: {},  # one for each folder of studies
+    STUDIES: {"studies": "studies/README.md"},  # and one for each folder of studies
     "How it is built": {
         "method": "docs/method.md",
         "speed": "docs/speed.md",
@@ -65,8 +64,8 @@ def pages(root: Path) -> dict[str, str]:
 def parts(root: Path) -> dict[str, dict[str, str]]:
     """Return `PAGES` with those of the studies that are there."""
     studies = sorted((root / "studies").glob("*/README.md"))
-    return PAGES | {STUDIES: {f"study_{path.parent.name}": str(path.relative_to(root))
-                              for path in studies}}  # fmt: skip
+    found = {f"study_{path.parent.name}": str(path.relative_to(root)) for path in studies}
+    return PAGES | {STUDIES: PAGES[STUDIES] | found}
 
 
 def tables(root: Path, file: str, text: str) -> dict[str, str]:

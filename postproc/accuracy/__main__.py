@@ -1,4 +1,4 @@
-"""Makes the speed-accuracy charts, the tables, and the page that shows them.
+"""Makes the speed-accuracy charts and tables of the ladder of models, and those of stability.
 
 Parts are made in order; a run that is complete is not repeated, one that was interrupted goes on.
 """
@@ -13,11 +13,7 @@ from postproc.figures import style
 from postproc.study import Study, add_options, study_of
 from postproc.study.study import NAMELISTS, ROOT
 
-# each a module of this package with run(study); the page comes last, from what the others kept
-PARTS = (
-    "trajectories", "stability", "polygons", "reversal", "gated_reversal", "pasts", "tail",
-    "observables", "ladder_map", "page",
-)  # fmt: skip
+PARTS = ("stability", "polygons", "observables", "ladder_map")  # modules here with run(study)
 
 
 def make(part: str, study: Study) -> None:

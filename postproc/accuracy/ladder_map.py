@@ -28,6 +28,7 @@ from postproc.accuracy.ladder import (
 )
 from postproc.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
 from postproc.reading.results import Results
+from postproc.study.text import number, percent, seconds
 from postproc.theory.programs import there
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ SLICES = {
 }
 FAST = ("excursion", "reservoir")  # so cheap that replicas tell their errors
 SLOWEST = "timestep 0.003"  # in full runs only
+HEADS = {"chi": "chi", "current": "current over chi", "transition": "transition T"}
+SHOWN = {"chi": lambda value: number(value, 2), "current": percent, "transition": percent}
 
 
 @dataclass(frozen=True)
@@ -268,6 +271,33 @@ def doubling(once: Told, twice: Told) -> dict[str, float]:
     }
 
 
+def _choice(one: tuple[str, float | None]) -> str:
+    return "none" if one[1] is None else f"{one[0]}, {seconds(one[1])}"
+
+
+def tables(study: Study, numbers: dict) -> None:
+    """Write the tables of the page: errors and costs of the rungs, the cheapest for an error."""
+    head = ["rung", "a point costs", *(f"error of {HEADS[name]}" for name in QUANTITIES)]
+    study.table("map_rungs", head, [
+        [line["name"], seconds(line["chi"]["seconds"]),
+         *(_error(line[name], name) for name in QUANTITIES)]
+        for line in numbers["rows"]
+    ])  # fmt: skip
+    study.table("map_choice", ["error", *(HEADS[name] for name in QUANTITIES)], [
+        [f"{one['error']:g}", *(_choice(one[name]) for name in QUANTITIES)]
+        for one in numbers["choice"]
+    ])  # fmt: skip
+
+
+def _error(one: dict, quantity: str) -> str:
+    """Return a rung's error: a bound where none is seen, a star where errors cancel."""
+    known = one["bias"] if one["seen"] else (one["bias"] ** 2 + one["bias_error"] ** 2) ** 0.5
+    if quantity == "transition" and one["missing"]:
+        return "none in reach"
+    text = f"{'' if one['seen'] else '< '}{SHOWN[quantity](known)}{' *' if one['cancels'] else ''}"
+    return f"{text} ({one['missing']} without)" if one["missing"] else text
+
+
 def run(study: Study) -> None:
     """Ask and run every rung at every point, draw `ladder_map`, keep the numbers."""
     rungs = {rung.name: rung for rung in (*RUNGS, *LONGER)}
@@ -304,4 +334,5 @@ def run(study: Study) -> None:
         ],
     }
     study.keep("ladder_map", numbers)
+    tables(study, numbers)
     study.draw(ladder_map_figure.figure(rows), "ladder_map")

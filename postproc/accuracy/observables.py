@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc.accuracy import ladder, tail, transients
+from postproc.accuracy import ladder, transients
 from postproc.accuracy.ladder import QUANTITIES, Answer
 from postproc.figures import style
 from postproc.reading.results import Results
+from postproc.study.text import measured, number, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -54,11 +56,28 @@ TRANSIENT = 500.0  # of namelists/accuracy_battery.nml
 AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is held against that over time
 
 
+def long_runs(study: Study) -> Path:
+    """Make long runs at T = 7; return their file."""
+    changes = {
+        "run": {"duration": study.pick(1.0e6, 8.0e6)},
+        "scan": {"replicas": int(study.pick(24, 64))},
+    }
+    return study.run("accuracy_long", "long", changes)
+
+
+def total_time(path: Path) -> float:
+    """Return the time that runs measured, all together."""
+    with Results(path) as results:
+        past = results.value("transient_time")
+        return float((results.value("time") - past)[results.done].sum())
+
+
 def reference(study: Study) -> dict[str, Answer]:
     """Return the quantities from long runs of `excursion`; the current with the other sets."""
-    found = ladder.battery_answers(tail.long_runs(study))
+    path = long_runs(study)
+    found = ladder.battery_answers(path)
     one = found["current"]
-    sets = ((one.value, one.error, tail.total_time(study)), *OTHER_SETS)
+    sets = ((one.value, one.error, total_time(path)), *OTHER_SETS)
     found["own_current"] = one
     found["current"] = Answer(*by_time(sets), one.seconds)
     changes = {"run": {"duration": study.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
@@ -78,17 +97,17 @@ def by_time(sets: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
     return float(weight @ value), float(np.hypot.reduce(weight * error))
 
 
-def lacking(seconds: float, per_time: float, chi: float) -> float:
+def lacking(spent: float, per_time: float, chi: float) -> float:
     """Return what the mean current of a rung's runs lacks for want of age, relative.
 
     Parameters
     ----------
-    seconds, per_time : CPU time of all runs, and of a unit of time.
+    spent, per_time : CPU time of all runs, and of a unit of time.
     chi : of the stationary state.
     """
-    measured = seconds / (per_time * ladder.REPLICAS) - TRANSIENT
+    lasting = spent / (per_time * ladder.REPLICAS) - TRANSIENT
     one = np.ones(1)
-    return float(transients.missing(ladder.BATTERY, chi, TRANSIENT * one, measured * one)[0])
+    return float(transients.missing(ladder.BATTERY, chi, TRANSIENT * one, lasting * one)[0])
 
 
 def averages(study: Study) -> list[dict[str, float]]:
@@ -207,6 +226,29 @@ def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
         )  # fmt: skip
 
 
+def _with_bias(one: dict) -> str:
+    if not math.isfinite(one["value"]):
+        return f"none from {ladder.SCANNED[0]} to {ladder.SCANNED[-1]}"
+    if one["error"]:
+        off = measured(100.0 * one["bias"], 100.0 * one["bias_error"])
+        return f"{measured(one['value'], one['error'])} ({off} %)"
+    return f"{number(one['value'], 4)} ({number(100.0 * one['bias'], 2)} %)"
+
+
+def tables(study: Study, rows: Sequence[dict], averaged: Sequence[dict]) -> None:
+    """Write the tables of the page: the rungs, and the paper's average beside that over time."""
+    titles = ("chi, T = 7", "net current, T = 7", "transition T")
+    study.table("rungs", ["rung", "CPU time", *(f"{title} (bias)" for title in titles)], [
+        [line["name"], seconds(line["chi"]["seconds"]), *(_with_bias(line[q]) for q in QUANTITIES)]
+        for line in rows
+    ])  # fmt: skip
+    study.table("averages", ["T", "chi, average over time", "by collisions less that"], [
+        [str(one["threshold"]), measured(one["chi"], one["error"]),
+         measured(one["less"], one["less_error"])]
+        for one in averaged
+    ])  # fmt: skip
+
+
 def run(study: Study) -> None:
     """Run every rung, draw `observables`, keep the numbers."""
     truth = reference(study)
@@ -224,8 +266,9 @@ def run(study: Study) -> None:
         rows.append({**line, "per_time": per_time})
     numbers = {
         "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,
-        "reference_time": tail.total_time(study),
+        "reference_time": total_time(long_runs(study)),
         "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(study),
     }  # fmt: skip
     study.keep("observables", numbers)
+    tables(study, rows, numbers["averages"])
     study.draw(figure_observables(rows), "observables")

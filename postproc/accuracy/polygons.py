@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from postproc.accuracy.stability import BITS
 from postproc.study.probes import EPSILON, Question, ask
+from postproc.study.text import number
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from postproc.study.study import Study
     from postproc.theory.outlines import Outline
 
@@ -52,3 +55,16 @@ def run(study: Study) -> None:
         for (urn, precision), (line,) in zip(itertools.product(POLYGONS, BITS), told, strict=True)
     ]
     study.keep("polygons", {"visits": rows})
+    table(study, rows)
+
+
+def table(study: Study, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the table of the page."""
+    head = ["polygon", "`excursion`", "visits", "worst error over condition", "greatest condition",
+            "other side of a corner", "within, in units of rounding", "wrong"]  # fmt: skip
+    study.table("polygons", head, [
+        [row["urn"], row["input"], number(row["visits"], 2), number(row["worst"], 2),
+         number(row["greatest_condition"], 2), str(row["corner"]), number(row["farthest"], 2),
+         str(row["wrong"])]
+        for row in rows
+    ])  # fmt: skip

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from postproc.figures import style
+from postproc.study import text
 from postproc.study.probes import EPSILON, PRECISIONS, Answer, Question, ask
 
 if TYPE_CHECKING:
@@ -173,18 +174,28 @@ def table(answers: dict[tuple[str, str], Answer]) -> list[Row]:
     ]  # fmt: skip
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """Write the table for the page; engines without a trajectory leave out what needs one."""
-    lines = ["| case | engine | real32 | real64 | real128 |", "| --- | --- | --- | --- | --- |"]
+def lines_of(rows: Sequence[Row]) -> list[list[str]]:
+    """Return lines of the page's table; engines without a trajectory leave out what needs one."""
+    lines = []
     last = ""
     for row in rows:
         cells = [row[precision] for precision in PRECISIONS]
         if all(cell == "-" for cell in cells):
             continue
-        case = row["case"] if row["case"] != last else ""
+        lines.append([row["case"] if row["case"] != last else "", f"`{row['engine']}`", *cells])
         last = row["case"]
-        lines.append("| " + " | ".join([case, f"`{row['engine']}`", *cells]) + " |")
-    return "\n".join(lines) + "\n"
+    return lines
+
+
+def tables(study: Study, rows: Sequence[Row], visits: Sequence[Row]) -> None:
+    """Write the tables of the page: every case, and single visits."""
+    study.table("stability", ["case", "engine", *PRECISIONS], lines_of(rows))
+    head = ["`excursion`", "w", "visits", "worst error over condition", "other side of a corner"]
+    study.table("visits", head, [
+        [row["input"], *(text.number(row[name], digits) for name, digits in
+                         (("channel1_width", 1), ("visits", 2), ("worst", 2))), str(row["corner"])]
+        for row in visits
+    ])  # fmt: skip
 
 
 def summary(answers: dict[tuple[str, str], Answer]) -> dict[str, Any]:
@@ -259,9 +270,8 @@ def run(study: Study) -> None:
         {**lines[0], "input": precision, "unit": EPSILON[precision]}
         for lines, precision in zip(told, np.repeat(list(BITS), len(VISITS)), strict=True)
     ]
-    text = markdown(rows)
-    (study.folder / "stability.md").write_text(text, encoding="utf-8")
-    kept = {"table": rows, "markdown": text, "summary": summary(answers), "visits": compared}
+    kept = {"table": rows, "summary": summary(answers), "visits": compared}
     study.keep("stability", kept)
+    tables(study, rows, compared)
     seen = [row for row in compared if row["same"] > row["visits"] / 2]
     study.draw(figure_visits(seen), "visits")

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from postproc.accuracy import ladder
-from postproc.accuracy.observables import by_time, figure_observables, lacking, row
+from postproc.accuracy.observables import by_time, figure_observables, lacking, row, tables
 from postproc.study.study import Study
 from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
-    from pathlib import Path
 
     from postproc.accuracy.ladder import Answer
 
@@ -142,3 +144,18 @@ def test_chart_two_draws_every_rung(tmp_path: Path) -> None:
     low, high = made.axes[0].get_ylim()
     assert low > 0.0
     assert np.isfinite(high)
+
+
+def test_tables_have_every_rung_and_average(tmp_path: Path) -> None:
+    """Of kept numbers of a quick run; a rung without a transition says so."""
+    kept = json.loads((Path(__file__).parent / "accuracy_numbers.json").read_text())["observables"]
+    for line in kept["rows"]:
+        if line["transition"]["value"] is None:
+            line["transition"]["value"] = math.nan
+    tables(Study(tmp_path), kept["rows"], kept["averages"])
+    with (tmp_path / "rungs.csv").open() as file:
+        rows = {row["rung"]: row for row in csv.DictReader(file)}
+    assert list(rows) == [line["name"] for line in kept["rows"]]
+    assert rows["timestep 0.01"]["transition T (bias)"] == "none from 14 to 18"
+    assert "+-" in rows["excursion"]["chi, T = 7 (bias)"]
+    assert len((tmp_path / "averages.csv").read_text().splitlines()) == 1 + len(kept["averages"])

@@ -12,6 +12,7 @@ import pytest
 from postproc import cli
 from postproc.figures import style
 from postproc.reading.results import Results
+from postproc.study import text
 from postproc.study.study import Study, namelist_text
 from postproc.tests.commands import call
 
@@ -45,11 +46,10 @@ def test_bad_input_is_told_in_one_line(tmp_path: Path) -> None:
 
 def test_changes_add_replace_and_remove_keys() -> None:
     changes = {"particles": {"urn1_number": None, "number": 10}, "limits": {"wall_minutes": 1}}
-    text = namelist_text({"particles": {"urn1_number": 3, "seed": 1}}, changes)
-    assert "urn1_number" not in text
-    assert "seed = 1" in text
-    assert "number = 10" in text
-    assert "wall_minutes = 1" in text
+    told = namelist_text({"particles": {"urn1_number": 3, "seed": 1}}, changes)
+    assert "urn1_number" not in told
+    for line in ("seed = 1", "number = 10", "wall_minutes = 1"):
+        assert line in told
 
 
 def test_kept_numbers_are_plain_json(tmp_path: Path) -> None:
@@ -77,3 +77,22 @@ def test_tables_and_pictures_are_published_beside_the_page(tmp_path: Path) -> No
 def test_unknown_part_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("accuracy", ["nothing"]) == cli.EXIT_BAD_INPUT
     assert "allowed: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "expected"),
+    [(0.0604567, 3, "0.0605"), (1.23e6, 2, "1.2e6"), (12.3456, 3, "12.3"), (7e-5, 2, "7.0e-5"),
+     (0.0, 3, "0"), (15414.0, 2, "15000"),
+     (None, 3, "-"), (float("nan"), 3, "-"), (-0.5, 2, "-0.50")],
+)  # fmt: skip
+def test_numbers_in_words(value: float | None, digits: int, expected: str) -> None:
+    assert text.number(value, digits) == expected
+
+
+def test_measurements_in_words() -> None:
+    assert text.measured(1.01964, 0.00301) == "1.0196 +- 0.0030"
+    assert text.measured(0.5, 0.0) == "0.50000"
+    assert text.percent(0.0789) == "7.9 %"
+    assert [text.seconds(value) for value in (2.34, 0.0049, 8.4e-5, None)] == [
+        "2.3 s", "4.9 ms", "84 us", "-",
+    ]  # fmt: skip
