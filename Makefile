@@ -193,9 +193,12 @@ $(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: FORCE | librarie
 
 accuracy: build probes build/stamps/python ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@$(PYTHON) -m postproc.accuracy --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
+	for study in trajectories gated_reversal tail; do
+	  $(PYTHON) -m studies.$$study.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
+	done
 
 experiments: build build/stamps/python ## five experiments that decide whether urns remember; FULL=1: long runs
-	@$(PYTHON) -m postproc.experiments --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
+	@$(PYTHON) -m studies.experiments.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 
 figures: build build/stamps/python ## every figure of the paper, quick; FULL=1: at the paper's own length
 	@mkdir -p $(FIGURES)

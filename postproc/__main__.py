@@ -15,8 +15,8 @@ from postproc import __version__, cli
 
 # What starts the program, as postproc.run does, and what calls all that `make build` makes, in a
 # checkout.
-STARTING = ("advise", "lorentz", "shapes")
-NEED_PROGRAM = ("accuracy", "benchmarks", "experiments", "renewal_fit", "scaling")
+STARTING = ("advise",)
+NEED_PROGRAM = ("accuracy", "benchmarks", "renewal_fit", "scaling")
 PLACE = Path(__file__).resolve().parent
 
 

@@ -70,17 +70,6 @@ def add_output(options: argparse.ArgumentParser) -> None:
     )
 
 
-def parser_of_runs(name: str, description: str | None, replicas: int) -> Parser:
-    """Return a parser for a command that makes runs of its own: how many, how long, and where."""
-    options = parser(name, description)
-    options.add_argument(
-        "--replicas", type=integer(2), default=replicas, help=f"default: {replicas}"
-    )
-    options.add_argument("--duration", type=number(1.0), default=2000.0, help="measured time")
-    options.add_argument("--output", metavar="DIR", type=Path, default=Path("build") / name)
-    return options
-
-
 def add_task(options: argparse.ArgumentParser) -> None:
     """Add a file of results, and `--point` and `--replica` that choose a task in it."""
     options.add_argument("file", metavar="FILE.h5", type=Path)

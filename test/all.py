@@ -86,7 +86,7 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
             [*fortran, "debug", f"--flags={arguments.debug}", f"--ldflags={arguments.debug_link}"],
         ),
         *second,
-        Part("Python", [*python, "postproc", "test"]),
+        Part("Python", [*python, "postproc", "test", "studies"]),
     ]
 
 

@@ -135,6 +135,18 @@ def test_reference_pages_hold_what_the_program_says(tmp_path: Path) -> None:
     assert all(any(part in text for text in texts.values()) for part in made.values())
 
 
+def test_tables_of_pages_are_their_files(tmp_path: Path) -> None:
+    """Each is the CSV file that a study wrote beside the page, and changes with it."""
+    (tmp_path / "one.csv").write_text('T,chi\n7,"0.9, or so"\n')
+    page = "A\n\n<!-- one.csv: written by make docs -->\n\nold\n\n<!-- end of one.csv -->\n"
+    text = pages.filled(page, pages.tables(tmp_path, "page.md", page))
+    assert "\n\n| T | chi |\n| --- | --- |\n| 7 | 0.9, or so |\n\n" in text
+    assert "old" not in text
+    for file in pages.pages(ROOT).values():
+        text = (ROOT / file).read_text()
+        assert pages.filled(text, pages.tables(ROOT, file, text)) == text, file
+
+
 def test_a_namelist_that_a_page_names_is_that_file() -> None:
     """Its first line says the name, where a reader sees it; commands name files that are there."""
     shown = set()

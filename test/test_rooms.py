@@ -77,6 +77,16 @@ def test_mpi_and_hdf5_have_one_room_each() -> None:
         assert path.parent.name == "store" or not used & {"hdf5", "h5ds"}, path
 
 
+def test_nothing_knows_a_study() -> None:
+    """A folder of studies may be deleted without a trace in the product."""
+    known = re.compile(r"\bstudies[./]\w|^\s*(?:from|import) studies\b", re.MULTILINE)
+    for folder in ("src", "app", "postproc", "test"):
+        for path in (ROOT / folder).rglob("*"):
+            read = path.suffix in (".f90", ".F90", ".pf", ".c", ".py", ".txt")
+            if read and path != Path(__file__):
+                assert not known.search(path.read_text(encoding="utf-8")), path
+
+
 @pytest.mark.parametrize("house", HOUSES)
 def test_no_modules_know_each_other(house: str) -> None:
     _, uses = HOUSES[house]()

@@ -34,7 +34,7 @@ def main() -> int:
     problems += wrong
     for name, file in there.items():
         before = (ROOT / file).read_text(encoding="utf-8")
-        text = pages.filled(before, made)
+        text = pages.filled(before, made | pages.tables(ROOT, file, before))
         if text != before:
             (ROOT / file).write_text(text, encoding="utf-8")
             print(f"{file}: its generated part was written anew")
@@ -45,7 +45,7 @@ def main() -> int:
         text = fences.shown(file, text)
         problems += wrong + fences.problems
         if name == "index":
-            text += pages.contents(api, there)
+            text += pages.contents(ROOT, api, there)
         (SOURCE / f"{name}.md").write_text(text, encoding="utf-8")
     for one in problems:
         print(one, file=sys.stderr)

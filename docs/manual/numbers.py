@@ -32,6 +32,7 @@ COMMANDS = (
     (re.compile(r"make (\w+)"), "Makefile", r"^{}:"),
     (re.compile(r"(?:build/bin/)?(battery) [-\w]"), "app/{}.f90", ""),
     (re.compile(r"(?:python -m )?postproc\.(\w+)"), "postproc/{}.py", ""),
+    (re.compile(r"(?:python -m )?studies\.(\w+)"), "studies/{}/study.py", ""),
     (re.compile(r"(?:python -m )?attack\.(\w+)"), "test/attack/{}.py", ""),
     (re.compile(r"(?:build/bin/)?bench (\w+)"), "app/bench_tables.f90", "'{}'"),
 )

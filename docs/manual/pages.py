@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import shutil
 from pathlib import Path, PurePosixPath
 
+STUDIES = "Studies"
 # Captions of the side bar, and their pages: the name in the site, and the file it is made of.
 PAGES = {
     "Start": {
@@ -28,12 +30,10 @@ PAGES = {
         "theory": "docs/theory.md",
         "figures": "docs/figures.md",
         "paper": "docs/paper.md",
-        "experiments": "docs/experiments.md",
         "scatterers": "docs/scatterers.md",
         "accuracy": "docs/accuracy.md",
-        "age_of_a_run": "studies/age_of_a_run/README.md",
-        "where_models_fail": "studies/where_models_fail/README.md",
     },
+    STUDIES: {"studies": "studies/README.md"},  # and one for each folder of studies
     "How it is built": {
         "method": "docs/method.md",
         "speed": "docs/speed.md",
@@ -45,33 +45,57 @@ PAGES = {
 }
 LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s]+)(\))")
 CODE = re.compile(r"```.*?^ *``` *$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
-# Between these lines of a page stands what lists of the program make.
-MADE = re.compile(r"(<!-- (\w+): written by make docs -->\n\n).*?(<!-- end of \2 -->)", re.DOTALL)
+# Between these lines of a page stands what lists of the program make, or the table of a CSV file
+# beside it: as Markdown, to be read where the page lies.
+MADE = re.compile(
+    r"(<!-- ([\w.]+): written by make docs -->\n\n).*?(<!-- end of \2 -->)", re.DOTALL
+)
 PATH = re.compile(r"`((?:src|app|postproc|test|docs|namelists|studies)/[\w./-]+\w)(?::\d+)?`")
 
 
 def pages(root: Path) -> dict[str, str]:
     """Return the name of each page, and the file it is made of; those that are not there not."""
     found = {"index": "README.md"}
-    for part in PAGES.values():
+    for part in parts(root).values():
         found |= {name: file for name, file in part.items() if (root / file).exists()}
     return found
 
 
+def parts(root: Path) -> dict[str, dict[str, str]]:
+    """Return `PAGES` with those of the studies that are there."""
+    studies = sorted((root / "studies").glob("*/README.md"))
+    found = {f"study_{path.parent.name}": str(path.relative_to(root)) for path in studies}
+    return PAGES | {STUDIES: PAGES[STUDIES] | found}
+
+
+def tables(root: Path, file: str, text: str) -> dict[str, str]:
+    """Return the tables of a page as Markdown, by the names of the CSV files beside it."""
+    made = {}
+    for name in (match[2] for match in MADE.finditer(text) if match[2].endswith(".csv")):
+        with ((root / file).parent / name).open(newline="", encoding="utf-8") as lines:
+            head, *rows = csv.reader(lines)
+        shown = [head, ["---"] * len(head), *rows]
+        made[name] = "\n".join(f"| {' | '.join(row)} |" for row in shown)
+    return made
+
+
 def filled(text: str, made: dict[str, str]) -> str:
-    """Return the text of a page with its generated parts, by name, as they should be."""
+    """Return the text of a page with its generated parts, those of `made`, as they should be."""
 
     def part(match: re.Match[str]) -> str:
+        if match[2] not in made:
+            return match[0]
         return f"{match[1]}{made[match[2]].rstrip()}\n\n{match[3]}"
 
     return MADE.sub(part, text)
 
 
-def contents(api: dict[str, list[str]], there: dict[str, str]) -> str:
+def contents(root: Path, api: dict[str, list[str]], there: dict[str, str]) -> str:
     """Return the lists of the side bar."""
-    parts = {caption: [name for name in part if name in there] for caption, part in PAGES.items()}
+    found = {caption: [name for name in part if name in there]
+             for caption, part in parts(root).items()}  # fmt: skip
     lines = []
-    for caption, names in (parts | api).items():
+    for caption, names in (found | api).items():
         lines += ["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *names, "```"]
     return "\n".join(lines) + "\n"
 

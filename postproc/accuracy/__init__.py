@@ -1,7 +1,6 @@
 """Speed against accuracy: the ladder of models, where methods fail, and what a run can promise.
 
-`python -m postproc.accuracy` makes it all (`make accuracy` calls it). Each part is a module of this
-package with `run(job)`: it does its runs (`job.battery`), draws its figures into `job.folder` and
-keeps its numbers with `job.keep(part, numbers)`. The page of the docs is written from these numbers
-alone, by `page`, its template `page.md` and `sections`.
+`python -m postproc.accuracy` makes charts and tables (`make accuracy` calls it). Each part is a
+module of this package with `run(study)`: it does its runs, keeps its numbers, writes its tables and
+draws its figures in the study's folder. With `--publish` these are copied beside docs/accuracy.md.
 """

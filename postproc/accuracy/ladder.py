@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
@@ -194,20 +194,20 @@ def seconds_per_time(path: Path) -> float:
         return float(results.value("cpu_seconds").sum() / results.value("time").sum())
 
 
-def run_rung(job: Job, rung: Rung, seconds: float) -> tuple[dict[str, Answer], dict, float]:
+def run_rung(study: Study, rung: Rung, seconds: float) -> tuple[dict[str, Answer], dict, float]:
     """Run the battery and the transition, each as long as that much CPU time allows.
 
     Returns the answers, chi across the transition, and the CPU time of a unit of time at T = 7.
     """
     length = max(SHORTEST, seconds / (rung.seconds * REPLICAS))
     changes = {"run": {**engine_keys(rung), "duration": float(f"{length:.2g}")}}
-    battery = job.battery("battery", f"battery_{stem(rung)}", changes)
+    battery = study.run("accuracy_battery", f"battery_{stem(rung)}", changes)
     answers = battery_answers(battery)
     length = max(SHORTEST, 3.0 * seconds / (rung.seconds * REPLICAS * len(SCANNED)))
     changes = {
         "run": {**engine_keys(rung), "duration": float(f"{length:.2g}")},
         "scan": {"threshold": list(SCANNED)},
     }
-    path = job.battery("transition", f"transition_{stem(rung)}", changes)
+    path = study.run("accuracy_transition", f"transition_{stem(rung)}", changes)
     answers["transition"], chi = transition_answer(path)
     return answers, chi, seconds_per_time(battery)

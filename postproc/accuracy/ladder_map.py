@@ -25,16 +25,16 @@ from postproc.accuracy.ladder import (
     RUNGS,
 )
 from postproc.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
-from postproc.figures import style
 from postproc.reading.results import Results
+from postproc.study.text import number, percent, seconds
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from postproc.accuracy.job import Job
     from postproc.accuracy.ladder import Rung
+    from postproc.study.study import Study
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
@@ -49,6 +49,8 @@ SLICES = {
 }
 FAST = ("excursion", "reservoir")  # so cheap that replicas tell their errors
 SLOWEST = "timestep 0.003"  # in full runs only
+HEADS = {"chi": "chi", "current": "current over chi", "transition": "transition T"}
+SHOWN = {"chi": lambda value: number(value, 2), "current": percent, "transition": percent}
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def _processor() -> float:
 
 
 def run_points(
-    job: Job, rung: Rung, measured: float, replicas: int, *, doubled: bool = False
+    study: Study, rung: Rung, measured: float, replicas: int, *, doubled: bool = False
 ) -> Told:
     """Run an engine at all points, so long in each replica; `doubled`: with twice the transient."""
     columns = []
@@ -127,7 +129,7 @@ def run_points(
                 "scan": {"threshold": list(thresholds), "replicas": replicas},
             }
             stem = f"map_{name}_{width:g}_{thresholds[0]}".replace(".", "p")
-            columns.append(_read(job.battery("map", stem, changes), wait))
+            columns.append(_read(study.run("accuracy_map", stem, changes), wait))
     return Told(*np.concatenate(columns, axis=1))
 
 
@@ -258,19 +260,46 @@ def doubling(once: Told, twice: Told) -> dict[str, float]:
     }
 
 
-def run(job: Job) -> None:
+def _choice(one: tuple[str, float | None]) -> str:
+    return "none" if one[1] is None else f"{ladder.label(one[0])}, {seconds(one[1])}"
+
+
+def tables(study: Study, numbers: dict) -> None:
+    """Write the tables of the page: errors and costs of the rungs, the cheapest for an error."""
+    head = ["rung", "a point costs", *(f"error of {HEADS[name]}" for name in QUANTITIES)]
+    study.table("map_rungs", head, [
+        [ladder.label(line["name"]), seconds(line["chi"]["seconds"]),
+         *(_error(line[name], name) for name in QUANTITIES)]
+        for line in numbers["rows"]
+    ])  # fmt: skip
+    study.table("map_choice", ["error", *(HEADS[name] for name in QUANTITIES)], [
+        [f"{one['error']:g}", *(_choice(one[name]) for name in QUANTITIES)]
+        for one in numbers["choice"]
+    ])  # fmt: skip
+
+
+def _error(one: dict, quantity: str) -> str:
+    """Return a rung's error: a bound where none is seen, a star where errors cancel."""
+    known = one["bias"] if one["seen"] else (one["bias"] ** 2 + one["bias_error"] ** 2) ** 0.5
+    if quantity == "transition" and one["missing"]:
+        return "none in reach"
+    text = f"{'' if one['seen'] else '< '}{SHOWN[quantity](known)}{' *' if one['cancels'] else ''}"
+    return f"{text} ({one['missing']} without)" if one["missing"] else text
+
+
+def run(study: Study) -> None:
     """Ask and run every rung at every point, draw `ladder_map`, keep the numbers."""
     rungs = {rung.name: rung for rung in (*RUNGS, *LONGER)}
-    truth = run_points(job, rungs["excursion"], job.pick(1.2e5, 1.2e6), 16, doubled=True)
+    truth = run_points(study, rungs["excursion"], study.pick(1.2e5, 1.2e6), 16, doubled=True)
     one_unit = scatter(truth)
     rows = [row(model.name, "theory", ask(model), truth)
             for model in ladder.theories(drawing=True)]  # fmt: skip
     once = truth
     for rung in RUNGS:
-        if rung.name == SLOWEST and not job.full:
+        if rung.name == SLOWEST and not study.full:
             continue
         fast = rung.name in FAST
-        told = run_points(job, rung, job.pick(*(3e4, 3e5) if fast else (1500.0, 15000.0)),
+        told = run_points(study, rung, study.pick(*(3e4, 3e5) if fast else (1500.0, 15000.0)),
                           8 if fast else 1)  # fmt: skip
         if rung.name == "excursion":
             once = told
@@ -293,5 +322,6 @@ def run(job: Job) -> None:
             for error in TOLERANCES
         ],
     }
-    job.keep("ladder_map", numbers)
-    style.save(ladder_map_figure.figure(rows), job.folder, "ladder_map")
+    study.keep("ladder_map", numbers)
+    tables(study, numbers)
+    study.draw(ladder_map_figure.figure(rows), "ladder_map")

@@ -1,4 +1,4 @@
-"""Which model serves where: the map of studies/where_models_fail, asked for the circuit at hand.
+"""Which model serves where: the map where_models_fail.csv, asked for the circuit at hand.
 
 The map has N = 1000, w = 0.3, r = l = l' = 1. Another circuit is where its thresholds are as large
 beside what a gate would hold of equal shares, and w'/w is the same. Nothing is said of circuits
@@ -73,6 +73,6 @@ def words(circuit: Circuit, quantity: str) -> str:
         return ""
     told = ", ".join(f"{model} {100.0 * off:.2g} %" for off, model in known)
     return (
-        f" At the nearest point of the map (studies/where_models_fail: T = {point[0]}, "
+        f" At the nearest point of the map (T = {point[0]}, "
         f"w' = {point[1]:g}, N = 1000, w = 0.3) {name} is off by: {told}."
     )

@@ -13,19 +13,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc.accuracy import ladder, tail, transients
+from postproc.accuracy import ladder, transients
 from postproc.accuracy.ladder import QUANTITIES, Answer
 from postproc.figures import style
 from postproc.reading.results import Results
+from postproc.study.text import measured, number, seconds
 from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
 NAMES = {
     "chi": r"$\chi$ at $T = 7$",
@@ -51,16 +53,33 @@ TRANSIENT = 500.0  # of namelists/accuracy_battery.nml
 AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is held against that over time
 
 
-def reference(job: Job) -> dict[str, Answer]:
+def long_runs(study: Study) -> Path:
+    """Make long runs at T = 7; return their file."""
+    changes = {
+        "run": {"duration": study.pick(1.0e6, 8.0e6)},
+        "scan": {"replicas": int(study.pick(24, 64))},
+    }
+    return study.run("accuracy_long", "long", changes)
+
+
+def total_time(path: Path) -> float:
+    """Return the time that runs measured, all together."""
+    with Results(path) as results:
+        past = results.value("transient_time")
+        return float((results.value("time") - past)[results.done].sum())
+
+
+def reference(study: Study) -> dict[str, Answer]:
     """Return the quantities from long runs of `excursion`; the current with the other sets."""
-    found = ladder.battery_answers(tail.long_runs(job))
+    path = long_runs(study)
+    found = ladder.battery_answers(path)
     one = found["current"]
-    sets = ((one.value, one.error, tail.total_time(job)), *OTHER_SETS)
+    sets = ((one.value, one.error, total_time(path)), *OTHER_SETS)
     found["own_current"] = one
     found["current"] = Answer(*by_time(sets), one.seconds)
-    changes = {"run": {"duration": job.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
+    changes = {"run": {"duration": study.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
     changes["particles"] = {"seed": 77}  # of its own: the rung itself must not be its own judge
-    path = job.battery("transition", "transition_reference", changes)
+    path = study.run("accuracy_transition", "transition_reference", changes)
     found["transition"], _ = ladder.transition_answer(path)
     return found
 
@@ -75,32 +94,32 @@ def by_time(sets: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
     return float(weight @ value), float(np.hypot.reduce(weight * error))
 
 
-def lacking(seconds: float, per_time: float, chi: float) -> float:
+def lacking(spent: float, per_time: float, chi: float) -> float:
     """Return what the mean current of a rung's runs lacks for want of age, relative.
 
     Parameters
     ----------
-    seconds, per_time : CPU time of all runs, and of a unit of time.
+    spent, per_time : CPU time of all runs, and of a unit of time.
     chi : of the stationary state.
     """
-    measured = seconds / (per_time * ladder.REPLICAS) - TRANSIENT
+    lasting = spent / (per_time * ladder.REPLICAS) - TRANSIENT
     one = np.ones(1)
-    return float(transients.missing(ladder.BATTERY, chi, TRANSIENT * one, measured * one)[0])
+    return float(transients.missing(ladder.BATTERY, chi, TRANSIENT * one, lasting * one)[0])
 
 
-def averages(job: Job) -> list[dict[str, float]]:
+def averages(study: Study) -> list[dict[str, float]]:
     """Return chi averaged over time and, as the paper does, over wall collisions, for several T.
 
     Both of the same runs of `collision`, so that their difference has a small error of its own.
     """
     changes = {
-        "run": {"engine": "collision", "duration": job.pick(4.0e3, 4.0e4)},
+        "run": {"engine": "collision", "duration": study.pick(4.0e3, 4.0e4)},
         "scan": {"threshold": list(AVERAGED)},
         "gate": {"threshold": None},
         "particles": {"urn1_number": 500},
     }
     rows = []
-    with Results(job.battery("battery", "averages", changes)) as results:
+    with Results(study.run("accuracy_battery", "averages", changes)) as results:
         for point, threshold in enumerate(AVERAGED):
             time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
             (chi, error), (less, its) = ladder.mean_of(time), ladder.mean_of(hits - time)
@@ -206,16 +225,40 @@ def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
         )  # fmt: skip
 
 
-def run(job: Job) -> None:
+def _with_bias(one: dict) -> str:
+    if not math.isfinite(one["value"]):
+        return f"none from {ladder.SCANNED[0]} to {ladder.SCANNED[-1]}"
+    if one["error"]:
+        off = measured(100.0 * one["bias"], 100.0 * one["bias_error"])
+        return f"{measured(one['value'], one['error'])} ({off} %)"
+    return f"{number(one['value'], 4)} ({number(100.0 * one['bias'], 2)} %)"
+
+
+def tables(study: Study, rows: Sequence[dict], averaged: Sequence[dict]) -> None:
+    """Write the tables of the page: the rungs, and the paper's average beside that over time."""
+    titles = ("chi, T = 7", "net current, T = 7", "transition T")
+    study.table("rungs", ["rung", "CPU time", *(f"{title} (bias)" for title in titles)], [
+        [ladder.label(line["name"]), seconds(line["chi"]["seconds"]),
+         *(_with_bias(line[q]) for q in QUANTITIES)]
+        for line in rows
+    ])  # fmt: skip
+    study.table("averages", ["T", "chi, average over time", "by collisions less that"], [
+        [str(one["threshold"]), measured(one["chi"], one["error"]),
+         measured(one["less"], one["less_error"])]
+        for one in averaged
+    ])  # fmt: skip
+
+
+def run(study: Study) -> None:
     """Run every rung, draw `observables`, keep the numbers."""
-    truth = reference(job)
+    truth = reference(study)
     rows = [
         row(model.name, "theory", ladder.theory_answers(model), truth)
         for model in ladder.theories(drawing=False)
     ]
     spreads = {}
-    for rung in (*ladder.RUNGS, *(ladder.LONGER if job.full else ())):
-        answers, chi, per_time = ladder.run_rung(job, rung, job.pick(10.0, 200.0))
+    for rung in (*ladder.RUNGS, *(ladder.LONGER if study.full else ())):
+        answers, chi, per_time = ladder.run_rung(study, rung, study.pick(10.0, 200.0))
         spreads[rung.name] = chi
         line = row(rung.name, "exact" if rung.exact else "model", answers, truth)
         if rung.exact:
@@ -223,8 +266,9 @@ def run(job: Job) -> None:
         rows.append({**line, "per_time": per_time})
     numbers = {
         "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,
-        "reference_time": tail.total_time(job),
-        "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(job),
+        "reference_time": total_time(long_runs(study)),
+        "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(study),
     }  # fmt: skip
-    job.keep("observables", numbers)
-    style.save(figure_observables(rows), job.folder, "observables")
+    study.keep("observables", numbers)
+    tables(study, rows, numbers["averages"])
+    study.draw(figure_observables(rows), "observables")

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from postproc.accuracy.probes import EPSILON, Question, ask
 from postproc.accuracy.stability import BITS
+from postproc.study.probes import EPSILON, Question, ask
+from postproc.study.text import number
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
-    from postproc.accuracy.job import Job
+    from collections.abc import Sequence
+
+    from postproc.study.study import Study
     from postproc.theory.outlines import Outline
 
 WIDTHS = ("0.3", "0.01")  # w, w'
@@ -25,10 +28,10 @@ POLYGONS: dict[str, Outline] = {
 }  # fmt: skip
 
 
-def questions(job: Job) -> tuple[list[Question], list[Question]]:
+def questions(study: Study) -> tuple[list[Question], list[Question]]:
     """Return the visits in each precision, then the same in real128, held against them."""
     own, compared = [], []
-    count = str(int(job.pick(1e5, 1e6)))
+    count = str(int(study.pick(1e5, 1e6)))
     for (k, outline), (precision, bits) in itertools.product(
         enumerate(POLYGONS.values()), BITS.items()
     ):
@@ -41,14 +44,27 @@ def questions(job: Job) -> tuple[list[Question], list[Question]]:
     return own, compared
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Ask, and keep what each precision says of each polygon."""
-    own, compared = questions(job)
-    ask(job, own, exact=False)
-    told = ask(job, compared, exact=False)
+    own, compared = questions(study)
+    ask(study, own, exact=False)
+    told = ask(study, compared, exact=False)
     rows = [
         {"urn": urn, "input": precision, "unit": EPSILON[precision]}
         | {key: value for key, value in line.items() if key != "histogram"}
         for (urn, precision), (line,) in zip(itertools.product(POLYGONS, BITS), told, strict=True)
     ]
-    job.keep("polygons", {"visits": rows})
+    study.keep("polygons", {"visits": rows})
+    table(study, rows)
+
+
+def table(study: Study, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the table of the page."""
+    head = ["polygon", "`excursion`", "visits", "worst error over condition", "greatest condition",
+            "other side of a corner", "within, in units of rounding", "wrong"]  # fmt: skip
+    study.table("polygons", head, [
+        [row["urn"], row["input"], number(row["visits"], 2), number(row["worst"], 2),
+         number(row["greatest_condition"], 2), str(row["corner"]), number(row["farthest"], 2),
+         str(row["wrong"])]
+        for row in rows
+    ])  # fmt: skip

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postproc.accuracy.probes import EPSILON, PRECISIONS, Answer, Question, ask
 from postproc.figures import style
+from postproc.study import text
+from postproc.study.probes import EPSILON, PRECISIONS, Answer, Question, ask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from matplotlib.figure import Figure
 
-    from postproc.accuracy.job import Job
+    from postproc.study.study import Study
 
     Row = dict[str, Any]
 
@@ -173,18 +174,28 @@ def table(answers: dict[tuple[str, str], Answer]) -> list[Row]:
     ]  # fmt: skip
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """Write the table for the page; engines without a trajectory leave out what needs one."""
-    lines = ["| case | engine | real32 | real64 | real128 |", "| --- | --- | --- | --- | --- |"]
+def lines_of(rows: Sequence[Row]) -> list[list[str]]:
+    """Return lines of the page's table; engines without a trajectory leave out what needs one."""
+    lines = []
     last = ""
     for row in rows:
         cells = [row[precision] for precision in PRECISIONS]
         if all(cell == "-" for cell in cells):
             continue
-        case = row["case"] if row["case"] != last else ""
+        lines.append([row["case"] if row["case"] != last else "", f"`{row['engine']}`", *cells])
         last = row["case"]
-        lines.append("| " + " | ".join([case, f"`{row['engine']}`", *cells]) + " |")
-    return "\n".join(lines) + "\n"
+    return lines
+
+
+def tables(study: Study, rows: Sequence[Row], visits: Sequence[Row]) -> None:
+    """Write the tables of the page: every case, and single visits."""
+    study.table("stability", ["case", "engine", *PRECISIONS], lines_of(rows))
+    head = ["`excursion`", "w", "visits", "worst error over condition", "other side of a corner"]
+    study.table("visits", head, [
+        [row["input"], *(text.number(row[name], digits) for name, digits in
+                         (("channel1_width", 1), ("visits", 2), ("worst", 2))), str(row["corner"])]
+        for row in visits
+    ])  # fmt: skip
 
 
 def summary(answers: dict[tuple[str, str], Answer]) -> dict[str, Any]:
@@ -203,13 +214,13 @@ def summary(answers: dict[tuple[str, str], Answer]) -> dict[str, Any]:
     return made
 
 
-def visit_questions(job: Job) -> list[Question]:
+def visit_questions(study: Study) -> list[Question]:
     """Return the visits in real32 and real64, then the comparisons in real128."""
     own, compared = [], []
     for precision, bits in BITS.items():
         for width1, width2 in VISITS:
             name = f"visits-{precision}-{width1:g}"
-            count = str(int(job.pick(1e6, 1e7)))
+            count = str(int(study.pick(1e6, 1e7)))
             words = ("visits", "disc", str(width1), str(width2), count, str(bits))
             own.append(Question(name, precision, (*words, f"{name}.bin"), 3600))
             reference = f"visits-real128-for-{precision}-{width1:g}"
@@ -237,31 +248,30 @@ def figure_visits(rows: Sequence[Row]) -> Figure:
     return made
 
 
-def run(job: Job) -> None:
+def run(study: Study) -> None:
     """Ask every engine in every precision; keep the table, draw `visits`."""
-    job.folder.mkdir(parents=True, exist_ok=True)
-    seconds = str(job.pick(0.3, 5.0))
+    study.folder.mkdir(parents=True, exist_ok=True)
+    seconds = str(study.pick(0.3, 5.0))
     pairs = [(engine, precision) for engine in ENGINES for precision in reversed(PRECISIONS)]
     questions = [
         Question(f"stability-{engine}-{precision}", precision,
                  ("stability", engine, str(int(COLLISIONS[engine, precision]
-                                               * job.pick(1, FULL))), seconds),
-                 job.pick(900, 90000))
+                                               * study.pick(1, FULL))), seconds),
+                 study.pick(900, 90000))
         for engine, precision in pairs
     ]  # fmt: skip
-    visits = visit_questions(job)
+    visits = visit_questions(study)
     half = len(visits) // 2
-    ask(job, visits[:half], exact=False)
-    told = ask(job, visits[half:], exact=False)
-    answers = dict(zip(pairs, ask(job, questions), strict=True))
+    ask(study, visits[:half], exact=False)
+    told = ask(study, visits[half:], exact=False)
+    answers = dict(zip(pairs, ask(study, questions), strict=True))
     rows = table(answers)
     compared = [
         {**lines[0], "input": precision, "unit": EPSILON[precision]}
         for lines, precision in zip(told, np.repeat(list(BITS), len(VISITS)), strict=True)
     ]
-    text = markdown(rows)
-    (job.folder / "stability.md").write_text(text, encoding="utf-8")
-    kept = {"table": rows, "markdown": text, "summary": summary(answers), "visits": compared}
-    job.keep("stability", kept)
-    style.save(figure_visits([row for row in compared if row["same"] > row["visits"] / 2]),
-               job.folder, "visits")  # fmt: skip
+    kept = {"table": rows, "summary": summary(answers), "visits": compared}
+    study.keep("stability", kept)
+    tables(study, rows, compared)
+    seen = [row for row in compared if row["same"] > row["visits"] / 2]
+    study.draw(figure_visits(seen), "visits")

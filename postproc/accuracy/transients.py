@@ -5,7 +5,7 @@ current of channel 2 goes on growing long after that: orbits that make m rounds 
 m rounds have been flown, each decade of m carries about as much as the one before, and that ends
 where the sparse gate turns a circulating particle back, after 1/(1 - q) rounds. What is still
 missing at an age is the rest of the sum of `postproc.theory.circulation`. Measured against the age
-of runs in studies/age_of_a_run.
+of runs.
 """
 
 from __future__ import annotations

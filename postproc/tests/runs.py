@@ -6,12 +6,11 @@ import hashlib
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-import f90nml
 import h5py
 import numpy as np
 
-from postproc.accuracy.job import Job
 from postproc.reading.seal import seal_of
+from postproc.study.study import Study
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,14 +31,7 @@ BARE = {"series_interval": 0.0, "snapshot_times": None}
 
 def results_of(path: Path, **groups: dict[str, object]) -> Path:
     """Run `CASE` with some keys changed (None: left out), its results in `path`; return that."""
-    given = {"output": {}, **groups}
-    given["output"] = {**given["output"], "file": path.name}
-    merged = {group: {**CASE.get(group, {}), **given.get(group, {})} for group in CASE | given}
-    case = {
-        group: {key: value for key, value in keys.items() if value is not None}
-        for group, keys in merged.items()
-    }
-    return Job(path.parent).run_text(f"{f90nml.Namelist(case)}\n", path.stem, alone=True)
+    return Study(path.parent).run(CASE, path.stem, groups, alone=True)
 
 
 @contextmanager

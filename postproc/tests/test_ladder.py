@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from postproc.accuracy import ladder
-from postproc.accuracy.job import Job
-from postproc.accuracy.observables import by_time, figure_observables, lacking, row
+from postproc.accuracy.observables import by_time, figure_observables, lacking, row, tables
+from postproc.study.study import Study
 from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
-    from pathlib import Path
 
     from postproc.accuracy.ladder import Answer
 
@@ -24,7 +26,7 @@ SPREAD, CURRENT = 0.9291, 1.0168  # of the billiard at T = 7, by 88 runs of 1e6 
 
 def _battery(folder: Path, engine: str, duration: float, **more: float) -> dict[str, Answer]:
     changes = {"run": {"engine": engine, "duration": duration, **more}}
-    return ladder.battery_answers(Job(folder).battery("battery", engine, changes))
+    return ladder.battery_answers(Study(folder).run("accuracy_battery", engine, changes))
 
 
 def _sigmas(one: Answer, other: Answer) -> float:
@@ -80,7 +82,7 @@ def test_memory_of_the_urns_moves_the_transition(tmp_path: Path) -> None:
             "run": {"engine": engine, "duration": 4000.0},
             "scan": {"threshold": [15, 16, 17], "replicas": 6},
         }
-        path = Job(tmp_path).battery("transition", engine, changes)
+        path = Study(tmp_path).run("accuracy_transition", engine, changes)
         found[engine], _ = ladder.transition_answer(path)
     assert _sigmas(found["excursion"], found["reservoir"]) > 5.0
     assert abs(found["excursion"].value - 16.26) < 5.0 * found["excursion"].error
@@ -143,3 +145,18 @@ def test_chart_two_draws_every_rung(tmp_path: Path) -> None:
     low, high = made.axes[0].get_ylim()
     assert low > 0.0
     assert np.isfinite(high)
+
+
+def test_tables_have_every_rung_and_average(tmp_path: Path) -> None:
+    """Of kept numbers of a quick run; a rung without a transition says so."""
+    kept = json.loads((Path(__file__).parent / "accuracy_numbers.json").read_text())["observables"]
+    for line in kept["rows"]:
+        if line["transition"]["value"] is None:
+            line["transition"]["value"] = math.nan
+    tables(Study(tmp_path), kept["rows"], kept["averages"])
+    with (tmp_path / "rungs.csv").open() as file:
+        rows = {row["rung"]: row for row in csv.DictReader(file)}
+    assert list(rows) == [line["name"] for line in kept["rows"]]
+    assert rows["timestep 0.01"]["transition T (bias)"] == "none from 14 to 18"
+    assert "+-" in rows["excursion"]["chi, T = 7 (bias)"]
+    assert len((tmp_path / "averages.csv").read_text().splitlines()) == 1 + len(kept["averages"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import json
 import math
@@ -12,9 +13,8 @@ import numpy as np
 import pytest
 
 from postproc.accuracy import ladder, ladder_errors, ladder_map, ladder_map_figure
-from postproc.accuracy.job import Job
 from postproc.accuracy.ladder_map import Told
-from postproc.accuracy.ladder_map_page import ladder_map as words
+from postproc.study.study import Study
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from postproc.theory.states import State, Theory
@@ -159,13 +159,13 @@ def test_runs_wait_as_long_as_it_takes(tmp_path: Path, monkeypatch: pytest.Monke
     """Time measured and transient of each zone, doubled where that is asked for."""
     monkeypatch.setattr(ladder_map, "SLICES", {0.03: ((7,), (14, 15))})
     monkeypatch.setattr(ladder_map, "transients", lambda: (100.0, 300.0))
-    found = ladder_map.run_points(Job(tmp_path), EXCURSION, 50.0, 3, doubled=True)
+    found = ladder_map.run_points(Study(tmp_path), EXCURSION, 50.0, 3, doubled=True)
     assert found.transient == pytest.approx([200.0, 600.0, 600.0])
     assert found.measured == pytest.approx(150.0)
     assert found.chi[0] > 0.5
     assert (found.chi_error > 0.0).all()
     assert (found.seconds > 0.0).all()
-    single = ladder_map.run_points(Job(tmp_path), EXCURSION, 50.0, 1)
+    single = ladder_map.run_points(Study(tmp_path), EXCURSION, 50.0, 1)
     assert np.isnan(single.chi_error).all()
     known = ladder_map.with_errors(single, ladder_map.scatter(found))
     assert known.chi_error == pytest.approx(found.chi_error * math.sqrt(3.0))
@@ -183,9 +183,11 @@ def test_what_was_published_follows_its_own_rules() -> None:
 
 
 def test_page_and_chart_show_every_rung(tmp_path: Path) -> None:
-    text = words(KEPT)
-    for row in KEPT["rows"]:
-        assert f"| {ladder.label(row['name'])} |" in text
+    ladder_map.tables(Study(tmp_path), KEPT)
+    with (tmp_path / "map_rungs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["rung"] for row in rows] == [ladder.label(row["name"]) for row in KEPT["rows"]]
+    text = (tmp_path / "map_rungs.csv").read_text() + (tmp_path / "map_choice.csv").read_text()
     assert "None" not in text
     assert "nan" not in text
     made = ladder_map_figure.figure(KEPT["rows"])

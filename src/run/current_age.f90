@@ -10,7 +10,7 @@
 !> The number in the sparse urn comes from the balance of flows through both channels, the load of
 !> the dense gate times 0.85 (the paper's theory has 1). R is that of a gate whose visits last
 !> exponentially long, in closed form. The factors 3 and 0.85 are fitted to the theory of the
-!> currents that was measured in studies/age_of_a_run; how far (1) is from both stands there.
+!> currents that was measured in runs of many ages; how far (1) is from both: docs/command_line.md.
 !>
 !> That was measured, and so (1) is used, for equal discs with equal gates, channels without
 !> scatterers, engines that are exact, T up to 20, and runs without an initial file. Elsewhere, and

@@ -1,60 +1,32 @@
-"""Current and chi against the age of a run: python studies/age_of_a_run/study.py [--full].
+"""Current and chi against the age of a run.
 
-Runs the namelists beside it (or takes their results where they are in the folder) and writes
-results.csv and age_of_a_run.png: means in logarithmic bins of age with errors over replicas, and
-the current of the theory two_port at those ages. Quick: 40 replicas to an age of 1e4, half a
-minute. --full: as the namelists say, about ten minutes of a core and 0.3 GB.
+Runs the namelists beside it, into build/age_of_a_run/quick, or full, and writes results.csv and
+age_of_a_run.png: means in logarithmic bins of age with errors over replicas, and the current of the
+theory two_port at those ages. Quick: 40 replicas to an age of 1e4, half a minute. --full: as the
+namelists say, about ten minutes of a core and 0.3 GB.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
 import itertools
-import json
 import math
-import subprocess
-import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import f90nml
-import matplotlib as mpl
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
-PLACE = Path(__file__).resolve().parent
-sys.path.insert(0, str(PLACE.parents[1]))
+import postproc
+from postproc import study
+from postproc.figures import style
 
-import postproc  # noqa: E402 (of the checkout, whose folder is known only now)
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 POINTS = ("reference", "inside", "near_transition")
-QUICK = {"replicas": 40, "duration": 1e4}
+QUICK = {"scan": {"replicas": 40}, "run": {"duration": 1e4}}
 BINS = 4  # a decade of age
 FIELDS = ("point", "T", "w2", "from", "to", "current", "current_error", "theory", "chi",
           "chi_error", "replicas")  # fmt: skip
-
-
-def results_of(name: str, folder: Path, *, full: bool) -> Path:
-    """Run a namelist, or a quick one like it; return its results file."""
-    groups = f90nml.read(PLACE / f"{name}.nml").todict()
-    if not full:
-        groups["scan"]["replicas"] = QUICK["replicas"]
-        groups["run"]["duration"] = QUICK["duration"]
-        groups["output"]["file"] = f"{name}_quick.h5"
-    return postproc.run(groups, folder=folder)
-
-
-def theory(groups: dict, ages: list[float]) -> list[float]:
-    """Return the current that the theory two_port has at each age."""
-    words = ["--number", groups["particles"]["number"], "--threshold", groups["gate"]["threshold"]]
-    for key in ("channel1_width", "channel2_width"):
-        words += [f"--{key.replace('_', '-')}", groups["table"][key]]
-    words += ["--model", "two_port", "--age", *ages]
-    command = [sys.executable, "-m", "postproc.theory", *map(str, words)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=PLACE.parents[1])
-    return [one["net_current"] for one in json.loads(done.stdout)["by_age"]]
 
 
 def bins_of(longest: float, interval: float) -> np.ndarray:
@@ -69,9 +41,10 @@ def middle(low: float, high: float) -> float:
     return math.sqrt(max(low, 0.1 * high) * high)
 
 
-def rows_of(name: str, file: Path) -> list[dict[str, object]]:
-    """Return a row for each bin of age."""
-    groups = f90nml.read(PLACE / f"{name}.nml").todict()
+def rows_of(work: study.Study, name: str) -> list[dict[str, object]]:
+    """Run a namelist, or a quick one like it; return a row for each bin of age."""
+    groups = f90nml.read(work.place / f"{name}.nml")
+    file = work.run(name, name, {} if work.full else QUICK)
     data = postproc.open_results(file, group="series").squeeze()
     time = data.time.to_numpy()
     number, first = float(groups["particles"]["number"]), data.urn1_number.to_numpy()
@@ -80,12 +53,15 @@ def rows_of(name: str, file: Path) -> list[dict[str, object]]:
     spread = np.abs(1.0 - 2.0 * first / number)
     edges = bins_of(time[-1], time[1] - time[0])
     bins = list(itertools.pairwise(edges.tolist()))
+    keys = {"threshold": groups["gate"]["threshold"], "number": groups["particles"]["number"]}
+    keys |= {key: groups["table"][key] for key in ("channel1_width", "channel2_width")}
+    told = work.theory("two_port", **keys, age=[middle(*one) for one in bins])["by_age"]
     found = []
-    for (low, high), said in zip(bins, theory(groups, [middle(*one) for one in bins]), strict=True):
+    for (low, high), said in zip(bins, told, strict=True):
         here = (time > low) & (time <= high)
         row = {"point": name, "T": groups["gate"]["threshold"],
-               "w2": groups["table"]["channel2_width"], "from": low, "to": high, "theory": said,
-               "replicas": first.shape[0]}  # fmt: skip
+               "w2": groups["table"]["channel2_width"], "from": low, "to": high,
+               "theory": said["net_current"], "replicas": first.shape[0]}  # fmt: skip
         for quantity, values in (("current", current), ("chi", spread)):
             own = np.nanmean(values[:, here], axis=1)  # a run may end just before its last entry
             row[quantity] = own.mean()
@@ -94,9 +70,10 @@ def rows_of(name: str, file: Path) -> list[dict[str, object]]:
     return found
 
 
-def draw(rows: list[dict[str, object]], path: Path) -> None:
-    """Draw current and chi against age, over what they are at the end."""
-    made, panels = plt.subplots(1, 2, figsize=(7.5, 3.2), layout="constrained")
+def figure(rows: list[dict[str, object]]) -> Figure:
+    """Return current and chi against age, over what they are at the end."""
+    made = style.figure(style.PAGE, 3.2)
+    panels = made.subplots(1, 2)
     for at, name in enumerate(POINTS):
         own = [row for row in rows if row["point"] == name]
         ages = [middle(row["from"], row["to"]) for row in own]
@@ -119,30 +96,18 @@ def draw(rows: list[dict[str, object]], path: Path) -> None:
     panels[0].set_ylabel("off from its value at the end (%)")
     panels[0].set_ylim(-8.0, 2.0)
     panels[1].legend(fontsize=8)
-    made.savefig(path, dpi=150)
+    return made
 
 
-def main() -> None:
+def run(work: study.Study) -> None:
     """Run, write the table and the picture."""
-    options = argparse.ArgumentParser(description=__doc__.split("\n\n", maxsplit=1)[0])
-    options.add_argument("--full", action="store_true", help="as the namelists say")
-    options.add_argument("--runs", type=Path, default=Path("age_runs"), help="folder of results")
-    options.add_argument("--output", type=Path, help="of table and picture (default: --runs)")
-    given = options.parse_args()
-    rows = []
-    for name in POINTS:
-        rows += rows_of(name, results_of(name, given.runs, full=given.full))
-    place = given.output or given.runs
-    place.mkdir(parents=True, exist_ok=True)
-    with (place / "results.csv").open("w", newline="") as file:
-        table = csv.DictWriter(file, FIELDS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(
-            {key: f"{value:.6g}" if isinstance(value, float) else value
-             for key, value in row.items()} for row in rows
-        )  # fmt: skip
-    draw(rows, place / "age_of_a_run.png")
+    rows = [row for name in POINTS for row in rows_of(work, name)]
+    work.table("results", FIELDS, [
+        [f"{row[key]:.6g}" if isinstance(row[key], float) else str(row[key]) for key in FIELDS]
+        for row in rows
+    ])  # fmt: skip
+    work.draw(figure(rows), "age_of_a_run")
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(study.main(__file__, __doc__, run))

@@ -1,0 +1,44 @@
+"""The age of a run: bins of age, a short run with the theory beside it, the picture."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postproc.study import Study
+from studies.age_of_a_run import study as ages
+
+HERE = Path(ages.__file__).parent
+
+
+def test_bins_are_whole_intervals_from_the_start_to_the_end() -> None:
+    edges = ages.bins_of(1e4, 100.0)
+    assert edges[0] == 0.0
+    assert edges[-1] == 1e4
+    assert np.all(np.diff(edges) > 0.0)
+    assert np.allclose(edges % 100.0, 0.0)
+
+
+def test_rows_have_runs_and_theory_of_each_age(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = {"scan": {"replicas": 2}, "run": {"duration": 300.0}}
+    monkeypatch.setattr(ages, "QUICK", short)
+    rows = ages.rows_of(Study(tmp_path, HERE, ranks=1), "reference")
+    assert (rows[0]["from"], rows[0]["to"], rows[-1]["to"]) == (0.0, 100.0, 300.0)
+    assert all(row["replicas"] == 2 and 0.9 < row["chi"] < 1.0 for row in rows)
+    kept = csv.DictReader((HERE / "results.csv").open())
+    here = next(row for row in kept if row["point"] == "reference" and row["to"] == "100")
+    assert rows[0]["theory"] == pytest.approx(float(here["theory"]), rel=1e-4)
+
+
+def test_picture_is_relative_to_the_last_bin() -> None:
+    with (HERE / "results.csv").open() as file:
+        rows = [{key: value if key == "point" else float(value) for key, value in row.items()}
+                for row in csv.DictReader(file)]  # fmt: skip
+    for axes in ages.figure(rows).axes:
+        assert len(axes.containers) == len(ages.POINTS)
+        assert all(one.lines[0].get_ydata()[-1] == 0.0 for one in axes.containers)

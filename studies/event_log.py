@@ -1,0 +1,187 @@
+"""Event logs read as stories: what became of each entry into a gate, and who came from where."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import postproc
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray as xr
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Flags = NDArray[np.bool_]
+
+ENTRY, REVERSAL, CROSSING1, CROSSING2 = 1, 2, 3, 4  # kinds of events
+GROUPS = 10  # of particles, whose scatter gives an error
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """Number of particles and lengths of a circuit whose urns are discs, as in the namelist."""
+
+    number: float = 1000
+    urn_radius: float = 1.0
+    channel1_width: float = 0.3
+    channel1_length: float = 1.0
+    channel2_width: float = 0.01
+    channel2_length: float = 1.0
+
+    @property
+    def chords(self) -> tuple[float, float]:
+        """Distances of the openings' chords from the centre of an urn."""
+        widths = self.channel1_width, self.channel2_width
+        first, second = (math.sqrt(self.urn_radius**2 - 0.25 * width**2) for width in widths)
+        return first, second
+
+    @property
+    def urn_area(self) -> float:
+        """Area A of an urn, up to the chords."""
+        area, halves = math.pi * self.urn_radius**2, (self.channel1_width, self.channel2_width)
+        for half, chord in zip((0.5 * width for width in halves), self.chords, strict=True):
+            area -= self.urn_radius**2 * math.asin(half / self.urn_radius) - half * chord
+        return area
+
+
+@dataclass(frozen=True)
+class Log:
+    """An event log in the order of time; every field has shape (event,)."""
+
+    time: Floats
+    kind: Integers
+    where: Integers
+    particle: Integers
+
+
+@dataclass(frozen=True)
+class Stories:
+    """The events of single particles, by particle and then time; fields of shape (event,).
+
+    Attributes
+    ----------
+    time, kind, where, particle : as in the log, without the reversals.
+    before, after : index of the particle's event before and after, -1 if there is none.
+    turned : of an entry, when its gate reversed with the particle in it; NaN if it got through, if
+        the log ends before, or if the event is no entry.
+    """
+
+    time: Floats
+    kind: Integers
+    where: Integers
+    particle: Integers
+    before: Integers
+    after: Integers
+    turned: Floats
+
+
+def read_log(path: Path) -> Log:
+    """Return the event log of a file."""
+    events = postproc.open_results(path, group="events")
+    names = ("kind", "where", "particle")
+    return Log(events.time.to_numpy(), **{one: events[one].to_numpy().astype(int) for one in names})
+
+
+def circuit_of(data: xr.Dataset) -> Circuit:
+    """Return the circuit of results of one point."""
+    names = ("number", "channel1_width", "channel1_length", "channel2_width", "channel2_length")
+    radius = float(data.urn_radius.to_numpy().flat[0])
+    return Circuit(urn_radius=radius, **{name: float(data[name]) for name in names})
+
+
+def stories(log: Log) -> Stories:
+    """Return the events by particle, with what became of each entry."""
+    place = np.flatnonzero(log.kind != REVERSAL)
+    place = place[np.argsort(log.particle[place], kind="stable")]
+    particle = log.particle[place]
+    same = np.flatnonzero(particle[1:] == particle[:-1])
+    before, after = np.full(place.size, -1), np.full(place.size, -1)
+    before[same + 1], after[same] = same, same + 1
+    turned = np.full(place.size, np.nan)
+    for gate in (1, 2):
+        mine = np.flatnonzero((log.kind[place] == ENTRY) & (log.where[place] == gate))
+        reversals = np.append(
+            np.flatnonzero((log.kind == REVERSAL) & (log.where == gate)), log.time.size
+        )
+        following = reversals[np.searchsorted(reversals, place[mine])]
+        own = np.where(after[mine] >= 0, place[after[mine]], log.time.size)
+        caught = following < own
+        turned[mine[caught]] = log.time[following[caught]]
+    columns = (log.time[place], log.kind[place], log.where[place], particle)
+    return Stories(*columns, before, after, turned)
+
+
+def outward_stays(told: Stories) -> tuple[Integers, Floats, Floats]:
+    """Return (gate, from when, until when) of every stay in a gate with the way out ahead.
+
+    Those turned back leave as long after the reversal as they came before it; those who crossed the
+    middle line leave the other gate as long after it as they entered the first before it.
+    """
+    entered = np.flatnonzero(told.kind == ENTRY)
+    turned = entered[np.isfinite(told.turned[entered])]
+    through = entered[np.isnan(told.turned[entered]) & (told.after[entered] >= 0)]
+    crossed = told.time[told.after[through]]
+    gate = np.concatenate([told.where[turned], 3 - told.where[through]])
+    start = np.concatenate([told.turned[turned], crossed])
+    stop = 2.0 * start - np.concatenate([told.time[turned], told.time[through]])
+    return gate, start, stop
+
+
+def mean_of_groups(values: Floats) -> tuple[float, float]:
+    """Return mean and standard error of values of independent groups or runs."""
+    known = np.asarray(values, float)
+    return float(known.mean()), float(known.std(ddof=1) / math.sqrt(known.size))
+
+
+def entries_of(told: Stories) -> tuple[Floats, NDArray[np.int64], Floats]:
+    """Return (time, particle, cos(theta)) of entries into gate 1 that reach the end wall.
+
+    Without a gate the flight from the chord to the wall takes (l/2)/cos(theta); here l = 1.
+    """
+    entry = np.flatnonzero((told.kind == ENTRY) & (told.after >= 0))
+    entry = entry[told.kind[told.after[entry]] == CROSSING1]
+    flight = told.time[told.after[entry]] - told.time[entry]
+    return told.time[entry], told.particle[entry], 0.5 / flight
+
+
+def autocorrelations(
+    time: Floats, particle: NDArray[np.int64], cosine: Floats, lags: NDArray[np.int64], last: float
+) -> Floats:
+    """Return the autocorrelation of cos(theta), shape (group of particles, lag).
+
+    Pairs begin before `last`, so that hardly any is cut off by the end of the run, which would
+    favour short visits. The mean is the cosine law's, pi/4; the variance is each group's own.
+    """
+    away = cosine - 0.25 * math.pi
+    group = particle % GROUPS
+    variance = np.bincount(group, away**2) / np.bincount(group)
+    found = np.empty((GROUPS, lags.size))
+    for at, lag in enumerate(lags):
+        pair = (particle[lag:] == particle[:-lag]) & (time[:-lag] < last)
+        product = (away[lag:] * away[:-lag])[pair]
+        sums = np.bincount(group[:-lag][pair], product, minlength=GROUPS)
+        found[:, at] = sums / np.bincount(group[:-lag][pair], minlength=GROUPS) / variance
+    return found
+
+
+def after_channel2(told: Stories, channel2_length: float = 1.0) -> tuple[Floats, Floats]:
+    """Return (share whose next event is channel 2 again, mean stay in the urn) by group.
+
+    The way from the line to the urn, and from the urn back to the line, takes pi l'/4 on average.
+    """
+    crossed = np.flatnonzero((told.kind == CROSSING2) & (told.after >= 0))
+    following = told.after[crossed]
+    again = told.kind[following] == CROSSING2
+    flight = told.time[following] - told.time[crossed]
+    group = told.particle[crossed] % GROUPS
+    count = np.bincount(group, minlength=GROUPS)
+    share = np.bincount(group, again, minlength=GROUPS) / count
+    half = 0.25 * math.pi * channel2_length
+    return share, np.bincount(group, flight, minlength=GROUPS) / count - half * (1.0 + share)

@@ -1,0 +1,46 @@
+"""Predictions of the experiments alone; others are those of `postproc.accuracy.predictions`."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import legendre
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from postproc.theory.circuit import Circuit
+
+    Floats = NDArray[np.float64]
+
+DEGREES = 40  # even Legendre polynomials of cos(theta) over sin(theta)
+
+
+def mixed_conductance(circuit: Circuit) -> float:
+    """Return G0 = w'/(pi A) of urns without memory."""
+    return float(circuit.channel2_width) / (math.pi * float(circuit.urn_area))
+
+
+@lru_cache
+def direction_weights() -> tuple[Floats, Floats]:
+    """Return (l (l + 1), weight) of the parts of cos(theta) that decay, weights of sum 1.
+
+    cos(theta) = sqrt(1 - s^2) in Legendre polynomials of s, evenly spread over (-1, 1).
+    """
+    nodes, widths = legendre.leggauss(400)
+    degrees = np.arange(2, 2 * DEGREES + 1, 2)
+    values = np.sqrt(1.0 - nodes**2)
+    parts = np.array(
+        [0.5 * np.sum(widths * values * legendre.Legendre.basis(one)(nodes)) for one in degrees]
+    )
+    weights = (2 * degrees + 1) * parts**2
+    return degrees * (degrees + 1.0), weights / weights.sum()
+
+
+def autocorrelation(diffusion: float, visits: ArrayLike) -> Floats:
+    """Return the autocorrelation of cos(theta) so many visits apart, D d/ds (1 - s^2) d/ds."""
+    rates, weights = direction_weights()
+    return np.exp(-diffusion * np.multiply.outer(np.asarray(visits, float), rates)) @ weights

@@ -1,0 +1,241 @@
+"""Experiments of other urns: disc, square and hexagons of one area, openings alike.
+
+Runs are made in build/shapes/quick, or full (minutes of one core), and not repeated where they are
+complete. Numbers go to shapes.json, tables to CSV files, the picture to shapes.png.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import postproc
+from postproc import study
+from postproc.figures import style
+from studies import event_log
+from studies.event_log import CROSSING2, Circuit, mean_of_groups
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    Row = dict[str, float]
+    Rows = list[Row]
+    Found = dict[str, dict[str, Rows]]
+
+NUMBER = 1000
+MANY = 10000  # where particles are independent: those in rational polygons keep what they are
+WIDTH = 0.01  # of channel 2
+THRESHOLDS = (1, 2, 3, 5, 7, 9, 11, 13, 15, 17, 20, 24)
+PASSAGES = (0.01, 0.05)  # widths of channel 2 at which returns are counted
+LAGS = (1, 2, 5, 10, 20, 40, 80)  # visits
+DISC, SQUARE, REGULAR, IRRATIONAL = "disc", "square", "regular hexagon", "crooked hexagon"
+# Slopes of its sides are fractions other than 0, 1 and -1, so all angles are irrational parts of pi
+CROOKED = (
+    (0.9, -0.55), (0.9, 0.48), (0.13, 1.07), (-0.85, 0.44), (-0.85, -0.52), (-0.21, -0.97),
+)  # fmt: skip
+LOOKS = {
+    DISC: ("o", style.BLUE), SQUARE: ("s", style.VERMILION), REGULAR: ("h", style.ORANGE),
+    IRRATIONAL: ("^", style.GREEN),
+}  # fmt: skip
+
+
+def area_of(corners: Sequence[Sequence[float]]) -> float:
+    """Return the area that corners enclose, counterclockwise."""
+    x, y = np.transpose(corners)
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
+def tables(width: float) -> dict[str, dict[str, object]]:
+    """Return the keys of `&table` by shape: all urns have the area of the disc of radius 1."""
+    area = Circuit(channel2_width=width).urn_area
+    stretch = math.sqrt(area / area_of(CROOKED))
+    radii = {sides: math.sqrt(2.0 * area / (sides * math.sin(2.0 * math.pi / sides)))
+             for sides in (4, 6)}  # fmt: skip
+    polygon = {"urn_shape": "polygon"}
+    return {
+        DISC: {},
+        SQUARE: polygon | {"urn_sides": 4, "urn_radius": radii[4]},
+        REGULAR: polygon | {"urn_sides": 6, "urn_radius": radii[6]},
+        IRRATIONAL: polygon
+        | {"urn_vertices": [stretch * one for xy in CROOKED for one in xy]},
+    }
+
+
+class Runs:
+    """Runs in a study's folder; all their times are multiples of `duration`."""
+
+    def __init__(self, work: study.Study, replicas: int, duration: float) -> None:
+        """Keep where, how many, how long."""
+        self.work, self.replicas, self.duration = work, replicas, duration
+
+    def run(self, name: str, **groups: dict[str, object]) -> Path:
+        """Make a run; return its results."""
+        given = {"particles": {"number": NUMBER}, **groups}
+        single = "replicas" not in given.get("scan", {})
+        return self.work.run(given, name.replace(" ", "_"), alone=single)
+
+    def states(self, shape: str, fraction: float, transients: float) -> Rows:
+        """Return chi and current over T, with standard errors over replicas."""
+        transient = transients * self.duration
+        made = self.run(
+            f"{shape} {fraction:g} {transients:g}",
+            table={"channel2_width": WIDTH, **tables(WIDTH)[shape]},
+            run={"duration": transient + self.duration, "transient_duration": transient},
+            scan={"threshold": list(THRESHOLDS), "replicas": self.replicas,
+                  "urn1_fraction": [fraction]},
+        )  # fmt: skip
+        data, rows = postproc.open_results(made).squeeze(), []
+        for threshold in THRESHOLDS:
+            point = data.sel(threshold=threshold) if "threshold" in data.dims else data
+            row = {"threshold": float(threshold)}
+            for name in ("chi", "polarised_current"):
+                row[name], row[f"{name}_error"] = mean_of_groups(point[name].to_numpy())
+            rows.append(row)
+        return rows
+
+    def returns(self, shape: str) -> Rows:
+        """Return how often a particle leaves through channel 2, through which it came."""
+        rows = []
+        for width in PASSAGES:
+            made = self.run(
+                f"returns {shape} {width:g}",
+                table={"channel2_width": width, **tables(width)[shape]},
+                particles={"number": MANY}, gate={"threshold": MANY},
+                run={"duration": 4.0 * self.duration}, output={"event_log": True},
+            )  # fmt: skip
+            told = event_log.stories(event_log.read_log(made))
+            share, stay = (mean_of_groups(one) for one in event_log.after_channel2(told))
+            chance = width / (width + 0.3)
+            count = int(np.count_nonzero((told.kind == CROSSING2) & (told.after >= 0)))
+            rows.append({
+                "channel2_width": width, "visits": count, "chance": chance,
+                "return": share[0], "return_error": share[1], "stay": stay[0],
+                "stay_error": stay[1], "binomial": math.sqrt(share[0] * (1.0 - share[0]) / count),
+            })  # fmt: skip
+        return rows
+
+    def directions(self, shape: str) -> Rows:
+        """Return the autocorrelation of cos(theta) from visit to visit, of one urn without gate."""
+        duration = 40.0 * self.duration
+        made = self.run(
+            f"directions {shape}", table={"shape": "urn", **tables(0.0)[shape]},
+            gate={"threshold": NUMBER}, run={"duration": duration}, output={"event_log": True},
+        )  # fmt: skip
+        seen = event_log.entries_of(event_log.stories(event_log.read_log(made)))
+        values = event_log.autocorrelations(*seen, np.array(LAGS), 0.5 * duration)
+        rows = []
+        for lag, column in zip(LAGS, values.T, strict=True):
+            mean, error = mean_of_groups(column)
+            rows.append({"lag": lag, "correlation": mean, "correlation_error": error})
+        return rows
+
+
+def measure(work: study.Study, replicas: int, duration: float) -> Found:
+    """Make all runs; return rows by kind and shape, and those of well mixed urns."""
+    runs = Runs(work, replicas, duration)
+    return {
+        "well mixed": {"renewal": well_mixed(work)},
+        "states": {shape: runs.states(shape, 1.0, 2.0) for shape in LOOKS},
+        "shorter": {shape: runs.states(shape, 1.0, 1.0) for shape in LOOKS},
+        "equal": {shape: runs.states(shape, 0.5, 2.0) for shape in LOOKS},
+        "returns": {shape: runs.returns(shape) for shape in LOOKS},
+        "directions": {shape: runs.directions(shape) for shape in LOOKS},
+    }
+
+
+def well_mixed(work: study.Study) -> Rows:
+    """Return chi and current of well mixed urns of this area behind renewal gates, over T."""
+    rows = []
+    for threshold in range(THRESHOLDS[0], THRESHOLDS[-1] + 1):
+        said = work.theory("renewal", number=NUMBER, threshold=threshold, channel2_width=WIDTH,
+                           occupation=True)  # fmt: skip
+        stable = [root for root in said["roots"] if root["kind"] == "stable"]
+        state = stable[-1] if stable else {"mass_spread": 0.0, "net_current": 0.0}
+        rows.append({
+            "threshold": threshold, "chi": state["mass_spread"],
+            "polarised_current": abs(state["net_current"]),
+        })  # fmt: skip
+    return rows
+
+
+def _bars(axes: Axes, by_shape: dict[str, Rows], across: str, up: str, line: str = "none") -> None:
+    for shape, (marker, colour) in LOOKS.items():
+        rows = by_shape[shape]
+        x, y, error = ([row[name] for row in rows] for name in (across, up, f"{up}_error"))
+        axes.errorbar(x, y, error, marker=marker, ms=3.5, mfc="none", color=colour, ls=line,
+                      lw=0.8, label=shape)  # fmt: skip
+
+
+def figure(found: Found) -> Figure:
+    """Return chi and current over T, memory of directions over visits, and returns over chance."""
+    made = style.figure(style.PAGE, 4.8)
+    (spread, current), (memory, back) = made.subplots(2, 2)
+    mixed = found["well mixed"]["renewal"]
+    for axes, name, label in (
+        (spread, "chi", r"$\chi$"), (current, "polarised_current", "net current (per unit time)"),
+    ):  # fmt: skip
+        axes.plot([row["threshold"] for row in mixed], [row[name] for row in mixed],
+                  color=style.GREY, lw=0.8, label="well mixed")  # fmt: skip
+        _bars(axes, found["states"], "threshold", name)
+        axes.set(xlabel="$T$", ylabel=label, ylim=(0, None))
+    spread.legend(loc="center", bbox_to_anchor=(0.36, 0.45))
+    _bars(memory, found["directions"], "lag", "correlation", "-")
+    memory.axhline(0.0, color=style.GREY, lw=0.6)
+    memory.set(xscale="log", xlabel="visits", ylabel=r"autocorrelation of $\cos\theta$")
+    shares = {shape: [{"width": row["channel2_width"], "share": row["return"] / row["chance"],
+                       "share_error": row["return_error"] / row["chance"]} for row in rows]
+              for shape, rows in found["returns"].items()}  # fmt: skip
+    _bars(back, shares, "width", "share")
+    back.axhline(1.0, color=style.GREY, lw=0.8)
+    back.set(xlabel="width of channel 2", ylabel="returns over those by chance", ylim=(0, None),
+             xlim=(0.0, None))  # fmt: skip
+    return made
+
+
+def _number(row: Row, name: str, digits: int) -> str:
+    return f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
+
+
+def write_tables(work: study.Study, found: Found) -> None:
+    """Write the tables of the page: names, and those of the transients and starts beside them."""
+    mixed = {row["threshold"]: row for row in found["well mixed"]["renewal"]}
+    kinds, names = ("states", "shorter", "equal"), ("chi", "polarised_current")
+    for kind, name in itertools.product(kinds, names):
+        title = "chi" if name == "chi" else "net current"
+        work.table(f"{kind}_{name}", ["T", f"{title}, {DISC}", *list(LOOKS)[1:], "well mixed"], [
+            [f"{rows[0]['threshold']:g}", *(_number(row, name, 3) for row in rows),
+             f"{mixed[rows[0]['threshold']][name]:.3f}"]
+            for rows in zip(*found[kind].values(), strict=True)
+        ])  # fmt: skip
+    widths = [f"w' = {one:g}" for one in PASSAGES]
+    head = ["shape", *itertools.chain(*((f"a, {one}", "over chance") for one in widths)),
+            "binomial errors"]  # fmt: skip
+    work.table("returns", head, [
+        [shape, *itertools.chain(*(
+            (_number(row, "return", 4), f"{row['return'] / row['chance']:.2f}") for row in rows)),
+         ", ".join(f"{row['binomial']:.4f}" for row in rows)]
+        for shape, rows in found["returns"].items()
+    ])  # fmt: skip
+    work.table("directions", ["visits", *LOOKS], [
+        [f"{rows[0]['lag']}", *(_number(row, "correlation", 3) for row in rows)]
+        for rows in zip(*found["directions"].values(), strict=True)
+    ])  # fmt: skip
+
+
+def run(work: study.Study) -> None:
+    """Make the runs; keep numbers, write tables, draw `shapes`."""
+    found = measure(work, int(work.pick(2, 8)), 2000.0)
+    work.keep("shapes", found)
+    write_tables(work, found)
+    work.draw(figure(found), "shapes")
+
+
+if __name__ == "__main__":
+    raise SystemExit(study.main(__file__, __doc__, run))

@@ -1,0 +1,98 @@
+"""Experiments of other urns: shapes that compare, what a square keeps, the picture."""
+
+from __future__ import annotations
+
+import csv
+from fractions import Fraction
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from postproc.study import Study
+from studies.event_log import Circuit, entries_of, read_log, stories
+from studies.shapes import study as shapes
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_all_urns_have_the_area_of_the_disc() -> None:
+    area = Circuit(channel2_width=0.05).urn_area
+    given = shapes.tables(0.05)
+    for name in (shapes.SQUARE, shapes.REGULAR):
+        angles = 2.0 * np.pi * np.arange(given[name]["urn_sides"]) / given[name]["urn_sides"]
+        corners = given[name]["urn_radius"] * np.transpose([np.cos(angles), np.sin(angles)])
+        assert shapes.area_of(corners) == pytest.approx(area, rel=1e-12)
+    corners = np.reshape(given[shapes.IRRATIONAL]["urn_vertices"], (-1, 2))
+    assert shapes.area_of(corners) == pytest.approx(area, rel=1e-12)
+
+
+def test_crooked_hexagon_is_convex_with_irrational_angles() -> None:
+    corners = [[Fraction(str(one)) for one in xy] for xy in shapes.CROOKED]
+    following = corners[1:] + corners[:1]
+    sides = [(c - a, d - b) for (a, b), (c, d) in zip(corners, following, strict=True)]
+    for (a, b), (c, d) in zip(sides, sides[1:] + sides[:1], strict=True):
+        assert a * d - b * c > 0
+    upright = [side for side in sides if side[0] == 0]
+    assert len(upright) == 2
+    # The tangent of a rational part of pi is irrational, or one of 0, 1, -1 and infinity (Niven).
+    for (a, b), (c, d) in combinations([*upright[:1], *(s for s in sides if s[0] != 0)], 2):
+        over, along = abs(a * d - b * c), abs(a * c + b * d)
+        assert over not in (0, along)
+        assert along != 0
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, shapes.Found]:
+    """Make tiny runs of all kinds; give their folder and what was found."""
+    folder = tmp_path_factory.mktemp("shapes")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shapes, "THRESHOLDS", (7,))
+        patch.setattr(shapes, "PASSAGES", (0.05,))
+        patch.setattr(shapes, "LAGS", (1, 2))
+        work = Study(folder, ranks=1)
+        found = shapes.measure(work, 2, 20.0)
+        shapes.write_tables(work, found)
+    return folder, found
+
+
+def cosines(folder: Path, shape: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return particle and cos(theta) of entries of the run that follows directions."""
+    path = folder / f"directions_{shape.replace(' ', '_')}.h5"
+    _, particle, cosine = entries_of(stories(read_log(path)))
+    return particle, cosine
+
+
+def test_only_a_square_keeps_the_direction(made: tuple[Path, shapes.Found]) -> None:
+    for shape in shapes.LOOKS:
+        particle, cosine = cosines(made[0], shape)
+        again = particle[1:] == particle[:-1]
+        change = np.abs(np.diff(cosine))[again]
+        assert change.size > 100
+        assert (change.max() < 1e-6) == (shape == shapes.SQUARE)
+
+
+def test_picture_shows_every_shape(made: tuple[Path, shapes.Found]) -> None:
+    _, found = made
+    spread, current, memory, back = shapes.figure(found).axes
+    labels = [axes.get_ylabel() for axes in (spread, current)]
+    assert labels == [r"$\chi$", "net current (per unit time)"]
+    for axes, points in ((spread, 1), (current, 1), (memory, 2), (back, 1)):
+        assert len(axes.containers) == len(shapes.LOOKS)
+        assert all(len(one.lines[0].get_xdata()) == points for one in axes.containers)
+    names = [text.get_text() for text in spread.get_legend().get_texts()]
+    assert sorted(names) == sorted(["well mixed", *shapes.LOOKS])
+    drawn = [one.lines[0].get_ydata()[0] for one in spread.containers]
+    assert drawn == [found["states"][shape][0]["chi"] for shape in shapes.LOOKS]
+    assert min(drawn) > 0.5
+
+
+def test_tables_have_every_shape(made: tuple[Path, shapes.Found]) -> None:
+    folder, found = made
+    with (folder / "states_chi.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert list(row) == ["T", "chi, disc", "square", "regular hexagon", "crooked hexagon",
+                         "well mixed"]  # fmt: skip
+    assert row["square"].startswith(f"{found['states'][shapes.SQUARE][0]['chi']:.3f} ±")
