@@ -25,14 +25,15 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import postproc  # noqa: E402 (of the checkout, whose folder is known only now)
-from postproc import lorentz, shapes  # noqa: E402
-from postproc.accuracy import experiments  # noqa: E402
-from postproc.accuracy.experiments import mean_of_groups  # noqa: E402
-from postproc.accuracy.job import Job  # noqa: E402
+from postproc.study import Study  # noqa: E402
 from postproc.theory.circuit import Circuit, flow1  # noqa: E402
 from postproc.theory.gates import WINDOW  # noqa: E402
 from postproc.theory.renewal import RENEWAL  # noqa: E402
 from postproc.theory.states import stable_state  # noqa: E402
+from studies.event_log import mean_of_groups  # noqa: E402
+from studies.experiments import study as experiments  # noqa: E402
+from studies.lorentz import study as lorentz  # noqa: E402
+from studies.shapes import study as shapes  # noqa: E402
 
 if TYPE_CHECKING:
     import numpy as np
@@ -129,9 +130,10 @@ def averages(folder: Path) -> None:
 
 
 def larger(folder: Path) -> None:
-    """Print experiment 3 of `postproc.experiments`."""
-    job = Job(folder, full=False, program=ROOT / "build/bin/battery", ranks=1, afresh=False)
-    for row in experiments.sizes(job):
+    """Print experiment 3 of `studies/experiments`."""
+    place = ROOT / "studies/experiments"
+    work = Study(folder, place=place, ranks=1, program=ROOT / "build/bin/battery")
+    for row in experiments.sizes(work):
         print(f"{row.what}: {row.measured:.4g} +- {row.error:.2g}")
 
 

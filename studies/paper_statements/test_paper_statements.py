@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs/paper.md").read_text(encoding="utf-8")
-STUDY = (ROOT / "studies/paper_statements/study.py").read_text(encoding="utf-8")
+STUDY = (Path(__file__).parent / "study.py").read_text(encoding="utf-8")
 
 
 def test_every_statement_has_a_command_that_the_page_has() -> None:
