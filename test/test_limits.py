@@ -18,6 +18,7 @@ from support.program import (
     PROGRAM,
     command_of,
     finish,
+    hears,
     namelist,
     run,
     start,
@@ -289,7 +290,8 @@ def test_a_signal_is_heard(tmp_path: Path, case: str) -> None:
     write(tmp_path, **changes)
     (tmp_path / "start.txt").write_text("0 1e-13 0.1 1\n")
     process = start(*arguments, "case.nml", folder=tmp_path)
-    time.sleep(1.0)
+    assert wait_for(lambda: hears(process, signal.SIGTERM), process)
+    time.sleep(0.3)
     assert process.poll() is None
     process.send_signal(signal.SIGTERM)
     ended = finish(process)

@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import subprocess
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -14,10 +13,11 @@ import pytest
 from support import program
 
 if TYPE_CHECKING:
+    from pathlib import Path
     from subprocess import Popen
 
 #: So long that it is still at work when it is stopped or killed; or soon over.
-LONG, SHORT = 100_000_000_000, 20_000_000
+LONG, SHORT = 100_000_000_000, 4_000_000
 OWNER_ELSEWHERE = "elsewhere 4711 2026-11-21 12:00:00.000"
 
 
@@ -126,14 +126,7 @@ def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
     write(tmp_path, collisions=LONG)
     process, numbers = under_way(tmp_path, "case.nml")
     second = program.start("case.nml", folder=tmp_path)
-    status = Path(f"/proc/{second.pid}/status")
-    mask = 1 << (signal.SIGTERM - 1)
-
-    def listens() -> bool:
-        lines = [line for line in status.read_text().splitlines() if line.startswith("SigCgt")]
-        return bool(int(lines[0].split()[1], 16) & mask)
-
-    assert program.wait_for(listens, second)
+    assert program.wait_for(lambda: program.hears(second, signal.SIGTERM), second)
     second.send_signal(signal.SIGTERM)
     ended = program.finish(second)
     program.send(numbers, signal.SIGKILL)

@@ -182,7 +182,7 @@ def test_who_never_leaves_does_not_hang_the_run(tmp_path: Path, engine: str) -> 
     name = write(
         tmp_path, "c", table,
         particles={"number": "2", "initial_file": "'i.txt'"},
-        run={"engine": f"'{engine}'", "duration": "1000"}, limits={"wall_minutes": "0.01"},
+        run={"engine": f"'{engine}'", "duration": "1000"}, limits={"wall_minutes": "0.003"},
     )  # fmt: skip
     ended = run(name, folder=tmp_path)
     assert ended.returncode == 3, ended.stdout + ended.stderr

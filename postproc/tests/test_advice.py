@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 CASE = """
 &table urn_radius = 1.1 0.9, channel1_width = 0.4, channel2_width = 0.02 /
-&particles number = 300 /
-&gate threshold = 3 4 /
+&particles number = 100 /
+&gate threshold = 2 3 /
 &scan replicas = 4 /
 """
 FOUND = Pilot(0.9, 0.009, 0.0, 1000.0, 2000.0, 1e-6, 0.05)
@@ -44,7 +44,7 @@ def test_a_namelist_and_the_same_circuit_by_options(
     assert set(names) < set(one)
     assert one["rung"] == "excursion"
     assert f"{one['replicas']} replicas of {one['duration']:g} time units" in sentence
-    words = ["--number", "300", "--threshold", "3", "4", "--urn-radius", "1.1", "0.9"]
+    words = ["--number", "100", "--threshold", "2", "3", "--urn-radius", "1.1", "0.9"]
     words += ["--channel1-width", "0.4", "--channel2-width", "0.02", "--tolerance", "0.002"]
     assert call("advise", words) == 0
     other, _ = told(capsys)
@@ -57,7 +57,7 @@ def test_a_namelist_and_the_same_circuit_by_options(
     [
         (CASE.replace("&table", "&table urn_sides = 8,"), "&table urn_sides"),
         (CASE.replace("replicas = 4", "threshold = 3, 4, 5"), "one point only"),
-        (CASE.replace("number = 300", ""), "number is wanted"),
+        (CASE.replace("number = 100", ""), "number is wanted"),
     ],
 )
 def test_what_there_is_no_advice_on(

@@ -259,7 +259,7 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
         assert results.task(2, None) == (1, 1)
         assert results.task(1, 2) == (0, 1)
     mixed = ["--model", "window"]
-    for command, words in (("currents", mixed), ("scene", []), ("film", [])):
+    for command, words in (("currents", mixed), ("scene", []), ("film", ["--seconds", "0.2"])):
         assert call(command, [str(path), *words, "--output", str(tmp_path)]) == 0
         assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
     for name in ("comp05", "comp06"):

@@ -236,7 +236,7 @@ def test_lifetimes_of_a_long_gate_are_within_a_factor_of_three(
 
 
 def test_both_states_live_equally_long_where_they_are_measured_to() -> None:
-    numbers, logs = np.arange(370, 396, 5), []
+    numbers, logs = np.arange(370, 396, 12), []
     for number in numbers:
         circuit = MODELS["direction"].of(Circuit(int(number), 1))
         one, other = passage_times(circuit, LOW, HIGH, theory=MODELS["direction"].theory)

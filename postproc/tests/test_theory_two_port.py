@@ -245,7 +245,7 @@ def test_two_ports_and_circulation_have_the_conductance_that_is_measured(
     width: float, measured: float
 ) -> None:
     found = []
-    for threshold in range(6, 18, 2 if width < 0.05 else 1):
+    for threshold in range(6, 18, 4 if width < 0.05 else 2):
         circuit = replace(PAPER, threshold=threshold, channel2_width=width)
         ohm = width * 1000.0 / (math.pi * float(circuit.urn_area))
         found += [

@@ -41,7 +41,7 @@ from postproc.theory import fate
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from postproc.theory.circuit import Circuit
     from postproc.theory.ports import Ports
@@ -147,18 +147,19 @@ def response(one: Ports) -> float:
 
 def circulating_current(
     circuit: Circuit, urns: Sequence[Ports], entries: Floats, across: Floats,
-    age: float = math.inf,
-) -> float:  # fmt: skip
-    """Return the current of channel 2 from urn 2 to urn 1 that goes round.
+    age: ArrayLike = math.inf,
+) -> Floats:  # fmt: skip
+    """Return the current of channel 2 from urn 2 to urn 1 that goes round, at each age.
 
     Parameters
     ----------
     urns : the ports of urns 1 and 2.
     entries, across : e and f, what they send into channels 1 and 2 per unit time, shape (2,).
-    age : of the run: orbits of more rounds than have been flown by then are not filled yet.
+    age : of the run, of any shape: orbits of more rounds than have been flown by then are not
+        filled yet.
     """
     if float(circuit.channel2_width) == 0.0:
-        return 0.0
+        return np.zeros(np.shape(age))
     lasting = volumes(circuit)
     stays, shares = fate.cosine_law(0.5 * float(circuit.channel1_length))
     into_gate = np.asarray(entries, float) / (2.0 * float(circuit.channel1_width))
@@ -167,12 +168,14 @@ def circulating_current(
         float(fate.passing(int(one.threshold), float(rate), stays, shares)[0])
         for one, rate in zip(circuit.sides, entries, strict=True)
     ]
+    rounds = np.asarray(age, float) / round_time(circuit)
 
-    def around(sparse: int, dense: int) -> float:
+    def around(sparse: int, dense: int) -> Floats:
         first = q[sparse] * (in_channel[dense] - into_gate[sparse]) * lasting[0]
         fed = (1.0 - q[dense]) * into_gate[dense] - (1.0 - q[sparse]) * in_channel[dense]
-        rest = fed * series(lasting, q[sparse], age / round_time(circuit))
+        sums = [series(lasting, q[sparse], float(one)) for one in rounds.flat]
+        rest = fed * np.reshape(sums, rounds.shape)
         source = (1.0 - urns[dense].across) * (first + rest) + urns[sparse].return_chance * rest
-        return float(response(urns[sparse]) * source)
+        return response(urns[sparse]) * source
 
     return around(0, 1) - around(1, 0)

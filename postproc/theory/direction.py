@@ -358,7 +358,7 @@ def stationary_states(circuit: Circuit) -> list[State]:
         optimize.brentq(excess, other, one, xtol=1e-5)
         held = latest[0]
         urns = [ports.disc(side) for side in circuit.sides]
-        around = circulating_current(circuit, urns, held.entries[:, 0], held.across[:, 0])
+        around = float(circulating_current(circuit, urns, held.entries[:, 0], held.across[:, 0]))
         second = float(held.in_half[1])
         found.append(
             State(

@@ -191,7 +191,7 @@ def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[Sta
         second = float(at.in_half[1, 0])
         state = State(second, kind, abs(2.0 * second - number) / number, float(at.net_current[0]))
         if memory is ports.disc:
-            around = circulating_current(circuit, urns, at.entries[:, 0], at.across[:, 0])
+            around = float(circulating_current(circuit, urns, at.entries[:, 0], at.across[:, 0]))
             state = replace(
                 state, net_current=state.net_current + around, circulating_current=around
             )
@@ -244,10 +244,7 @@ def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:
     """
     at = _with_number2(circuit, number2)
     urns = [ports.disc(side) for side in circuit.sides]
-    entries, across = at.entries[:, 0], at.across[:, 0]
-    found = [circulating_current(circuit, urns, entries, across, float(age))
-             for age in np.ravel(ages)]  # fmt: skip
-    return np.reshape(found, np.shape(ages))
+    return circulating_current(circuit, urns, at.entries[:, 0], at.across[:, 0], ages)
 
 
 def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:

@@ -72,7 +72,8 @@ class Bench:
         package = FOLDER / "package"
         files = [ROOT / f"test/{name}.pf" for name in names]
         suites = self.runner.write_package(package, files, None)
-        programs = self.runner.build(package, self.flags, self.libraries, verbose=False)
+        programs = self.runner.build(
+            package, self.flags, self.libraries, self.runner.COMPILER, verbose=False)
         self.objects = newest(package.glob("build/*/battery_tests/serial_*.o"))
         self.archives = newest(package.glob("build/*/*/lib*.a"))
         self.modules = newest(package.glob("build/*/battery_table.mod"))[0].parent

@@ -184,6 +184,14 @@ def send(numbers: list[int], what: signal.Signals) -> None:
             continue
 
 
+def hears(process: subprocess.Popen[str], what: signal.Signals) -> bool:
+    """Tell whether a process that was started without mpirun catches a signal yet."""
+    words = words_of(Path(f"/proc/{process.pid}/status"))
+    return "SigCgt:" in words and bool(
+        int(words[words.index("SigCgt:") + 1], 16) & 1 << (what - 1)
+    )
+
+
 def kill_all(process: subprocess.Popen[str]) -> None:
     """Kill the program with mpirun and all ranks, at once."""
     send([process.pid, *descendants(process.pid)], signal.SIGKILL)
