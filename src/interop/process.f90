@@ -4,16 +4,16 @@ module battery_process
   use battery_c_shapes, only: number_known
   implicit none (type, external)
   private
-  public :: leave, process_number
+  public :: exit_process, process_number
 
   interface
     !> Ends the program, without the word `STOP` that Fortran prints.
-    subroutine leave(code) bind(c, name='exit')
+    subroutine exit_process(code) bind(c, name='exit')
       import :: c_int
       implicit none (type, external)
       !> What the shell is told, 0 to 255.
       integer(c_int), value, intent(in) :: code
-    end subroutine leave
+    end subroutine exit_process
   end interface
 
   !> Number of this process, as the system has it.
