@@ -6,17 +6,17 @@ program battery
   use battery_command_line, only: command_line_type, command_line_words, parse_arguments
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node, wait_for_all
-  use battery_ensemble, only: run_ensemble, heed_time_limit
+  use battery_ensemble, only: run_ensemble, set_time_limit
   use battery_memory_estimate, only: check_estimate, check_start
   use battery_memory_limits, only: spare_address_space
-  use battery_outlook, only: print_outlook
+  use battery_plan_report, only: print_plan_report
   use battery_plan, only: plan_type
   use battery_plan_sharing, only: read_plan_once
   use battery_provenance, only: version_text
   use battery_self_test, only: run_self_test
   use battery_signals, only: watch_signals
-  use battery_process, only: leave, leave_after
-  use battery_terminal, only: guard_streams, say, complain, all_was_printed
+  use battery_process, only: exit_process, leave_after
+  use battery_terminal, only: guard_streams, print_line, print_error, all_was_printed
   use battery_text, only: string_type
   implicit none (type, external)
 
@@ -35,8 +35,8 @@ program battery
   call watch_signals()
   call check_start(error)
   if (allocated(error)) then
-    call complain(error%message)
-    call leave(error%code)
+    call print_error(error%message)
+    call exit_process(error%code)
   end if
   call open_communicator(communicator)
   words = command_line_words()
@@ -49,15 +49,16 @@ program battery
       call run()
     else if (communicator%rank == 0) then
       if (command_line%version) command_line%answer = version_text()
-      call say(command_line%answer)
+      call print_line(command_line%answer)
     end if
   end if
   if (allocated(error)) then
-    if (communicator%rank == 0) call complain(error%message)
+    if (communicator%rank == 0) call print_error(error%message)
     exit_code = error%code
   end if
   if (.not. all_was_printed()) then
-    call complain('battery: part of the output could not be printed; files are as they should be')
+    call &
+      print_error('battery: part of the output could not be printed; files are as they should be')
     if (exit_code == exit_success) exit_code = exit_failure
   end if
   ! All is written. MPICH 4.0 over UCX hangs now and then in MPI_Finalize on several nodes: one rank
@@ -65,7 +66,7 @@ program battery
   call wait_for_all(communicator)
   call leave_after(patience, exit_code)
   call close_communicator(communicator)
-  call leave(exit_code)
+  call exit_process(exit_code)
 
 contains
 
@@ -76,7 +77,7 @@ contains
     sharing = ranks_on_node(communicator)
     call read_plan_once(command_line%file, communicator, plan, error)
     if (allocated(error)) return
-    call heed_time_limit(plan)
+    call set_time_limit(plan)
     call check_estimate(plan, sharing, error)
     call share_error(communicator, error)
     if (allocated(error)) return
@@ -86,7 +87,7 @@ contains
       if (communicator%rank == 0 .and. .not. allocated(error)) &
         call write_run_answer(command_line%json, plan%file, error)
     else if (communicator%rank == 0) then
-      call print_outlook(plan, communicator%size, sharing, &
+      call print_plan_report(plan, communicator%size, sharing, &
         command_line%overwrite, command_line%json, error)
     end if
     call share_error(communicator, error)

@@ -7,11 +7,11 @@ module battery_bench
   use battery_table, only: new_table, shape_circuit, urn_type, channel_type
   use battery_urn, only: shape_polygon
   use battery_engine, only: engine_type, particles_type
-  use battery_history, only: history_type
+  use battery_event_record, only: event_record_type
   use battery_engines, only: new_engine
   use battery_initial_state, only: random_particles
   use battery_clocks, only: cpu_seconds
-  use battery_bench_board, only: bench_board
+  use battery_bench_task_queue, only: bench_task_queue
   use battery_bench_visits, only: visitors_type, invite, receive
   use battery_bench_rows, only: case_type, rate_type, cost_of_collision, cost_of_visit, &
     cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor, &
@@ -48,7 +48,7 @@ contains
     case ('memory')
       call single(unit, memory=.true.)
     case ('board')
-      call bench_board(unit, board_items())
+      call bench_task_queue(unit, board_items())
     case ('', '--json')
       call tables(unit, json_name())
     case default
@@ -87,7 +87,7 @@ contains
     logical, intent(in) :: memory
     type(case_type) :: one
     type(runner_type) :: runner
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     character(len=512) :: words
     character(len=64) :: word
     integer(int64) :: collisions, wanted
@@ -104,8 +104,8 @@ contains
     call prepare(one, runner)
     collisions = 0
     do while (collisions < wanted)
-      call runner%engine%advance(huge(1.0_wp), history)
-      collisions = collisions + history%collisions
+      call runner%engine%advance(huge(1.0_wp), event_record)
+      collisions = collisions + event_record%collisions
     end do
     write (unit, '(i0)') merge(peak_memory(), collisions, memory)
   end subroutine single
@@ -154,7 +154,7 @@ contains
   subroutine warm_up(one, runner)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     real(wp) :: time
     real(dp) :: began
     type(rate_type) :: rate
@@ -166,8 +166,8 @@ contains
     time = 0.0_wp
     began = cpu_seconds()
     do while (time < one%warm_up .and. cpu_seconds() - began < 4.0_dp*one%seconds)
-      call runner%engine%advance(one%warm_up - time, history)
-      time = time + history%duration
+      call runner%engine%advance(one%warm_up - time, event_record)
+      time = time + event_record%duration
     end do
   end subroutine warm_up
 
@@ -177,7 +177,7 @@ contains
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
     type(rate_type), intent(out) :: rate
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     integer(int64) :: before
     real(dp) :: began, spent, time, visits
     integer :: k
@@ -192,9 +192,9 @@ contains
     began = cpu_seconds()
     do
       do k = 1, 8
-        call runner%engine%advance(huge(1.0_wp), history)
-        time = time + real(history%duration, dp)
-        visits = visits + real(history%bounce_backs + history%crossings, dp)
+        call runner%engine%advance(huge(1.0_wp), event_record)
+        time = time + real(event_record%duration, dp)
+        visits = visits + real(event_record%bounce_backs + event_record%crossings, dp)
       end do
       spent = cpu_seconds() - began
       if (spent > one%seconds) exit

@@ -1,12 +1,12 @@
 !> Whole visits to an urn, and nothing else, for the speed tables: batch after batch is given to
-!> `cross`, as the engine `excursion` does with the visits of a window.
+!> `compute_visits`, as the engine `excursion` does with the visits of a window.
 module battery_bench_visits
   use battery_kinds, only: wp, dp, int64
   use battery_bench_rows, only: rate_type
   use battery_clocks, only: cpu_seconds
   use battery_random, only: hashed_uniform
   use battery_table, only: table_type, gated, ungated
-  use battery_urn, only: urn_type, cross
+  use battery_urn, only: urn_type, compute_visits
   use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
   private
@@ -20,7 +20,7 @@ module battery_bench_visits
     private
     type(urn_type) :: urn
     integer(int64), allocatable :: channel(:, :)
-    real(wp), allocatable :: x(:, :), y(:, :), along(:, :), across(:, :)
+    real(wp), allocatable :: x(:, :), y(:, :), u_axial(:, :), u_lateral(:, :)
     type(visits_type) :: visits
   end type visitors_type
 
@@ -35,19 +35,19 @@ contains
 
     visitors%urn = table%urn(1)
     width = table%channel%width
-    allocate (visitors%channel(batch, batches), visitors%x(batch, batches), &
-      visitors%y(batch, batches), visitors%along(batch, batches), visitors%across(batch, batches))
+    allocate (visitors%channel(batch, batches), visitors%x(batch, batches), visitors%y(batch, &
+      batches), visitors%u_axial(batch, batches), visitors%u_lateral(batch, batches))
     do k = 1, batches
       do j = 1, batch
         place = sum(width)*hashed_uniform(int(j, int64), int(2*k, int64))
         sine = 2.0_wp*hashed_uniform(int(j, int64), int(2*k + 1, int64)) - 1.0_wp
-        visitors%across(j, k) = sine
-        visitors%along(j, k) = sqrt((1.0_wp - sine)*(1.0_wp + sine))
+        visitors%u_lateral(j, k) = sine
+        visitors%u_axial(j, k) = sqrt((1.0_wp - sine)*(1.0_wp + sine))
         if (place < width(gated)) then
           visitors%channel(j, k) = gated
           visitors%x(j, k) = table%urn(1)%chord(gated)
           visitors%y(j, k) = place - 0.5_wp*width(gated)
-          visitors%along(j, k) = -visitors%along(j, k)
+          visitors%u_axial(j, k) = -visitors%u_axial(j, k)
         else
           visitors%channel(j, k) = ungated
           visitors%x(j, k) = -table%urn(1)%chord(ungated)
@@ -80,10 +80,10 @@ contains
           v%channel(:batch) = visitors%channel(:, k)
           v%x(:batch) = visitors%x(:, k)
           v%y(:batch) = visitors%y(:, k)
-          v%along(:batch) = visitors%along(:, k)
-          v%across(:batch) = visitors%across(:, k)
+          v%u_axial(:batch) = visitors%u_axial(:, k)
+          v%u_lateral(:batch) = visitors%u_lateral(:, k)
           v%hits(:batch) = 0.0_wp
-          call cross(visitors%urn, v)
+          call compute_visits(visitors%urn, v)
           hits = hits + v%all_hits
           visits = visits + batch
           time = time + sum(real(v%length(:batch), dp))

@@ -6,7 +6,7 @@ module battery_probe
   use battery_text, only: to_text
   use battery_table, only: table_type, new_table, shape_circuit
   use battery_engine, only: engine_type, particles_type
-  use battery_history, only: history_type
+  use battery_event_record, only: event_record_type
   use battery_engines, only: new_engine
   implicit none (type, external)
   private
@@ -95,17 +95,17 @@ contains
     call engine%start(table, threshold, given, began)
   end subroutine started
 
-  !> Goes on for `duration`; `history` is that of the last window.
-  subroutine run_for(engine, duration, history)
+  !> Goes on for `duration`; `event_record` is that of the last window.
+  subroutine run_for(engine, duration, event_record)
     class(engine_type), intent(inout) :: engine
     real(wp), intent(in) :: duration
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp) :: elapsed
 
     elapsed = 0.0_wp
     do while (duration - elapsed > 4.0_wp*epsilon(1.0_wp)*duration)
-      call engine%advance(duration - elapsed, history)
-      elapsed = elapsed + history%duration
+      call engine%advance(duration - elapsed, event_record)
+      elapsed = elapsed + event_record%duration
     end do
   end subroutine run_for
 

@@ -6,7 +6,7 @@ module battery_probe_case
   use battery_table, only: table_type, chamber_at, outside
   use battery_random, only: hashed_uniform
   use battery_engine, only: engine_type, particles_type
-  use battery_history, only: history_type
+  use battery_event_record, only: event_record_type
   use battery_clocks, only: wall_seconds
   use battery_probe, only: precision_name, started, list, say
   implicit none (type, external)
@@ -52,7 +52,7 @@ contains
     integer, intent(in) :: threshold
     type(particles_type), intent(in) :: particles
     real(wp), intent(in), optional :: clock
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     real(wp) :: window, added, sum_after, rounded_off
     real(dp) :: began
     integer :: n
@@ -65,24 +65,24 @@ contains
     one%duration = duration
     allocate (one%time(0), one%kind(0), one%particle(0))
     call started(engine_name, table, threshold, particles, step, one%engine, clock)
-    history%logging = .true.
+    event_record%logging = .true.
     window = huge(1.0_wp)
     if (hit_rate > 0.0_wp .and. (engine_name == 'collision' .or. engine_name == 'synchronous')) &
       window = window_hits/hit_rate
     rounded_off = 0.0_wp
     began = wall_seconds()
     do while (duration - one%reached > 4.0_wp*epsilon(1.0_wp)*duration)
-      call one%engine%advance(min(duration - one%reached, window), history)
-      n = history%events
+      call one%engine%advance(min(duration - one%reached, window), event_record)
+      n = event_record%events
       if (n > 0) then
-        one%time = [one%time, one%reached + history%event_time(:n)]
-        one%kind = [one%kind, int(history%event_kind(:n))]
-        one%particle = [one%particle, int(history%event_particle(:n))]
+        one%time = [one%time, one%reached + event_record%event_time(:n)]
+        one%kind = [one%kind, int(event_record%event_kind(:n))]
+        one%particle = [one%particle, int(event_record%event_particle(:n))]
       end if
       one%events = one%events + n
-      one%crossings = one%crossings + [crossings(history, 1), crossings(history, 0)]
+      one%crossings = one%crossings + [crossings(event_record, 1), crossings(event_record, 0)]
       ! Millions of windows are added up: what is rounded off is kept (Kahan).
-      added = history%duration - rounded_off
+      added = event_record%duration - rounded_off
       sum_after = one%reached + added
       rounded_off = (sum_after - one%reached) - added
       one%reached = sum_after
@@ -94,12 +94,12 @@ contains
   end subroutine live
 
   !> Crossings of a window from half 1 to 2 (`odd` = 1) or back (0).
-  pure function crossings(history, odd) result(number)
-    type(history_type), intent(in) :: history
+  pure function crossings(event_record, odd) result(number)
+    type(event_record_type), intent(in) :: event_record
     integer, intent(in) :: odd
     integer(int64) :: number
 
-    number = count(modulo(int(history%crossing(:history%crossings)), 2) == odd)
+    number = count(modulo(int(event_record%crossing(:event_record%crossings)), 2) == odd)
   end function crossings
 
   !> The line of a case.

@@ -5,7 +5,7 @@ module battery_probe_events
   use battery_text, only: to_text
   use battery_table, only: table_type, new_table, shape_circuit, shape_urn
   use battery_engine, only: engine_type, particles_type
-  use battery_history, only: history_type
+  use battery_event_record, only: event_record_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, started, &
     list, say, stop_at
@@ -19,7 +19,7 @@ contains
   !> DURATION`: one line. Engines that draw random numbers have the seed 1.
   subroutine events_main()
     class(engine_type), allocatable :: engine
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     type(table_type) :: table
     type(particles_type) :: particles, found
     type(error_type), allocatable :: error
@@ -36,17 +36,17 @@ contains
     call started(argument(2), table, int(integer_argument(12)), particles, real_argument(3), &
       engine, real_argument(13))
     duration = real_argument(14)
-    history%logging = .true.
+    event_record%logging = .true.
     allocate (time(0), what(3, 0))
     elapsed = 0.0_wp
     do while (duration - elapsed > 4.0_wp*epsilon(1.0_wp)*duration)
-      call engine%advance(duration - elapsed, history)
-      do k = 1, history%events
-        time = [time, elapsed + history%event_time(k)]
-        what = reshape([what, int(history%event_kind(k)), int(history%event_where(k)), &
-          int(history%event_particle(k))], [3, size(time)])
+      call engine%advance(duration - elapsed, event_record)
+      do k = 1, event_record%events
+        time = [time, elapsed + event_record%event_time(k)]
+        what = reshape([what, int(event_record%event_kind(k)), int(event_record%event_where(k)), &
+          int(event_record%event_particle(k))], [3, size(time)])
       end do
-      elapsed = elapsed + history%duration
+      elapsed = elapsed + event_record%duration
     end do
     call engine%particles(1, engine%number, found)
     call say('{"precision": "'//precision_name()//'", "engine": "'//argument(2)//'", "trapped": ' &

@@ -10,8 +10,8 @@ module battery_probe_lyapunov
   use battery_text, only: to_text
   use battery_table, only: table_type
   use battery_random, only: hashed_uniform
-  use battery_motion, only: motion_type, fly, meets_channel_wall, meets_nothing
-  use battery_bounce, only: take_off, hit_wall, pass_line, put_down
+  use battery_motion, only: motion_type, move_straight, meets_channel_wall, meets_nothing
+  use battery_bounce, only: find_first_wall, hit_wall, pass_line, motion_at
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_initial_state, only: read_particles
@@ -51,7 +51,7 @@ contains
     end if
     do i = 1, number
       call place(table, i, flight)
-      if (allocated(particles%x)) flight = put_down(table, particles%x(i), particles%y(i), &
+      if (allocated(particles%x)) flight = motion_at(table, particles%x(i), particles%y(i), &
         particles%ux(i), particles%uy(i))
       call follow(table, flight, duration, rate, late)
       sums = sums + [rate, rate**2]
@@ -79,7 +79,7 @@ contains
       if (x**2 + y**2 < 0.9_wp) exit
     end do
     angle = 2.0_wp*pi*hashed_uniform(int(i, int64), count)
-    flight = put_down(table, sign(table%urn(1)%centre, real(modulo(i, 2), wp) - 0.5_wp) + x, y, &
+    flight = motion_at(table, sign(table%urn(1)%centre, real(modulo(i, 2), wp) - 0.5_wp) + x, y, &
       cos(angle), sin(angle))
   end subroutine place
 
@@ -93,13 +93,13 @@ contains
     type(tangent_type) :: tangent
     real(wp) :: wait, time, half, half_time
 
-    call take_off(table, flight, wait)
+    call find_first_wall(table, flight, wait)
     time = 0.0_wp
     half = 0.0_wp
     half_time = 0.0_wp
     do while (time < duration)
       if (flight%next == meets_nothing) exit
-      call fly(flight, wait)
+      call move_straight(flight, wait)
       call fly_apart(tangent, wait)
       time = time + wait
       call pass(table, flight, tangent, wait)
@@ -126,8 +126,8 @@ contains
         if (flight%next == meets_channel_wall) then
           call bounce_apart(tangent)
         else
-          call bounce_apart(tangent, abs((urn%centre + urn%way*flight%x)*urn%way*flight%ux &
-            + flight%y*flight%uy))
+          call bounce_apart(tangent, abs((urn%centre &
+            + urn%axis_sign*flight%x)*urn%axis_sign*flight%ux + flight%y*flight%uy))
         end if
         call hit_wall(table, flight, wait)
       end if

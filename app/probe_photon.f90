@@ -7,7 +7,7 @@ module battery_probe_photon
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
     is_scattered
   use battery_engine, only: engine_type, particles_type
-  use battery_history, only: history_type
+  use battery_event_record, only: event_record_type
   use battery_engines, only: new_engine
   use battery_probe, only: argument, precision_name
   implicit none (type, external)
@@ -22,7 +22,7 @@ contains
     class(engine_type), allocatable :: engine
     type(error_type), allocatable :: error
     type(particles_type) :: photon
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     type(table_type) :: table
     real(wp) :: elapsed, distance
 
@@ -37,8 +37,8 @@ contains
     call engine%start(table, 1, photon, 0.0_wp)
     elapsed = 0.0_wp
     do while (elapsed < 10.0_wp)
-      call engine%advance(10.0_wp - elapsed, history)
-      elapsed = elapsed + history%duration
+      call engine%advance(10.0_wp - elapsed, event_record)
+      elapsed = elapsed + event_record%duration
     end do
     call engine%particles(1, 1, photon)
     distance = hypot(photon%x(1) - sign(table%urn(1)%periodic_line, photon%x(1)), photon%y(1))

@@ -10,7 +10,7 @@ module battery_probe_polygon
   use battery_channel, only: channel_type, gated, ungated, facing
   use battery_corners, only: distance_to_side
   use battery_polygon, only: polygon_type
-  use battery_polygon_walls, only: surely_next_side, reflect
+  use battery_polygon_walls, only: surely_next_side, reflect_from_side
   use battery_table, only: table_type, new_table, shape_circuit, urn_type
   use battery_urn, only: shape_polygon
   use battery_probe, only: given, stop_at
@@ -87,7 +87,7 @@ contains
         *(1.0_wp + 2.0_wp*hits)))
       if (abs(next(2)) < polygon%open_half(side)) return
       place = next
-      call reflect(polygon, side, place(1), place(2), velocity(1), velocity(2))
+      call reflect_from_side(polygon, side, place(1), place(2), velocity(1), velocity(2))
     end do
   end function least_room_beside_corners
 

@@ -7,7 +7,7 @@
 module battery_probe_stability
   use battery_kinds, only: wp, dp, int64
   use battery_table, only: table_type
-  use battery_history, only: history_type, event_entry
+  use battery_event_record, only: event_record_type, event_entry
   use battery_engine, only: particles_type
   use battery_clocks, only: wall_seconds
   use battery_probe, only: argument, real_argument, integer_argument, paper_table, started
@@ -264,7 +264,7 @@ contains
     type(case_type) :: one
     type(table_type) :: table
     type(particles_type) :: particles
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     integer(int64) :: known
     real(dp) :: began
     integer :: first
@@ -280,10 +280,10 @@ contains
     known = 0
     began = wall_seconds()
     do while (known < collisions)
-      call one%engine%advance(huge(1.0_wp), history)
-      known = known + history%collisions
-      one%reached = one%reached + history%duration
-      one%crossings = one%crossings + [crossings(history, 1), crossings(history, 0)]
+      call one%engine%advance(huge(1.0_wp), event_record)
+      known = known + event_record%collisions
+      one%reached = one%reached + event_record%duration
+      one%crossings = one%crossings + [crossings(event_record, 1), crossings(event_record, 0)]
     end do
     one%seconds = wall_seconds() - began
     call one%engine%particles(1, 1000, one%particles)

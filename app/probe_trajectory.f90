@@ -6,7 +6,7 @@ module battery_probe_trajectory
   use battery_text, only: to_text
   use battery_table, only: table_type
   use battery_engine, only: engine_type, particles_type
-  use battery_history, only: history_type
+  use battery_event_record, only: event_record_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
     started, run_for, list, say, stop_at, now_seconds
@@ -40,7 +40,7 @@ contains
   subroutine trajectory_main()
     type(case_type) :: one
     class(engine_type), allocatable :: engine
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     type(particles_type) :: found
     type(log_type) :: log
     real(wp) :: elapsed
@@ -50,16 +50,16 @@ contains
     call read_case(one, 7)
     one%threshold = int(integer_argument(6))
     call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
-    history%logging = .true.
+    event_record%logging = .true.
     allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
     elapsed = 0.0_wp
     spent = 0.0_dp
     do k = 1, size(one%times)
       began = now_seconds()
       do while (one%times(k) - elapsed > 4.0_wp*epsilon(1.0_wp)*one%times(k))
-        call engine%advance(one%times(k) - elapsed, history)
-        call append(log, history, elapsed)
-        elapsed = elapsed + history%duration
+        call engine%advance(one%times(k) - elapsed, event_record)
+        call append(log, event_record, elapsed)
+        elapsed = elapsed + event_record%duration
       end do
       spent = spent + (now_seconds() - began)
       call engine%particles(1, engine%number, found)
@@ -82,7 +82,7 @@ contains
   subroutine reversal_main()
     type(case_type) :: one
     class(engine_type), allocatable :: engine
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     type(particles_type) :: found
     integer :: k
 
@@ -90,12 +90,12 @@ contains
     one%threshold = size(one%particles%x)
     do k = 1, size(one%times)
       call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
-      call run_for(engine, one%times(k), history)
+      call run_for(engine, one%times(k), event_record)
       call engine%particles(1, engine%number, found)
       found%ux = -found%ux
       found%uy = -found%uy
       call started(one%engine, one%table, one%threshold, found, one%step, engine)
-      call run_for(engine, one%times(k), history)
+      call run_for(engine, one%times(k), event_record)
       call engine%particles(1, engine%number, found)
       call say('{"precision": "'//precision_name()//'", "engine": "'//one%engine//'", "time": ' &
         //to_text(real(one%times(k), dp))//', "error": '//list(hypot(found%x - one%particles%x, &
@@ -123,7 +123,7 @@ contains
     type(case_type), intent(in) :: one
     real(dp) :: seconds
     class(engine_type), allocatable :: engine
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     real(dp) :: began, spent, time
 
     spent = 0.0_dp
@@ -131,7 +131,7 @@ contains
     do
       call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
       began = now_seconds()
-      call run_for(engine, one%times(size(one%times)), history)
+      call run_for(engine, one%times(size(one%times)), event_record)
       spent = spent + (now_seconds() - began)
       time = time + real(one%times(size(one%times)), dp)
       if (spent > least_seconds) exit
@@ -139,18 +139,18 @@ contains
     seconds = spent/(time*size(one%particles%x))
   end function cost
 
-  subroutine append(log, history, since)
+  subroutine append(log, event_record, since)
     type(log_type), intent(inout) :: log
-    type(history_type), intent(in) :: history
+    type(event_record_type), intent(in) :: event_record
     real(wp), intent(in) :: since
     integer :: n
 
-    n = history%events
+    n = event_record%events
     if (n == 0) return
-    log%time = [log%time, since + history%event_time(:n)]
-    log%kind = [log%kind, int(history%event_kind(:n))]
-    log%where = [log%where, int(history%event_where(:n))]
-    log%particle = [log%particle, int(history%event_particle(:n))]
+    log%time = [log%time, since + event_record%event_time(:n)]
+    log%kind = [log%kind, int(event_record%event_kind(:n))]
+    log%where = [log%where, int(event_record%event_where(:n))]
+    log%particle = [log%particle, int(event_record%event_particle(:n))]
   end subroutine append
 
 end module battery_probe_trajectory

@@ -14,7 +14,7 @@ module battery_probe_visits
   use battery_text, only: to_text
   use battery_table, only: table_type, gated, ungated
   use battery_random, only: hashed_uniform
-  use battery_urn, only: cross, shape_polygon
+  use battery_urn, only: compute_visits, shape_polygon
   use battery_visits, only: visits_type, reserve_visits
   use battery_probe, only: argument, real_argument, integer_argument, given, precision_name, &
     paper_table, say, stop_at, now_seconds
@@ -110,12 +110,12 @@ contains
       visits%passage(j) = 0.0_wp
       visits%hits(j) = 0.0_wp
       call way_in(table, first + j, bits, visits%channel(j), visits%x(j), visits%y(j), &
-        visits%along(j), visits%across(j))
+        visits%u_axial(j), visits%u_lateral(j))
     end do
-    call cross(table%urn(1), visits)
+    call compute_visits(table%urn(1), visits)
     do j = 1, n
       found(:, j) = real([opening(visits%channel(j)), visits%y(j), &
-        visits%along(j), visits%across(j), visits%length(j), visits%hits(j)], dp)
+        visits%u_axial(j), visits%u_lateral(j), visits%length(j), visits%hits(j)], dp)
     end do
   end subroutine visit
 

@@ -17,14 +17,14 @@
 !> entries, and its length, beyond the shortest way between gates, is exponential about the mean.
 module battery_walkers
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: table_type, gated, ungated, side_at, x_direction, alike, mean_visit, &
-    shortest_excursion
+  use battery_table, only: table_type, gated, ungated, side_at, x_direction, are_mirror_images, &
+    mean_visit, shortest_excursion
   use battery_engine, only: particles_type
-  use battery_chamber, only: leave_channels
-  use battery_urn, only: cross
+  use battery_chamber, only: cross_channels
+  use battery_urn, only: compute_visits
   use battery_visits, only: visits_type, reserve_visits, no_channel
-  use battery_gate, only: gate_type, new_gate, enter, must_turn, cross_first, turned_back, &
-    number_inside, who_is_inside, next_crossing
+  use battery_gate, only: gate_type, new_gate, enter_gate, must_reverse, uncount_first, &
+    uncount_all, number_inside, counted_particle, next_crossing_time
   use battery_tally, only: tally_type, new_tally, add_entry, add_turned, add_crossing
   use battery_draws, only: draws_type, new_draws, next
   implicit none (type, external)
@@ -84,7 +84,7 @@ contains
     walkers%copies = copies
     walkers%well_mixed = well_mixed
     walkers%tally = new_tally(from, to, copies, count(particles%x >= 0.0_wp))
-    walkers%chambers = merge(1, 2, alike(table%urn))
+    walkers%chambers = merge(1, 2, are_mirror_images(table%urn))
     walkers%shortest = shortest_excursion(table)
     allocate (walkers%gate(copies, 2))
     do side = 1, 2
@@ -95,8 +95,8 @@ contains
     end do
     walkers%window = min(walkers%shortest, real(batch, wp)*minval(walkers%mean)/real(number, wp))
     walkers%draws = new_draws(seed)
-    allocate (walkers%time(number), walkers%y(number), walkers%along(number), &
-      walkers%across(number), walkers%through(number), source=0.0_wp)
+    allocate (walkers%time(number), walkers%y(number), walkers%u_axial(number), &
+      walkers%u_lateral(number), walkers%through(number), source=0.0_wp)
     allocate (walkers%urn(number), walkers%who(number), source=0)
     allocate (walkers%first(2*copies + 1), source=0)
     call start(walkers, particles)
@@ -119,8 +119,8 @@ contains
         v%hits(v%count) = 0.0_wp
         v%x(v%count) = walkers%table%urn(side)%centre - abs(particles%x(i))
         v%y(v%count) = particles%y(i)
-        v%along(v%count) = -x_direction(side)*particles%ux(i)
-        v%across(v%count) = particles%uy(i)
+        v%u_axial(v%count) = -x_direction(side)*particles%ux(i)
+        v%u_lateral(v%count) = particles%uy(i)
       end associate
     end do
     walkers%under_way = 1
@@ -199,14 +199,14 @@ contains
     associate (gate => walkers%gate(copy, side))
       do k = 1, size(who)
         time = walkers%time(who(k))
-        do while (next_crossing(gate) <= time)
+        do while (next_crossing_time(gate) <= time)
           call cross_middle(walkers, side, gate)
         end do
-        call enter(gate, time + 0.5_wp*walkers%through(who(k)), who(k))
+        call enter_gate(gate, time + 0.5_wp*walkers%through(who(k)), who(k))
         call add_entry(walkers%tally, side, time)
-        if (must_turn(gate)) call turn(walkers, side, gate, time)
+        if (must_reverse(gate)) call turn(walkers, side, gate, time)
       end do
-      do while (next_crossing(gate) < ends)
+      do while (next_crossing_time(gate) < ends)
         call cross_middle(walkers, side, gate)
       end do
     end associate
@@ -235,7 +235,7 @@ contains
     type(gate_type), intent(inout) :: gate
     integer :: i
 
-    call cross_first(gate, i)
+    call uncount_first(gate, i)
     call add_crossing(walkers%tally, side, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
     call leave_gate(walkers, i, walkers%table%beyond(side), walkers%through(i))
   end subroutine cross_middle
@@ -249,12 +249,12 @@ contains
     integer :: k
 
     do k = 1, number_inside(gate)
-      associate (i => who_is_inside(gate, k))
+      associate (i => counted_particle(gate, k))
         call leave_gate(walkers, i, side, 2.0_wp*(time - walkers%time(i)))
       end associate
     end do
     call add_turned(walkers%tally, side, time, number_inside(gate))
-    call turned_back(gate)
+    call uncount_all(gate)
   end subroutine turn
 
   !> Out of channel 1 into an urn, `passage` after it entered the channel.
@@ -264,7 +264,7 @@ contains
     real(wp), intent(in) :: passage
 
     call send(walkers%visits(min(urn, walkers%chambers), walkers%under_way), i, urn, gated, &
-      walkers%time(i), passage, walkers%y(i), walkers%along(i), walkers%across(i))
+      walkers%time(i), passage, walkers%y(i), walkers%u_axial(i), walkers%u_lateral(i))
     walkers%time(i) = huge(1.0_wp)
   end subroutine leave_gate
 
@@ -281,8 +281,8 @@ contains
     v%time(v%count) = time
     v%passage(v%count) = passage
     v%y(v%count) = y
-    v%along(v%count) = along
-    v%across(v%count) = across
+    v%u_axial(v%count) = along
+    v%u_lateral(v%count) = across
   end subroutine send
 
   !> All visits under way, and those that follow through channel 2, until everyone heads for a gate.
@@ -293,7 +293,7 @@ contains
     do while (sum(walkers%visits(:, walkers%under_way)%count) > 0)
       do chamber = 1, walkers%chambers
         associate (v => walkers%visits(chamber, walkers%under_way))
-          if (v%count > 0) call leave_channels(walkers%table%urn(chamber), v)
+          if (v%count > 0) call cross_channels(walkers%table%urn(chamber), v)
         end associate
       end do
       call finish(walkers)
@@ -313,7 +313,7 @@ contains
         if (walkers%well_mixed) then
           call forget(walkers, v)
         else
-          call cross(walkers%table%urn(chamber), v)
+          call compute_visits(walkers%table%urn(chamber), v)
         end if
         call land(walkers, v)
       end associate
@@ -334,9 +334,9 @@ contains
         channel = merge(gated, ungated, next(walkers%draws)*sum(width) < width(gated))
         v%channel(j) = channel
         v%y(j) = (next(walkers%draws) - 0.5_wp)*width(channel)
-        v%across(j) = 2.0_wp*next(walkers%draws) - 1.0_wp
-        v%along(j) = sqrt((1.0_wp - v%across(j))*(1.0_wp + v%across(j)))
-        v%through(j) = length(channel)/v%along(j)
+        v%u_lateral(j) = 2.0_wp*next(walkers%draws) - 1.0_wp
+        v%u_axial(j) = sqrt((1.0_wp - v%u_lateral(j))*(1.0_wp + v%u_lateral(j)))
+        v%through(j) = length(channel)/v%u_axial(j)
         v%length(j) = walkers%shortest - log(next(walkers%draws))*max(walkers%mean(v%urn(j)) &
           - walkers%shortest, 0.0_wp)
       end do
@@ -360,15 +360,15 @@ contains
         walkers%time(i) = leaves
         walkers%urn(i) = urn
         walkers%y(i) = v%y(j)
-        walkers%along(i) = v%along(j)
-        walkers%across(i) = v%across(j)
+        walkers%u_axial(i) = v%u_axial(j)
+        walkers%u_lateral(i) = v%u_lateral(j)
         walkers%through(i) = v%through(j)
         cycle
       end if
       call add_crossing(walkers%tally, urn, ungated, leaves + 0.5_wp*v%through(j))
       beyond = walkers%table%beyond(urn)
       call send(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%under_way), i, beyond, &
-        ungated, leaves, v%through(j), v%y(j), v%along(j), v%across(j))
+        ungated, leaves, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
     end do
   end subroutine land
 

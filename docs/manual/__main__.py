@@ -76,10 +76,10 @@ def sphinx() -> int:
 
 
 def rooms() -> dict[str, dict[str, str]]:
-    """Return the rooms of src and postproc with their meanings (docs/rooms.txt)."""
+    """Return the rooms of src and postproc with their meanings (docs/layers.txt)."""
     found: dict[str, dict[str, str]] = {}
     house = ""
-    for line in (ROOT / "docs/rooms.txt").read_text().splitlines():
+    for line in (ROOT / "docs/layers.txt").read_text().splitlines():
         if re.fullmatch(r"\w+", line):
             house = line
             found[house] = {}

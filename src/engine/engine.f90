@@ -1,20 +1,21 @@
 !> What every engine is and offers: start, advance by about one window, tell where particles are.
 !>
 !> An engine owns the particles, the gates and the clock. It reports what happened in a
-!> `history_type`, which the observers read. Here is what all engines have; a kind of engine adds
-!> how particles move.
+!> `event_record_type`, which the observers read. Here is what all engines have; a kind of engine
+!> adds how particles move.
 !>
 !> **The clock.** Time is counted within a page, a power of two, so that it resolves the same
 !> however long the run has been; at its end all clocks are set back by it, which is exact.
 module battery_engine
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
-  use battery_gate, only: gate_type, new_gate, forget_entries, shift_gate, pass_gate
-  use battery_history, only: history_type
-  use battery_stream, only: stream_type
+  use battery_gate, only: gate_type, new_gate, forget_entries, rebase_gate, serialize_gate
+  use battery_event_record, only: event_record_type
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: engine_type, particles_type, allocate_particles, turn_clock, what_all_need
+  public :: engine_type, particles_type, allocate_particles, rebase_gates_and_clock, &
+    unmet_requirement
 
   !> Positions and velocities (speed 1) of all particles, in the order of the initial file.
   type :: particles_type
@@ -27,74 +28,75 @@ module battery_engine
     !> The gates of urn 1 and urn 2.
     type(gate_type) :: gate(2)
     integer :: number = 0
-    !> Set before `start` or `pass_state`: the step of an engine that has one, and the seed, 0 to
-    !> 2**32 - 1, of one that draws random numbers.
+    !> Set before `start` or `serialize_state`: the step of an engine that has one, and the seed, 0
+    !> to 2**32 - 1, of one that draws random numbers.
     real(wp) :: time_step = 0.0_wp
     integer(int64) :: seed = 0
-    !> Time since the page was turned; its length, which `prepare` sets; how often it was turned.
-    real(wp) :: now = 0.0_wp, page = 0.0_wp
-    integer(int64) :: pages = 0
+    !> Time since the page was turned; its length, which `prepare_engine` sets; how often it was
+    !> turned.
+    real(wp) :: now = 0.0_wp, epoch = 0.0_wp
+    integer(int64) :: epochs = 0
     !> What the clock showed at the start.
     real(wp) :: clock_start = 0.0_wp
   contains
-    procedure, private :: start_alike, start_each
+    procedure, private :: start_with_threshold, start_with_thresholds
     !> `start(table, threshold, particles, clock)` takes over particles at time `clock`.
-    generic :: start => start_alike, start_each
+    generic :: start => start_with_threshold, start_with_thresholds
     procedure, non_overridable :: advance
     procedure, non_overridable :: clock
-    procedure, non_overridable :: pass_state
+    procedure, non_overridable :: serialize_state
     !> What keeps the engine from simulating a table, as words for the user; empty: nothing.
     procedure :: supports
-    !> Sizes and lengths that follow from `table`, `number` and `time_step`; sets `page`.
-    procedure(prepare_interface), deferred :: prepare
+    !> Sizes and lengths that follow from `table`, `number` and `time_step`; sets `epoch`.
+    procedure(prepare_engine_interface), deferred :: prepare_engine
     !> Takes over the particles, which have been checked. Their arrays may be freed on the way, so
     !> that large systems fit.
-    procedure(take_over_interface), deferred :: take_over
-    !> Goes on by at most one window and not beyond `duration`; fills `history`, sets `now`.
-    procedure(live_interface), deferred :: live
+    procedure(load_particles_interface), deferred :: load_particles
+    !> Goes on by at most one window and not beyond `duration`; fills `event_record`, sets `now`.
+    procedure(advance_window_interface), deferred :: advance_window
     !> Sets all clocks back by the length of the page; an engine with clocks of its own sets those
     !> back, too.
-    procedure :: turn_page => turn_clock
+    procedure :: rebase_clock => rebase_gates_and_clock
     !> What the engine itself keeps, through a stream.
-    procedure(pass_interface), deferred :: pass_own
+    procedure(serialize_interface), deferred :: serialize_own_state
     procedure, non_overridable :: particles
     !> x, y, u_x, u_y of one particle now.
     procedure(state_interface), deferred :: state_of
     !> Wall collisions from the start until now, exactly; may cost a pass over the particles, while
-    !> the running sum of `history%collisions` may be ahead of it.
+    !> the running sum of `event_record%collisions` may be ahead of it.
     procedure(count_interface), deferred :: collisions
     !> How many particles can never leave their urn or channel (periodic orbits).
     procedure(count_interface), deferred :: trapped
   end type engine_type
 
   abstract interface
-    subroutine prepare_interface(self)
+    subroutine prepare_engine_interface(self)
       import :: engine_type
       implicit none (type, external)
       class(engine_type), intent(inout) :: self
-    end subroutine prepare_interface
+    end subroutine prepare_engine_interface
 
-    subroutine take_over_interface(self, particles)
+    subroutine load_particles_interface(self, particles)
       import :: engine_type, particles_type
       implicit none (type, external)
       class(engine_type), intent(inout) :: self
       type(particles_type), intent(inout) :: particles
-    end subroutine take_over_interface
+    end subroutine load_particles_interface
 
-    subroutine live_interface(self, duration, history)
-      import :: engine_type, history_type, wp
+    subroutine advance_window_interface(self, duration, event_record)
+      import :: engine_type, event_record_type, wp
       implicit none (type, external)
       class(engine_type), intent(inout) :: self
       real(wp), intent(in) :: duration
-      type(history_type), intent(inout) :: history
-    end subroutine live_interface
+      type(event_record_type), intent(inout) :: event_record
+    end subroutine advance_window_interface
 
-    subroutine pass_interface(self, stream)
-      import :: engine_type, stream_type
+    subroutine serialize_interface(self, archive)
+      import :: engine_type, archive_type
       implicit none (type, external)
       class(engine_type), intent(inout) :: self
-      type(stream_type), intent(inout) :: stream
-    end subroutine pass_interface
+      type(archive_type), intent(inout) :: archive
+    end subroutine serialize_interface
 
     function state_interface(self, i) result(state)
       import :: engine_type, wp
@@ -115,7 +117,7 @@ module battery_engine
 contains
 
   !> Both gates have the same threshold.
-  subroutine start_alike(self, table, threshold, particles, clock)
+  subroutine start_with_threshold(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
     !> Of both gates.
@@ -123,11 +125,11 @@ contains
     type(particles_type), intent(inout) :: particles
     real(wp), intent(in) :: clock
 
-    call self%start_each(table, [threshold, threshold], particles, clock)
-  end subroutine start_alike
+    call self%start_with_thresholds(table, [threshold, threshold], particles, clock)
+  end subroutine start_with_threshold
 
   !> Takes over particles.
-  subroutine start_each(self, table, threshold, particles, clock)
+  subroutine start_with_thresholds(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
     !> Of the gates of urn 1 and 2.
@@ -139,10 +141,10 @@ contains
 
     call set_up(self, table, threshold, size(particles%x))
     self%clock_start = clock
-    call self%take_over(particles)
+    call self%load_particles(particles)
     call forget_entries(self%gate)
     if (allocated(particles%x)) deallocate (particles%x, particles%y, particles%ux, particles%uy)
-  end subroutine start_each
+  end subroutine start_with_thresholds
 
   !> An engine of so many particles, of which nothing is known yet.
   subroutine set_up(self, table, threshold, number)
@@ -157,40 +159,40 @@ contains
       call new_gate(self%gate(side), threshold(side))
     end do
     self%now = 0.0_wp
-    self%pages = 0
-    call self%prepare()
+    self%epochs = 0
+    call self%prepare_engine()
   end subroutine set_up
 
   !> Goes on by at most one window and not beyond `duration`.
-  subroutine advance(self, duration, history)
+  subroutine advance(self, duration, event_record)
     class(engine_type), intent(inout) :: self
     !> In time units; above 0.
     real(wp), intent(in) :: duration
     !> What happened.
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
 
-    if (self%now >= self%page) call self%turn_page()
-    call self%live(duration, history)
+    if (self%now >= self%epoch) call self%rebase_clock()
+    call self%advance_window(duration, event_record)
   end subroutine advance
 
   !> The clock and those of the gates are set back by the length of the page.
-  subroutine turn_clock(self)
+  subroutine rebase_gates_and_clock(self)
     class(engine_type), intent(inout) :: self
     integer :: side
 
     do side = 1, 2
-      call shift_gate(self%gate(side), self%page)
+      call rebase_gate(self%gate(side), self%epoch)
     end do
-    self%now = self%now - self%page
-    self%pages = self%pages + 1
-  end subroutine turn_clock
+    self%now = self%now - self%epoch
+    self%epochs = self%epochs + 1
+  end subroutine rebase_gates_and_clock
 
   !> Time now, in the precision of an absolute clock.
   function clock(self) result(time)
     class(engine_type), intent(in) :: self
     real(wp) :: time
 
-    time = self%clock_start + (real(self%pages, wp)*self%page + self%now)
+    time = self%clock_start + (real(self%epochs, wp)*self%epoch + self%now)
   end function clock
 
   !> What keeps this engine from simulating a table; one that needs more says so.
@@ -199,42 +201,42 @@ contains
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
 
-    reason = what_all_need(table)
+    reason = unmet_requirement(table)
     if (self%time_step < 0.0_wp) reason = 'its time_step is below 0'
   end function supports
 
   !> What every engine needs, in words for the user where a `table` has it not.
-  pure function what_all_need(table) result(reason)
+  pure function unmet_requirement(table) result(reason)
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
 
     reason = ''
     if (.not. all(table%urn%fits)) reason = 'its openings must be narrower than either urn'
-  end function what_all_need
+  end function unmet_requirement
 
   !> All that is needed to go on to the same last bit, into a stream or out of it. What does not fit
   !> is told by the stream; the engine is of no use then.
-  subroutine pass_state(self, table, threshold, stream)
+  subroutine serialize_state(self, table, threshold, archive)
     class(engine_type), intent(inout) :: self
     !> What is simulated, in both ways the same: it does not travel.
     type(table_type), intent(in) :: table
     !> Of the gates of urn 1 and 2.
     integer, intent(in) :: threshold(2)
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     integer :: number, side
 
     number = self%number
-    call stream%pass('number', number)
-    if (stream%failed()) return
-    if (stream%reading) call set_up(self, table, threshold, number)
-    call stream%pass('now', self%now)
-    call stream%pass('pages', self%pages)
-    call stream%pass('clock_start', self%clock_start)
+    call archive%serialize('number', number)
+    if (archive%failed()) return
+    if (archive%reading) call set_up(self, table, threshold, number)
+    call archive%serialize('now', self%now)
+    call archive%serialize('pages', self%epochs)
+    call archive%serialize('clock_start', self%clock_start)
     do side = 1, 2
-      call pass_gate(self%gate(side), stream)
+      call serialize_gate(self%gate(side), archive)
     end do
-    if (.not. stream%failed()) call self%pass_own(stream)
-  end subroutine pass_state
+    if (.not. archive%failed()) call self%serialize_own_state(archive)
+  end subroutine serialize_state
 
   !> Where the particles `first` ... `last` are now, in the frame of the table.
   subroutine particles(self, first, last, found)

@@ -11,7 +11,7 @@ module battery_engines
   use battery_reservoir, only: reservoir_type
   implicit none (type, external)
   private
-  public :: engine_names, new_engine, engine_choices, has_step, bytes_a_particle, refusal
+  public :: engine_names, new_engine, engine_choices, has_step, bytes_a_particle, explain_refusal
 
   !> What is known of an engine that has not been made.
   type :: entry_type
@@ -90,7 +90,7 @@ contains
 
   !> Why an engine cannot simulate a table: `reason`, in words for the user, empty if it can; and
   !> the engines that can: `others`.
-  subroutine refusal(engine, table, reason, others)
+  subroutine explain_refusal(engine, table, reason, others)
     !> With its step.
     class(engine_type), intent(in) :: engine
     type(table_type), intent(in) :: table
@@ -110,6 +110,6 @@ contains
     end do
     others = others(min(3, len(others) + 1):)
     if (others == '') others = 'another table: no engine can'
-  end subroutine refusal
+  end subroutine explain_refusal
 
 end module battery_engines

@@ -1,12 +1,12 @@
 !> What all ranks of a run must have in common before any of them writes: the command line, and the
 !> folder of the output.
 module battery_agreement
-  use battery_clocks, only: wall_seconds, rest
+  use battery_clocks, only: wall_seconds, sleep_for
   use battery_communicator, only: communicator_type, share_error, share_text
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_kinds, only: dp
   use battery_machine, only: host_name
-  use battery_ownership, only: ownership_type, leave_mark, remove_mark, sees_mark
+  use battery_lock_file, only: lock_type, create_marker, remove_marker, sees_marker
   use battery_signals, only: stop_requested, stopped_before_start
   use battery_text, only: string_type, to_text, join
   implicit none (type, external)
@@ -56,10 +56,10 @@ contains
   !> Every rank must see, by its own path, what rank 0 makes beside the output: a rank that was
   !> started in another folder would write into another run's journal. Numbers of devices and inodes
   !> tell nothing, since they differ between machines. Collective.
-  subroutine check_place(communicator, ownership, file, error)
+  subroutine check_place(communicator, lock, file, error)
     type(communicator_type), intent(in) :: communicator
     !> That of rank 0.
-    type(ownership_type), intent(in) :: ownership
+    type(lock_type), intent(in) :: lock
     !> The output.
     character(len=*), intent(in) :: file
     !> The same on all ranks; code `exit_bad_input`, or that of a run that a signal has stopped.
@@ -68,11 +68,11 @@ contains
     real(dp) :: began
 
     if (communicator%size == 1) return
-    if (communicator%rank == 0) call leave_mark(ownership, error)
+    if (communicator%rank == 0) call create_marker(lock, error)
     call share_error(communicator, error)
     if (allocated(error)) return
     began = wall_seconds()
-    do while (.not. (sees_mark(ownership) .or. allocated(error)))
+    do while (.not. (sees_marker(lock) .or. allocated(error)))
       if (stop_requested()) then
         call stopped_before_start(error)
       else if (wall_seconds() - began > patience) then
@@ -80,11 +80,11 @@ contains
           //', does not see the folder that rank 0 writes to; start all ranks in one folder that ' &
           //'they share', exit_bad_input)
       else
-        call rest(pause)
+        call sleep_for(pause)
       end if
     end do
     call share_error(communicator, error)
-    if (communicator%rank == 0) call remove_mark(ownership, trouble)
+    if (communicator%rank == 0) call remove_marker(lock, trouble)
     call share_error(communicator, trouble)
     if (allocated(trouble) .and. .not. allocated(error)) call move_alloc(trouble, error)
   end subroutine check_place

@@ -4,8 +4,8 @@
 !> operations: the next task, tasks finished, collisions done, and whether to stop; behind them the
 !> list of the tasks to be done, of which a rank reads one entry at a time. So no rank waits for a
 !> master, no other rank holds a list of tasks, no message grows with the number of ranks or tasks,
-!> and rank 0 computes too; it only has to enter MPI now and then (`help_board`) where the network
-!> needs a hand from the processor.
+!> and rank 0 computes too; it only has to enter MPI now and then (`drive_mpi_progress`) where the
+!> network needs a hand from the processor.
 module battery_communicator
   use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_status_type, ieee_get_status, &
     ieee_set_status, ieee_set_halting_mode
@@ -29,16 +29,17 @@ module battery_communicator
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: ranks_on_node, output_is_terminal
   public :: share_words, wait_for_all, summary_of, mpi_library
-  public :: board_type, open_board, close_board, add_to_board, read_board
-  public :: take_task, help_board, help_interval
+  public :: task_queue_type, open_task_queue, close_task_queue, add_to_counter, read_counter
+  public :: take_task, drive_mpi_progress, mpi_progress_interval
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
 
-  !> Seconds between two hands that rank 0 lends the network while it computes (`help_board`).
-  real(dp), parameter :: help_interval = 2.5e-4_dp
+  !> Seconds between two hands that rank 0 lends the network while it computes
+  !> (`drive_mpi_progress`).
+  real(dp), parameter :: mpi_progress_interval = 2.5e-4_dp
 
   !> Entries of the board.
   integer, parameter :: next_task = 1, tasks_finished = 2, tasks_failed = 3, collisions_done = 4, &
-    stop_wanted = 5, board_size = 5
+    stop_wanted = 5, counter_count = 5
 
   !> The ranks of a run, and which of them this is.
   type :: communicator_type
@@ -49,13 +50,13 @@ module battery_communicator
   end type communicator_type
 
   !> The board as one rank sees it.
-  type :: board_type
+  type :: task_queue_type
     type(MPI_Win) :: window
     !> Tasks on the list.
     integer :: tasks = 0
     !> The ranks that look at it; rank 0 holds it.
     type(communicator_type) :: communicator
-  end type board_type
+  end type task_queue_type
 
 contains
 
@@ -197,8 +198,8 @@ contains
   end function mpi_library
 
   !> Sets up the board, all entries 0, with the list of tasks that rank 0 has. Collective.
-  subroutine open_board(board, communicator, tasks, error)
-    type(board_type), intent(out) :: board
+  subroutine open_task_queue(task_queue, communicator, tasks, error)
+    type(task_queue_type), intent(out) :: task_queue
     type(communicator_type), intent(in) :: communicator
     !> Looked at on rank 0 only.
     integer, intent(in) :: tasks(:)
@@ -210,15 +211,15 @@ contains
     type(c_ptr) :: base
     integer(int64), pointer :: entries(:)
 
-    board%communicator = communicator
-    board%tasks = size(tasks)
-    call MPI_Bcast(board%tasks, 1, MPI_INTEGER, 0, communicator%ranks)
+    task_queue%communicator = communicator
+    task_queue%tasks = size(tasks)
+    call MPI_Bcast(task_queue%tasks, 1, MPI_INTEGER, 0, communicator%ranks)
     bytes = 0
-    if (communicator%rank == 0) bytes = (board_size + int(board%tasks, MPI_ADDRESS_KIND)) &
+    if (communicator%rank == 0) bytes = (counter_count + int(task_queue%tasks, MPI_ADDRESS_KIND)) &
       *storage_size(1_int64)/8
     if (present(error)) call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_RETURN)
     call MPI_Win_allocate(bytes, storage_size(1_int64)/8, MPI_INFO_NULL, communicator%ranks, base, &
-      board%window, status)
+      task_queue%window, status)
     if (present(error)) then
       call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_ARE_FATAL)
       if (status /= MPI_SUCCESS) call fatal_error(error, 'battery: '//mpi_library()//' has no ' &
@@ -227,54 +228,54 @@ contains
       call share_error(communicator, error)
       if (allocated(error)) return
     end if
-    call MPI_Win_lock_all(0, board%window)
+    call MPI_Win_lock_all(0, task_queue%window)
     if (communicator%rank == 0) then
-      call c_f_pointer(base, entries, [board_size + board%tasks])
-      entries(:board_size) = 0
-      entries(board_size + 1:) = tasks
-      call MPI_Win_sync(board%window)
+      call c_f_pointer(base, entries, [counter_count + task_queue%tasks])
+      entries(:counter_count) = 0
+      entries(counter_count + 1:) = tasks
+      call MPI_Win_sync(task_queue%window)
     end if
     call MPI_Barrier(communicator%ranks)
-  end subroutine open_board
+  end subroutine open_task_queue
 
   !> The next task of the list; 0 if there are no more.
-  subroutine take_task(board, task)
-    type(board_type), intent(in) :: board
+  subroutine take_task(task_queue, task)
+    type(task_queue_type), intent(in) :: task_queue
     !> Its number in the plan, from 1.
     integer, intent(out) :: task
     integer(int64) :: place
     integer(int64), asynchronous :: entry
 
     task = 0
-    call add_to_board(board, next_task, 1_int64, place)
-    if (place >= board%tasks) return
-    call MPI_Get(entry, 1, MPI_INTEGER8, 0, int(board_size + place, MPI_ADDRESS_KIND), 1, &
-      MPI_INTEGER8, board%window)
-    call MPI_Win_flush(0, board%window)
+    call add_to_counter(task_queue, next_task, 1_int64, place)
+    if (place >= task_queue%tasks) return
+    call MPI_Get(entry, 1, MPI_INTEGER8, 0, int(counter_count + place, MPI_ADDRESS_KIND), 1, &
+      MPI_INTEGER8, task_queue%window)
+    call MPI_Win_flush(0, task_queue%window)
     task = int(entry)
   end subroutine take_task
 
   !> Where the network cannot reach into the memory of rank 0 by itself, operations of the others
   !> wait until rank 0 enters MPI: so it does, often.
-  subroutine help_board(board)
-    type(board_type), intent(in) :: board
+  subroutine drive_mpi_progress(task_queue)
+    type(task_queue_type), intent(in) :: task_queue
     logical :: waiting
 
-    if (board%communicator%rank == 0 .and. board%communicator%size > 1) call MPI_Iprobe( &
-      MPI_ANY_SOURCE, MPI_ANY_TAG, board%communicator%ranks, waiting, MPI_STATUS_IGNORE)
-  end subroutine help_board
+    if (task_queue%communicator%rank == 0 .and. task_queue%communicator%size > 1) call MPI_Iprobe( &
+      MPI_ANY_SOURCE, MPI_ANY_TAG, task_queue%communicator%ranks, waiting, MPI_STATUS_IGNORE)
+  end subroutine drive_mpi_progress
 
   !> Collective.
-  subroutine close_board(board)
-    type(board_type), intent(inout) :: board
+  subroutine close_task_queue(task_queue)
+    type(task_queue_type), intent(inout) :: task_queue
 
-    call MPI_Win_unlock_all(board%window)
-    call MPI_Win_free(board%window)
-  end subroutine close_board
+    call MPI_Win_unlock_all(task_queue%window)
+    call MPI_Win_free(task_queue%window)
+  end subroutine close_task_queue
 
   !> Adds to an entry and tells what it was before.
-  subroutine add_to_board(board, entry, amount, before)
-    type(board_type), intent(in) :: board
+  subroutine add_to_counter(task_queue, entry, amount, before)
+    type(task_queue_type), intent(in) :: task_queue
     !> One of the names above, such as `next_task`.
     integer, intent(in) :: entry
     !> Of either sign.
@@ -284,19 +285,19 @@ contains
     integer(int64), asynchronous :: found
 
     call MPI_Fetch_and_op(amount, found, MPI_INTEGER8, 0, int(entry - 1, MPI_ADDRESS_KIND), &
-      MPI_SUM, board%window)
-    call MPI_Win_flush(0, board%window)
+      MPI_SUM, task_queue%window)
+    call MPI_Win_flush(0, task_queue%window)
     if (present(before)) before = found
-  end subroutine add_to_board
+  end subroutine add_to_counter
 
   !> An entry as it is now.
-  function read_board(board, entry) result(value)
-    type(board_type), intent(in) :: board
+  function read_counter(task_queue, entry) result(value)
+    type(task_queue_type), intent(in) :: task_queue
     !> One of the names above, such as `next_task`.
     integer, intent(in) :: entry
     integer(int64) :: value
 
-    call add_to_board(board, entry, 0_int64, value)
-  end function read_board
+    call add_to_counter(task_queue, entry, 0_int64, value)
+  end function read_counter
 
 end module battery_communicator

@@ -8,24 +8,25 @@ module battery_ensemble
   use battery_kinds, only: wp, dp, int64
   use battery_agreement, only: check_place
   use battery_clocks, only: wall_seconds, utc_now
-  use battery_communicator, only: communicator_type, board_type, open_board, close_board, &
-    read_board, share_error, share_text, summary_of, tasks_finished, tasks_failed, collisions_done
+  use battery_communicator, only: communicator_type, task_queue_type, open_task_queue, &
+    close_task_queue, read_counter, share_error, share_text, summary_of, tasks_finished, &
+    tasks_failed, collisions_done
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
-  use battery_journal, only: journal_type, check_ownership
+  use battery_journal, only: journal_type, check_lock
   use battery_journal_folder, only: remove_journal
   use battery_launcher, only: launcher_hint
   use battery_merge, only: merge_results
-  use battery_ownership, only: ownership_type, take_ownership, give_up_ownership
+  use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_plan, only: plan_type
-  use battery_preparation, only: prepare
+  use battery_startup, only: find_pending_tasks
   use battery_results, only: results_type, all_complete
   use battery_signals, only: stop_after
   use battery_summary, only: print_summary
   use battery_text, only: string_type
-  use battery_work, only: watch_type, work
+  use battery_work, only: watch_type, run_tasks
   implicit none (type, external)
   private
-  public :: run_ensemble, heed_time_limit
+  public :: run_ensemble, set_time_limit
 
 contains
 
@@ -38,10 +39,10 @@ contains
     logical, intent(in) :: overwrite, quiet
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
-    type(ownership_type) :: ownership
+    type(lock_type) :: lock
     integer, allocatable :: pending(:)
     type(journal_type) :: journal
-    type(board_type) :: board
+    type(task_queue_type) :: task_queue
     type(watch_type) :: watch
     real(dp) :: began
     integer(int64) :: collisions
@@ -49,15 +50,15 @@ contains
     logical :: complete, goes_on
 
     exit_code = exit_failure
-    if (communicator%rank == 0) call take_ownership(ownership, plan%file, error, &
+    if (communicator%rank == 0) call acquire_lock(lock, plan%file, error, &
       hint=launcher_hint(communicator))
     call share_error(communicator, error)
     if (allocated(error)) return
-    call share_text(communicator, ownership%path, 0)
-    call share_text(communicator, ownership%text, 0)
-    call check_place(communicator, ownership, plan%file, error)
+    call share_text(communicator, lock%path, 0)
+    call share_text(communicator, lock%text, 0)
+    call check_place(communicator, lock, plan%file, error)
     if (allocated(error)) then
-      call give_up_ownership(ownership)
+      call release_lock(lock)
       return
     end if
     began = wall_seconds()
@@ -68,34 +69,35 @@ contains
     goes_on = .false.
     collisions = 0
     do
-      call prepare(plan, communicator, overwrite .and. .not. goes_on, quiet .or. goes_on, journal, &
-        pending, complete, error)
+      call find_pending_tasks(plan, communicator, overwrite .and. .not. goes_on, quiet &
+        .or. goes_on, journal, pending, complete, error)
       if (complete .and. .not. allocated(error)) exit_code = exit_success
       if (complete .or. allocated(error)) exit
-      journal%ownership = ownership
-      call open_board(board, communicator, pending, error)
+      journal%lock = lock
+      call open_task_queue(task_queue, communicator, pending, error)
       if (allocated(error)) exit
-      call work(plan, journal, board, watch, quiet, error)
+      call run_tasks(plan, journal, task_queue, watch, quiet, error)
       call share_error(communicator, error)
-      goes_on = .not. allocated(error) .and. any(plan%precision > 0.0_wp) .and. board%tasks > 0 &
-        .and. read_board(board, tasks_finished) >= board%tasks &
-        .and. read_board(board, tasks_failed) == 0
-      if (.not. allocated(error)) collisions = collisions + read_board(board, collisions_done)
-      if (.not. (goes_on .or. allocated(error))) call finish(plan, journal, board, collisions, &
-        watch%busy, began, begun, quiet, exit_code, error)
-      call close_board(board)
+      goes_on = .not. allocated(error) .and. any(plan%precision > 0.0_wp) .and. task_queue%tasks &
+        > 0 .and. read_counter(task_queue, tasks_finished) >= task_queue%tasks &
+        .and. read_counter(task_queue, tasks_failed) == 0
+      if (.not. allocated(error)) collisions = collisions + read_counter(task_queue, &
+        collisions_done)
+      if (.not. (goes_on .or. allocated(error))) call finish_ensemble(plan, journal, task_queue, &
+        collisions, watch%busy, began, begun, quiet, exit_code, error)
+      call close_task_queue(task_queue)
       if (.not. goes_on) exit
     end do
-    call give_up_ownership(ownership)
+    call release_lock(lock)
   end subroutine run_ensemble
 
   !> Rank 0 merges the journal into the results file and says how it went. The journal is removed
   !> once all that it should have is in the results file.
-  subroutine finish(plan, journal, board, collisions, busy_seconds, began, begun, quiet, &
-      exit_code, error)
+  subroutine finish_ensemble(plan, journal, task_queue, collisions, busy_seconds, began, begun, &
+    quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    type(board_type), intent(in) :: board
+    type(task_queue_type), intent(in) :: task_queue
     !> Of this start, on all ranks.
     integer(int64), intent(in) :: collisions
     !> What this rank spent in tasks, and when it began on the clock of `wall_seconds`.
@@ -112,13 +114,13 @@ contains
     real(dp) :: busy(3)
     logical :: all_done
 
-    busy = summary_of(board%communicator, busy_seconds/max(wall_seconds() - began, 1.0e-9_dp))
-    all_done = read_board(board, tasks_finished) >= board%tasks
+    busy = summary_of(task_queue%communicator, busy_seconds/max(wall_seconds() - began, 1.0e-9_dp))
+    all_done = read_counter(task_queue, tasks_finished) >= task_queue%tasks
     exit_code = exit_success
-    if (read_board(board, tasks_failed) > 0) exit_code = exit_failure
+    if (read_counter(task_queue, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
-    if (board%communicator%rank == 0) then
-      call check_ownership(journal, error)
+    if (task_queue%communicator%rank == 0) then
+      call check_lock(journal, error)
       if (.not. allocated(error)) call merge_results(plan, journal, begun, results, failures, &
         error)
       if (.not. allocated(error)) call print_summary(plan, results, failures, journal%ranks, busy, &
@@ -132,12 +134,12 @@ contains
         end if
       end if
     end if
-    call share_error(board%communicator, error)
+    call share_error(task_queue%communicator, error)
     if (allocated(error)) exit_code = exit_failure
-  end subroutine finish
+  end subroutine finish_ensemble
 
   !> From now on the run stops in time for `wall_minutes`.
-  subroutine heed_time_limit(plan)
+  subroutine set_time_limit(plan)
     type(plan_type), intent(in) :: plan
 
     real(dp) :: seconds
@@ -145,6 +147,6 @@ contains
     seconds = 60.0_dp*real(plan%wall_minutes, dp)
     ! To save states and to write results takes time as well.
     if (seconds > 0.0_dp) call stop_after(seconds - min(20.0_dp, 0.1_dp*seconds))
-  end subroutine heed_time_limit
+  end subroutine set_time_limit
 
 end module battery_ensemble

@@ -7,8 +7,8 @@
 !>
 !> All are record files with checksums: what is cut short or damaged is found out and done again.
 !> Every record carries what its task is known by (`battery_identity`): what others have left is
-!> never taken for this run's. A state says besides what it holds (`battery_stream`): one that is of
-!> another format is left alone, and its task begins anew.
+!> never taken for this run's. A state says besides what it holds (`battery_archive`): one that is
+!> of another format is left alone, and its task begins anew.
 module battery_journal
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
@@ -18,18 +18,18 @@ module battery_journal
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_like
   use battery_journal_folder, only: numbers_in
-  use battery_ownership, only: ownership_type, is_taken_over, taken_over_text
+  use battery_lock_file, only: lock_type, is_lock_lost, lock_lost_text
   use battery_record_file, only: record_type, append_record, write_single, read_single, &
     record_reader_type, open_records, next_record
   use battery_task_result, only: task_result_type, to_record, from_record
-  use battery_simulation, only: simulation_type, setup_type, pass_simulation
+  use battery_simulation, only: simulation_type, setup_type, serialize_simulation
   use battery_tasks, only: task_type
-  use battery_stream, only: stream_type, new_stream, measuring_stream, stream_of
+  use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, open_rank_file, &
     next_result
-  public :: rank_files_in, rank_files_of, kept_in, check_ownership
+  public :: rank_files_in, rank_files_of, task_ids_in, check_lock
   public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank has it.
@@ -38,7 +38,7 @@ module battery_journal
     !> Rank files of earlier starts have smaller numbers; this start's ranks have the next ones.
     integer :: first_file = 0, ranks = 0
     !> That of this run; a rank that outlives it writes no more when another has taken over.
-    type(ownership_type) :: ownership
+    type(lock_type) :: lock
     !> This rank's own file, and the length of what is written in it.
     integer :: mine = 0
     integer(int64) :: written = 0
@@ -65,13 +65,13 @@ contains
   end function rank_file
 
   !> Name of the state of a task, but for its generation.
-  pure function state_file(journal, kept) result(name)
+  pure function state_file(journal, task_id) result(name)
     type(journal_type), intent(in) :: journal
-    !> `task_type%kept`.
-    integer(int64), intent(in) :: kept
+    !> `task_type%task_id`.
+    integer(int64), intent(in) :: task_id
     character(len=:), allocatable :: name
 
-    name = journal%folder//'/task_'//fingerprint_text(kept)
+    name = journal%folder//'/task_'//fingerprint_text(task_id)
   end function state_file
 
   !> Looks for the journal of an earlier start: its namelist, and the fingerprint of its initial
@@ -87,7 +87,7 @@ contains
     !> Rank files that this and earlier starts may have made; 0 if not found.
     integer, intent(out), optional :: rank_files
     type(record_type) :: record
-    type(stream_type) :: stream
+    type(archive_type) :: archive
     integer :: files
 
     call read_single(folder//'/plan', record, found)
@@ -95,24 +95,24 @@ contains
     initial_fingerprint = 0
     namelist = ''
     if (found) then
-      stream = stream_of(record%word)
-      call pass_plan(namelist, initial_fingerprint, files, stream)
-      found = .not. stream%failed()
+      archive = archive_of(record%word)
+      call serialize_plan(namelist, initial_fingerprint, files, archive)
+      found = .not. archive%failed()
     end if
     if (present(rank_files)) rank_files = files
   end subroutine read_plan
 
   !> What the file `plan` says, through a stream.
-  pure subroutine pass_plan(namelist, initial_fingerprint, rank_files, stream)
+  pure subroutine serialize_plan(namelist, initial_fingerprint, rank_files, archive)
     character(len=:), allocatable, intent(inout) :: namelist
     integer(int64), intent(inout) :: initial_fingerprint
     integer, intent(inout) :: rank_files
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call stream%pass_text('namelist', namelist)
-    call stream%pass('initial_fingerprint', initial_fingerprint)
-    call stream%pass('rank_files', rank_files)
-  end subroutine pass_plan
+    call archive%serialize_text('namelist', namelist)
+    call archive%serialize('initial_fingerprint', initial_fingerprint)
+    call archive%serialize('rank_files', rank_files)
+  end subroutine serialize_plan
 
   !> The next free number of a rank file: beyond any that is there, and beyond those that earlier
   !> starts had for their ranks, whether they were used or not.
@@ -142,10 +142,10 @@ contains
 
   !> What the tasks are known by of the first good record of every file but the plan: what else can
   !> tell whose journal this is.
-  function kept_in(folder) result(kept)
+  function task_ids_in(folder) result(task_id)
     !> Of the journal.
     character(len=*), intent(in) :: folder
-    integer(int64), allocatable :: kept(:)
+    integer(int64), allocatable :: task_id(:)
     type(string_type), allocatable :: names(:)
     type(record_type) :: record
     logical :: found
@@ -153,16 +153,16 @@ contains
 
     names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
       files_like(folder, 'task_*.b')]
-    allocate (kept(size(names)))
+    allocate (task_id(size(names)))
     good = 0
     do k = 1, size(names)
       call read_single(folder//'/'//names(k)%text, record, found)
       if (.not. found) cycle
       good = good + 1
-      kept(good) = record%owner
+      task_id(good) = record%owner
     end do
-    kept = kept(:good)
-  end function kept_in
+    task_id = task_id(:good)
+  end function task_ids_in
 
   !> Rank 0 writes the plan before any rank writes anything else.
   subroutine begin_journal(folder, namelist, initial_fingerprint, rank_files, error)
@@ -173,7 +173,7 @@ contains
     !> Those that this start's ranks may make included.
     integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
-    type(stream_type) :: stream
+    type(archive_type) :: archive
     character(len=:), allocatable :: text
     integer(int64) :: fingerprint
     integer :: files
@@ -183,9 +183,9 @@ contains
     text = namelist
     fingerprint = initial_fingerprint
     files = rank_files
-    stream = new_stream()
-    call pass_plan(text, fingerprint, files, stream)
-    call write_single(folder//'/plan.new', record_type(word=stream%word(:stream%length)), error)
+    archive = new_archive()
+    call serialize_plan(text, fingerprint, files, archive)
+    call write_single(folder//'/plan.new', record_type(word=archive%word(:archive%length)), error)
     if (.not. allocated(error)) call publish_file(folder//'/plan.new', folder//'/plan', error)
   end subroutine begin_journal
 
@@ -247,12 +247,12 @@ contains
     character(len=:), allocatable :: state
     logical :: has_state
 
-    call check_ownership(journal, error)
+    call check_lock(journal, error)
     if (allocated(error)) return
     call append_record(rank_file(journal, journal%mine), to_record(found), journal%written, error)
     if (allocated(error)) return
     journal%is_unsynced = .true.
-    state = state_file(journal, found%kept)
+    state = state_file(journal, found%task_id)
     has_state = file_exists(state//generations(1)) .or. file_exists(state//generations(2))
     if (has_state .or. wall_seconds() >= journal%next_sync) call sync_finished(journal, error)
     if (has_state .and. .not. allocated(error)) call remove_states(state, error)
@@ -276,14 +276,14 @@ contains
   end subroutine sync_finished
 
   !> A rank whose run has lost the output writes nothing.
-  subroutine check_ownership(journal, error)
+  subroutine check_lock(journal, error)
     type(journal_type), intent(in) :: journal
     !> Another run has taken over.
     type(error_type), allocatable, intent(out) :: error
 
-    if (is_taken_over(journal%ownership)) call fatal_error(error, &
-      taken_over_text(journal%ownership))
-  end subroutine check_ownership
+    if (is_lock_lost(journal%lock)) call fatal_error(error, &
+      lock_lost_text(journal%lock))
+  end subroutine check_lock
 
   !> Removes both generations of the state of a task.
   subroutine remove_states(name, error)
@@ -303,42 +303,42 @@ contains
     !> Of a processor, spent on the task so far.
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
-    type(stream_type) :: stream
+    type(archive_type) :: archive
     type(record_type) :: record
     real(dp) :: seconds
     character(len=:), allocatable :: name
 
-    call check_ownership(journal, error)
+    call check_lock(journal, error)
     if (allocated(error)) return
     seconds = cpu_seconds
     ! Measured first, and moved then: of a large state there is never more than one copy here.
-    stream = measuring_stream()
-    call pass_state(simulation, simulation%setup, seconds, stream, error)
+    archive = measuring_archive()
+    call serialize_state(simulation, simulation%setup, seconds, archive, error)
     if (allocated(error)) return
-    stream = new_stream(stream%length)
-    call pass_state(simulation, simulation%setup, seconds, stream, error)
+    archive = new_archive(archive%length)
+    call serialize_state(simulation, simulation%setup, seconds, archive, error)
     if (allocated(error)) return
-    record%owner = task%kept
+    record%owner = task%task_id
     record%tag = task%task
     journal%generation = journal%generation + 1
     record%generation = journal%generation
-    call move_alloc(stream%word, record%word)
-    name = state_file(journal, task%kept)//generations(2 - mod(journal%generation, 2_int64))
+    call move_alloc(archive%word, record%word)
+    name = state_file(journal, task%task_id)//generations(2 - mod(journal%generation, 2_int64))
     call write_single(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
 
   !> What the file of a state says, through a stream.
-  subroutine pass_state(simulation, setup, cpu_seconds, stream, error)
+  subroutine serialize_state(simulation, setup, cpu_seconds, archive, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
     real(dp), intent(inout) :: cpu_seconds
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     type(error_type), allocatable, intent(out) :: error
 
-    call stream%pass('cpu_seconds', cpu_seconds)
-    call pass_simulation(simulation, setup, stream, error)
-  end subroutine pass_state
+    call archive%serialize('cpu_seconds', cpu_seconds)
+    call serialize_simulation(simulation, setup, archive, error)
+  end subroutine serialize_state
 
   !> The newer of the whole states of a task, if there is one of this program's format.
   subroutine read_state(journal, task, simulation, cpu_seconds, found, error)
@@ -351,13 +351,13 @@ contains
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: state(2)
-    type(stream_type) :: stream
+    type(archive_type) :: archive
     integer :: k, newer
 
     cpu_seconds = 0.0_dp
     do k = 1, 2
-      call read_single(state_file(journal, task%kept)//generations(k), state(k), found)
-      if (state(k)%owner /= task%kept) state(k) = record_type()
+      call read_single(state_file(journal, task%task_id)//generations(k), state(k), found)
+      if (state(k)%owner /= task%task_id) state(k) = record_type()
     end do
     ! Where there is none, or the result of a task, the generation is 0.
     newer = maxloc(state%generation, 1)
@@ -365,10 +365,10 @@ contains
     found = journal%generation > 0
     if (.not. found) return
     state(3 - newer) = record_type()
-    stream = stream_of(state(newer)%word)
+    archive = archive_of(state(newer)%word)
     state(newer) = record_type()
-    call pass_state(simulation, task%setup, cpu_seconds, stream, error)
-    if (.not. stream%failed()) return
+    call serialize_state(simulation, task%setup, cpu_seconds, archive, error)
+    if (.not. archive%failed()) return
     ! Of another format: left alone, until this task has a state of its own.
     deallocate (error)
     found = .false.

@@ -37,62 +37,63 @@ module battery_memory_estimate
 contains
 
   !> What a plan needs where `left` is all that a rank can have.
-  function estimate_of(plan, left) result(needs)
+  function estimate_of(plan, left) result(estimate)
     type(plan_type), intent(in) :: plan
     type(memory_type), intent(in) :: left
-    type(estimate_type) :: needs
+    type(estimate_type) :: estimate
     type(point_type) :: point
     real(dp) :: others, tasks
     integer :: at
 
-    needs%least = huge(1)
+    estimate%least = huge(1)
     do at = 1, plan%point_count
       point = point_of(plan, at)
-      needs%least = min(needs%least, point%number)
-      needs%greatest = max(needs%greatest, point%number)
+      estimate%least = min(estimate%least, point%number)
+      estimate%greatest = max(estimate%greatest, point%number)
       if (bytes_a_particle(plan%engine)*point%number + base_bytes > left%bytes) then
-        needs%too_large = needs%too_large + 1
+        estimate%too_large = estimate%too_large + 1
       else
-        needs%number = max(needs%number, point%number)
+        estimate%number = max(estimate%number, point%number)
       end if
     end do
-    if (needs%number == 0) needs%number = needs%least
+    if (estimate%number == 0) estimate%number = estimate%least
     tasks = real(task_count(plan), dp)
-    others = real(plan%point_count - needs%too_large, dp)*plan%replicas - 1.0_dp
+    others = real(plan%point_count - estimate%too_large, dp)*plan%replicas - 1.0_dp
     others = max(others, 0.0_dp)
-    needs%particles = bytes_a_particle(plan%engine)*needs%number
-    needs%snapshots = bytes_a_state*size(plan%snapshot_times)*needs%number
-    if (plan%final_state) needs%final_state = bytes_a_state*needs%number
-    needs%merge = bytes_a_task*tasks + (needs%snapshots + needs%final_state) &
+    estimate%particles = bytes_a_particle(plan%engine)*estimate%number
+    estimate%snapshots = bytes_a_state*size(plan%snapshot_times)*estimate%number
+    if (plan%final_state) estimate%final_state = bytes_a_state*estimate%number
+    estimate%merge = bytes_a_task*tasks + (estimate%snapshots + estimate%final_state) &
       *(1.0_dp + others*merged_state/bytes_a_state)
     if (plan%series_interval > 0.0_wp) then
-      needs%entries = 1.0_dp + real(length_of(plan, needs%number), dp)/real(plan%series_interval, &
-        dp)
+      estimate%entries = 1.0_dp + real(length_of(plan, estimate%number), &
+        dp)/real(plan%series_interval, dp)
       if (plan%duration > 0.0_wp) then
-        needs%series = bytes_an_entry*needs%entries
+        estimate%series = bytes_an_entry*estimate%entries
       else
-        needs%estimated_series = bytes_an_entry*needs%entries
+        estimate%estimated_series = bytes_an_entry*estimate%entries
       end if
-      needs%merge = needs%merge + needs%series*(1.0_dp + others*merged_entry/bytes_an_entry)
+      estimate%merge = estimate%merge + estimate%series*(1.0_dp &
+        + others*merged_entry/bytes_an_entry)
     end if
-    if (plan%event_log) needs%events = bytes_an_event*events_of(plan)
+    if (plan%event_log) estimate%events = bytes_an_event*events_of(plan)
   end function estimate_of
 
   !> Bytes that a rank takes while it runs.
-  pure real(dp) function bytes_a_rank(needs) result(bytes)
+  pure real(dp) function bytes_a_rank(estimate) result(bytes)
     !> Of the plan.
-    type(estimate_type), intent(in) :: needs
+    type(estimate_type), intent(in) :: estimate
 
-    bytes = taken + base_bytes + needs%particles + needs%series + needs%estimated_series &
-      + needs%snapshots + needs%final_state + needs%events
+    bytes = taken + base_bytes + estimate%particles + estimate%series + estimate%estimated_series &
+      + estimate%snapshots + estimate%final_state + estimate%events
   end function bytes_a_rank
 
   !> Bytes that rank 0 takes at the end.
-  pure real(dp) function bytes_at_the_end(needs) result(bytes)
+  pure real(dp) function bytes_at_the_end(estimate) result(bytes)
     !> Of the plan.
-    type(estimate_type), intent(in) :: needs
+    type(estimate_type), intent(in) :: estimate
 
-    bytes = taken + base_bytes + needs%merge
+    bytes = taken + base_bytes + estimate%merge
   end function bytes_at_the_end
 
   !> Length of a run in time: as given, or from the mean time between the wall collisions of a
@@ -142,34 +143,34 @@ contains
     integer, intent(in) :: sharing
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
-    type(estimate_type) :: needs
+    type(estimate_type) :: estimate
     character(len=:), allocatable :: problems
 
     left = memory_left(sharing)
-    needs = estimate_of(plan, left)
+    estimate = estimate_of(plan, left)
     problems = ''
-    if (needs%too_large == plan%point_count) then
+    if (estimate%too_large == plan%point_count) then
       call add(merge('scan     ', 'particles', is_scanned(plan, 'number')), 'number', &
-        to_text(needs%least)//' particles', needs%particles + base_bytes)
+        to_text(estimate%least)//' particles', estimate%particles + base_bytes)
     else
-      if (needs%entries > most_numbers .and. needs%series > 0.0_dp) then
+      if (estimate%entries > most_numbers .and. estimate%series > 0.0_dp) then
         call add_text('&output series_interval asks for more entries than can be counted; ' &
           //'allowed: '//to_text(nint(most_numbers)))
       else
-        call check('series_interval', 'a series of '//to_text(nint(min(needs%entries, &
-          most_numbers)))//' entries', needs%series, merged_entry/bytes_an_entry)
+        call check('series_interval', 'a series of '//to_text(nint(min(estimate%entries, &
+          most_numbers)))//' entries', estimate%series, merged_entry/bytes_an_entry)
       end if
-      if (real(size(plan%snapshot_times), dp)*needs%number > most_numbers) then
+      if (real(size(plan%snapshot_times), dp)*estimate%number > most_numbers) then
         call add_text('&output snapshot_times asks for more states than can be counted; ' &
           //'allowed: '//to_text(nint(most_numbers))//', snapshots times particles')
       else
         call check('snapshot_times', to_text(size(plan%snapshot_times))//' snapshots', &
-          needs%snapshots, merged_state/bytes_a_state)
+          estimate%snapshots, merged_state/bytes_a_state)
       end if
-      call check('final_state', 'final states', needs%final_state, merged_state/bytes_a_state)
-      if (problems == '' .and. needs%merge + base_bytes > left%bytes) &
+      call check('final_state', 'final states', estimate%final_state, merged_state/bytes_a_state)
+      if (problems == '' .and. estimate%merge + base_bytes > left%bytes) &
         call add('scan', 'replicas', 'the results of '//to_text(task_count(plan))//' tasks', &
-        needs%merge + base_bytes)
+        estimate%merge + base_bytes)
     end if
     if (problems /= '') call fatal_error(error, problems, exit_bad_input)
 
@@ -183,10 +184,10 @@ contains
 
       if (.not. bytes > 0.0_dp) return
       all_tasks = bytes*(1.0_dp + share*(real(task_count(plan), dp) - 1.0_dp))
-      if (needs%too_large > 0) all_tasks = bytes
-      if (needs%particles + bytes + base_bytes > left%bytes) then
-        call add('output', key, what//' beside '//to_text(needs%number)//' particles', &
-          needs%particles + bytes + base_bytes)
+      if (estimate%too_large > 0) all_tasks = bytes
+      if (estimate%particles + bytes + base_bytes > left%bytes) then
+        call add('output', key, what//' beside '//to_text(estimate%number)//' particles', &
+          estimate%particles + bytes + base_bytes)
       else if (all_tasks + base_bytes > left%bytes) then
         call add('output', key, what//' of each of '//to_text(task_count(plan))//' tasks', &
           all_tasks + base_bytes)

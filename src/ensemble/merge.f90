@@ -18,7 +18,7 @@ module battery_merge
   use battery_journal, only: journal_type, open_rank_file, next_result, rank_files_of
   use battery_metadata, only: metadata_type, add_text
   use battery_plan, only: plan_type, point_of
-  use battery_precision, only: decide
+  use battery_precision, only: decide_replicas
   use battery_provenance, only: add_origin, command_text
   use battery_quantities, only: counted_quantities, place_of, unknown_real, unknown_count
   use battery_record_file, only: record_reader_type, close_records
@@ -26,8 +26,8 @@ module battery_merge
     task_not_asked, point_undecided, all_complete
   use battery_results_file, only: create_results, publish_results, open_results, close_results
   use battery_task_result, only: task_result_type
-  use battery_tasks, only: task_type, task_count, task_of, roster_type, roster_of, number_in, &
-    kept_in_results
+  use battery_tasks, only: task_type, task_count, task_of, task_index_type, task_index_of, &
+    task_number_of, task_id_in_results
   use battery_text, only: string_type, to_text, join, new_line_character
   implicit none (type, external)
   private
@@ -76,19 +76,19 @@ contains
 
     call collect_results(plan, journal, .true., results, failures, wanted, sources, error)
     if (allocated(error)) return
-    call forget_unasked(results, wanted)
-    call describe(plan, journal, begun, results, metadata)
+    call drop_unwanted_replicas(results, wanted)
+    call describe_sources(plan, journal, begun, results, metadata)
     call create_results(plan%file, results, metadata, file, error)
     call prepare_courses(file, sources%most, real(plan%series_interval, dp), &
       real(plan%snapshot_times, dp), courses, error)
     call move_courses(plan, journal, sources, file, courses, results, error)
     call close_courses(file, courses, error)
     call close_sources(sources)
-    call publish_results(plan%file, file, journal%ownership%before, error)
+    call publish_results(plan%file, file, journal%lock%before, error)
   end subroutine merge_results
 
   !> Where the results come from.
-  subroutine describe(plan, journal, begun, results, metadata)
+  subroutine describe_sources(plan, journal, begun, results, metadata)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     character(len=*), intent(in) :: begun
@@ -116,7 +116,7 @@ contains
     metadata%hosts = join(results%host, new_line_character)
     metadata%mpi_ranks = journal%ranks
     metadata%start_time = real(plan%start_time, dp)
-  end subroutine describe
+  end subroutine describe_sources
 
   !> Numbers set apart by blanks.
   pure function numbers_text(numbers) result(text)
@@ -151,7 +151,7 @@ contains
     type(task_result_type) :: found
     type(results_type) :: before
     type(record_reader_type) :: reader
-    type(roster_type) :: roster
+    type(task_index_type) :: task_index
     type(task_type) :: task
     type(place_type) :: place
     integer, allocatable :: files(:)
@@ -171,36 +171,36 @@ contains
     sources%most%replicas = plan%replicas
     sources%most%points = plan%point_count
     files = rank_files_of(journal)
-    if (size(files) > 0 .or. file_exists(plan%file)) roster = roster_of(plan)
+    if (size(files) > 0 .or. file_exists(plan%file)) task_index = task_index_of(plan)
     do k = 1, size(files)
       place%rank_file = files(k)
       call open_rank_file(journal, files(k), reader)
       do
         call next_result(reader, found, place%at, is_one)
         if (.not. is_one) exit
-        call take(found, place, size(found%series_urn1_number), size(found%snapshots) > 0, &
+        call add_result(found, place, size(found%series_urn1_number), size(found%snapshots) > 0, &
           size(found%final_state) > 0)
       end do
       call close_records(reader)
     end do
     old = file_exists(plan%file)
-    if (whole .and. old) old = is_as_seen(plan%file, journal%ownership%before)
+    if (whole .and. old) old = is_as_seen(plan%file, journal%lock%before)
     if (old .and. any(results%task_status /= task_complete)) then
       call open_results(plan%file, sources%file, before, sources%courses, error)
       if (.not. allocated(error)) then
-        call take_all(before, sources%courses%most)
+        call add_results_of_file(before, sources%courses%most)
       else if (error%code == exit_bad_input) then
         return
       else
         deallocate (error)
       end if
     end if
-    call decide(plan, results, wanted)
+    call decide_replicas(plan, results, wanted)
 
   contains
 
     !> Takes all complete tasks of the old file.
-    subroutine take_all(before, most)
+    subroutine add_results_of_file(before, most)
       type(results_type), intent(in) :: before
       type(extents_type), intent(in) :: most
       integer :: r, p
@@ -209,23 +209,23 @@ contains
         do r = 1, before%replicas
           if (before%task_status(r, p) /= task_complete) cycle
           found = numbers_of(before, r, p)
-          found%kept = kept_in_results(plan, before%seed(r, p))
-          call take(found, place_type(replica=r, point=p), most%entries, most%particles &
+          found%task_id = task_id_in_results(plan, before%seed(r, p))
+          call add_result(found, place_type(replica=r, point=p), most%entries, most%particles &
             *most%snapshots > 0, most%final_particles > 0)
         end do
       end do
-    end subroutine take_all
+    end subroutine add_results_of_file
 
     !> Takes the numbers of a result if it is one of this plan, and there is none already; notes
     !> where its course is, and how much that takes.
-    subroutine take(one, place, entries, has_snapshots, has_final_state)
+    subroutine add_result(one, place, entries, has_snapshots, has_final_state)
       type(task_result_type), intent(in) :: one
       type(place_type), intent(in) :: place
       integer, intent(in) :: entries
       logical, intent(in) :: has_snapshots, has_final_state
       integer :: number
 
-      number = number_in(roster, one%kept)
+      number = task_number_of(task_index, one%task_id)
       if (number == 0) return
       task = task_of(plan, number)
       associate (p => task%point, r => task%replica, most => sources%most)
@@ -243,7 +243,7 @@ contains
       sources%place(number) = place
       if (allocated(failures(number)%text)) deallocate (failures(number)%text)
       if (one%status == task_failed) failures(number)%text = one%message
-    end subroutine take
+    end subroutine add_result
 
   end subroutine collect_results
 
@@ -306,8 +306,8 @@ contains
           end if
           reader%at = place%at
           call next_result(reader, found, at, is_one)
-          if (.not. is_one .or. found%kept /= task%kept) call fatal_error(error, journal%folder &
-            //': the result of task '//to_text(k)//' cannot be read a second time')
+          if (.not. is_one .or. found%task_id /= task%task_id) call fatal_error(error, &
+            journal%folder //': the result of task '//to_text(k)//' cannot be read a second time')
         end if
       end associate
       if (allocated(error)) exit
@@ -333,7 +333,7 @@ contains
 
   !> Replicas that nobody asks for, of points that are decided, are as if they had never been: they
   !> may be left from a run that asked for more.
-  subroutine forget_unasked(results, wanted)
+  subroutine drop_unwanted_replicas(results, wanted)
     type(results_type), intent(inout) :: results
     integer, intent(in) :: wanted(:)
     integer :: p
@@ -348,7 +348,7 @@ contains
         results%counted(n:, p, :) = unknown_count
       end associate
     end do
-  end subroutine forget_unasked
+  end subroutine drop_unwanted_replicas
 
   !> Place of a text in a list from 0; it is added where it is not there.
   integer(int64) function place_among(text, list) result(place)

@@ -7,7 +7,7 @@ module battery_plan_sharing
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type
   use battery_signals, only: stop_requested, stopped_before_start
-  use battery_stream, only: stream_type, new_stream, measuring_stream, stream_of
+  use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
   implicit none (type, external)
   private
   public :: read_plan_once
@@ -24,7 +24,7 @@ contains
     !> The same on all ranks; code `exit_bad_input`, or that of a run that a signal has stopped.
     type(error_type), allocatable, intent(out) :: error
     type(plan_type) :: found
-    type(stream_type) :: stream
+    type(archive_type) :: archive
 
     if (communicator%rank == 0) then
       call read_namelist(file, plan, error)
@@ -33,15 +33,15 @@ contains
     call share_error(communicator, error)
     if (allocated(error) .or. communicator%size == 1) return
     if (communicator%rank == 0) then
-      stream = measuring_stream()
-      call pass_input(plan, stream)
-      stream = new_stream(stream%length)
-      call pass_input(plan, stream)
+      archive = measuring_archive()
+      call serialize_input(plan, archive)
+      archive = new_archive(archive%length)
+      call serialize_input(plan, archive)
     end if
-    call share_words(communicator, stream%word)
+    call share_words(communicator, archive%word)
     if (communicator%rank == 0) return
-    stream = stream_of(stream%word)
-    call pass_input(found, stream)
+    archive = archive_of(archive%word)
+    call serialize_input(found, archive)
     call parse_namelist(found%text, file, plan, error)
     plan%file = found%file
     plan%initial_fingerprint = found%initial_fingerprint
@@ -51,16 +51,16 @@ contains
   end subroutine read_plan_once
 
   !> What rank 0 has read, through a stream.
-  pure subroutine pass_input(plan, stream)
+  pure subroutine serialize_input(plan, archive)
     type(plan_type), intent(inout) :: plan
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call stream%pass_text('text', plan%text)
-    call stream%pass_text('file', plan%file)
-    call stream%pass('initial_fingerprint', plan%initial_fingerprint)
+    call archive%serialize_text('text', plan%text)
+    call archive%serialize_text('file', plan%file)
+    call archive%serialize('initial_fingerprint', plan%initial_fingerprint)
     if (plan%initial_fingerprint == 0) return
-    call stream%pass_list('x', plan%start%x, 'y', plan%start%y, 'ux', plan%start%ux, &
+    call archive%serialize_list('x', plan%start%x, 'y', plan%start%y, 'ux', plan%start%ux, &
       'uy', plan%start%uy)
-  end subroutine pass_input
+  end subroutine serialize_input
 
 end module battery_plan_sharing

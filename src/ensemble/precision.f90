@@ -15,7 +15,7 @@ module battery_precision
     point_two_states, point_undecided
   implicit none (type, external)
   private
-  public :: decide, two_states, cut_of
+  public :: decide_replicas, two_states, cut_of
 
   !> Share of the normal distribution below one standard deviation.
   real(dp), parameter :: below_one = 0.841344746068543_dp
@@ -28,7 +28,7 @@ module battery_precision
 contains
 
   !> How many replicas each point gets, from its first ones if all of them are complete.
-  subroutine decide(plan, results, wanted)
+  subroutine decide_replicas(plan, results, wanted)
     type(plan_type), intent(in) :: plan
     !> Takes how the points stand.
     type(results_type), intent(inout) :: results
@@ -70,7 +70,7 @@ contains
         results%replica_error(p, :) = scatter/sqrt(real(wanted(p), dp))
       end if
     end do
-  end subroutine decide
+  end subroutine decide_replicas
 
   !> Whether values fall into two groups, each of one or more.
   logical function two_states(values) result(yes)

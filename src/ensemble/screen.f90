@@ -5,9 +5,9 @@
 module battery_screen
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds
-  use battery_communicator, only: board_type, read_board, output_is_terminal, tasks_finished, &
-    collisions_done
-  use battery_terminal, only: say, say_partly
+  use battery_communicator, only: task_queue_type, read_counter, output_is_terminal, &
+    tasks_finished, collisions_done
+  use battery_terminal, only: print_line, print_text
   implicit none (type, external)
   private
   public :: screen_type, new_screen, show_ensemble, end_progress, duration_text, rate_text
@@ -48,9 +48,9 @@ contains
   !> Tells how far the ensemble is, if it is time to: tasks finished of all, and the collisions a
   !> second. This rank's task is done to `share` (0 to 1); the tasks of the other ranks are taken to
   !> be as far.
-  subroutine show_ensemble(screen, board, share)
+  subroutine show_ensemble(screen, task_queue, share)
     type(screen_type), intent(inout) :: screen
-    type(board_type), intent(in) :: board
+    type(task_queue_type), intent(in) :: task_queue
     real(dp), intent(in) :: share
     integer :: finished, finished_before
     real(dp) :: now, spent, left, done, done_before
@@ -60,23 +60,23 @@ contains
     now = wall_seconds()
     if (.not. screen%speaks .or. now < screen%next) return
     screen%next = now + merge(terminal_interval, log_interval, screen%terminal)
-    finished_before = screen%tasks - board%tasks
-    finished = int(read_board(board, tasks_finished)) + finished_before
+    finished_before = screen%tasks - task_queue%tasks
+    finished = int(read_counter(task_queue, tasks_finished)) + finished_before
     done_before = real(finished_before, dp)/screen%tasks
-    done = min(1.0_dp, (finished + share*min(board%communicator%size, screen%tasks - finished)) &
-      /screen%tasks)
+    done = min(1.0_dp, (finished + share*min(task_queue%communicator%size, screen%tasks &
+      - finished)) /screen%tasks)
     spent = now - screen%began
     left = 0.0_dp
     if (done > done_before) left = spent*(1.0_dp - done)/(done - done_before)
     write (buffer, '(i0, a, i0, a, f5.1, a)') finished, ' of ', screen%tasks, ' tasks ', &
-      100.0_dp*done, ' %  '//rate_text(real(read_board(board, collisions_done), dp) &
+      100.0_dp*done, ' %  '//rate_text(real(read_counter(task_queue, collisions_done), dp) &
       /max(spent, 1.0e-9_dp))//' collisions/s  '//duration_text(left)//' left'
     line = bar_of(done, screen_width - len_trim(buffer) - 2)//trim(buffer)
     if (screen%terminal) then
-      call say_partly(achar(13)//line//repeat(' ', max(0, screen_width - len(line))))
+      call print_text(achar(13)//line//repeat(' ', max(0, screen_width - len(line))))
       screen%line_open = .true.
     else
-      call say(line)
+      call print_line(line)
     end if
   end subroutine show_ensemble
 
@@ -99,7 +99,7 @@ contains
   subroutine end_progress(screen)
     type(screen_type), intent(inout) :: screen
 
-    if (screen%line_open) call say_partly(achar(13)//repeat(' ', screen_width)//achar(13))
+    if (screen%line_open) call print_text(achar(13)//repeat(' ', screen_width)//achar(13))
     screen%line_open = .false.
   end subroutine end_progress
 

@@ -20,7 +20,7 @@ module battery_self_test
   use battery_results, only: results_type, all_complete
   use battery_results_file, only: open_results, close_results
   use battery_table, only: gated, ungated
-  use battery_terminal, only: say
+  use battery_terminal, only: print_line
   use battery_text, only: to_text, counted, new_line_character
   implicit none (type, external)
   private
@@ -44,21 +44,21 @@ contains
 
     tests = 0
     failed = 0
-    if (communicator%rank == 0) call say('battery '//program_version//' (commit '//git_commit() &
-      //') on '//counted(communicator%size, 'rank'))
+    if (communicator%rank == 0) call print_line('battery '//program_version//' (commit ' &
+      //git_commit() //') on '//counted(communicator%size, 'rank'))
     call try_engines('two urns', exact_circuit, exact)
     call try_engines('two urns', timestep_circuit, ['timestep'])
     call try_engines('two urns', reservoir_circuit, ['reservoir'])
     call try_engines('one urn', exact_urn, exact)
     call read_frozen_log(exact_circuit, circuit)
     call try_file(communicator, circuit, error)
-    call tell(counted(tasks_a_rank*communicator%size, 'task') &
+    call print_outcome(counted(tasks_a_rank*communicator%size, 'task') &
       //', results file written and read back', error)
     if (failed > 0) then
       call fatal_error(error, 'battery: '//to_text(failed)//' of '//counted(tests, 'test') &
         //' failed')
     else if (communicator%rank == 0) then
-      call say('all '//counted(tests, 'test')//' passed')
+      call print_line('all '//counted(tests, 'test')//' passed')
     end if
 
   contains
@@ -77,12 +77,13 @@ contains
         if (problem /= '') call fatal_error(difference, problem//' (rank ' &
           //to_text(communicator%rank)//')')
         call share_error(communicator, difference)
-        call tell(trim(engines(k))//', '//name//', '//counted(size(log%times), 'event'), difference)
+        call print_outcome(trim(engines(k))//', '//name//', '//counted(size(log%times), 'event'), &
+          difference)
       end do
     end subroutine try_engines
 
     !> Rank 0 prints how a test ended, which is then forgotten.
-    subroutine tell(what, problem)
+    subroutine print_outcome(what, problem)
       character(len=*), intent(in) :: what
       type(error_type), allocatable, intent(inout) :: problem
       character(len=:), allocatable :: line
@@ -96,8 +97,8 @@ contains
       else
         line = line//'passed'
       end if
-      if (communicator%rank == 0) call say(line)
-    end subroutine tell
+      if (communicator%rank == 0) call print_line(line)
+    end subroutine print_outcome
 
   end subroutine run_self_test
 
@@ -127,7 +128,8 @@ contains
     if (.not. allocated(error) .and. exit_code /= exit_success) &
       call fatal_error(error, 'exit code '//to_text(exit_code)//' of the run')
     if (communicator%rank == 0) then
-      if (.not. allocated(error)) call compare(name, log, tasks_a_rank*communicator%size, error)
+      if (.not. allocated(error)) call compare_with_log(name, log, tasks_a_rank*communicator%size, &
+        error)
       ! After an error they may not be there, or may be what is wrong.
       call remove_journal(name//'.tasks', other)
       call remove_file(name, other)
@@ -159,7 +161,7 @@ contains
   end function namelist_of
 
   !> Reads a results file back and holds it against a log.
-  subroutine compare(name, log, replicas, error)
+  subroutine compare_with_log(name, log, replicas, error)
     character(len=*), intent(in) :: name
     type(frozen_log_type), intent(in) :: log
     integer, intent(in) :: replicas
@@ -186,6 +188,6 @@ contains
       end associate
     end do
     call close_results(file, courses)
-  end subroutine compare
+  end subroutine compare_with_log
 
 end module battery_self_test

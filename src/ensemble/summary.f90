@@ -10,7 +10,7 @@ module battery_summary
   use battery_results, only: results_type, scatter_of, task_complete, task_not_asked, &
     point_two_states, point_not_precise
   use battery_screen, only: duration_text, rate_text
-  use battery_terminal, only: say
+  use battery_terminal, only: print_line
   use battery_command_line, only: ways_to_stop
   use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
@@ -42,12 +42,12 @@ contains
 
     done = count(results%task_status == task_complete)
     do task = 1, size(failures)
-      if (allocated(failures(task)%text)) call say('task '//to_text(task)//' failed: ' &
+      if (allocated(failures(task)%text)) call print_line('task '//to_text(task)//' failed: ' &
         //failures(task)%text)
     end do
     if (quiet) return
     if (task_count(plan) <= most_rows) then
-      call say('     N    T       w         w''   replica       chi  +-error' &
+      call print_line('     N    T       w         w''   replica       chi  +-error' &
         //'    current 1  +-error    current 2  +-error')
       do point = 1, size(results%point)
         do replica = 1, plan%replicas
@@ -57,24 +57,25 @@ contains
       end do
     end if
     if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results)
-    if (some_too_short(results)) call say('errors of some runs are NaN (too short): ' &
+    if (some_too_short(results)) call print_line('errors of some runs are NaN (too short): ' &
       //'use more replicas (&scan replicas) or longer runs')
-    call say(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
+    call print_line(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
     call list_points(results, point_two_states, 'replicas fall into two states')
     call list_points(results, point_not_precise, 'the precision was not reached')
-    call say('ranks '//to_text(ranks)//', busy '//to_text(nint(100.0_dp*busy(1)))//' / ' &
+    call print_line('ranks '//to_text(ranks)//', busy '//to_text(nint(100.0_dp*busy(1)))//' / ' &
       //to_text(nint(100.0_dp*busy(2)))//' / '//to_text(nint(100.0_dp*busy(3))) &
       //' % (least, mean, greatest)')
-    call say(rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
+    call print_line(rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
       //duration_text(seconds))
     if (done > 0) call print_slowest(results)
     if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
-      call say('some particles are on orbits that never leave: see the dataset trapped')
-    call tell_missing_snapshots(results)
-    if (.not. all_done) call say('stopped early, the state is saved: the same command goes on' &
+      call print_line('some particles are on orbits that never leave: see the dataset trapped')
+    call print_missing_snapshots(results)
+    if (.not. all_done) call &
+      print_line('stopped early, the state is saved: the same command goes on' &
       //new_line_character//ways_to_stop)
-    call say('results: '//plan%file)
+    call print_line('results: '//plan%file)
   end subroutine print_summary
 
   !> Whether an average of a complete task has no error though it should have one.
@@ -105,16 +106,17 @@ contains
     do p = 1, size(results%point)
       if (results%point_status(p) == status) text = text//' '//to_text(p - 1)
     end do
-    if (text /= '') call say(meaning//', points (from 0):'//text)
+    if (text /= '') call print_line(meaning//', points (from 0):'//text)
   end subroutine list_points
 
   !> A run by collisions may end before the time of a snapshot.
-  subroutine tell_missing_snapshots(results)
+  subroutine print_missing_snapshots(results)
     type(results_type), intent(in) :: results
 
-    if (results%short_tasks > 0) call say(to_text(results%short_tasks)//' of the complete tasks ' &
+    if (results%short_tasks > 0) call print_line(to_text(results%short_tasks) &
+      //' of the complete tasks ' &
       //'ended before the last of snapshot_times: the later snapshots are NaN')
-  end subroutine tell_missing_snapshots
+  end subroutine print_missing_snapshots
 
   !> The task that took the most time of a processor.
   subroutine print_slowest(results)
@@ -125,7 +127,7 @@ contains
     cpu_seconds = results%average(:, :, place_of('cpu_seconds', averaged_quantities()))
     at = maxloc(cpu_seconds, mask=results%task_status == task_complete)
     associate (r => at(1), p => at(2))
-      call say('slowest task: '//duration_text(cpu_seconds(r, p)) &
+      call print_line('slowest task: '//duration_text(cpu_seconds(r, p)) &
         //' of a processor, N = '//to_text(results%point(p)%number)//', T = ' &
         //to_text(results%point(p)%threshold(1))//', w = ' &
         //to_text(results%point(p)%channel(gated)%width)//', w'' = ' &
@@ -149,14 +151,16 @@ contains
         /max(complete, 1)
       pairs(2, k, :) = scatter_of(values, results%task_status)
     end do
-    call say('     N    T       w         w''  replicas       chi  +-error    polarised  +-error' &
+    call &
+      print_line( &
+      '     N    T       w         w''  replicas       chi  +-error    polarised  +-error' &
       //'    (errors over replicas)')
     do p = 1, size(results%point)
       if (complete(p) < 2) cycle
       if (in_two_states(results, p)) then
-        call say(head(results, p, complete(p))//states_text(results, p))
+        call print_line(line_head(results, p, complete(p))//states_text(results, p))
       else
-        call say(head(results, p, complete(p))//pairs_text(pairs(:, :, p)))
+        call print_line(line_head(results, p, complete(p))//pairs_text(pairs(:, :, p)))
       end if
     end do
   end subroutine print_points
@@ -185,8 +189,8 @@ contains
     text = '   two states:'
     do k = 1, 2
       group = pack(chi, (chi > cut) .eqv. k == 2)
-      text = text//' chi = '//trim(adjustl(column(sum(group)/max(size(group), 1), 10, 5)))//' in ' &
-        //to_text(size(group))//merge(',', ' ', k == 1)
+      text = text//' chi = '//trim(adjustl(number_text(sum(group)/max(size(group), 1), 10, 5))) &
+        //' in ' //to_text(size(group))//merge(',', ' ', k == 1)
     end do
     text = trim(text)
   end function states_text
@@ -203,27 +207,27 @@ contains
       place = place_of(trim(shown(k)), averaged_quantities())
       pairs(:, k) = [results%average(r, p, place), results%error(r, p, place)]
     end do
-    call say(head(results, p, r)//pairs_text(pairs))
+    call print_line(line_head(results, p, r)//pairs_text(pairs))
   end subroutine print_row
 
   !> How the line of a point begins; `which` is the replica, or how many.
-  pure function head(results, p, which) result(text)
+  pure function line_head(results, p, which) result(text)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, which
     character(len=:), allocatable :: text
 
-    text = whole(results%point(p)%number, 6)//whole(results%point(p)%threshold(1), 5) &
-      //column(results%point(p)%channel(gated)%width, 8, 4) &
-      //column(results%point(p)%channel(ungated)%width, 11, 6)//whole(which, 10)
-  end function head
+    text = whole_text(results%point(p)%number, 6)//whole_text(results%point(p)%threshold(1), 5) &
+      //number_text(results%point(p)%channel(gated)%width, 8, 4) &
+      //number_text(results%point(p)%channel(ungated)%width, 11, 6)//whole_text(which, 10)
+  end function line_head
 
   !> A whole number in `width` places, or a blank and as many as it needs.
-  pure function whole(number, width) result(text)
+  pure function whole_text(number, width) result(text)
     integer, intent(in) :: number, width
     character(len=:), allocatable :: text
 
     text = repeat(' ', max(1, width - len(to_text(number))))//to_text(number)
-  end function whole
+  end function whole_text
 
   !> chi, then currents, each with its error, as (value and error, quantity).
   pure function pairs_text(pairs) result(text)
@@ -232,14 +236,14 @@ contains
     character(len=160) :: row
     integer :: k
 
-    write (row, '(f10.5, f9.5, 8a)') pairs(:, 1), (column(pairs(1, k), 13, 5), &
-      column(pairs(2, k), 9, 5), k=2, size(pairs, 2))
+    write (row, '(f10.5, f9.5, 8a)') pairs(:, 1), (number_text(pairs(1, k), 13, 5), &
+      number_text(pairs(2, k), 9, 5), k=2, size(pairs, 2))
     text = trim(row)
   end function pairs_text
 
   !> A number in `width` places, `digits` of them after the point; with an exponent if it is too
   !> large for that, or so small that nothing of it would be seen.
-  pure function column(number, width, digits) result(text)
+  pure function number_text(number, width, digits) result(text)
     real(dp), intent(in) :: number
     integer, intent(in) :: width, digits
     character(len=width) :: text
@@ -252,6 +256,6 @@ contains
       < 1.0e-3_dp*0.1_dp**digits)) return
     write (layout, '(a, i0, a, i0, a)') '(es', width, '.', min(width - 7, digits), ')'
     write (text, layout) number
-  end function column
+  end function number_text
 
 end module battery_summary

@@ -5,10 +5,10 @@ module battery_task_result
   use battery_courses, only: course_type
   use battery_engine, only: particles_type
   use battery_machine, only: machine_text
-  use battery_observer, only: measure
+  use battery_observer, only: get_measured
   use battery_quantities, only: measured_type, new_measured, set_average, set_count, &
     unknown_real, fingerprint_of_quantities
-  use battery_stream, only: stream_type, new_stream, stream_of
+  use battery_archive, only: archive_type, new_archive, archive_of
   use battery_simulation, only: simulation_type
   use battery_record_file, only: record_type
   use battery_results, only: task_complete, task_failed, task_not_done
@@ -22,8 +22,8 @@ module battery_task_result
     !> Number of the task, from 1, and how it ended.
     integer :: task = 0
     integer :: status = task_not_done
-    !> `task_type%kept` of the task.
-    integer(int64) :: kept = 0
+    !> `task_type%task_id` of the task.
+    integer(int64) :: task_id = 0
     !> Why it failed, and on which machine it ran.
     character(len=:), allocatable :: message, host
     type(measured_type) :: measured
@@ -43,11 +43,11 @@ contains
     integer :: k
 
     found%task = task%task
-    found%kept = task%kept
+    found%task_id = task%task_id
     found%status = task_complete
     found%message = ''
     found%measured = new_measured()
-    call measure(simulation%observer, found%measured)
+    call get_measured(simulation%observer, found%measured)
     call set_count(found%measured, 'collisions', simulation%collisions)
     call set_count(found%measured, 'trapped', simulation%engine%trapped())
     call set_average(found%measured, 'time', real(simulation%elapsed, dp))
@@ -94,7 +94,7 @@ contains
     type(task_result_type) :: failed
 
     failed%task = task%task
-    failed%kept = task%kept
+    failed%task_id = task%task_id
     failed%status = task_failed
     failed%message = message
     failed%host = machine_text()
@@ -107,14 +107,14 @@ contains
     type(task_result_type), intent(in) :: found
     type(record_type) :: record
     type(task_result_type) :: copy
-    type(stream_type) :: stream
+    type(archive_type) :: archive
 
     copy = found
-    stream = new_stream()
-    call pass_result(copy, stream)
-    record%owner = found%kept
+    archive = new_archive()
+    call serialize_result(copy, archive)
+    record%owner = found%task_id
     record%tag = found%task
-    record%word = stream%word(:stream%length)
+    record%word = archive%word(:archive%length)
   end function to_record
 
   !> The result that a record is. A good record may still be a plan or a state under another name,
@@ -125,41 +125,41 @@ contains
     type(task_result_type), intent(out) :: found
     !> Whether it is a result.
     logical, intent(out) :: is_one
-    type(stream_type) :: stream
+    type(archive_type) :: archive
 
-    stream = stream_of(record%word)
-    call pass_result(found, stream)
-    is_one = .not. stream%failed()
-    if (is_one) is_one = stream%at_end() .and. abs(record%tag) <= huge(found%task)
+    archive = archive_of(record%word)
+    call serialize_result(found, archive)
+    is_one = .not. archive%failed()
+    if (is_one) is_one = archive%at_end() .and. abs(record%tag) <= huge(found%task)
     if (.not. is_one) return
     found%task = int(record%tag)
-    found%kept = record%owner
+    found%task_id = record%owner
   end subroutine from_record
 
   !> All that a result holds, into a stream or out of it.
-  subroutine pass_result(found, stream)
+  subroutine serialize_result(found, archive)
     type(task_result_type), intent(inout) :: found
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     integer(int64) :: quantities
 
-    call stream%pass('status', found%status)
-    call stream%pass_text('message', found%message)
-    call stream%pass_text('host', found%host)
+    call archive%serialize('status', found%status)
+    call archive%serialize_text('message', found%message)
+    call archive%serialize_text('host', found%host)
     quantities = fingerprint_of_quantities()
-    call stream%pass('quantities', quantities)
-    if (stream%failed()) return
+    call archive%serialize('quantities', quantities)
+    if (archive%failed()) return
     if (quantities /= fingerprint_of_quantities()) then
-      stream%problem = 'the result is one of other quantities'
+      archive%problem = 'the result is one of other quantities'
       return
     end if
-    if (stream%reading) found%measured = new_measured()
-    call stream%pass('average', found%measured%average)
-    call stream%pass('error', found%measured%error)
-    call stream%pass('counted', found%measured%counted)
-    call stream%pass_list('series_urn1_number', found%series_urn1_number)
-    call stream%pass_list('series_flow', found%series_flow, 'snapshots', found%snapshots, &
+    if (archive%reading) found%measured = new_measured()
+    call archive%serialize('average', found%measured%average)
+    call archive%serialize('error', found%measured%error)
+    call archive%serialize('counted', found%measured%counted)
+    call archive%serialize_list('series_urn1_number', found%series_urn1_number)
+    call archive%serialize_list('series_flow', found%series_flow, 'snapshots', found%snapshots, &
       'final_state', found%final_state, 'event_times', found%event_times)
-    call stream%pass_list('events', found%events)
-  end subroutine pass_result
+    call archive%serialize_list('events', found%events)
+  end subroutine serialize_result
 
 end module battery_task_result

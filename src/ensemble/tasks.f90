@@ -6,7 +6,7 @@ module battery_tasks
   use battery_kinds, only: wp, int64, pi
   use battery_engine, only: particles_type
   use battery_error, only: error_type
-  use battery_identity, only: kept_with
+  use battery_identity, only: task_id_with
   use battery_initial_state, only: random_particles
   use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
   use battery_simulation, only: setup_type
@@ -14,7 +14,7 @@ module battery_tasks
   implicit none (type, external)
   private
   public :: task_type, task_count, task_of, put_longest_first, place_particles
-  public :: roster_type, roster_of, number_in, kept_in_results
+  public :: task_index_type, task_index_of, task_number_of, task_id_in_results
 
   !> One task: a point of the scan, one of its replicas.
   type :: task_type
@@ -23,17 +23,17 @@ module battery_tasks
     type(setup_type) :: setup
     integer :: number = 0, urn1_number = 0
     !> Known by this is what is kept of the task: its result, and its state on the way.
-    integer(int64) :: kept = 0
+    integer(int64) :: task_id = 0
     logical :: final_state = .false.
   end type task_type
 
   !> The tasks of a plan by what they are known by: a hash table with room to spare.
-  type :: roster_type
+  type :: task_index_type
     private
-    integer(int64), allocatable :: kept(:)
+    integer(int64), allocatable :: task_id(:)
     !> Numbers of the tasks; 0 where there is none.
     integer, allocatable :: number(:)
-  end type roster_type
+  end type task_index_type
 
 contains
 
@@ -60,54 +60,54 @@ contains
     task%urn1_number = point%urn1_number
     task%final_state = plan%final_state
     task%setup = setup_of(plan, task%point, task%replica)
-    task%kept = kept_with(task%setup%seed, task%setup, task%final_state)
+    task%task_id = task_id_with(task%setup%seed, task%setup, task%final_state)
   end function task_of
 
   !> What a task is known by whose results file has its seed and was made from a plan.
-  integer(int64) function kept_in_results(plan, seed) result(kept)
+  integer(int64) function task_id_in_results(plan, seed) result(task_id)
     type(plan_type), intent(in) :: plan
     !> As in the file.
     integer(int64), intent(in) :: seed
 
-    kept = kept_with(seed, plan, plan%final_state)
-  end function kept_in_results
+    task_id = task_id_with(seed, plan, plan%final_state)
+  end function task_id_in_results
 
   !> All tasks of a plan.
-  function roster_of(plan) result(roster)
+  function task_index_of(plan) result(task_index)
     type(plan_type), intent(in) :: plan
-    type(roster_type) :: roster
+    type(task_index_type) :: task_index
     type(task_type) :: task
     integer :: k, at
 
-    allocate (roster%number(0:2**(bit_size(k) - leadz(task_count(plan)) + 1) - 1), source=0)
-    allocate (roster%kept(0:ubound(roster%number, 1)))
+    allocate (task_index%number(0:2**(bit_size(k) - leadz(task_count(plan)) + 1) - 1), source=0)
+    allocate (task_index%task_id(0:ubound(task_index%number, 1)))
     do k = 1, task_count(plan)
       task = task_of(plan, k)
-      at = place_in(roster, task%kept)
-      roster%kept(at) = task%kept
-      roster%number(at) = k
+      at = place_in(task_index, task%task_id)
+      task_index%task_id(at) = task%task_id
+      task_index%number(at) = k
     end do
-  end function roster_of
+  end function task_index_of
 
   !> Number of the task of which something was kept; 0 if it is none of the plan.
-  pure integer function number_in(roster, kept) result(number)
-    type(roster_type), intent(in) :: roster
-    !> `task_type%kept` of the task that it was kept of.
-    integer(int64), intent(in) :: kept
+  pure integer function task_number_of(task_index, task_id) result(number)
+    type(task_index_type), intent(in) :: task_index
+    !> `task_type%task_id` of the task that it was kept of.
+    integer(int64), intent(in) :: task_id
 
-    number = roster%number(place_in(roster, kept))
-  end function number_in
+    number = task_index%number(place_in(task_index, task_id))
+  end function task_number_of
 
   !> Where a task is in the table, or would be.
-  pure integer function place_in(roster, kept) result(at)
-    type(roster_type), intent(in) :: roster
-    integer(int64), intent(in) :: kept
+  pure integer function place_in(task_index, task_id) result(at)
+    type(task_index_type), intent(in) :: task_index
+    integer(int64), intent(in) :: task_id
     integer :: last
 
-    last = ubound(roster%number, 1)
-    at = int(iand(kept, int(last, int64)))
-    do while (roster%number(at) > 0)
-      if (roster%kept(at) == kept) exit
+    last = ubound(task_index%number, 1)
+    at = int(iand(task_id, int(last, int64)))
+    do while (task_index%number(at) > 0)
+      if (task_index%task_id(at) == task_id) exit
       at = iand(at + 1, last)
     end do
   end function place_in
@@ -147,11 +147,11 @@ contains
     do k = 1, size(tasks)
       cost(k) = cost_of(plan, tasks(k))
     end do
-    if (size(tasks) > 1) call sort(tasks, cost)
+    if (size(tasks) > 1) call sort_by_cost(tasks, cost)
   end subroutine put_longest_first
 
   !> Stable merge sort of `tasks` by falling `cost`.
-  pure recursive subroutine sort(tasks, cost)
+  pure recursive subroutine sort_by_cost(tasks, cost)
     integer, intent(inout) :: tasks(:)
     real(wp), intent(inout) :: cost(:)
     integer :: left(size(tasks)/2)
@@ -160,8 +160,8 @@ contains
 
     if (size(tasks) < 2) return
     half = size(tasks)/2
-    call sort(tasks(:half), cost(:half))
-    call sort(tasks(half + 1:), cost(half + 1:))
+    call sort_by_cost(tasks(:half), cost(:half))
+    call sort_by_cost(tasks(half + 1:), cost(half + 1:))
     left = tasks(:half)
     left_cost = cost(:half)
     i = 1
@@ -180,7 +180,7 @@ contains
       cost(k) = left_cost(i)
       i = i + 1
     end do
-  end subroutine sort
+  end subroutine sort_by_cost
 
   !> Where the particles of a task start.
   subroutine place_particles(task, start, particles, error)

@@ -1,29 +1,31 @@
 !> What each rank does in an ensemble: task after task, until none is left or all must stop.
 module battery_work
   use battery_kinds, only: dp, int64
-  use battery_clocks, only: wall_seconds, cpu_seconds, utc_seconds, rest
-  use battery_communicator, only: board_type, take_task, add_to_board, read_board, help_board, &
-    help_interval, tasks_finished, tasks_failed, collisions_done, stop_wanted
+  use battery_clocks, only: wall_seconds, cpu_seconds, utc_seconds, sleep_for
+  use battery_communicator, only: task_queue_type, take_task, add_to_counter, read_counter, &
+    drive_mpi_progress, mpi_progress_interval, tasks_finished, tasks_failed, collisions_done, &
+    stop_wanted
   use battery_engine, only: particles_type
   use battery_engines, only: bytes_a_particle
   use battery_error, only: error_type, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, read_state, write_state, write_finished, &
     sync_finished
   use battery_memory_limits, only: check_memory
-  use battery_ownership, only: is_taken_over
+  use battery_lock_file, only: is_lock_lost
   use battery_plan, only: plan_type
-  use battery_process, only: leave
+  use battery_process, only: exit_process
   use battery_results, only: task_failed
   use battery_screen, only: screen_type, new_screen, show_ensemble, end_progress
   use battery_signals, only: stop_requested
-  use battery_simulation, only: simulation_type, begin_simulation, step, progress, verify
+  use battery_simulation, only: simulation_type, begin_simulation, advance_simulation, progress, &
+    verify_simulation
   use battery_task_result, only: task_result_type, result_of, failed_result
   use battery_tasks, only: task_type, task_count, task_of, place_particles
-  use battery_terminal, only: complain
+  use battery_terminal, only: print_error
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: watch_type, work
+  public :: watch_type, run_tasks
 
   !> What a running task looks at from time to time.
   type :: watch_type
@@ -32,7 +34,7 @@ module battery_work
     real(dp) :: next_checkpoint = huge(1.0_dp)
     real(dp) :: next_look = 0.0_dp
     !> When rank 0 next lends the network a hand.
-    real(dp) :: next_help = 0.0_dp
+    real(dp) :: next_mpi_progress = 0.0_dp
     !> Whether the run stops early.
     logical :: stopping = .false.
     !> Time spent in tasks.
@@ -50,10 +52,10 @@ module battery_work
 contains
 
   !> One rank's part: takes tasks from the board until none is left.
-  subroutine work(plan, journal, board, watch, quiet, error)
+  subroutine run_tasks(plan, journal, task_queue, watch, quiet, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(inout) :: journal
-    type(board_type), intent(in) :: board
+    type(task_queue_type), intent(in) :: task_queue
     type(watch_type), intent(inout) :: watch
     !> Whether nothing is shown.
     logical, intent(in) :: quiet
@@ -63,29 +65,29 @@ contains
     integer :: task
     logical :: stopped
 
-    screen = new_screen(board%communicator%rank == 0 .and. .not. quiet, task_count(plan))
+    screen = new_screen(task_queue%communicator%rank == 0 .and. .not. quiet, task_count(plan))
     do
-      if (must_stop()) exit
-      call take_task(board, task)
+      if (stop_is_wanted()) exit
+      call take_task(task_queue, task)
       if (task == 0) exit
-      call run_task(task_of(plan, task), plan%start, journal, board, watch, screen, found, &
+      call run_task(task_of(plan, task), plan%start, journal, task_queue, watch, screen, found, &
         stopped, error)
       if (stopped .or. allocated(error)) exit
       call write_finished(journal, found, error)
       if (allocated(error)) exit
-      if (found%status == task_failed) call add_to_board(board, tasks_failed, 1_int64)
-      call add_to_board(board, tasks_finished, 1_int64)
+      if (found%status == task_failed) call add_to_counter(task_queue, tasks_failed, 1_int64)
+      call add_to_counter(task_queue, tasks_finished, 1_int64)
     end do
     ! All results of this rank must be on the disk.
     if (.not. allocated(error)) call sync_finished(journal, error)
     ! Its rank 0 may be dead: nobody can be told any more.
-    if (allocated(error) .and. is_taken_over(journal%ownership)) then
-      call complain(error%message)
-      call leave(exit_failure)
+    if (allocated(error) .and. is_lock_lost(journal%lock)) then
+      call print_error(error%message)
+      call exit_process(exit_failure)
     end if
     ! The others must not wait for a rank that has failed.
     if (allocated(error)) then
-      call add_to_board(board, stop_wanted, 1_int64)
+      call add_to_counter(task_queue, stop_wanted, 1_int64)
     else
       call wait_for_others()
     end if
@@ -94,14 +96,14 @@ contains
   contains
 
     !> Whether the run ends here; if this rank is the first to know, it tells the others.
-    function must_stop() result(stopping)
+    function stop_is_wanted() result(stopping)
       logical :: stopping
 
-      stopping = read_board(board, stop_wanted) > 0
+      stopping = read_counter(task_queue, stop_wanted) > 0
       if (stopping) return
       stopping = stop_requested()
-      if (stopping) call add_to_board(board, stop_wanted, 1_int64)
-    end function must_stop
+      if (stopping) call add_to_counter(task_queue, stop_wanted, 1_int64)
+    end function stop_is_wanted
 
     !> A rank without a task still hears signals, and leaves the processor to those that have one.
     subroutine wait_for_others()
@@ -111,26 +113,26 @@ contains
       next_look = 0.0_dp
       do
         if (wall_seconds() >= next_look .or. stop_requested()) then
-          if (must_stop()) exit
-          if (read_board(board, tasks_finished) >= board%tasks) exit
-          call show_ensemble(screen, board, 0.5_dp)
-          next_look = wall_seconds() + max(nap, board%communicator%size/looks_a_second)
+          if (stop_is_wanted()) exit
+          if (read_counter(task_queue, tasks_finished) >= task_queue%tasks) exit
+          call show_ensemble(screen, task_queue, 0.5_dp)
+          next_look = wall_seconds() + max(nap, task_queue%communicator%size/looks_a_second)
         end if
-        call rest(nap)
+        call sleep_for(nap)
       end do
     end subroutine wait_for_others
 
-  end subroutine work
+  end subroutine run_tasks
 
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
   !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's
   !> troubles.
-  subroutine run_task(task, start, journal, board, watch, screen, found, stopped, error)
+  subroutine run_task(task, start, journal, task_queue, watch, screen, found, stopped, error)
     type(task_type), intent(in) :: task
     !> What the initial file says; no arrays: there is none.
     type(particles_type), intent(in) :: start
     type(journal_type), intent(inout) :: journal
-    type(board_type), intent(in) :: board
+    type(task_queue_type), intent(in) :: task_queue
     type(watch_type), intent(inout) :: watch
     type(screen_type), intent(inout) :: screen
     !> Its result, unless stopped.
@@ -138,29 +140,29 @@ contains
     logical, intent(out) :: stopped
     type(error_type), allocatable, intent(out) :: error
     type(simulation_type) :: simulation
-    type(error_type), allocatable :: trouble
+    type(error_type), allocatable :: failure
     real(dp) :: cpu_before, cpu_began, began, begun, now
-    integer(int64) :: told
+    integer(int64) :: reported
 
     stopped = .false.
     began = wall_seconds()
     begun = utc_seconds()
     cpu_began = cpu_seconds()
-    call resume_or_begin(task, start, journal, simulation, cpu_before, trouble)
-    told = 0
-    if (.not. allocated(trouble)) told = simulation%observer%collisions
+    call resume_or_begin_task(task, start, journal, simulation, cpu_before, failure)
+    reported = 0
+    if (.not. allocated(failure)) reported = simulation%observer%collisions
     watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
-    do while (.not. allocated(trouble))
+    do while (.not. allocated(failure))
       if (simulation%done) exit
-      call some_steps(simulation)
+      call advance_some_windows(simulation)
       now = wall_seconds()
-      if (now >= watch%next_help) then
-        call help_board(board)
-        watch%next_help = now + help_interval
+      if (now >= watch%next_mpi_progress) then
+        call drive_mpi_progress(task_queue)
+        watch%next_mpi_progress = now + mpi_progress_interval
       end if
       if (now < watch%next_look .and. .not. stop_requested()) cycle
-      call look_around()
-      call show_ensemble(screen, board, real(progress(simulation), dp))
+      call exchange_with_queue()
+      call show_ensemble(screen, task_queue, real(progress(simulation), dp))
       if (simulation%done) exit
       stopped = watch%stopping
       now = wall_seconds()
@@ -171,47 +173,47 @@ contains
     end do
     watch%busy = watch%busy + wall_seconds() - began
     ! A task that was stopped before it had a state begins anew.
-    if (allocated(trouble)) stopped = trouble%code == exit_stopped_early
+    if (allocated(failure)) stopped = failure%code == exit_stopped_early
     if (stopped .or. allocated(error)) return
-    if (.not. allocated(trouble)) call verify(simulation, trouble)
-    if (allocated(trouble)) then
-      found = failed_result(task, trouble%message)
+    if (.not. allocated(failure)) call verify_simulation(simulation, failure)
+    if (allocated(failure)) then
+      found = failed_result(task, failure%message)
     else
-      call add_to_board(board, collisions_done, simulation%observer%collisions - told)
+      call add_to_counter(task_queue, collisions_done, simulation%observer%collisions - reported)
       found = result_of(task, simulation, cpu_before + cpu_seconds() - cpu_began, begun)
     end if
 
   contains
 
     !> Tells the board what was done, and hears whether to stop.
-    subroutine look_around()
+    subroutine exchange_with_queue()
       real(dp) :: now, after
 
       now = wall_seconds()
-      call add_to_board(board, collisions_done, simulation%observer%collisions - told)
-      told = simulation%observer%collisions
-      if (stop_requested()) call add_to_board(board, stop_wanted, 1_int64)
-      watch%stopping = read_board(board, stop_wanted) > 0
+      call add_to_counter(task_queue, collisions_done, simulation%observer%collisions - reported)
+      reported = simulation%observer%collisions
+      if (stop_requested()) call add_to_counter(task_queue, stop_wanted, 1_int64)
+      watch%stopping = read_counter(task_queue, stop_wanted) > 0
       after = wall_seconds()
       watch%next_look = after + min(longest_interval, max((after - now)/look_share, &
-        look_interval, board%communicator%size/looks_a_second))
-    end subroutine look_around
+        look_interval, task_queue%communicator%size/looks_a_second))
+    end subroutine exchange_with_queue
 
   end subroutine run_task
 
-  subroutine some_steps(simulation)
+  subroutine advance_some_windows(simulation)
     type(simulation_type), intent(inout) :: simulation
     integer :: window
 
     do window = 1, max(1, windows_between_looks*few_particles &
       /max(few_particles, simulation%engine%number))
-      call step(simulation)
+      call advance_simulation(simulation)
       if (simulation%done .or. stop_requested()) exit
     end do
-  end subroutine some_steps
+  end subroutine advance_some_windows
 
   !> From the saved state if there is one, else from the start.
-  subroutine resume_or_begin(task, start, journal, simulation, cpu_before, error)
+  subroutine resume_or_begin_task(task, start, journal, simulation, cpu_before, error)
     type(task_type), intent(in) :: task
     type(particles_type), intent(in) :: start
     type(journal_type), intent(inout) :: journal
@@ -230,6 +232,6 @@ contains
     call place_particles(task, start, particles, error)
     if (allocated(error)) return
     call begin_simulation(simulation, task%setup, particles, error)
-  end subroutine resume_or_begin
+  end subroutine resume_or_begin_task
 
 end module battery_work

@@ -10,11 +10,11 @@
 module battery_calendar
   use battery_kinds, only: wp, int16, int32, int64
   use battery_powers, only: power_above
-  use battery_ordering, only: put_in_order, insert
+  use battery_ordering, only: sort_by_time, insert_sorted
   implicit none (type, external)
   private
-  public :: calendar_type, idle, new_calendar, page_for, flight_type, schedule, schedule_all, &
-    open_until, next_due, due_before, drop_done, turn_calendar
+  public :: calendar_type, idle, new_calendar, epoch_for, flight_type, schedule, schedule_all, &
+    open_until, next_due, due_before, drop_done, rebase_calendar
 
   !> A particle between two of its events. The calendar knows `due` only; the rest is its owner's. A
   !> record fills a line of the cache: with many particles the time is that of reading one line of
@@ -24,10 +24,10 @@ module battery_calendar
     !> Heading, and the urn it leaves, 1 or 2.
     integer(int16) :: heading, urn
     !> Where the visit that follows was foreseen, or 0.
-    integer(int32) :: foreseen
+    integer(int32) :: lookahead_slot
     !> When it enters the channel (entered it, for those that are inside), at which height, with
     !> |u_x| and u_y.
-    real(wp) :: time, y, along, across
+    real(wp) :: time, y, u_axial, u_lateral
     !> How long it is in the channel if nothing turns it back, and in the urn before.
     real(wp) :: through, length
   end type flight_type
@@ -47,7 +47,7 @@ module battery_calendar
   !> The events of a page of time, from the beginning of which its times count.
   type :: calendar_type
     !> Length of a page and width of a bucket, powers of two.
-    real(wp) :: page = 0.0_wp, width = 0.0_wp, per_width = 0.0_wp
+    real(wp) :: epoch = 0.0_wp, width = 0.0_wp, per_width = 0.0_wp
     integer :: buckets = 0
     !> Whose the events of each bucket are, in blocks: block b has the places from b*places on.
     integer(int32), allocatable :: whose(:)
@@ -81,8 +81,8 @@ contains
       bits = bits + 1
     end do
     calendar%buckets = 2**(min(bits, crowd) + max(bits - crowd, 0)/2 - 1)
-    calendar%page = page_for(interval)
-    calendar%width = calendar%page/real(calendar%buckets, wp)
+    calendar%epoch = epoch_for(interval)
+    calendar%width = calendar%epoch/real(calendar%buckets, wp)
     calendar%per_width = 1.0_wp/calendar%width
     allocate (calendar%next_place(calendar%buckets), source=0_int32)
     ! Each bucket that is not empty has one block that is not full at most.
@@ -94,12 +94,12 @@ contains
   end subroutine new_calendar
 
   !> The length of a page for events that come every `interval` on average.
-  elemental function page_for(interval) result(page)
+  elemental function epoch_for(interval) result(epoch)
     real(wp), intent(in) :: interval
-    real(wp) :: page
+    real(wp) :: epoch
 
-    page = power_above(4.0_wp*interval)
-  end function page_for
+    epoch = power_above(4.0_wp*interval)
+  end function epoch_for
 
   !> Writes down that the event of `particle` is due at `time`.
   pure subroutine schedule(calendar, flight, particle, time)
@@ -126,20 +126,20 @@ contains
     logical :: some_at_once
 
     call fill_buckets(count, particle, time, calendar%per_width, calendar%opened_until, &
-      calendar%page, calendar%next_place, calendar%whose, calendar%block_before, &
+      calendar%epoch, calendar%next_place, calendar%whose, calendar%block_before, &
       calendar%free_blocks, calendar%free_block, some_at_once)
     if (.not. some_at_once) return
     do k = 1, count
-      if (time(k) < calendar%opened_until) call insert(size(calendar%particle), &
+      if (time(k) < calendar%opened_until) call insert_sorted(size(calendar%particle), &
         calendar%due_time, calendar%particle, calendar%sorted, time(k), particle(k))
     end do
   end subroutine schedule_all
 
   !> The part of it that is not due before `opened_until`; tells whether there are others.
-  pure subroutine fill_buckets(count, particle, time, per_width, opened_until, page, &
+  pure subroutine fill_buckets(count, particle, time, per_width, opened_until, epoch, &
     next_place, whose, block_before, free_blocks, free_block, some_at_once)
     integer, intent(in) :: count, particle(count)
-    real(wp), intent(in) :: time(count), per_width, opened_until, page
+    real(wp), intent(in) :: time(count), per_width, opened_until, epoch
     integer(int32), intent(inout), contiguous :: next_place(:), whose(0:), block_before(0:)
     integer, intent(inout) :: free_blocks
     integer(int32), intent(in), contiguous :: free_block(:)
@@ -149,7 +149,7 @@ contains
 
     some_at_once = .false.
     do k = 1, count
-      if (time(k) >= page) cycle
+      if (time(k) >= epoch) cycle
       if (time(k) < opened_until) then
         some_at_once = .true.
         cycle
@@ -177,7 +177,7 @@ contains
 
     if (calendar%opened_until >= time .or. calendar%opened == calendar%buckets) return
     target = calendar%buckets
-    if (time < calendar%page) target = min(target, ceiling(time*calendar%per_width))
+    if (time < calendar%epoch) target = min(target, ceiling(time*calendar%per_width))
     call open_buckets(size(flight), flight, target - calendar%opened, &
       calendar%next_place(calendar%opened + 1:target), calendar%whose, calendar%block_before, &
       calendar%free_blocks, calendar%free_block, calendar%sorted, calendar%due_time, &
@@ -219,7 +219,7 @@ contains
         free_block(free_blocks) = block
         block = block_before(block)
       end do
-      if (n > sorted + 1) call put_in_order(n - sorted, due_time(sorted + 1:n), &
+      if (n > sorted + 1) call sort_by_time(n - sorted, due_time(sorted + 1:n), &
         particle(sorted + 1:n))
       sorted = n
     end do
@@ -240,7 +240,7 @@ contains
       end do
       call open_until(calendar, flight, min(horizon, real(bucket, wp)*calendar%width))
     end if
-    time = min(horizon, calendar%page)
+    time = min(horizon, calendar%epoch)
     if (calendar%sorted > 0) time = min(time, calendar%due_time(1))
   end subroutine next_due
 
@@ -270,18 +270,18 @@ contains
 
   !> The page is done: sets all times back by its length and writes down what is due on the next.
   !> What is over, or waits for no event, is due before the new page.
-  pure subroutine turn_calendar(calendar, flight)
+  pure subroutine rebase_calendar(calendar, flight)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)
     integer :: i
 
-    calendar%due_time(:calendar%sorted) = calendar%due_time(:calendar%sorted) - calendar%page
+    calendar%due_time(:calendar%sorted) = calendar%due_time(:calendar%sorted) - calendar%epoch
     calendar%opened = 0
     calendar%opened_until = 0.0_wp
     do i = 1, size(flight)
-      flight(i)%due = flight(i)%due - calendar%page
+      flight(i)%due = flight(i)%due - calendar%epoch
       if (flight(i)%due >= 0.0_wp) call schedule(calendar, flight, i, flight(i)%due)
     end do
-  end subroutine turn_calendar
+  end subroutine rebase_calendar
 
 end module battery_calendar

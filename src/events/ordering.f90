@@ -6,7 +6,7 @@ module battery_ordering
   use battery_kinds, only: wp, int64
   implicit none (type, external)
   private
-  public :: put_in_order, insert
+  public :: sort_by_time, insert_sorted
 
   !> So many times are compared with another at a time.
   integer, parameter :: block = 8
@@ -19,7 +19,7 @@ module battery_ordering
 contains
 
   !> Puts a list into order: by time, then by number.
-  pure subroutine put_in_order(n, time, number)
+  pure subroutine sort_by_time(n, time, number)
     !> How many.
     integer, intent(in) :: n
     !> In and out, all finite.
@@ -35,14 +35,14 @@ contains
     least = minval(time)
     most = maxval(time)
     if (most > least) then
-      call deal_out(n, time, number, least, (real(n/share, wp) - 0.5_wp)/(most - least))
+      call sort_in_bins(n, time, number, least, (real(n/share, wp) - 0.5_wp)/(most - least))
     else
-      call insert_all(n, time, number)
+      call insertion_sort(n, time, number)
     end if
-  end subroutine put_in_order
+  end subroutine sort_by_time
 
   !> The same for many: into bins of equal width, each of which is put in order then.
-  pure subroutine deal_out(n, time, number, least, per_width)
+  pure subroutine sort_in_bins(n, time, number, least, per_width)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
     integer, intent(inout) :: number(n)
@@ -77,11 +77,11 @@ contains
       if (at - first < longest) then
         call order_by_counting(at - first + 1, time(first:at), number(first:at))
       else
-        call insert_all(at - first + 1, time(first:at), number(first:at))
+        call insertion_sort(at - first + 1, time(first:at), number(first:at))
       end if
       first = at + 1
     end do
-  end subroutine deal_out
+  end subroutine sort_in_bins
 
   !> A list no longer than `longest`: the place of each is how many are earlier.
   pure subroutine order_by_counting(n, time, number)
@@ -115,7 +115,7 @@ contains
     ! Some are due at one time.
     time = was(:n)
     number = whose(:n)
-    call insert_all(n, time, number)
+    call insertion_sort(n, time, number)
   end subroutine order_by_counting
 
   !> How many of the times are before each of eight of `mine`. The eight are named, so that the
@@ -139,7 +139,7 @@ contains
   end subroutine count_earlier
 
   !> A list with many at one time.
-  pure subroutine insert_all(n, time, number)
+  pure subroutine insertion_sort(n, time, number)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
     integer, intent(inout) :: number(n)
@@ -150,12 +150,12 @@ contains
       sorted = k - 1
       this_time = time(k)
       this = number(k)
-      call insert(n, time, number, sorted, this_time, this)
+      call insert_sorted(n, time, number, sorted, this_time, this)
     end do
-  end subroutine insert_all
+  end subroutine insertion_sort
 
   !> Puts an event in its place among `sorted` ones: by time, then by number.
-  pure subroutine insert(room, time, number, sorted, at, whose)
+  pure subroutine insert_sorted(room, time, number, sorted, at, whose)
     !> More than `sorted`.
     integer, intent(in) :: room
     !> When each is due, in order,
@@ -180,6 +180,6 @@ contains
     time(place + 1) = at
     number(place + 1) = whose
     sorted = sorted + 1
-  end subroutine insert
+  end subroutine insert_sorted
 
 end module battery_ordering

@@ -5,10 +5,11 @@
 !> heap, in which joining costs O(1) on average. At one time the lower number comes first.
 module battery_queue
   use battery_kinds, only: wp
-  use battery_stream, only: stream_type
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: queue_type, empty_queue, push, push_all, pop, take_due, remove, shift_queue, pass_queue
+  public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove, rebase_queue, &
+    serialize_queue
 
   !> Numbers, each with a time; `time` and `who` have room for `room` of them.
   type :: queue_type
@@ -49,7 +50,7 @@ contains
     queue%next = min(queue%next, time)
     queue%time(queue%count) = time
     queue%who(queue%count) = who
-    if (queue%in_order) call lift_last(queue)
+    if (queue%in_order) call sift_up_last(queue)
   end subroutine push
 
   !> Each of `who` is due at its time.
@@ -60,7 +61,7 @@ contains
     !> When each is due, in no order.
     real(wp), intent(in) :: time(count)
     integer, intent(in) :: who(count)
-    integer :: before, k
+    integer :: is_before, k
 
     if (count == 0) return
     if (queue%in_order) then
@@ -69,13 +70,13 @@ contains
       end do
       return
     end if
-    before = queue%count
-    do while (queue%room < before + count)
+    is_before = queue%count
+    do while (queue%room < is_before + count)
       call grow(queue)
     end do
-    queue%time(before + 1:before + count) = time
-    queue%who(before + 1:before + count) = who
-    queue%count = before + count
+    queue%time(is_before + 1:is_before + count) = time
+    queue%who(is_before + 1:is_before + count) = who
+    queue%count = is_before + count
     queue%next = min(queue%next, minval(time))
   end subroutine push_all
 
@@ -93,7 +94,7 @@ contains
   end subroutine grow
 
   !> The last of a heap finds its place.
-  pure subroutine lift_last(queue)
+  pure subroutine sift_up_last(queue)
     type(queue_type), intent(inout) :: queue
     real(wp) :: time
     integer :: who, at
@@ -102,14 +103,14 @@ contains
     time = queue%time(at)
     who = queue%who(at)
     do while (at > 1)
-      if (before(queue%time(at/2), queue%who(at/2), time, who)) exit
+      if (is_before(queue%time(at/2), queue%who(at/2), time, who)) exit
       queue%time(at) = queue%time(at/2)
       queue%who(at) = queue%who(at/2)
       at = at/2
     end do
     queue%time(at) = time
     queue%who(at) = who
-  end subroutine lift_last
+  end subroutine sift_up_last
 
   !> The first leaves the queue, which is not empty.
   pure subroutine pop(queue, who)
@@ -117,14 +118,14 @@ contains
     !> Who that is.
     integer, intent(out) :: who
 
-    call put_in_order(queue)
+    call make_heap(queue)
     who = queue%who(1)
-    call take_out(queue, 1)
+    call remove_at(queue, 1)
   end subroutine pop
 
   !> Takes out all who are due before `until`, and others, as it likes: in no order. There is room
   !> for all that are in the queue.
-  pure subroutine take_due(queue, until, taken, time, who)
+  pure subroutine pop_due(queue, until, taken, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: until
     !> How many were taken.
@@ -148,7 +149,7 @@ contains
         call pop(queue, who(taken))
       end do
     end if
-  end subroutine take_due
+  end subroutine pop_due
 
   !> `who`, who is in the queue and about to be due, leaves it.
   pure subroutine remove(queue, who)
@@ -156,16 +157,16 @@ contains
     integer, intent(in) :: who
     integer :: place
 
-    call put_in_order(queue)
+    call make_heap(queue)
     place = 1
     do while (queue%who(place) /= who)
       place = place + 1
     end do
-    call take_out(queue, place)
+    call remove_at(queue, place)
   end subroutine remove
 
   !> Makes a heap of a list.
-  pure subroutine put_in_order(queue)
+  pure subroutine make_heap(queue)
     type(queue_type), intent(inout) :: queue
     integer :: at
 
@@ -174,10 +175,10 @@ contains
     do at = queue%count/2, 1, -1
       call sift_down(queue, at, queue%time(at), queue%who(at))
     end do
-  end subroutine put_in_order
+  end subroutine make_heap
 
   !> Fills the place in the heap with the last.
-  pure subroutine take_out(queue, place)
+  pure subroutine remove_at(queue, place)
     type(queue_type), intent(inout) :: queue
     integer, intent(in) :: place
     integer :: last, at
@@ -188,7 +189,7 @@ contains
     if (place < last) then
       ! The last may belong above the place, if that is not the first.
       do while (at > 1)
-        if (before(queue%time(at/2), queue%who(at/2), queue%time(last), queue%who(last))) exit
+        if (is_before(queue%time(at/2), queue%who(at/2), queue%time(last), queue%who(last))) exit
         queue%time(at) = queue%time(at/2)
         queue%who(at) = queue%who(at/2)
         at = at/2
@@ -197,7 +198,7 @@ contains
     end if
     queue%in_order = queue%count > 0
     queue%next = merge(queue%time(1), huge(1.0_wp), queue%in_order)
-  end subroutine take_out
+  end subroutine remove_at
 
   !> Puts one into the heap at `place` or below.
   pure subroutine sift_down(queue, place, time, who)
@@ -212,10 +213,10 @@ contains
       child = 2*at
       if (child > queue%count) exit
       if (child < queue%count) then
-        if (before(queue%time(child + 1), queue%who(child + 1), queue%time(child), &
+        if (is_before(queue%time(child + 1), queue%who(child + 1), queue%time(child), &
           queue%who(child))) child = child + 1
       end if
-      if (.not. before(queue%time(child), queue%who(child), time, who)) exit
+      if (.not. is_before(queue%time(child), queue%who(child), time, who)) exit
       queue%time(at) = queue%time(child)
       queue%who(at) = queue%who(child)
       at = child
@@ -225,39 +226,39 @@ contains
   end subroutine sift_down
 
   !> Earlier, or at the same time and with the lower number.
-  pure function before(time, who, other_time, other_who)
+  pure function is_before(time, who, other_time, other_who)
     real(wp), intent(in) :: time, other_time
     integer, intent(in) :: who, other_who
-    logical :: before
+    logical :: is_before
 
-    before = time < other_time
-    if (.not. before) before = .not. time > other_time .and. who < other_who
-  end function before
+    is_before = time < other_time
+    if (.not. is_before) is_before = .not. time > other_time .and. who < other_who
+  end function is_before
 
   !> The clock is set back by `shift`.
-  pure subroutine shift_queue(queue, shift)
+  pure subroutine rebase_queue(queue, shift)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: shift
 
     if (queue%count == 0) return
     queue%time(:queue%count) = queue%time(:queue%count) - shift
     queue%next = minval(queue%time(:queue%count))
-  end subroutine shift_queue
+  end subroutine rebase_queue
 
   !> Through a stream, as it stands.
-  pure subroutine pass_queue(queue, stream)
+  pure subroutine serialize_queue(queue, archive)
     type(queue_type), intent(inout) :: queue
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call stream%pass('count', queue%count)
-    call stream%pass('in_order', queue%in_order)
-    if (stream%failed()) return
+    call archive%serialize('count', queue%count)
+    call archive%serialize('in_order', queue%in_order)
+    if (archive%failed()) return
     do while (queue%room < max(queue%count, 1))
       call grow(queue)
     end do
-    call stream%pass('time', queue%time(:queue%count))
-    call stream%pass('who', queue%who(:queue%count))
+    call archive%serialize('time', queue%time(:queue%count))
+    call archive%serialize('who', queue%who(:queue%count))
     queue%next = minval(queue%time(:queue%count))
-  end subroutine pass_queue
+  end subroutine serialize_queue
 
 end module battery_queue

@@ -13,7 +13,7 @@ module battery_tournament
   use battery_kinds, only: wp, int32, int64, bits_kind
   implicit none (type, external)
   private
-  public :: tournament_type, new_tournament, set_time, time_of, shift_times
+  public :: tournament_type, new_tournament, set_time, time_of, rebase_tournament
 
   !> Time and particle side by side: one line of the cache holds a match.
   type :: node_type
@@ -70,12 +70,12 @@ contains
     integer, intent(in) :: particle
     real(wp), intent(in) :: time
 
-    call play(tournament%number, tournament%node, leaf(tournament, particle), &
+    call play_matches(tournament%number, tournament%node, leaf(tournament, particle), &
       int(particle, int32), time)
   end subroutine set_time
 
   !> The matches from a leaf to the root.
-  pure subroutine play(number, node, leaf, particle, time)
+  pure subroutine play_matches(number, node, leaf, particle, time)
     integer, intent(in) :: number, leaf
     type(node_type), intent(inout) :: node(2*number - 1)
     integer(int32), intent(in) :: particle
@@ -102,7 +102,7 @@ contains
       node(k)%time = transfer(earliest, time)
       node(k)%particle = winner
     end do
-  end subroutine play
+  end subroutine play_matches
 
   !> When the event of `particle` is due.
   elemental function time_of(tournament, particle) result(time)
@@ -115,11 +115,11 @@ contains
 
   !> The clock is set back by `shift`. Winners stay winners if the times remain exact, as they do
   !> for a power of two that is not much longer than they are.
-  pure subroutine shift_times(tournament, shift)
+  pure subroutine rebase_tournament(tournament, shift)
     type(tournament_type), intent(inout) :: tournament
     real(wp), intent(in) :: shift
 
     tournament%node%time = tournament%node%time - shift
-  end subroutine shift_times
+  end subroutine rebase_tournament
 
 end module battery_tournament

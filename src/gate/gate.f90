@@ -11,19 +11,20 @@
 !> to be seen.
 !>
 !> Those counted stand in a queue by the time at which they will reach the middle line. Engines ask
-!> the gate at entries and crossings, one by one (`enter`, `must_turn`, `cross_first`), or send a
-!> whole stretch of entries through (`admit`); no engine knows the rule.
+!> the gate at entries and crossings, one by one (`enter_gate`, `must_reverse`, `uncount_first`), or
+!> send a whole stretch of entries through (`admit_entries`); no engine knows the rule.
 module battery_gate
   use battery_kinds, only: wp, int64
-  use battery_queue, only: queue_type, empty_queue, push, push_all, pop, take_due, remove, &
-    shift_queue, pass_queue
-  use battery_stream, only: stream_type
+  use battery_queue, only: queue_type, empty_queue, push, push_all, pop, pop_due, remove, &
+    rebase_queue, serialize_queue
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: gate_type, new_gate, enter, forget_entries, must_turn, undecided, decide, turned_back
-  public :: number_inside, who_is_inside, next_crossing, first_crossing
-  public :: first_to_cross, cross_first, cross, shift_gate, pass_gate
-  public :: stretch_type, reserve_stretch, admit
+  public :: gate_type, new_gate, enter_gate, forget_entries, must_reverse, has_undecided_entries, &
+    decide_reversal, uncount_all
+  public :: number_inside, counted_particle, next_crossing_time, first_crossing_time
+  public :: gate_crossed_first, uncount_first, uncount_particle, rebase_gate, serialize_gate
+  public :: stretch_type, reserve_stretch, admit_entries
 
   !> The gate of one side: its rule, and whom it counts.
   type :: gate_type
@@ -35,12 +36,12 @@ module battery_gate
     type(queue_type), private :: counted
   end type gate_type
 
-  !> What a stretch of entries into one gate leads to (`admit`). Arrays may be longer than their
-  !> counts say.
+  !> What a stretch of entries into one gate leads to (`admit_entries`). Arrays may be longer than
+  !> their counts say.
   type :: stretch_type
     !> How often the gate turned; after which entry, and how many it turned back.
     integer :: reversals = 0
-    integer, allocatable :: last_entry(:), turned(:)
+    integer, allocatable :: last_entry(:), reversed(:)
     !> Work space: those counted before and the entrants, in turn; when each crosses.
     real(wp), allocatable :: time(:)
     integer, allocatable :: who(:)
@@ -60,7 +61,7 @@ contains
   end subroutine new_gate
 
   !> A particle enters from the urn.
-  pure subroutine enter(gate, crossing_time, particle)
+  pure subroutine enter_gate(gate, crossing_time, particle)
     type(gate_type), intent(inout) :: gate
     !> When it will reach the middle line, on the clock of the engine.
     real(wp), intent(in) :: crossing_time
@@ -69,7 +70,7 @@ contains
 
     call push(gate%counted, crossing_time, particle)
     gate%entered = .true.
-  end subroutine enter
+  end subroutine enter_gate
 
   !> Who has been counted so far was inside from the start and heads for the middle line: that is no
   !> entry.
@@ -88,38 +89,38 @@ contains
   end function number_inside
 
   !> One of those counted.
-  elemental function who_is_inside(gate, place) result(particle)
+  elemental function counted_particle(gate, place) result(particle)
     type(gate_type), intent(in) :: gate
     !> From 1 to `number_inside`, in no order.
     integer, intent(in) :: place
     integer :: particle
 
     particle = gate%counted%who(place)
-  end function who_is_inside
+  end function counted_particle
 
   !> When the first of those counted reaches the middle line; huge if nobody is counted.
-  elemental function next_crossing(gate) result(time)
+  elemental function next_crossing_time(gate) result(time)
     type(gate_type), intent(in) :: gate
     real(wp) :: time
 
     time = gate%counted%next
-  end function next_crossing
+  end function next_crossing_time
 
   !> The same for both gates: whoever is first.
-  pure function first_crossing(gate) result(time)
+  pure function first_crossing_time(gate) result(time)
     type(gate_type), intent(in) :: gate(2)
     real(wp) :: time
 
     time = min(gate(1)%counted%next, gate(2)%counted%next)
-  end function first_crossing
+  end function first_crossing_time
 
   !> Whether the gate turns if nobody else enters at this instant.
-  pure function must_turn(gate)
+  pure function must_reverse(gate)
     type(gate_type), intent(in) :: gate
-    logical :: must_turn
+    logical :: must_reverse
 
-    must_turn = gate%counted%count > most_inside(gate)
-  end function must_turn
+    must_reverse = gate%counted%count > most_inside(gate)
+  end function must_reverse
 
   !> So many may be counted at most; one more, and the gate turns.
   pure function most_inside(gate) result(most)
@@ -130,56 +131,56 @@ contains
   end function most_inside
 
   !> Whether any gate has something to decide when the instant is over.
-  pure function undecided(gate)
+  pure function has_undecided_entries(gate)
     type(gate_type), intent(in) :: gate(2)
-    logical :: undecided
+    logical :: has_undecided_entries
 
-    undecided = gate(1)%entered .or. gate(2)%entered
-  end function undecided
+    has_undecided_entries = gate(1)%entered .or. gate(2)%entered
+  end function has_undecided_entries
 
-  !> The instant is over: whether the gate turns back those counted, all of `who_is_inside`.
-  pure subroutine decide(gate, turns)
+  !> The instant is over: whether the gate turns back those counted, all of `counted_particle`.
+  pure subroutine decide_reversal(gate, turns)
     type(gate_type), intent(inout) :: gate
     !> Whether all those counted are to be turned back.
     logical, intent(out) :: turns
 
-    turns = gate%entered .and. must_turn(gate)
+    turns = gate%entered .and. must_reverse(gate)
     gate%entered = .false.
-  end subroutine decide
+  end subroutine decide_reversal
 
   !> Which of the two gates is first to have somebody cross the middle line.
-  pure function first_to_cross(gate) result(side)
+  pure function gate_crossed_first(gate) result(side)
     type(gate_type), intent(in) :: gate(2)
     integer :: side
 
     side = merge(1, 2, gate(1)%counted%next <= gate(2)%counted%next)
-  end function first_to_cross
+  end function gate_crossed_first
 
   !> The first of those counted crosses the middle line.
-  pure subroutine cross_first(gate, particle)
+  pure subroutine uncount_first(gate, particle)
     type(gate_type), intent(inout) :: gate
     !> Who that is; not counted any more.
     integer, intent(out) :: particle
 
     call pop(gate%counted, particle)
-  end subroutine cross_first
+  end subroutine uncount_first
 
   !> This particle, which is counted, crosses the middle line.
-  pure subroutine cross(gate, particle)
+  pure subroutine uncount_particle(gate, particle)
     type(gate_type), intent(inout) :: gate
     !> Its number; not counted any more.
     integer, intent(in) :: particle
 
     call remove(gate%counted, particle)
-  end subroutine cross
+  end subroutine uncount_particle
 
   !> All those counted have been turned back.
-  pure subroutine turned_back(gate)
+  pure subroutine uncount_all(gate)
     type(gate_type), intent(inout) :: gate
 
     call empty_queue(gate%counted)
     gate%entered = .false.
-  end subroutine turned_back
+  end subroutine uncount_all
 
   !> Makes room for so many: entries, and those counted before them.
   subroutine reserve_stretch(stretch, number)
@@ -190,16 +191,17 @@ contains
 
     if (allocated(stretch%who)) then
       if (size(stretch%who) >= number) return
-      deallocate (stretch%last_entry, stretch%turned, stretch%time, stretch%who)
+      deallocate (stretch%last_entry, stretch%reversed, stretch%time, stretch%who)
     end if
     room = max(64, 2*number)
-    allocate (stretch%last_entry(room), stretch%turned(room), stretch%time(room), stretch%who(room))
+    allocate (stretch%last_entry(room), stretch%reversed(room), stretch%time(room), &
+      stretch%who(room))
   end subroutine reserve_stretch
 
   !> A whole stretch of entries, and all crossings before `until`, which is after the last entry.
   !> The same as one by one; but those who leave, turned back or across the middle line, are told in
   !> no order.
-  pure subroutine admit(gate, stretch, entries, entry_time, crossing_time, entrant, until, &
+  pure subroutine admit_entries(gate, stretch, entries, entry_time, crossing_time, entrant, until, &
     leaving, leaver, turned_at, crossed, crosser, crossed_at)
     type(gate_type), intent(inout) :: gate
     type(stretch_type), intent(inout) :: stretch
@@ -229,16 +231,16 @@ contains
     gate%entered = .false.
     associate (counted => gate%counted)
       if (entries == 0 .and. counted%next >= until) return
-      call take_due(counted, until, held, stretch%time, stretch%who)
+      call pop_due(counted, until, held, stretch%time, stretch%who)
       stretch%time(held + 1:held + entries) = crossing_time
       stretch%who(held + 1:held + entries) = entrant
-      call let_through(most_inside(gate), counted%count, held, entries, entry_time, until, &
+      call apply_rule(most_inside(gate), counted%count, held, entries, entry_time, until, &
         stretch%time, stretch%who, counted%who, stretch%reversals, stretch%last_entry, &
-        stretch%turned, leaving, leaver, turned_at, crossed, crosser, crossed_at, rest)
+        stretch%reversed, leaving, leaver, turned_at, crossed, crosser, crossed_at, rest)
       if (stretch%reversals > 0) call empty_queue(counted)
       call push_all(counted, rest, stretch%time, stretch%who)
     end associate
-  end subroutine admit
+  end subroutine admit_entries
 
   !> The rule for a stretch of entries, by counting. Of `held` from before and the entrants in turn,
   !> `time` is when each will cross; `staying` more cross after `until`. Those who are left inside
@@ -247,8 +249,8 @@ contains
   !> One entry adds one to the count at most: while `inside` are counted at an entry, the gate
   !> cannot turn before the (most + 1 - inside)-th after it. So only few are looked at, and of
   !> those the count is a loop without branches.
-  pure subroutine let_through(most, staying, held, entries, entry_time, until, time, who, &
-    stayer, reversals, last_entry, turned, leaving, leaver, turned_at, crossed, crosser, &
+  pure subroutine apply_rule(most, staying, held, entries, entry_time, until, time, who, &
+    stayer, reversals, last_entry, reversed, leaving, leaver, turned_at, crossed, crosser, &
     crossed_at, rest)
     integer, intent(in) :: most, staying, held, entries
     real(wp), intent(in) :: entry_time(entries), until
@@ -256,7 +258,7 @@ contains
     integer, intent(inout) :: who(held + entries)
     integer, intent(in), contiguous :: stayer(:)
     integer, intent(inout) :: reversals
-    integer, intent(inout), contiguous :: last_entry(:), turned(:)
+    integer, intent(inout), contiguous :: last_entry(:), reversed(:)
     integer, intent(inout) :: leaving, crossed
     integer, intent(inout), contiguous :: leaver(:), crosser(:)
     real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
@@ -282,13 +284,13 @@ contains
       last = held + k
       reversals = reversals + 1
       last_entry(reversals) = k
-      turned(reversals) = leaving
+      reversed(reversals) = leaving
       leaver(leaving + 1:leaving + others) = stayer(:others)
       turned_at(leaving + 1:leaving + others) = entry_time(k)
       leaving = leaving + others
-      call turn_back(last - first + 1, time(first:last), who(first:last), entry_time(k), leaving, &
-        leaver, turned_at, crossed, crosser, crossed_at)
-      turned(reversals) = leaving - turned(reversals)
+      call split_at_reversal(last - first + 1, time(first:last), who(first:last), entry_time(k), &
+        leaving, leaver, turned_at, crossed, crosser, crossed_at)
+      reversed(reversals) = leaving - reversed(reversals)
       others = 0
       first = last + 1
       k = k + max(limit, 0) + 1
@@ -302,7 +304,7 @@ contains
       time(rest + 1) = time(k)
       rest = rest + merge(0, 1, time(k) < until)
     end do
-  end subroutine let_through
+  end subroutine apply_rule
 
   !> How many of the times are after `instant`.
   pure function count_after(n, time, instant) result(after)
@@ -314,8 +316,8 @@ contains
   end function count_after
 
   !> The gate turns at this `instant`: who has crossed by then, and who is turned back.
-  pure subroutine turn_back(n, time, who, instant, leaving, leaver, turned_at, crossed, crosser, &
-    crossed_at)
+  pure subroutine split_at_reversal(n, time, who, instant, leaving, leaver, turned_at, crossed, &
+    crosser, crossed_at)
     integer, intent(in) :: n
     real(wp), intent(in) :: time(n), instant
     integer, intent(in) :: who(n)
@@ -332,23 +334,23 @@ contains
       crossed_at(crossed + 1) = time(k)
       crossed = crossed + merge(0, 1, time(k) > instant)
     end do
-  end subroutine turn_back
+  end subroutine split_at_reversal
 
   !> The clock is set back by `shift`.
-  pure subroutine shift_gate(gate, shift)
+  pure subroutine rebase_gate(gate, shift)
     type(gate_type), intent(inout) :: gate
     real(wp), intent(in) :: shift
 
-    call shift_queue(gate%counted, shift)
-  end subroutine shift_gate
+    call rebase_queue(gate%counted, shift)
+  end subroutine rebase_gate
 
   !> Who is counted, through a stream; the threshold belongs to what is simulated.
-  pure subroutine pass_gate(gate, stream)
+  pure subroutine serialize_gate(gate, archive)
     type(gate_type), intent(inout) :: gate
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call stream%pass('entered', gate%entered)
-    call pass_queue(gate%counted, stream)
-  end subroutine pass_gate
+    call archive%serialize('entered', gate%entered)
+    call serialize_queue(gate%counted, archive)
+  end subroutine serialize_gate
 
 end module battery_gate

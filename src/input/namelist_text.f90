@@ -209,7 +209,7 @@ contains
       case ('/', '&')
         exit
       case (',')
-        if (after_comma) call complain('a value is missing before a comma')
+        if (after_comma) call add_mistake('a value is missing before a comma')
         after_comma = .true.
         reader%at = reader%at + 1
         cycle
@@ -219,11 +219,11 @@ contains
       call read_value(reader, value, repeats, problem)
       after_comma = .false.
       if (problem /= '') then
-        call complain(problem)
+        call add_mistake(problem)
       else if (count + repeats > most_values) then
-        call complain('too many values; allowed: '//to_text(most_values))
+        call add_mistake('too many values; allowed: '//to_text(most_values))
       else if (repeats > 1 .and. len(value%text) > most_letters/repeats) then
-        call complain('too long to repeat; letters allowed in all: '//to_text(most_letters))
+        call add_mistake('too long to repeat; letters allowed in all: '//to_text(most_letters))
       else
         reader%values(count + 1:count + repeats) = value
         count = count + repeats
@@ -233,11 +233,11 @@ contains
 
   contains
 
-    subroutine complain(text)
+    subroutine add_mistake(text)
       character(len=*), intent(in) :: text
 
       call add_remark(reader%remarks, reader%line, name//': '//text)
-    end subroutine complain
+    end subroutine add_mistake
 
   end subroutine read_values
 

@@ -6,7 +6,7 @@ module battery_remarks
   public :: remarks_type, add_remark, remarks_text, shown_text
 
   !> So many are told one by one, beyond that only how many there are.
-  integer, parameter, public :: most_told = 50
+  integer, parameter, public :: most_reported = 50
 
   !> Most letters of a word of the file that a remark repeats.
   integer, parameter :: most_letters = 80
@@ -21,7 +21,7 @@ module battery_remarks
   type :: remarks_type
     integer :: count = 0
     !> Those that are told: the first of all, in the order of their lines, and the last.
-    type(remark_type), private :: first(most_told), last
+    type(remark_type), private :: first(most_reported), last
   end type remarks_type
 
 contains
@@ -38,10 +38,10 @@ contains
 
     remark%line = line
     remark%text = text
-    told = min(remarks%count, most_told)
+    told = min(remarks%count, most_reported)
     place = 1 + count(remarks%first(:told)%line <= line)
-    if (place <= most_told) then
-      told = min(told + 1, most_told)
+    if (place <= most_reported) then
+      told = min(told + 1, most_reported)
       remarks%first(place + 1:told) = remarks%first(place:told - 1)
       remarks%first(place) = remark
     end if
@@ -58,12 +58,12 @@ contains
     integer :: at
 
     text = ''
-    do at = 1, min(remarks%count, most_told)
+    do at = 1, min(remarks%count, most_reported)
       if (at > 1) text = text//new_line_character
       text = text//one_text(remarks%first(at), name)
     end do
-    if (remarks%count > most_told) text = text//new_line_character//'... and ' &
-      //to_text(remarks%count - most_told)//' more; the last: '//one_text(remarks%last, name)
+    if (remarks%count > most_reported) text = text//new_line_character//'... and ' &
+      //to_text(remarks%count - most_reported)//' more; the last: '//one_text(remarks%last, name)
   end function remarks_text
 
   pure function one_text(remark, name) result(text)

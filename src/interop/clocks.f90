@@ -5,7 +5,7 @@ module battery_clocks
   use battery_kinds, only: dp, int64
   implicit none (type, external)
   private
-  public :: wall_seconds, cpu_seconds, utc_seconds, utc_now, rest
+  public :: wall_seconds, cpu_seconds, utc_seconds, utc_now, sleep_for
 
   procedure(number_of_text), bind(c, name='battery_utc') :: c_utc
 
@@ -50,12 +50,12 @@ contains
   end function utc_now
 
   !> Leaves the processor to others for a while, up to a second; a signal may end it early.
-  subroutine rest(seconds)
+  subroutine sleep_for(seconds)
     !> At most 0.99 of them count.
     real(dp), intent(in) :: seconds
     integer(c_int) :: status
 
     status = c_usleep(int(1.0e6_dp*min(seconds, 0.99_dp), c_int))
-  end subroutine rest
+  end subroutine sleep_for
 
 end module battery_clocks

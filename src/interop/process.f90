@@ -4,16 +4,16 @@ module battery_process
   use battery_c_shapes, only: number_known
   implicit none (type, external)
   private
-  public :: leave, leave_after, process_number
+  public :: exit_process, leave_after, process_number
 
   interface
     !> Ends the program, without the word `STOP` that Fortran prints.
-    subroutine leave(code) bind(c, name='exit')
+    subroutine exit_process(code) bind(c, name='exit')
       import :: c_int
       implicit none (type, external)
       !> What the shell is told, 0 to 255.
       integer(c_int), value, intent(in) :: code
-    end subroutine leave
+    end subroutine exit_process
 
     !> Ends the program after that time, whatever it is doing then.
     subroutine leave_after(seconds, code) bind(c, name='process_leave_after')

@@ -6,7 +6,7 @@ module battery_terminal
   use battery_text, only: printable
   implicit none (type, external)
   private
-  public :: guard_streams, say, say_partly, complain, all_was_printed, is_terminal, &
+  public :: guard_streams, print_line, print_text, print_error, all_was_printed, is_terminal, &
     parent_is_terminal
 
   !> False once something could not be printed on standard output.
@@ -31,24 +31,24 @@ module battery_terminal
 contains
 
   !> Prints a line, or several, on standard output.
-  subroutine say(text)
+  subroutine print_line(text)
     !> Without a line end.
     character(len=*), intent(in) :: text
 
-    call say_partly(printable(text)//new_line('a'))
-  end subroutine say
+    call print_text(printable(text)//new_line('a'))
+  end subroutine print_line
 
   !> Prints on standard output, as it is, without ending the line.
-  subroutine say_partly(text)
+  subroutine print_text(text)
     !> Without a line end.
     character(len=*), intent(in) :: text
 
     ! After a failure nothing more is tried: a text with a hole in it would say something else.
     if (printed) printed = terminal_write(0_c_int, text, len(text, c_size_t)) == 0
-  end subroutine say_partly
+  end subroutine print_text
 
   !> Prints a line, or several, on standard error; where that fails nobody can be told.
-  subroutine complain(text)
+  subroutine print_error(text)
     !> Without a line end.
     character(len=*), intent(in) :: text
     character(len=:), allocatable :: line
@@ -56,7 +56,7 @@ contains
 
     line = printable(text)//new_line('a')
     status = terminal_write(1_c_int, line, len(line, c_size_t))
-  end subroutine complain
+  end subroutine print_error
 
   !> Whether all that was said has been printed.
   logical function all_was_printed()

@@ -26,11 +26,11 @@
 module battery_blocks
   use battery_kinds, only: wp, dp, pi
   use battery_quantities, only: unknown_real
-  use battery_stream, only: stream_type
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
   public :: blocks_type, most_blocks, add_block, standard_error, error_of_mean, &
-    pass_blocks
+    serialize_blocks
 
   integer, parameter :: most_blocks = 64
 
@@ -148,13 +148,13 @@ contains
   end function error_of_mean
 
   !> Through a stream.
-  pure subroutine pass_blocks(blocks, stream)
+  pure subroutine serialize_blocks(blocks, archive)
     type(blocks_type), intent(inout) :: blocks
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call stream%pass('length', blocks%length)
-    call stream%pass('count', blocks%count)
-    call stream%pass('average', blocks%average)
-  end subroutine pass_blocks
+    call archive%serialize('length', blocks%length)
+    call archive%serialize('count', blocks%count)
+    call archive%serialize('average', blocks%average)
+  end subroutine serialize_blocks
 
 end module battery_blocks

@@ -22,17 +22,17 @@
 !>   current has an error all the same.
 module battery_observer
   use battery_kinds, only: wp, dp, int64
-  use battery_blocks, only: blocks_type, add_block, standard_error, pass_blocks
+  use battery_blocks, only: blocks_type, add_block, standard_error, serialize_blocks
   use battery_channel, only: gated, ungated
-  use battery_history, only: history_type, channel1_12, channel2_12, channel_of
+  use battery_event_record, only: event_record_type, channel1_12, channel2_12, channel_of
   use battery_quantities, only: measured_type, set_average, set_count, flow_names, &
     unknown_real
-  use battery_stream, only: stream_type
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: observer_type, new_observer, observe, begin_measuring, end_series
-  public :: measure
-  public :: pass_observer
+  public :: observer_type, new_observer, observe_window, begin_measuring, end_series
+  public :: get_measured
+  public :: serialize_observer
 
   !> Averages that are taken of blocks as well, for their errors.
   integer, parameter, public :: of_chi = 1, of_current1 = 2, of_current2 = 3, of_polarised = 4, &
@@ -140,17 +140,17 @@ contains
   end subroutine end_series
 
   !> Takes in one window.
-  pure subroutine observe(observer, history)
+  pure subroutine observe_window(observer, event_record)
     type(observer_type), intent(inout) :: observer
-    type(history_type), intent(in) :: history
+    type(event_record_type), intent(in) :: event_record
     real(wp) :: last
     integer :: k, crossing, channel, way, down
 
     last = 0.0_wp
-    do k = 1, history%crossings
-      call pass_time(observer, history%crossing_time(k) - last)
-      last = history%crossing_time(k)
-      crossing = history%crossing(k)
+    do k = 1, event_record%crossings
+      call integrate_interval(observer, event_record%crossing_time(k) - last)
+      last = event_record%crossing_time(k)
+      crossing = event_record%crossing(k)
       observer%series_crossings(crossing) = observer%series_crossings(crossing) + 1
       way = merge(1, -1, crossing == channel1_12 .or. crossing == channel2_12)
       ! Of the sign of N1 - N2, the mean of before and after the crossing.
@@ -163,18 +163,19 @@ contains
         if (channel == ungated) observer%block_downward = observer%block_downward + down
       end if
     end do
-    call pass_time(observer, history%duration - last)
-    observer%reversals = observer%reversals + history%reversals
-    observer%bounce_backs = observer%bounce_backs + history%bounce_backs
-    observer%collisions = observer%collisions + history%collisions
+    call integrate_interval(observer, event_record%duration - last)
+    observer%reversals = observer%reversals + event_record%reversals
+    observer%bounce_backs = observer%bounce_backs + event_record%bounce_backs
+    observer%collisions = observer%collisions + event_record%collisions
     if (observer%measuring) then
-      observer%collision_spread_sum = observer%collision_spread_sum + history%collision_spread_sum
-      observer%collisions_seen = observer%collisions_seen + history%collisions_seen
+      observer%collision_spread_sum = observer%collision_spread_sum &
+        + event_record%collision_spread_sum
+      observer%collisions_seen = observer%collisions_seen + event_record%collisions_seen
     end if
-  end subroutine observe
+  end subroutine observe_window
 
   !> `duration` goes by without a crossing; ends blocks and writes entries on the way.
-  pure subroutine pass_time(observer, duration)
+  pure subroutine integrate_interval(observer, duration)
     type(observer_type), intent(inout) :: observer
     real(wp), intent(in) :: duration
     real(wp) :: rest, step, difference
@@ -197,7 +198,7 @@ contains
       rest = rest - step
       if (rest <= 0.0_wp) exit
     end do
-  end subroutine pass_time
+  end subroutine integrate_interval
 
   pure subroutine end_block(observer)
     type(observer_type), intent(inout) :: observer
@@ -255,7 +256,7 @@ contains
   end subroutine lengthen_series
 
   !> What it has measured so far; what it does not know stays as it is.
-  pure subroutine measure(observer, measured)
+  pure subroutine get_measured(observer, measured)
     type(observer_type), intent(in) :: observer
     type(measured_type), intent(inout) :: measured
     real(wp) :: time
@@ -284,7 +285,7 @@ contains
       if (o%collisions_seen > 0) call set_average(measured, 'chi_collision', &
         real(real(o%collision_spread_sum, wp)/(real(o%collisions_seen, wp)*number), dp))
     end associate
-  end subroutine measure
+  end subroutine get_measured
 
   !> Standard error of an average; NaN where the run is known to be too short for it.
   pure function error_of(observer, which) result(error)
@@ -299,7 +300,7 @@ contains
       if (which /= of_chi .and. o%two_halves .and. o%circuit_closed) &
         told = told .and. .not. circulates(o%reversals - o%transient_reversals)
       if ((which == of_current1 .or. which == of_current2) .and. o%two_halves) &
-        told = told .and. polarity_told(o%blocks(of_difference))
+        told = told .and. polarity_resolved(o%blocks(of_difference))
       error = unknown_real()
       if (told) error = standard_error(o%blocks(which))
     end associate
@@ -314,58 +315,58 @@ contains
   end function circulates
 
   !> Whether blocks of N1 - N2 changed their sign many times.
-  pure logical function polarity_told(blocks)
+  pure logical function polarity_resolved(blocks)
     type(blocks_type), intent(in) :: blocks
     logical, allocatable :: positive(:)
 
     positive = blocks%average(:blocks%count) > 0.0_wp
-    polarity_told = count(positive(2:) .neqv. positive(:size(positive) - 1)) >= least_changes
-  end function polarity_told
+    polarity_resolved = count(positive(2:) .neqv. positive(:size(positive) - 1)) >= least_changes
+  end function polarity_resolved
 
   !> All that is needed to go on observing to the same last bit, into a stream or out of it.
-  pure subroutine pass_observer(observer, stream)
+  pure subroutine serialize_observer(observer, archive)
     type(observer_type), intent(inout) :: observer
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     integer :: flow, which
 
-    call stream%pass('number', observer%number)
-    call stream%pass('urn1_number', observer%urn1_number)
-    call stream%pass('two_halves', observer%two_halves)
-    call stream%pass('circuit_closed', observer%circuit_closed)
-    call stream%pass('relaxation', observer%relaxation)
-    call stream%pass('reversals', observer%reversals)
-    call stream%pass('transient_reversals', observer%transient_reversals)
-    call stream%pass('bounce_backs', observer%bounce_backs)
-    call stream%pass('collisions', observer%collisions)
-    call stream%pass('measuring', observer%measuring)
-    call stream%pass('time', observer%time)
-    call stream%pass('spread', observer%spread)
-    call stream%pass('crossings', observer%crossings)
-    call stream%pass('downward', observer%downward)
-    call stream%pass('collision_spread_sum', observer%collision_spread_sum)
-    call stream%pass('collisions_seen', observer%collisions_seen)
-    call stream%pass('block_left', observer%block_left)
-    call stream%pass('block_time', observer%block_time)
-    call stream%pass('block_spread', observer%block_spread)
-    call stream%pass('block_difference', observer%block_difference)
-    call stream%pass('block_net', observer%block_net)
-    call stream%pass('block_downward', observer%block_downward)
+    call archive%serialize('number', observer%number)
+    call archive%serialize('urn1_number', observer%urn1_number)
+    call archive%serialize('two_halves', observer%two_halves)
+    call archive%serialize('circuit_closed', observer%circuit_closed)
+    call archive%serialize('relaxation', observer%relaxation)
+    call archive%serialize('reversals', observer%reversals)
+    call archive%serialize('transient_reversals', observer%transient_reversals)
+    call archive%serialize('bounce_backs', observer%bounce_backs)
+    call archive%serialize('collisions', observer%collisions)
+    call archive%serialize('measuring', observer%measuring)
+    call archive%serialize('time', observer%time)
+    call archive%serialize('spread', observer%spread)
+    call archive%serialize('crossings', observer%crossings)
+    call archive%serialize('downward', observer%downward)
+    call archive%serialize('collision_spread_sum', observer%collision_spread_sum)
+    call archive%serialize('collisions_seen', observer%collisions_seen)
+    call archive%serialize('block_left', observer%block_left)
+    call archive%serialize('block_time', observer%block_time)
+    call archive%serialize('block_spread', observer%block_spread)
+    call archive%serialize('block_difference', observer%block_difference)
+    call archive%serialize('block_net', observer%block_net)
+    call archive%serialize('block_downward', observer%block_downward)
     do which = 1, size(observer%blocks)
-      call pass_blocks(observer%blocks(which), stream)
+      call serialize_blocks(observer%blocks(which), archive)
     end do
-    call stream%pass('series_interval', observer%series_interval)
-    call stream%pass('series_left', observer%series_left)
-    call stream%pass('series_crossings', observer%series_crossings)
-    call stream%pass('entries', observer%entries)
-    if (stream%failed()) return
-    if (stream%reading) then
+    call archive%serialize('series_interval', observer%series_interval)
+    call archive%serialize('series_left', observer%series_left)
+    call archive%serialize('series_crossings', observer%series_crossings)
+    call archive%serialize('entries', observer%entries)
+    if (archive%failed()) return
+    if (archive%reading) then
       observer%series_urn1_number = spread(0, 1, observer%entries)
       observer%series_flow = spread(spread(0.0_wp, 1, 4), 2, observer%entries)
     end if
-    call stream%pass('series_urn1_number', observer%series_urn1_number(:observer%entries))
+    call archive%serialize('series_urn1_number', observer%series_urn1_number(:observer%entries))
     do flow = 1, 4
-      call stream%pass('series_flow', observer%series_flow(flow, :observer%entries))
+      call archive%serialize('series_flow', observer%series_flow(flow, :observer%entries))
     end do
-  end subroutine pass_observer
+  end subroutine serialize_observer
 
 end module battery_observer

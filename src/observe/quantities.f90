@@ -29,7 +29,7 @@ module battery_quantities
     integer(int64), allocatable :: counted(:)
   end type measured_type
 
-  !> Names of the flows, in the order of crossings (`battery_history`).
+  !> Names of the flows, in the order of crossings (`battery_event_record`).
   character(len=*), parameter :: flow_names(4) = ['flow1_12', 'flow1_21', 'flow2_12', 'flow2_21']
 
   !> Unit of the time of day.

@@ -1,11 +1,11 @@
 !> The event log of a run, which grows as long as there is memory for it.
 module battery_event_log
   use battery_kinds, only: wp, int32
-  use battery_history, only: history_type
-  use battery_stream, only: stream_type
+  use battery_event_record, only: event_record_type
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: event_log_type, append_events, pass_events
+  public :: event_log_type, append_events, serialize_events
 
   !> An event: its time since the start of the run; kind, place and particle as in the engine.
   type :: event_type
@@ -23,10 +23,10 @@ module battery_event_log
 contains
 
   !> Adds the events of a window that began `elapsed` after the start of the run.
-  subroutine append_events(log, history, elapsed, out_of_room)
+  subroutine append_events(log, event_record, elapsed, out_of_room)
     !> Of one run, in the order of time.
     type(event_log_type), intent(inout) :: log
-    type(history_type), intent(in) :: history
+    type(event_record_type), intent(in) :: event_record
     real(wp), intent(in) :: elapsed
     !> Set if there is no memory for them; then the log stays as it is.
     logical, intent(inout) :: out_of_room
@@ -34,7 +34,7 @@ contains
     integer :: total, status, k
 
     if (.not. allocated(log%event)) allocate (log%event(0))
-    total = log%count + history%events
+    total = log%count + event_record%events
     if (total > size(log%event)) then
       allocate (longer(max(total, 2*size(log%event), 1024)), stat=status)
       out_of_room = out_of_room .or. status /= 0
@@ -42,26 +42,26 @@ contains
       longer(:log%count) = log%event(:log%count)
       call move_alloc(longer, log%event)
     end if
-    do k = 1, history%events
-      log%event(log%count + k) = event_type(elapsed + history%event_time(k), &
-        history%event_kind(k), history%event_where(k), history%event_particle(k))
+    do k = 1, event_record%events
+      log%event(log%count + k) = event_type(elapsed + event_record%event_time(k), &
+        event_record%event_kind(k), event_record%event_where(k), event_record%event_particle(k))
     end do
     log%count = total
   end subroutine append_events
 
   !> The event log so far.
-  subroutine pass_events(log, stream)
+  subroutine serialize_events(log, archive)
     !> Of one run; in a stream that is read, it is filled.
     type(event_log_type), intent(inout) :: log
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call stream%pass('events', log%count)
-    if (stream%failed() .or. log%count == 0) return
-    if (stream%reading) allocate (log%event(log%count))
-    call stream%pass('event_time', log%event(:log%count)%time)
-    call stream%pass('event_kind', log%event(:log%count)%kind)
-    call stream%pass('event_where', log%event(:log%count)%where)
-    call stream%pass('event_particle', log%event(:log%count)%particle)
-  end subroutine pass_events
+    call archive%serialize('events', log%count)
+    if (archive%failed() .or. log%count == 0) return
+    if (archive%reading) allocate (log%event(log%count))
+    call archive%serialize('event_time', log%event(:log%count)%time)
+    call archive%serialize('event_kind', log%event(:log%count)%kind)
+    call archive%serialize('event_where', log%event(:log%count)%where)
+    call archive%serialize('event_particle', log%event(:log%count)%particle)
+  end subroutine serialize_events
 
 end module battery_event_log

@@ -14,7 +14,8 @@ module battery_frozen_log
   use battery_kinds, only: wp, int64
   use battery_engine, only: particles_type
   use battery_error, only: error_type
-  use battery_simulation, only: setup_type, simulation_type, begin_simulation, step, verify
+  use battery_simulation, only: setup_type, simulation_type, begin_simulation, advance_simulation, &
+    verify_simulation
   use battery_table, only: new_table
   use battery_text, only: to_text
   implicit none (type, external)
@@ -102,9 +103,9 @@ contains
     if (.not. allocated(error)) then
       do window = 1, most_windows
         if (simulation%done) exit
-        call step(simulation)
+        call advance_simulation(simulation)
       end do
-      call verify(simulation, error)
+      call verify_simulation(simulation, error)
     end if
     problem = ''
     if (allocated(error)) then

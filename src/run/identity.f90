@@ -13,7 +13,7 @@ module battery_identity
   use battery_urn, only: shape_polygon
   implicit none (type, external)
   private
-  public :: identity_of, kept_with, twelve_digits
+  public :: identity_of, task_id_with, twelve_digits
 
 contains
 
@@ -75,7 +75,7 @@ contains
   end function identity_of
 
   !> The identity of what is kept of a task: the task, and which series, snapshots and so on.
-  integer(int64) function kept_with(identity, run, final_state) result(kept)
+  integer(int64) function task_id_with(identity, run, final_state) result(task_id)
     !> Of the task, as `identity_of` gives it.
     integer(int64), intent(in) :: identity
     class(run_type), intent(in) :: run
@@ -83,16 +83,16 @@ contains
     logical, intent(in) :: final_state
     integer :: k
 
-    kept = identity
-    call mix_real(kept, run%series_interval)
-    call mix_word(kept, size(run%snapshot_times, kind=int64))
+    task_id = identity
+    call mix_real(task_id, run%series_interval)
+    call mix_word(task_id, size(run%snapshot_times, kind=int64))
     do k = 1, size(run%snapshot_times)
-      call mix_real(kept, run%snapshot_times(k))
+      call mix_real(task_id, run%snapshot_times(k))
     end do
-    call mix_word(kept, merge(1_int64, 0_int64, run%event_log))
-    call mix_word(kept, merge(1_int64, 0_int64, final_state))
-    kept = mixed(kept)
-  end function kept_with
+    call mix_word(task_id, merge(1_int64, 0_int64, run%event_log))
+    call mix_word(task_id, merge(1_int64, 0_int64, final_state))
+    task_id = mixed(task_id)
+  end function task_id_with
 
   !> Takes a number to 12 digits into a fingerprint.
   subroutine mix_real(fingerprint, number)

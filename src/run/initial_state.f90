@@ -6,7 +6,7 @@ module battery_initial_state
   use battery_numbers, only: read_decimal
   use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, chamber_at, outside, try_place
+  use battery_table, only: table_type, chamber_at, outside, try_random_point
   use battery_engine, only: particles_type
   use battery_signals, only: stop_requested, stopped_before_start
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform
@@ -23,7 +23,7 @@ module battery_initial_state
 contains
 
   !> An error if there is no memory for so many particles.
-  subroutine make_room(particles, number, error)
+  subroutine allocate_particle_arrays(particles, number, error)
     type(particles_type), intent(inout) :: particles
     integer, intent(in) :: number
     type(error_type), allocatable, intent(out) :: error
@@ -34,7 +34,7 @@ contains
     if (status == 0) allocate (particles%ux(number), stat=status)
     if (status == 0) allocate (particles%uy(number), stat=status)
     if (status /= 0) call fatal_error(error, 'no memory for '//to_text(number)//' particles')
-  end subroutine make_room
+  end subroutine allocate_particle_arrays
 
   !> `number` particles, the first `urn1_number` of them in urn 1: positions uniform in the urns,
   !> directions uniform, speed 1. The same seed gives the same particles everywhere.
@@ -50,7 +50,7 @@ contains
     real(wp) :: angle
     integer :: at
 
-    call make_room(particles, number, error)
+    call allocate_particle_arrays(particles, number, error)
     if (allocated(error)) return
     call new_generator(generator, seed, error)
     if (allocated(error)) return
@@ -80,7 +80,7 @@ contains
     do
       across = real(uniform(generator), wp)
       up = real(uniform(generator), wp)
-      call try_place(table%urn(side), across, up, x, y, inside)
+      call try_random_point(table%urn(side), across, up, x, y, inside)
       if (inside) exit
     end do
   end subroutine place_in_urn
@@ -119,7 +119,7 @@ contains
     integer(int64) :: first, last, next
     integer :: line, count
 
-    call make_room(particles, number, error)
+    call allocate_particle_arrays(particles, number, error)
     if (allocated(error)) return
     next = 1
     line = 0

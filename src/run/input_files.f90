@@ -41,7 +41,7 @@ contains
     call fill_plan(text, file, settings, plan)
     call check_files(plan)
     call report(plan, settings, error)
-    call take_initial_file(plan, error)
+    call use_initial_file(plan, error)
   end subroutine read_namelist
 
   !> The results must have a place to go, which is no input's; an output that is a link is what it
@@ -72,16 +72,16 @@ contains
     else if (is_folder(plan%file//'.part')) then
       reason = 'there is a folder '//plan%file//'.part'
     end if
-    if (reason == '') reason = trouble_with_input(plan%file, plan%input_file)
+    if (reason == '') reason = output_spoils_input(plan%file, plan%input_file)
     if (reason == '' .and. plan%initial_file /= '') &
-      reason = trouble_with_input(plan%file, plan%initial_file)
+      reason = output_spoils_input(plan%file, plan%initial_file)
     if (reason /= '') call refuse(plan, 'file', ''''//plan%file//''': '//reason, &
       'a file in a folder that exists and can be written to')
   end subroutine check_files
 
   !> Whether what is written for an output would spoil an input, by whatever names and links; empty:
   !> it would not.
-  function trouble_with_input(file, input) result(reason)
+  function output_spoils_input(file, input) result(reason)
     character(len=*), intent(in) :: file, input
     character(len=:), allocatable :: reason
 
@@ -98,11 +98,11 @@ contains
     else if (same_file(file//'.tasks', input)) then
       reason = file//'.tasks, a folder for what is unfinished, is an input file'
     end if
-  end function trouble_with_input
+  end function output_spoils_input
 
   !> The initial file must suit the table of every point; its problems join those of the namelist.
   !> It is read once, and says how many start in urn 1.
-  subroutine take_initial_file(plan, error)
+  subroutine use_initial_file(plan, error)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: trouble
@@ -140,6 +140,6 @@ contains
     if (allocated(error)) return
     plan%initial_fingerprint = fingerprint_of(text)
     plan%base%urn1_number = count(plan%start%x < 0.0_wp)
-  end subroutine take_initial_file
+  end subroutine use_initial_file
 
 end module battery_input_files

@@ -108,7 +108,8 @@ contains
     integer, intent(in) :: sharing
 
     left%limit = 'no limit'
-    call limit_by(left, kilobyte*number_in('/proc/meminfo', 'MemAvailable:')/sharing, 'free memory')
+    call limit_by(left, kilobyte*task_number_of('/proc/meminfo', 'MemAvailable:')/sharing, &
+      'free memory')
     call limit_by(left, group_left()/sharing, 'memory of the control group')
     call limit_by(left, under_limit(0_c_int, 'VmSize:'), 'address space, ulimit -v')
     call limit_by(left, under_limit(1_c_int, 'VmData:'), 'data, ulimit -d')
@@ -133,7 +134,7 @@ contains
     if (bytes < 0.0_dp) then
       bytes = huge(1.0_dp)
     else
-      bytes = bytes - kilobyte*number_in('/proc/self/status', used)
+      bytes = bytes - kilobyte*task_number_of('/proc/self/status', used)
     end if
   end function under_limit
 
@@ -171,9 +172,9 @@ contains
     length = len(path)
     do
       if (path(:length) == '/') length = 0
-      most = number_in(root//path(:length)//'/'//limit, '')
-      now = number_in(root//path(:length)//'/'//used, '')
-      spare = number_in(root//path(:length)//'/memory.stat', idle)
+      most = task_number_of(root//path(:length)//'/'//limit, '')
+      now = task_number_of(root//path(:length)//'/'//used, '')
+      spare = task_number_of(root//path(:length)//'/memory.stat', idle)
       if (most < none .and. now < none) &
         bytes = min(bytes, most - now + merge(spare, 0.0_dp, spare < most))
       if (length == 0) exit
@@ -184,7 +185,7 @@ contains
 
   !> The number that follows a name at the beginning of a line, such as `MemAvailable:  123 kB`;
   !> `none` if there is none, as where it says `max`.
-  real(dp) function number_in(file, name) result(number)
+  real(dp) function task_number_of(file, name) result(number)
     character(len=*), intent(in) :: file, name
     character(len=256) :: line
     integer :: unit, status
@@ -201,6 +202,6 @@ contains
       exit
     end do
     close (unit)
-  end function number_in
+  end function task_number_of
 
 end module battery_memory_limits

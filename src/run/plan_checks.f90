@@ -2,11 +2,11 @@
 submodule (battery_plan) battery_plan_checks
   use battery_error, only: error_type
   use battery_engine, only: engine_type
-  use battery_engines, only: new_engine, has_step, refusal
+  use battery_engines, only: new_engine, has_step, explain_refusal
   use battery_scatterer_checks, only: wrong_scatterers
   use battery_table, only: longest_run
   use battery_repeats, only: first_repeat
-  use battery_problems, only: gather, told_of
+  use battery_problems, only: add_point_problems, reported_problems
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, is_sound
   use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
     of_powers, of_lengths, of_widths, of_times, of_clocks
@@ -205,12 +205,12 @@ contains
         call check_scatterers(plan, point_of(plan, at))
       end if
       if (size(plan%problems) == 0) cycle
-      call gather(plan%of_points, plan%problems, at)
+      call add_point_problems(plan%of_points, plan%problems, at)
       deallocate (plan%problems)
       allocate (plan%problems(0))
     end do
     plan%checked_points = plan%point_count
-    plan%problems = [others, told_of(plan%of_points)]
+    plan%problems = [others, reported_problems(plan%of_points)]
   end subroutine check_points
 
   !> What is wrong with one point: lengths, times, numbers of particles.
@@ -284,7 +284,7 @@ contains
     type(point_type), intent(in) :: point
     character(len=:), allocatable :: reason, others
 
-    call refusal(engine, table_of(plan, point), reason, others)
+    call explain_refusal(engine, table_of(plan, point), reason, others)
     if (reason /= '') call refuse(plan, 'engine', ''''//plan%engine//''' '//reason, others)
   end subroutine check_engine
 

@@ -1,12 +1,12 @@
 !> What is wrong with a plan; what is wrong with many points of its scan is told once.
 module battery_problems
-  use battery_remarks, only: most_told
+  use battery_remarks, only: most_reported
   implicit none (type, external)
   private
-  public :: problem_type, gathered_type, gather, told_of
+  public :: problem_type, gathered_type, add_point_problems, reported_problems
 
   !> So many problems of points are kept: what can be told one by one.
-  integer, parameter :: most_kept = most_told
+  integer, parameter :: most_kept = most_reported
 
   !> Something wrong with a plan: the key, its value, and what is allowed instead.
   type :: problem_type
@@ -30,7 +30,7 @@ module battery_problems
 contains
 
   !> Puts the problems of one point to those of the points before.
-  pure subroutine gather(gathered, problems, point)
+  pure subroutine add_point_problems(gathered, problems, point)
     type(gathered_type), intent(inout) :: gathered
     !> Of the point.
     type(problem_type), intent(in) :: problems(:)
@@ -42,13 +42,13 @@ contains
       allocate (gathered%different(0), gathered%of_values(0))
     if (size(problems) > 0) gathered%points = gathered%points + 1
     do at = 1, size(problems)
-      call put(gathered%different, problems(at), .true., point, gathered%more_different)
-      call put(gathered%of_values, problems(at), .false., point, gathered%more_values)
+      call count_problem(gathered%different, problems(at), .true., point, gathered%more_different)
+      call count_problem(gathered%of_values, problems(at), .false., point, gathered%more_values)
     end do
-  end subroutine gather
+  end subroutine add_point_problems
 
   !> Counts one more point of a problem.
-  pure subroutine put(kept, problem, exactly, point, more)
+  pure subroutine count_problem(kept, problem, exactly, point, more)
     type(problem_type), allocatable, intent(inout) :: kept(:)
     type(problem_type), intent(in) :: problem
     !> Whether what is allowed is to be the same as well.
@@ -70,11 +70,11 @@ contains
     end if
     kept(k)%points = kept(k)%points + 1
     kept(k)%last_point = point
-  end subroutine put
+  end subroutine count_problem
 
   !> What is told of points: all problems that differ, or where they are too many, those of each
   !> value.
-  pure function told_of(gathered) result(problems)
+  pure function reported_problems(gathered) result(problems)
     type(gathered_type), intent(in) :: gathered
     type(problem_type), allocatable :: problems(:)
 
@@ -85,6 +85,6 @@ contains
     else
       problems = gathered%different
     end if
-  end function told_of
+  end function reported_problems
 
 end module battery_problems

@@ -1,8 +1,8 @@
 !> One simulation from start to end: an engine, an observer, and when to stop.
 !>
 !> A run is as long as a number of wall collisions or as a time; so is the transient at its start,
-!> which the averages leave out. `step` goes on by one window, so that the caller can save the
-!> state, show the progress or stop between any two.
+!> which the averages leave out. `advance_simulation` goes on by one window, so that the caller can
+!> save the state, show the progress or stop between any two.
 module battery_simulation
   use battery_kinds, only: wp, dp, int32, int64
   use battery_powers, only: power_below
@@ -10,18 +10,19 @@ module battery_simulation
   use battery_error, only: error_type, fatal_error
   use battery_table, only: table_type, ungated, relaxation_time
   use battery_engine, only: engine_type, particles_type, allocate_particles
-  use battery_history, only: history_type
-  use battery_observer, only: end_series, observer_type, new_observer, observe, &
-    begin_measuring, pass_observer
-  use battery_engines, only: new_engine, refusal, bytes_a_particle
-  use battery_event_log, only: event_log_type, append_events, pass_events
-  use battery_stream, only: stream_type
+  use battery_event_record, only: event_record_type
+  use battery_observer, only: end_series, observer_type, new_observer, observe_window, &
+    begin_measuring, serialize_observer
+  use battery_engines, only: new_engine, explain_refusal, bytes_a_particle
+  use battery_event_log, only: event_log_type, append_events, serialize_events
+  use battery_archive, only: archive_type
   use battery_memory_limits, only: check_memory, enough_memory, bytes_an_entry, bytes_a_state, &
     bytes_an_event
   implicit none (type, external)
   private
-  public :: run_type, setup_type, simulation_type, begin_simulation, step, progress, verify
-  public :: pass_simulation
+  public :: run_type, setup_type, simulation_type, begin_simulation, advance_simulation, progress, &
+    verify_simulation
+  public :: serialize_simulation
 
   !> What all simulations of a run have in common. Components are named like the keys of the
   !> namelist; times in lengths over the speed.
@@ -54,7 +55,7 @@ module battery_simulation
     type(setup_type) :: setup
     class(engine_type), allocatable :: engine
     type(observer_type) :: observer
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     !> Time since the start.
     real(wp) :: elapsed = 0.0_wp
     !> Time and collisions of the transient, once it is over.
@@ -94,12 +95,12 @@ module battery_simulation
     !> counted line just then may be in either: what happens at the very end is not made any more.
     !> Something of it must be left for the averages: a window may have more wall collisions than
     !> transient and run.
-    module subroutine verify(simulation, error)
+    module subroutine verify_simulation(simulation, error)
       implicit none (type, external)
       type(simulation_type), intent(in) :: simulation
       !> It says what is wrong.
       type(error_type), allocatable, intent(out) :: error
-    end subroutine verify
+    end subroutine verify_simulation
   end interface
 
 contains
@@ -111,13 +112,13 @@ contains
     type(particles_type), intent(inout) :: particles
     type(error_type), allocatable, intent(out) :: error
 
-    call prepare(simulation, setup, error)
+    call make_engine(simulation, setup, error)
     if (allocated(error)) return
     simulation%observer = new_observer(size(particles%x), count(particles%x < 0.0_wp), &
       setup%table%sides == 2, setup%series_interval, power_below(maxval(setup%table%urn%reach)), &
       circuit_closed=setup%table%channel(ungated)%width > 0.0_wp, &
       relaxation=relaxation_time(setup%table))
-    call check_rest(simulation, error)
+    call check_remaining_memory(simulation, error)
     if (allocated(error)) return
     ! The snapshot at the start is what the engine is given, not what it makes of it.
     if (next_snapshot(simulation) <= 0.0_wp) then
@@ -133,27 +134,27 @@ contains
   end subroutine begin_simulation
 
   !> The engine of a setup, not yet started, if it can simulate the table, and room for snapshots.
-  subroutine prepare(simulation, setup, error)
+  subroutine make_engine(simulation, setup, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason, others
 
     simulation%setup = setup
-    simulation%history%logging = setup%event_log
+    simulation%event_record%logging = setup%event_log
     allocate (simulation%snapshot(size(setup%snapshot_times)))
     call new_engine(setup%engine, simulation%engine, error)
     if (allocated(error)) return
     simulation%engine%time_step = setup%time_step
     simulation%engine%seed = setup%seed
-    call refusal(simulation%engine, setup%table, reason, others)
+    call explain_refusal(simulation%engine, setup%table, reason, others)
     if (reason /= '') call fatal_error(error, 'the engine '''//setup%engine//''' '//reason &
       //'; allowed: '//others)
-  end subroutine prepare
+  end subroutine make_engine
 
   !> An error if there is no memory for what comes to the particles that are there already: their
   !> engine, and snapshots and series as far as they are known.
-  subroutine check_rest(simulation, error)
+  subroutine check_remaining_memory(simulation, error)
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
     !> Bytes of the positions and velocities of a particle.
@@ -168,10 +169,10 @@ contains
       call check_memory(bytes, 'the engine of '//to_text(number) &
         //' particles and what is kept of them', error)
     end associate
-  end subroutine check_rest
+  end subroutine check_remaining_memory
 
   !> Gives the run up where its series or its event log could not be brought home if they doubled.
-  subroutine look_for_room(simulation)
+  subroutine stop_if_out_of_memory(simulation)
     type(simulation_type), intent(inout) :: simulation
 
     associate (s => simulation)
@@ -184,26 +185,26 @@ contains
       s%sure_room = 2*s%sure_room
       if (s%out_of_room) s%done = .true.
     end associate
-  end subroutine look_for_room
+  end subroutine stop_if_out_of_memory
 
   !> Goes on by one window.
-  subroutine step(simulation)
+  subroutine advance_simulation(simulation)
     type(simulation_type), intent(inout) :: simulation
 
-    call simulation%engine%advance(time_to_stop(simulation), simulation%history)
-    call observe(simulation%observer, simulation%history)
-    if (simulation%history%events > 0) &
-      call append_events(simulation%events, simulation%history, simulation%elapsed, &
+    call simulation%engine%advance(time_to_stop(simulation), simulation%event_record)
+    call observe_window(simulation%observer, simulation%event_record)
+    if (simulation%event_record%events > 0) &
+      call append_events(simulation%events, simulation%event_record, simulation%elapsed, &
       simulation%out_of_room)
-    call look_for_room(simulation)
-    simulation%elapsed = simulation%elapsed + simulation%history%duration
+    call stop_if_out_of_memory(simulation)
+    simulation%elapsed = simulation%elapsed + simulation%event_record%duration
     if (simulation%setup%duration > 0.0_wp) then
       call reach_stops(simulation)
     else
       call take_snapshots(simulation)
       call count_collisions(simulation)
     end if
-  end subroutine step
+  end subroutine advance_simulation
 
   !> Time until the run must be exactly at a snapshot, the end of the transient, or its own end.
   pure real(wp) function time_to_stop(simulation) result(time)
@@ -323,49 +324,49 @@ contains
 
   !> All that is needed to go on to the same last bit, into a stream or out of it: then for the same
   !> setup, and what was there before is lost.
-  subroutine pass_simulation(simulation, setup, stream, error)
+  subroutine serialize_simulation(simulation, setup, archive, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     !> The state does not fit, or the engine cannot be had.
     type(error_type), allocatable, intent(out) :: error
 
-    if (stream%reading) call prepare(simulation, setup, error)
+    if (archive%reading) call make_engine(simulation, setup, error)
     if (allocated(error)) return
-    call pass_observer(simulation%observer, stream)
-    if (stream%reading .and. .not. stream%failed()) call check_rest(simulation, error)
+    call serialize_observer(simulation%observer, archive)
+    if (archive%reading .and. .not. archive%failed()) call check_remaining_memory(simulation, error)
     if (allocated(error)) return
-    if (.not. stream%failed()) call simulation%engine%pass_state(setup%table, setup%threshold, &
-      stream)
-    call stream%pass('elapsed', simulation%elapsed)
-    call stream%pass('transient_time', simulation%transient_time)
-    call stream%pass('transient_collisions', simulation%transient_collisions)
-    call stream%pass('collisions', simulation%collisions)
-    call stream%pass('done', simulation%done)
-    call stream%pass('next_count', simulation%next_count)
-    call stream%pass('windows_since_count', simulation%windows_since_count)
-    call pass_snapshots(simulation, stream)
-    call pass_events(simulation%events, stream)
-    if (stream%failed()) call fatal_error(error, stream%problem)
-  end subroutine pass_simulation
+    if (.not. archive%failed()) call simulation%engine%serialize_state(setup%table, &
+      setup%threshold, archive)
+    call archive%serialize('elapsed', simulation%elapsed)
+    call archive%serialize('transient_time', simulation%transient_time)
+    call archive%serialize('transient_collisions', simulation%transient_collisions)
+    call archive%serialize('collisions', simulation%collisions)
+    call archive%serialize('done', simulation%done)
+    call archive%serialize('next_count', simulation%next_count)
+    call archive%serialize('windows_since_count', simulation%windows_since_count)
+    call serialize_snapshots(simulation, archive)
+    call serialize_events(simulation%events, archive)
+    if (archive%failed()) call fatal_error(error, archive%problem)
+  end subroutine serialize_simulation
 
   !> The snapshots taken so far.
-  subroutine pass_snapshots(simulation, stream)
+  subroutine serialize_snapshots(simulation, archive)
     type(simulation_type), intent(inout) :: simulation
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     integer :: k
 
-    call stream%pass('snapshots_taken', simulation%snapshots_taken)
-    if (stream%failed()) return
+    call archive%serialize('snapshots_taken', simulation%snapshots_taken)
+    if (archive%failed()) return
     do k = 1, simulation%snapshots_taken
       associate (snapshot => simulation%snapshot(k))
-        if (stream%reading) call allocate_particles(snapshot, simulation%engine%number)
-        call stream%pass('x', snapshot%x)
-        call stream%pass('y', snapshot%y)
-        call stream%pass('ux', snapshot%ux)
-        call stream%pass('uy', snapshot%uy)
+        if (archive%reading) call allocate_particles(snapshot, simulation%engine%number)
+        call archive%serialize('x', snapshot%x)
+        call archive%serialize('y', snapshot%y)
+        call archive%serialize('ux', snapshot%ux)
+        call archive%serialize('uy', snapshot%uy)
       end associate
     end do
-  end subroutine pass_snapshots
+  end subroutine serialize_snapshots
 
 end module battery_simulation

@@ -5,7 +5,7 @@ submodule (battery_simulation) battery_simulation_check
 
 contains
 
-  module procedure verify
+  module procedure verify_simulation
     integer, parameter :: chunk = 65536
     real(wp), parameter :: share = 1.0e4_wp*epsilon(1.0_wp)
     type(particles_type) :: particles
@@ -59,6 +59,6 @@ contains
       ' in half 1 where the crossings leave ', simulation%observer%urn1_number, &
       '; please report this with the namelist'
     call fatal_error(error, trim(text))
-  end procedure verify
+  end procedure verify_simulation
 
 end submodule battery_simulation_check

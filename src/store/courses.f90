@@ -4,14 +4,14 @@
 !> prepared for all tasks, (.., replica, point), where nothing is known yet; then the course of each
 !> task goes into its place, straight from where it was kept. Reading goes the same way: one
 !> procedure says what is in either. Columns are the values of one task in a dataset; tasks are best
-!> passed in the order of their numbers (`pass_column`).
+!> passed in the order of their numbers (`serialize_column`).
 module battery_courses
   use battery_kinds, only: dp, int32
   use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text
-  use battery_hdf5_datasets, only: dataset_type, prepare_dataset, pass_column, release_dataset, &
-    write_dataset, write_scale, write_dimension
+  use battery_hdf5_datasets, only: dataset_type, prepare_dataset, serialize_column, &
+    release_dataset, write_dataset, write_scale, write_dimension
   use battery_quantities, only: quantity_type, averaged_quantities, place_of, flow_names, &
     unknown_count, unknown_real
   implicit none (type, external)
@@ -155,10 +155,10 @@ contains
     type(course_type), intent(inout) :: course
     type(error_type), allocatable, intent(inout) :: error
 
-    call pass_series(file, courses, replica, point, course, error)
-    call pass_states(file, courses%snapshot, [replica, point], courses%most%snapshots, &
+    call serialize_series(file, courses, replica, point, course, error)
+    call serialize_states(file, courses%snapshot, [replica, point], courses%most%snapshots, &
       course%snapshots, error)
-    call pass_states(file, courses%final, [replica, point], 0, course%final_state, error)
+    call serialize_states(file, courses%final, [replica, point], 0, course%final_state, error)
   end subroutine write_course
 
   !> The course of a task in a file that is read, but for events; empty after an error.
@@ -177,10 +177,10 @@ contains
       allocate (course%snapshots(4*min(number, most%particles)*most%snapshots))
       allocate (course%final_state(4*min(number, most%final_particles)))
       allocate (course%events(0), course%event_times(0))
-      call pass_series(file, courses, replica, point, course, error)
-      call pass_states(file, courses%snapshot, [replica, point], most%snapshots, &
+      call serialize_series(file, courses, replica, point, course, error)
+      call serialize_states(file, courses%snapshot, [replica, point], most%snapshots, &
         course%snapshots, error)
-      call pass_states(file, courses%final, [replica, point], 0, course%final_state, error)
+      call serialize_states(file, courses%final, [replica, point], 0, course%final_state, error)
     end associate
     ! Runs may be of unequal length.
     entries = 0
@@ -189,7 +189,7 @@ contains
     course%series_flow = course%series_flow(:4*entries)
   end subroutine read_course
 
-  subroutine pass_series(file, courses, replica, point, course, error)
+  subroutine serialize_series(file, courses, replica, point, course, error)
     type(hdf5_file_type), intent(in) :: file
     type(courses_type), intent(in) :: courses
     integer, intent(in) :: replica, point
@@ -200,16 +200,16 @@ contains
 
     if (size(course%series_urn1_number) == 0) return
     first = [1, replica, point]
-    call pass_column(file, courses%urn1_number, course%series_urn1_number, first, error)
+    call serialize_column(file, courses%urn1_number, course%series_urn1_number, first, error)
     do k = 1, 4
       flow = course%series_flow(k::4)
-      call pass_column(file, courses%flow(k), flow, first, error)
+      call serialize_column(file, courses%flow(k), flow, first, error)
       if (.not. file%is_new) course%series_flow(k::4) = flow
     end do
-  end subroutine pass_series
+  end subroutine serialize_series
 
   !> States of a task at some times, or, where that is 0, at the one that has no dimension.
-  subroutine pass_states(file, states, task, times, flat, error)
+  subroutine serialize_states(file, states, task, times, flat, error)
     type(hdf5_file_type), intent(in) :: file
     type(dataset_type), intent(in) :: states(4)
     !> Replica and point.
@@ -224,12 +224,12 @@ contains
     at = 0
     do time = 1, max(times, 1)
       do k = 1, 4
-        call pass_column(file, states(k), flat(at + 1:at + n), [1, pack([time], times > 0), task], &
-          error)
+        call serialize_column(file, states(k), flat(at + 1:at + n), [1, pack([time], times > 0), &
+          task], error)
         at = at + n
       end do
     end do
-  end subroutine pass_states
+  end subroutine serialize_states
 
   !> Closes the datasets of a file that is still open.
   subroutine close_courses(file, courses, error)

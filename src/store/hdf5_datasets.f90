@@ -24,8 +24,8 @@ module battery_hdf5_datasets
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: pass_dataset, write_dataset, write_scale, write_dimension, extents_of
-  public :: dataset_type, prepare_dataset, pass_column, release_dataset
+  public :: serialize_dataset, write_dataset, write_scale, write_dimension, extents_of
+  public :: dataset_type, prepare_dataset, serialize_column, release_dataset
 
   !> A dataset whose columns are passed one by one.
   type :: dataset_type
@@ -63,7 +63,7 @@ contains
 
   !> A dataset whole, into a new file or out of one that is read, so that one procedure says what is
   !> in both. Does nothing after an error.
-  subroutine pass_dataset(file, path, values, units, long_name, error, scales)
+  subroutine serialize_dataset(file, path, values, units, long_name, error, scales)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
     !> From the root.
@@ -95,7 +95,7 @@ contains
       status = 0
       call release(dataset, status)
     end if
-  end subroutine pass_dataset
+  end subroutine serialize_dataset
 
   !> Makes a dataset of a new file, where nothing is known yet, or opens one of a file that is read
   !> and checks it, so that one procedure says what is in both; then columns are passed one by one.
@@ -134,7 +134,7 @@ contains
   !> read. Columns in the order of the dataset fill its pieces one after the other: each is
   !> compressed once, when HDF5, which keeps one in memory, comes to the next. Does nothing after an
   !> error.
-  subroutine pass_column(file, dataset, values, first, error)
+  subroutine serialize_column(file, dataset, values, first, error)
     !> Open.
     type(hdf5_file_type), intent(in) :: file
     !> From `prepare_dataset`.
@@ -168,7 +168,7 @@ contains
     call release(space, status)
     call check(file, dataset%path, merge('cannot be written', 'cannot be read   ', file%is_new), &
       status, error)
-  end subroutine pass_column
+  end subroutine serialize_column
 
   !> Closes a dataset; one that is not open is no error.
   subroutine release_dataset(file, dataset, error)

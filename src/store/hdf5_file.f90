@@ -23,7 +23,7 @@ module battery_hdf5_file
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: is_writable, create_new_file
   use battery_paths, only: is_folder, folder_of
-  use battery_seal, only: seal_length, seal_of
+  use battery_checksum_footer, only: seal_length, footer_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -218,7 +218,7 @@ contains
 
     call create_new_file(name, error)
     if (allocated(error)) return
-    call seal_of(image, seal, error)
+    call footer_of(image, seal, error)
     if (allocated(error)) return
     expected = seal_length + size(image, kind=int64)
     open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &

@@ -5,7 +5,7 @@ module battery_metadata
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text, read_text
-  use battery_seal, only: check_seal
+  use battery_checksum_footer, only: check_footer
   implicit none (type, external)
   private
   public :: metadata_type, add_text, write_metadata, read_metadata
@@ -74,11 +74,11 @@ contains
   end subroutine write_metadata
 
   !> By which version and from which input a results file was made, and whether it is complete,
-  !> once its seal was found right; else an error, as `check_seal` gives it.
+  !> once its seal was found right; else an error, as `check_footer` gives it.
   subroutine read_metadata(name, version, input_text, status, initial_file_fingerprint, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> Of the program; the namelist; `complete` or `partial`.
+    !> Of the program; the namelist; `complete` or `partial_visits`.
     character(len=:), allocatable, intent(out) :: version, input_text, status
     !> In hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out) :: initial_file_fingerprint
@@ -89,7 +89,7 @@ contains
     type(error_type), allocatable :: close_error
     type(hdf5_file_type) :: file
 
-    call check_seal(name, error)
+    call check_footer(name, error)
     if (.not. allocated(error)) call open_file(file, name, error)
     if (allocated(error)) return
     call read_text(file, '/', 'version', version, error)

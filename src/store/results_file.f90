@@ -18,7 +18,7 @@ module battery_results_file
   use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, discard_file, &
     make_group, check, no_handle
   use battery_hdf5_attributes, only: read_text, write_attribute, write_text
-  use battery_hdf5_datasets, only: pass_dataset, write_dataset, write_scale, extents_of
+  use battery_hdf5_datasets, only: serialize_dataset, write_dataset, write_scale, extents_of
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
     unknown_count
   use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
@@ -30,7 +30,7 @@ module battery_results_file
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type, point_type, point_of, setup_of
   use battery_simulation, only: setup_type
-  use battery_seal, only: check_seal
+  use battery_checksum_footer, only: check_footer
   use battery_table, only: gated, ungated
   use battery_text, only: lines_of, to_text
   implicit none (type, external)
@@ -60,7 +60,7 @@ contains
     call write_metadata(file, metadata, error)
     call write_scan(file, results, error)
     call write_points(file, results, error)
-    call pass_measured(file, results, error)
+    call serialize_measured(file, results, error)
     call write_precision(file, results, error)
   end subroutine create_results
 
@@ -82,7 +82,7 @@ contains
       call discard_file(file)
     else
       call close_file(file, error)
-      if (.not. allocated(error)) call check_seal(temporary(name), error)
+      if (.not. allocated(error)) call check_footer(temporary(name), error)
       if (.not. allocated(error)) call sync_file(temporary(name), error)
     end if
     if (allocated(error)) then
@@ -138,7 +138,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(plan_type) :: plan
 
-    call check_seal(name, error)
+    call check_footer(name, error)
     if (.not. allocated(error)) call open_file(file, name, error)
     if (allocated(error)) return
     call read_plan(file, plan, error)
@@ -195,7 +195,7 @@ contains
     call check_memory_of(bytes_a_task*plan%point_count*plan%replicas, 'tasks', file, error)
     if (allocated(error)) return
     call new_results(results, plan%point_count, plan%replicas)
-    call pass_measured(file, results, error)
+    call serialize_measured(file, results, error)
     call read_text(file, '/provenance', 'hosts', hosts, error)
     if (allocated(error)) return
     results%host = lines_of(hosts)
@@ -317,7 +317,7 @@ contains
   end subroutine write_points
 
   !> What was measured by every task, and how it scatters over the replicas of a point.
-  subroutine pass_measured(file, results, error)
+  subroutine serialize_measured(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
@@ -327,8 +327,9 @@ contains
     character(len=:), allocatable :: path, unit, meaning
     integer :: q
 
-    call pass_dataset(file, '/seed', results%seed, '1', 'seed of the random start', error, by_task)
-    call pass_dataset(file, '/task_status', results%task_status, '1', 'how the task ended', &
+    call serialize_dataset(file, '/seed', results%seed, '1', 'seed of the random start', error, &
+      by_task)
+    call serialize_dataset(file, '/task_status', results%task_status, '1', 'how the task ended', &
       error, by_task)
     call write_attribute(file, '/task_status', 'flag_values', [task_complete, task_failed, &
       task_not_done, task_not_asked], error)
@@ -339,9 +340,9 @@ contains
       path = '/'//trim(list(q)%name)
       unit = trim(list(q)%unit)
       meaning = trim(list(q)%meaning)
-      call pass_dataset(file, path, results%average(:, :, q), unit, meaning, error, by_task)
+      call serialize_dataset(file, path, results%average(:, :, q), unit, meaning, error, by_task)
       if (.not. list(q)%has_error) cycle
-      call pass_dataset(file, path//'_error', results%error(:, :, q), unit, meaning//blocks, &
+      call serialize_dataset(file, path//'_error', results%error(:, :, q), unit, meaning//blocks, &
         error, by_task)
       if (file%is_new) call write_dataset(file, path//'_spread', scatter_of(results%average(:, &
         :, q), results%task_status), unit, meaning//scatter, error, by_point)
@@ -349,11 +350,11 @@ contains
     list = counted_quantities()
     do q = 1, size(list)
       path = '/'//trim(list(q)%name)
-      call pass_dataset(file, path, results%counted(:, :, q), trim(list(q)%unit), &
+      call serialize_dataset(file, path, results%counted(:, :, q), trim(list(q)%unit), &
         trim(list(q)%meaning), error, by_task)
       call write_attribute(file, path, '_FillValue', unknown_count, error)
     end do
-  end subroutine pass_measured
+  end subroutine serialize_measured
 
   !> What came of the precision that was asked for.
   subroutine write_precision(file, results, error)

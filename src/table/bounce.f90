@@ -12,17 +12,18 @@ module battery_bounce
   use battery_channel, only: facing
   use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
     meets_urn, meets_line, meets_channel_wall
-  use battery_scatterers, only: scattered_half_type, aim_in_half, hit_in_half, comes_back
-  use battery_urn, only: aim, hit
+  use battery_scatterers, only: scattered_half_channel_type, next_wall_in_half_channel, &
+    reflect_in_half_channel, detect_periodic_path
+  use battery_urn, only: find_next_wall, reflect_at_wall
   implicit none (type, external)
   private
-  public :: put_down, take_off, hit_wall, pass_line, turn_back
+  public :: motion_at, find_first_wall, hit_wall, pass_line, reverse_motion
   public :: heads_for_middle, time_to_middle, is_trapped
 
 contains
 
   !> A particle at a place, with a velocity of length 1.
-  pure function put_down(table, x, y, ux, uy) result(motion)
+  pure function motion_at(table, x, y, ux, uy) result(motion)
     type(table_type), intent(in) :: table
     !> In the frame of the table; lengths, and components of the velocity.
     real(wp), intent(in) :: x, y, ux, uy
@@ -30,24 +31,24 @@ contains
 
     motion = motion_type(x=x, y=y, ux=ux, uy=uy, side=int(side_at(table, x), int8), &
       chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
-  end function put_down
+  end function motion_at
 
   !> The first flight of a particle that was put down; `wait` is the time until it meets what it
   !> meets first.
-  pure subroutine take_off(table, motion, wait)
+  pure subroutine find_first_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
     associate (urn => table%urn(motion%side))
       if (motion%chamber /= in_urn) then
-        call aim_in_channel(table, motion, wait)
+        call find_next_wall_in_channel(table, motion, wait)
       else
-        call aim(urn, no_channel, urn%centre + urn%way*motion%x, motion%y, urn%way*motion%ux, &
-          motion%uy, motion%next, wait)
+        call find_next_wall(urn, no_channel, urn%centre + urn%axis_sign*motion%x, motion%y, &
+          urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
       end if
     end associate
-  end subroutine take_off
+  end subroutine find_first_wall
 
   !> Reflection from a wall of an urn or of a channel, or from a disc in it.
   pure subroutine hit_wall(table, motion, wait)
@@ -59,15 +60,15 @@ contains
 
     associate (urn => table%urn(motion%side))
       if (motion%chamber == in_urn) then
-        x = urn%centre + urn%way*motion%x
-        ux = urn%way*motion%ux
-        call hit(urn, x, motion%y, ux, motion%uy, motion%next, wait)
-        motion%x = urn%way*(x - urn%centre)
-        motion%ux = urn%way*ux
+        x = urn%centre + urn%axis_sign*motion%x
+        ux = urn%axis_sign*motion%ux
+        call reflect_at_wall(urn, x, motion%y, ux, motion%uy, motion%next, wait)
+        motion%x = urn%axis_sign*(x - urn%centre)
+        motion%ux = urn%axis_sign*ux
       else if (motion%next == meets_channel_wall) then
         motion%y = sign(half_width(urn, motion), motion%uy)
         motion%uy = -motion%uy
-        call aim_in_channel(table, motion, wait)
+        call find_next_wall_in_channel(table, motion, wait)
       else
         call hit_scatterer(table%scattered(motion%side), urn, motion, wait)
       end if
@@ -75,43 +76,43 @@ contains
   end subroutine hit_wall
 
   !> Reflection from a disc in channel 2.
-  pure subroutine hit_scatterer(half, urn, motion, wait)
+  pure subroutine hit_scatterer(half_channel, urn, motion, wait)
     !> That of the side that the particle is on, and its urn.
-    type(scattered_half_type), intent(in) :: half
+    type(scattered_half_channel_type), intent(in) :: half_channel
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
     real(wp) :: x, ux
 
-    x = urn%periodic_line + urn%way*motion%x
-    ux = urn%way*motion%ux
-    call hit_in_half(half, int(motion%next), x, motion%y, ux, motion%uy)
-    call aim_in_half(half, x, motion%y, ux, motion%uy, motion%next, wait)
-    motion%x = urn%way*(x - urn%periodic_line)
-    motion%ux = urn%way*ux
+    x = urn%periodic_line + urn%axis_sign*motion%x
+    ux = urn%axis_sign*motion%ux
+    call reflect_in_half_channel(half_channel, int(motion%next), x, motion%y, ux, motion%uy)
+    call next_wall_in_half_channel(half_channel, x, motion%y, ux, motion%uy, motion%next, wait)
+    motion%x = urn%axis_sign*(x - urn%periodic_line)
+    motion%ux = urn%axis_sign*ux
   end subroutine hit_scatterer
 
   !> What is met in a channel. A wall met at the same time as a chord is met first: the corner
   !> belongs to the channel.
-  pure subroutine aim_in_channel(table, motion, wait)
+  pure subroutine find_next_wall_in_channel(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
     if (motion%chamber == in_return) then
-      associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
-        if (half%count > 0) then
-          call aim_in_half(half, urn%periodic_line + urn%way*motion%x, motion%y, &
-            urn%way*motion%ux, motion%uy, motion%next, wait)
+      associate (urn => table%urn(motion%side), half_channel => table%scattered(motion%side))
+        if (half_channel%count > 0) then
+          call next_wall_in_half_channel(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
+            motion%y, urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
           return
         end if
       end associate
     end if
-    call aim_in_strip(table%urn(motion%side), motion, wait)
-  end subroutine aim_in_channel
+    call find_next_wall_in_strip(table%urn(motion%side), motion, wait)
+  end subroutine find_next_wall_in_channel
 
   !> The same where nothing stands in the channel.
-  pure subroutine aim_in_strip(urn, motion, wait)
+  pure subroutine find_next_wall_in_strip(urn, motion, wait)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
@@ -140,7 +141,7 @@ contains
       wait = to_wall
       motion%next = meets_channel_wall
     end if
-  end subroutine aim_in_strip
+  end subroutine find_next_wall_in_strip
 
   !> Through the chord of an opening, from an urn into a channel or back; over the line of a
   !> channel, the middle line, or the periodic line from one end of the table to the other; or back
@@ -163,8 +164,8 @@ contains
       motion%x = x_direction(side)*table%urn(side)%begins(channel)
       motion%chamber = int(in_urn, int8)
       associate (urn => table%urn(side))
-        call aim(urn, channel, facing(channel)*urn%chord(channel), motion%y, urn%way*motion%ux, &
-          motion%uy, motion%next, wait)
+        call find_next_wall(urn, channel, facing(channel)*urn%chord(channel), motion%y, &
+          urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
       end associate
       return
     case (meets_line)
@@ -178,11 +179,11 @@ contains
       return
     end select
     call keep_between_walls(table%urn(side), motion)
-    call aim_in_channel(table, motion, wait)
+    call find_next_wall_in_channel(table, motion, wait)
   end subroutine pass_line
 
   !> A gate turns the particle back; it has been moved to where it is now.
-  pure subroutine turn_back(table, motion, wait)
+  pure subroutine reverse_motion(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
     !> Time until it meets what it meets next.
@@ -190,8 +191,8 @@ contains
 
     motion%ux = -motion%ux
     call keep_between_walls(table%urn(motion%side), motion)
-    call aim_in_channel(table, motion, wait)
-  end subroutine turn_back
+    call find_next_wall_in_channel(table, motion, wait)
+  end subroutine reverse_motion
 
   !> Whether a particle in channel 1 is on its way to the other gate. Whoever is came from the urn
   !> and was not turned back.
@@ -217,10 +218,10 @@ contains
     type(motion_type), intent(in) :: motion
     logical :: trapped
 
-    associate (urn => table%urn(motion%side), half => table%scattered(motion%side))
-      if (half%count > 0 .and. motion%chamber == in_return) then
-        call comes_back(half, urn%periodic_line + urn%way*motion%x, motion%y, &
-          urn%way*motion%ux, motion%uy, trapped)
+    associate (urn => table%urn(motion%side), half_channel => table%scattered(motion%side))
+      if (half_channel%count > 0 .and. motion%chamber == in_return) then
+        call detect_periodic_path(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
+          motion%y, urn%axis_sign*motion%ux, motion%uy, trapped)
       else
         trapped = motion%next == meets_nothing &
           .or. (motion%chamber /= in_urn .and. .not. abs(motion%ux) > 0.0_wp)

@@ -14,7 +14,7 @@ module battery_chamber
   use battery_visits, only: visits_type, together
   implicit none (type, external)
   private
-  public :: chamber_type, set_openings, mean_visit, leave_channels
+  public :: chamber_type, set_openings, mean_visit, cross_channels
 
   !> What every shape tells of itself; lengths in the unit of the table.
   type :: chamber_type
@@ -34,8 +34,8 @@ module battery_chamber
     !> No way through the urn is shorter than the depths of its two openings together, which may be
     !> one and the same.
     real(wp) :: depth(2) = 0.0_wp
-    !> Whether long visits are handed on in parts (`goes_on` of `battery_visits`).
-    logical :: hands_on = .false.
+    !> Whether long visits are handed on in parts (`truncated` of `battery_visits`).
+    logical :: truncates_visits = .false.
   end type chamber_type
 
 contains
@@ -61,21 +61,23 @@ contains
 
   !> From the entrance of a channel to its exit into the urn: unfolded, a straight channel is one
   !> fold.
-  subroutine leave_channels(chamber, visits)
+  subroutine cross_channels(chamber, visits)
     class(chamber_type), intent(in) :: chamber
     type(visits_type), intent(inout) :: visits
 
-    call leave(together*((visits%count + together - 1)/together), visits%time, visits%passage, &
-      visits%channel, visits%x, visits%y, visits%along, visits%across, visits%hits)
+    call cross_straight_channels(together*((visits%count + together - 1)/together), visits%time, &
+      visits%passage, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
+      visits%hits)
 
   contains
 
-    pure subroutine leave(n, time, passage, channel, x, y, along, across, hits)
+    pure subroutine cross_straight_channels(n, time, passage, channel, x, y, u_axial, u_lateral, &
+      hits)
       integer, intent(in) :: n
       integer(int64), intent(in) :: channel(n)
       real(wp), intent(in) :: passage(n)
-      real(wp), intent(inout) :: time(n), x(n), y(n), along(n), across(n), hits(n)
-      real(wp) :: width, unfolded, turned, passed
+      real(wp), intent(inout) :: time(n), x(n), y(n), u_axial(n), u_lateral(n), hits(n)
+      real(wp) :: width, unfolded, reflected, passed
       real(wp) :: width1, width2, chord1, chord2
       integer :: j
 
@@ -85,16 +87,16 @@ contains
       chord2 = chamber%chord(ungated)
       do j = 1, n
         width = merge(width1, width2, channel(j) == gated)
-        unfolded = y(j) + across(j)*passage(j)
-        call fold(unfolded, width, y(j), turned, passed)
-        across(j) = turned*across(j)
+        unfolded = y(j) + u_lateral(j)*passage(j)
+        call fold(unfolded, width, y(j), reflected, passed)
+        u_lateral(j) = reflected*u_lateral(j)
         time(j) = time(j) + passage(j)
         x(j) = merge(chord1, -chord2, channel(j) == gated)
-        along(j) = merge(-along(j), along(j), channel(j) == gated)
+        u_axial(j) = merge(-u_axial(j), u_axial(j), channel(j) == gated)
         hits(j) = passed
       end do
-    end subroutine leave
+    end subroutine cross_straight_channels
 
-  end subroutine leave_channels
+  end subroutine cross_channels
 
 end module battery_chamber

@@ -32,12 +32,12 @@ contains
 
   !> Height, sign of the velocity across and wall hits of a particle whose unfolded height is
   !> `unfolded`, in a channel of width `width` about y = 0.
-  elemental subroutine fold(unfolded, width, height, turned, hits)
+  elemental subroutine fold(unfolded, width, height, reflected, hits)
     real(wp), intent(in) :: unfolded, width
     !> Height within [-width/2, width/2].
     real(wp), intent(out) :: height
     !> 1, or -1 if the velocity across the channel has turned over.
-    real(wp), intent(out) :: turned
+    real(wp), intent(out) :: reflected
     !> Number of wall hits, a whole number.
     real(wp), intent(out) :: hits
     real(wp) :: strip
@@ -45,8 +45,8 @@ contains
     strip = unfolded/width
     strip = aint(strip + sign(0.5_wp, strip))
     hits = abs(strip)
-    turned = 1.0_wp - 2.0_wp*abs(strip - 2.0_wp*aint(0.5_wp*strip))
-    height = turned*(unfolded - strip*width)
+    reflected = 1.0_wp - 2.0_wp*abs(strip - 2.0_wp*aint(0.5_wp*strip))
+    height = reflected*(unfolded - strip*width)
     height = sign(min(abs(height), 0.5_wp*width), height)
   end subroutine fold
 

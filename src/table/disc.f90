@@ -19,9 +19,9 @@ module battery_disc
   use battery_rotation, only: to_turn
   implicit none (type, external)
   private
-  public :: disc_type, new_disc, is_in_disc, try_point, place_in_disc
+  public :: disc_type, new_disc, is_in_disc, try_point_in_disc, locate_in_disc
   public :: first_impact_in_disc, sharp_incidence
-  public :: aim_in_disc, hit_disc, put_back_in_disc
+  public :: next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
 
   !> Incidences with a smaller cosine are computed anew, to all their digits.
   real(wp), parameter, public :: grazing_cosine = 1.0e-3_wp
@@ -63,7 +63,7 @@ contains
     angle = asin(disc%half)
     disc%angle = to_turn(angle)
     disc%step_first = sum(disc%half) > march_worthwhile*pi
-    disc%area = pi*radius**2 - segment(gated) - segment(ungated)
+    disc%area = pi*radius**2 - segment_area(gated) - segment_area(ungated)
     disc%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(gated) - 2.0_wp*angle(ungated))
     disc%reach = radius
     disc%clear = radius
@@ -73,12 +73,12 @@ contains
   contains
 
     !> What the chord of a channel cuts off.
-    pure function segment(of) result(area)
+    pure function segment_area(of) result(area)
       integer, intent(in) :: of
       real(wp) :: area
 
       area = radius**2*angle(of) - disc%half_width(of)*disc%chord(of)
-    end function segment
+    end function segment_area
 
   end function new_disc
 
@@ -95,7 +95,7 @@ contains
   !> A point from two numbers `across` and `up` uniform in [0, 1]: uniform in the disc, between the
   !> chords, where it is `inside`, which is so more than two times in five. Between near chords it
   !> is looked for there alone.
-  pure subroutine try_point(disc, across, up, x, y, inside)
+  pure subroutine try_point_in_disc(disc, across, up, x, y, inside)
     type(disc_type), intent(in) :: disc
     real(wp), intent(in) :: across, up
     !> In the frame of the disc, lengths.
@@ -111,7 +111,7 @@ contains
       y = radius*(2.0_wp*up - 1.0_wp)
       inside = x**2 + y**2 < radius**2 .and. lower < x .and. x < upper
     end associate
-  end subroutine try_point
+  end subroutine try_point_in_disc
 
   !> The first impact of a particle that is in the disc, also if an opening is there.
   pure subroutine first_impact_in_disc(disc, x, y, ux, uy, angle, cosine, sine, wait, before)
@@ -120,7 +120,7 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     !> Its angle (radians, from the x axis), cosine and sine of the incidence; the time until then.
     real(wp), intent(out) :: angle, cosine, sine, wait
-    !> Wall hits that `place_in_disc` does not count from there on: none.
+    !> Wall hits that `locate_in_disc` does not count from there on: none.
     integer(int64), intent(out) :: before
 
     sine = (x*uy - y*ux)/disc%radius
@@ -157,13 +157,14 @@ contains
 
   !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
   !> is in the disc.
-  pure subroutine place_in_disc(disc, channel, y, along, across, since, position, velocity, hits)
+  pure subroutine locate_in_disc(disc, channel, y, u_axial, u_lateral, since, position, velocity, &
+    hits)
     type(disc_type), intent(in) :: disc
     !> The channel it leaves through, or one that is none: never.
     integer, intent(in) :: channel
     !> Height (a length), |u_x| and u_y at the chord of that channel. Of one that never leaves the
     !> angle of an impact (radians, from the x axis), cosine and sine of the incidence.
-    real(wp), intent(in) :: y, along, across
+    real(wp), intent(in) :: y, u_axial, u_lateral
     !> The time since then; below 0: until then.
     real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
@@ -172,31 +173,33 @@ contains
     integer(int64), intent(out) :: hits
 
     if (channel == gated .or. channel == ungated) then
-      call go_back(disc, channel, y, along, across, -since, position, velocity, hits)
+      call trace_back_from_exit(disc, channel, y, u_axial, u_lateral, -since, position, velocity, &
+        hits)
       hits = -hits
     else
-      call go_round(disc, since, y, along, across, position, velocity, hits)
+      call trace_along_chords(disc, since, y, u_axial, u_lateral, position, velocity, hits)
     end if
-  end subroutine place_in_disc
+  end subroutine locate_in_disc
 
   !> A length `before` ahead of leaving through a channel: how many `hits` come in between.
-  pure subroutine go_back(disc, channel, y, along, across, before, position, velocity, hits)
+  pure subroutine trace_back_from_exit(disc, channel, y, u_axial, u_lateral, before, position, &
+    velocity, hits)
     type(disc_type), intent(in) :: disc
     integer, intent(in) :: channel
-    real(wp), intent(in) :: y, along, across, before
+    real(wp), intent(in) :: y, u_axial, u_lateral, before
     real(wp), intent(out) :: position(2), velocity(2)
     integer(int64), intent(out) :: hits
     real(wp) :: x, ux, s, c, ahead, turn, rest
     complex(wp) :: impact, incidence
 
     x = merge(disc%chord(gated), -disc%chord(ungated), channel == gated)
-    ux = merge(along, -along, channel == gated)
-    s = (x*across - y*ux)/disc%radius
+    ux = merge(u_axial, -u_axial, channel == gated)
+    s = (x*u_lateral - y*ux)/disc%radius
     c = sqrt(max((1.0_wp - s)*(1.0_wp + s), 0.0_wp))
     ! The impact in the opening, which does not happen, is `ahead` of the chord.
-    ahead = disc%radius*c - (x*ux + y*across)
+    ahead = disc%radius*c - (x*ux + y*u_lateral)
     incidence = cmplx(c, s, wp)
-    impact = cmplx(ux, across, wp)*conjg(incidence)
+    impact = cmplx(ux, u_lateral, wp)*conjg(incidence)
     if (c > 0.0_wp) then
       hits = int((before + ahead)/(2.0_wp*disc%radius*c), int64)
     else
@@ -211,11 +214,11 @@ contains
     impact = impact/abs(impact)
     velocity = [real(incidence*impact, wp), aimag(incidence*impact)]
     position = disc%radius*[real(impact, wp), aimag(impact)] - rest*velocity
-  end subroutine go_back
+  end subroutine trace_back_from_exit
 
   !> Forwards from an impact, or back along the chord that leads to it, along a star; without length
   !> of its chords, along the wall.
-  pure subroutine go_round(disc, elapsed, angle, cosine, sine, position, velocity, hits)
+  pure subroutine trace_along_chords(disc, elapsed, angle, cosine, sine, position, velocity, hits)
     type(disc_type), intent(in) :: disc
     real(wp), intent(in) :: elapsed, angle, cosine, sine
     real(wp), intent(out) :: position(2), velocity(2)
@@ -238,10 +241,10 @@ contains
     velocity = [real(impact*cmplx(-cosine, sine, wp), wp), aimag(impact*cmplx(-cosine, sine, wp))]
     position = disc%radius*[real(impact, wp), aimag(impact)] + rest*velocity
     hits = hits + 1
-  end subroutine go_round
+  end subroutine trace_along_chords
 
   !> What a particle meets first that is inside, or at an opening, and after which time: `wait`.
-  pure subroutine aim_in_disc(disc, from, x, y, ux, uy, next, wait)
+  pure subroutine next_wall_in_disc(disc, from, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
     !> The channel on whose chord it is, or `no_channel`.
     integer, intent(in) :: from
@@ -266,12 +269,12 @@ contains
       wait = root - outward
     end if
     call choose_opening(disc, x, ux, x + ux*wait, y + uy*wait, next, wait)
-  end subroutine aim_in_disc
+  end subroutine next_wall_in_disc
 
   !> Reflection from the arc, and the time `wait` until it meets what is next; huge if that is
   !> nothing. From a point of the circle the flight to the next one lasts -2 q.u: no root, nothing
   !> to cancel.
-  pure subroutine hit_disc(disc, shortest, x, y, ux, uy, next, wait)
+  pure subroutine reflect_in_disc(disc, shortest, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
     !> Shortest flight that a clock can tell from none.
     real(wp), intent(in) :: shortest
@@ -301,7 +304,7 @@ contains
     else
       call choose_opening(disc, x, ux, x + ux*wait, y + uy*wait, next, wait)
     end if
-  end subroutine hit_disc
+  end subroutine reflect_in_disc
 
   !> What is met by a particle that would be on the circle at (px, py) after `wait`. Only a point
   !> within an opening, its ends excluded, lets it out: a corner belongs to the urn.
@@ -325,7 +328,7 @@ contains
 
   !> A particle that a step has taken beyond the arc (it `was_beyond`) is mirrored in the circle,
   !> along the ray from the centre, and its velocity is reflected there.
-  pure subroutine put_back_in_disc(disc, x, y, ux, uy, was_beyond)
+  pure subroutine reflect_overshoot_in_disc(disc, x, y, ux, uy, was_beyond)
     type(disc_type), intent(in) :: disc
     !> Place and velocity in the frame of the disc.
     real(wp), intent(inout) :: x, y, ux, uy
@@ -345,6 +348,6 @@ contains
     factor = 2.0_wp*disc%radius/distance - 1.0_wp
     x = factor*x
     y = factor*y
-  end subroutine put_back_in_disc
+  end subroutine reflect_overshoot_in_disc
 
 end module battery_disc

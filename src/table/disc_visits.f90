@@ -1,9 +1,9 @@
 !> Whole visits to a disc, in batches.
 !>
-!> The kernel `march` steps `together` particles at once, `march_steps` impacts without a test that
-!> branches: who has found an opening stands still. Between two marches the particles that still
-!> bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are tiny,
-!> are sent to `find_opening`, which needs O(log) operations for any number of impacts.
+!> The kernel `step_impacts` steps `together` particles at once, `march_steps` impacts without a
+!> test that branches: who has found an opening stands still. Between two marches the particles that
+!> still bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are
+!> tiny, are sent to `find_opening`, which needs O(log) operations for any number of impacts.
 module battery_disc_visits
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: gated, ungated
@@ -13,7 +13,7 @@ module battery_disc_visits
   use battery_visits, only: visits_type, together, no_channel, many_hits
   implicit none (type, external)
   private
-  public :: cross_discs
+  public :: compute_disc_visits
 
   !> Impacts that the kernel steps `together` particles without closing ranks.
   integer, parameter :: march_steps = 8
@@ -26,7 +26,7 @@ contains
 
   !> From (x, y) with velocity (along, across) through the disc; `hits` grows, `all_hits` is its
   !> sum.
-  subroutine cross_discs(disc, visits)
+  subroutine compute_disc_visits(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
@@ -36,10 +36,10 @@ contains
     visits%all_hits = 0
     visits%many_count = 0
     if (n == 0) return
-    call enter(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%along, visits%across, visits%c, &
-      visits%s, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%first, &
-      grazing)
-    if (grazing) call sharpen(disc, visits)
+    call find_first_impacts(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%u_axial, &
+      visits%u_lateral, visits%c, visits%s, visits%px, visits%py, visits%zx, visits%zy, &
+      visits%steps, visits%first, grazing)
+    if (grazing) call sharpen_grazing(disc, visits)
     active = visits%count
     call count_up(active, visits%slot)
     if (disc%step_first) then
@@ -47,11 +47,11 @@ contains
       visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
         n_active = together*((active + together - 1)/together)
-        call march(disc%half(gated), disc%half(ungated), n_active, visits%px, visits%py, &
+        call step_impacts(disc%half(gated), disc%half(ungated), n_active, visits%px, visits%py, &
           visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call march(disc%half(gated), disc%half(ungated), n_active, &
-          visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        call close_ranks(disc%half(gated), disc%half(ungated), active, visits%slot, visits%px, &
+        if (round <= early_rounds) call step_impacts(disc%half(gated), disc%half(ungated), &
+          n_active, visits%px, visits%py, visits%zx, visits%zy, visits%steps)
+        call compact_active(disc%half(gated), disc%half(ungated), active, visits%slot, visits%px, &
           visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, &
           visits%impacts)
         if (active == 0) exit
@@ -59,24 +59,24 @@ contains
     end if
     do j = 1, active
       visits%many(j) = visits%slot(j)
-      call search(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
+      call search_opening(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
     end do
     visits%many_count = active
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
-      visits%first, visits%channel, visits%x, visits%y, visits%along, visits%across, &
+      visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
-    if (.not. all_left(visits%count, visits%along, visits%impacts)) then
+    if (.not. all_left(visits%count, visits%u_axial, visits%impacts)) then
       do j = 1, visits%count
-        if (visits%along(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
-        call mend(disc, visits, j)
+        if (visits%u_axial(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
+        call repair_visit(disc, visits, j)
         if (any(visits%many(:visits%many_count) == j)) cycle
         visits%many_count = visits%many_count + 1
         visits%many(visits%many_count) = j
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
-  end subroutine cross_discs
+  end subroutine compute_disc_visits
 
   !> 1, 2, ...
   pure subroutine count_up(n, slot)
@@ -90,15 +90,15 @@ contains
   end subroutine count_up
 
   !> Whether all visits ended in an opening with a velocity that leads out.
-  pure function all_left(n, along, impacts)
+  pure function all_left(n, u_axial, impacts)
     integer, intent(in) :: n
-    real(wp), intent(in) :: along(n), impacts(n)
+    real(wp), intent(in) :: u_axial(n), impacts(n)
     logical :: all_left
     integer :: j, left
 
     left = 0
     do j = 1, n
-      left = left + merge(1, 0, along(j) > 0.0_wp .and. impacts(j) >= 0.0_wp)
+      left = left + merge(1, 0, u_axial(j) > 0.0_wp .and. impacts(j) >= 0.0_wp)
     end do
     all_left = left == n
   end function all_left
@@ -124,7 +124,8 @@ contains
   end subroutine sum_hits
 
   !> Incidence, first impact, rotation from impact to impact, and the length until the first.
-  pure subroutine enter(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, first, grazing)
+  pure subroutine find_first_impacts(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, &
+    first, grazing)
     integer, intent(in) :: n
     real(wp), intent(in) :: curvature, x(n), y(n), ux(n), uy(n)
     real(wp), intent(out) :: c(n), s(n), px(n), py(n), zx(n), zy(n), steps(n), first(n)
@@ -149,10 +150,10 @@ contains
       low = low + merge(1_int64, 0_int64, cosine < grazing_cosine)
     end do
     grazing = low > 0
-  end subroutine enter
+  end subroutine find_first_impacts
 
   !> Grazing incidences to all their digits.
-  pure subroutine sharpen(disc, visits)
+  pure subroutine sharpen_grazing(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     real(wp) :: ux, uy, c, s
@@ -160,8 +161,8 @@ contains
 
     do j = 1, visits%count
       if (.not. visits%c(j) < grazing_cosine) cycle
-      ux = visits%along(j)
-      uy = visits%across(j)
+      ux = visits%u_axial(j)
+      uy = visits%u_lateral(j)
       c = visits%c(j)
       s = visits%s(j)
       call sharp_incidence(disc, visits%x(j), visits%y(j), ux, uy, c, s)
@@ -173,13 +174,13 @@ contains
       visits%zy(j) = 2.0_wp*s*c
       visits%first(j) = disc%radius*c - (visits%x(j)*ux + visits%y(j)*uy)
     end do
-  end subroutine sharpen
+  end subroutine sharpen_grazing
 
   !> `march_steps` impacts of each particle; one whose impact lies in an opening stays there. All
   !> impacts are computed first, as if nothing were open, then the first that lies in an opening is
   !> chosen, from the last backwards: so no step waits for a comparison. No branches: the loop over
   !> the particles is the one that becomes vector instructions.
-  pure subroutine march(half1, half2, n, px, py, zx, zy, steps)
+  pure subroutine step_impacts(half1, half2, n, px, py, zx, zy, steps)
     real(wp), intent(in) :: half1, half2
     integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), steps(n)
@@ -200,40 +201,40 @@ contains
       ! Two impacts at a time: half as many wait for each other.
       c2 = (c - s)*(c + s)
       s2 = 2.0_wp*c*s
-      call rotate(c, s, x0, y0, x1, y1)
-      call rotate(c2, s2, x0, y0, x2, y2)
-      call rotate(c2, s2, x1, y1, x3, y3)
-      call rotate(c2, s2, x2, y2, x4, y4)
-      call rotate(c2, s2, x3, y3, x5, y5)
-      call rotate(c2, s2, x4, y4, x6, y6)
-      call rotate(c2, s2, x5, y5, x7, y7)
-      call rotate(c2, s2, x6, y6, x8, y8)
+      call rotate_impact(c, s, x0, y0, x1, y1)
+      call rotate_impact(c2, s2, x0, y0, x2, y2)
+      call rotate_impact(c2, s2, x1, y1, x3, y3)
+      call rotate_impact(c2, s2, x2, y2, x4, y4)
+      call rotate_impact(c2, s2, x3, y3, x5, y5)
+      call rotate_impact(c2, s2, x4, y4, x6, y6)
+      call rotate_impact(c2, s2, x5, y5, x7, y7)
+      call rotate_impact(c2, s2, x6, y6, x8, y8)
       taken = real(march_steps, wp)
-      call choose(h1, h2, 7.0_wp, x7, y7, x8, y8, taken)
-      call choose(h1, h2, 6.0_wp, x6, y6, x8, y8, taken)
-      call choose(h1, h2, 5.0_wp, x5, y5, x8, y8, taken)
-      call choose(h1, h2, 4.0_wp, x4, y4, x8, y8, taken)
-      call choose(h1, h2, 3.0_wp, x3, y3, x8, y8, taken)
-      call choose(h1, h2, 2.0_wp, x2, y2, x8, y8, taken)
-      call choose(h1, h2, 1.0_wp, x1, y1, x8, y8, taken)
-      call choose(h1, h2, 0.0_wp, x0, y0, x8, y8, taken)
+      call choose_impact(h1, h2, 7.0_wp, x7, y7, x8, y8, taken)
+      call choose_impact(h1, h2, 6.0_wp, x6, y6, x8, y8, taken)
+      call choose_impact(h1, h2, 5.0_wp, x5, y5, x8, y8, taken)
+      call choose_impact(h1, h2, 4.0_wp, x4, y4, x8, y8, taken)
+      call choose_impact(h1, h2, 3.0_wp, x3, y3, x8, y8, taken)
+      call choose_impact(h1, h2, 2.0_wp, x2, y2, x8, y8, taken)
+      call choose_impact(h1, h2, 1.0_wp, x1, y1, x8, y8, taken)
+      call choose_impact(h1, h2, 0.0_wp, x0, y0, x8, y8, taken)
       px(j) = x8
       py(j) = y8
       steps(j) = steps(j) + taken
     end do
-  end subroutine march
+  end subroutine step_impacts
 
   !> The next impact.
-  elemental subroutine rotate(cosine, sine, x, y, next_x, next_y)
+  elemental subroutine rotate_impact(cosine, sine, x, y, next_x, next_y)
     real(wp), intent(in) :: cosine, sine, x, y
     real(wp), intent(out) :: next_x, next_y
 
     next_x = x*cosine - y*sine
     next_y = x*sine + y*cosine
-  end subroutine rotate
+  end subroutine rotate_impact
 
   !> If the impact (x, y), before which there were `before`, lies in an opening, it is the first.
-  elemental subroutine choose(half1, half2, before, x, y, first_x, first_y, taken)
+  elemental subroutine choose_impact(half1, half2, before, x, y, first_x, first_y, taken)
     real(wp), intent(in) :: half1, half2, before, x, y
     real(wp), intent(inout) :: first_x, first_y, taken
     logical :: open
@@ -242,10 +243,10 @@ contains
     first_x = merge(x, first_x, open)
     first_y = merge(y, first_y, open)
     taken = merge(before, taken, open)
-  end subroutine choose
+  end subroutine choose_impact
 
   !> Writes down where every particle stands and keeps those that still bounce, without branches.
-  pure subroutine close_ranks(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &
+  pure subroutine compact_active(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &
     impacts)
     real(wp), intent(in) :: half1, half2
     integer, intent(inout) :: active
@@ -280,10 +281,10 @@ contains
       px(j) = 1.0_wp
       py(j) = 0.0_wp
     end do
-  end subroutine close_ranks
+  end subroutine compact_active
 
   !> First impact in an opening, from the impact (px, py) on, without stepping.
-  pure subroutine search(disc, visits, mine, px, py, zx, zy, steps)
+  pure subroutine search_opening(disc, visits, mine, px, py, zx, zy, steps)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: mine
@@ -307,16 +308,16 @@ contains
       visits%hit_y(mine) = py
       visits%impacts(mine) = -1.0_wp - steps
     end if
-  end subroutine search
+  end subroutine search_opening
 
   !> From the impact in an opening back to the chord.
-  pure subroutine find_exits(n, disc, c, s, hit_x, hit_y, impacts, first, channel, x, y, along, &
-    across, length, through)
+  pure subroutine find_exits(n, disc, c, s, hit_x, hit_y, impacts, first, channel, x, y, u_axial, &
+    u_lateral, length, through)
     integer, intent(in) :: n
     type(disc_type), intent(in) :: disc
     real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
     integer(int64), intent(out) :: channel(n)
-    real(wp), intent(out) :: x(n), y(n), along(n), across(n), length(n), through(n)
+    real(wp), intent(out) :: x(n), y(n), u_axial(n), u_lateral(n), length(n), through(n)
     real(wp) :: norm, qx, qy, ux, uy, back, half, chord, side, height, forward
     real(wp) :: radius, half1, half2, chord1, chord2, length1, length2
     integer :: j
@@ -346,8 +347,8 @@ contains
       x(j) = side*chord
       height = radius*qy - back*uy
       y(j) = sign(min(abs(height), half*radius), height)
-      along(j) = ux
-      across(j) = uy
+      u_axial(j) = ux
+      u_lateral(j) = uy
       length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back
     end do
   end subroutine find_exits
@@ -355,7 +356,7 @@ contains
   !> Two rare cases. An impact beside the corner, taken for one in the opening by rounding, but with
   !> a velocity that leads into the urn: the corner belongs to the urn, so the particle bounces on.
   !> And a particle for which no impact in an opening was found: it stays for ever.
-  pure subroutine mend(disc, visits, j)
+  pure subroutine repair_visit(disc, visits, j)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
@@ -365,21 +366,21 @@ contains
     zx = (visits%s(j) - visits%c(j))*(visits%s(j) + visits%c(j))
     zy = 2.0_wp*visits%s(j)*visits%c(j)
     do tries = 1, 4
-      if (visits%impacts(j) < 0.0_wp .or. visits%along(j) > 0.0_wp) exit
+      if (visits%impacts(j) < 0.0_wp .or. visits%u_axial(j) > 0.0_wp) exit
       x = visits%hit_x(j)*zx - visits%hit_y(j)*zy
       y = visits%hit_x(j)*zy + visits%hit_y(j)*zx
-      call search(disc, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
+      call search_opening(disc, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
       call find_exits(1, disc, visits%c(j:j), visits%s(j:j), visits%hit_x(j:j), visits%hit_y(j:j), &
         visits%impacts(j:j), visits%first(j:j), visits%channel(j:j), visits%x(j:j), visits%y(j:j), &
-        visits%along(j:j), visits%across(j:j), visits%length(j:j), visits%through(j:j))
+        visits%u_axial(j:j), visits%u_lateral(j:j), visits%length(j:j), visits%through(j:j))
     end do
-    if (visits%impacts(j) >= 0.0_wp .and. visits%along(j) > 0.0_wp) return
+    if (visits%impacts(j) >= 0.0_wp .and. visits%u_axial(j) > 0.0_wp) return
     if (visits%impacts(j) < 0.0_wp) visits%impacts(j) = -1.0_wp - visits%impacts(j)
     visits%channel(j) = no_channel
     visits%y(j) = atan2(visits%hit_y(j), visits%hit_x(j))
-    visits%along(j) = visits%c(j)
-    visits%across(j) = visits%s(j)
+    visits%u_axial(j) = visits%c(j)
+    visits%u_lateral(j) = visits%s(j)
     visits%length(j) = visits%first(j) + 2.0_wp*disc%radius*visits%c(j)*visits%impacts(j)
-  end subroutine mend
+  end subroutine repair_visit
 
 end module battery_disc_visits

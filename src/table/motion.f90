@@ -3,7 +3,7 @@ module battery_motion
   use battery_kinds, only: wp, int8, int16
   implicit none (type, external)
   private
-  public :: motion_type, fly, slowest, outside, in_urn, in_gate, in_return
+  public :: motion_type, move_straight, slowest, outside, in_urn, in_gate, in_return
   public :: wall_kind, meets_nothing, meets_gate, meets_return, meets_urn, meets_line, &
     meets_channel_wall, meets_wall
 
@@ -36,13 +36,13 @@ module battery_motion
 contains
 
   !> Moves straight on for a while.
-  elemental subroutine fly(motion, time)
+  elemental subroutine move_straight(motion, time)
     type(motion_type), intent(inout) :: motion
     !> How long.
     real(wp), intent(in) :: time
 
     motion%x = motion%x + motion%ux*time
     motion%y = motion%y + motion%uy*time
-  end subroutine fly
+  end subroutine move_straight
 
 end module battery_motion

@@ -78,12 +78,12 @@ contains
       if (polygon%side(k) == n) polygon%x(1) = polygon%x(n + 1)
       if (polygon%side(k) == 1) polygon%x(n + 1) = polygon%x(1)
     end do
-    call measure(polygon)
-    call look_at_openings(polygon)
+    call measure_outline(polygon)
+    call measure_openings(polygon)
   end function new_polygon
 
   !> What follows from the corners.
-  pure subroutine measure(polygon)
+  pure subroutine measure_outline(polygon)
     type(polygon_type), intent(inout) :: polygon
     real(wp), allocatable :: along_x(:), along_y(:)
     integer :: n, k
@@ -107,13 +107,13 @@ contains
     end do
     polygon%area = enclosed_area(reshape([polygon%x(:n), polygon%y(:n)], [2, n], order=[2, 1]))
     polygon%perimeter = polygon%round - sum(polygon%width)
-    polygon%hands_on = .true.
+    polygon%truncates_visits = .true.
     polygon%overhangs = maxval(polygon%x) > polygon%chord(gated) .or. &
       maxval(-polygon%x) > polygon%chord(ungated)
     polygon%reach = maxval(hypot(polygon%x, polygon%y))
     polygon%sharp = rounding*(polygon%reach + polygon%chord(gated) + polygon%length(gated))
     call find_clearance(polygon)
-  end subroutine measure
+  end subroutine measure_outline
 
   !> How far the origin is from the walls, if it lies inside; how long a step may be. Twice the area
   !> over the way round is the radius of the circle inscribed in a regular polygon.
@@ -149,7 +149,7 @@ contains
   !> Whether the openings fit, and how far it is through the polygon. A way that comes back to an
   !> opening must be sent back by a wall that looks there: it is at least twice as long as the way
   !> to the nearest of these. One that goes through is at least as long as the chords are apart.
-  pure subroutine look_at_openings(polygon)
+  pure subroutine measure_openings(polygon)
     type(polygon_type), intent(inout) :: polygon
     real(wp) :: a(2), b(2)
     integer :: channel, k, j
@@ -176,7 +176,7 @@ contains
       end do
     end do
     if (all(polygon%width > 0.0_wp)) polygon%depth = min(polygon%depth, polygon%chord)
-  end subroutine look_at_openings
+  end subroutine measure_openings
 
   !> How far it is from a point to the nearest side.
   pure function distance_to_walls(polygon, x, y) result(distance)

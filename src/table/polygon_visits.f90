@@ -11,12 +11,12 @@ module battery_polygon_visits
   use battery_channel, only: gated, ungated
   use battery_motion, only: slowest
   use battery_polygon, only: polygon_type, nearest_side
-  use battery_polygon_walls, only: state_type, state_on, came_back, surely_next_side, reflect, &
-    longest_period
-  use battery_visits, only: visits_type, together, no_channel, goes_on, many_hits
+  use battery_polygon_walls, only: state_type, state_on, has_returned, surely_next_side, &
+    reflect_from_side, longest_period
+  use battery_visits, only: visits_type, together, no_channel, truncated, many_hits
   implicit none (type, external)
   private
-  public :: cross_polygons
+  public :: compute_polygon_visits
 
   !> Hits of a march, and marches after which a visit is looked at alone.
   integer, parameter :: march_hits = 4, most_marches = 2500
@@ -32,7 +32,7 @@ module battery_polygon_visits
 contains
 
   !> Whole visits: what they need and what they yield is told at `visits_type`.
-  subroutine cross_polygons(polygon, visits)
+  subroutine compute_polygon_visits(polygon, visits)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer :: active, n, j, round
@@ -40,25 +40,25 @@ contains
     visits%many_count = 0
     active = visits%count
     n = together*((active + together - 1)/together)
-    call enter(n, visits%x, visits%y, visits%along, visits%across, visits%px, visits%py, &
-      visits%zx, visits%zy, visits%steps, visits%first, visits%c, visits%slot)
+    call load_visits(n, visits%x, visits%y, visits%u_axial, visits%u_lateral, visits%px, &
+      visits%py, visits%zx, visits%zy, visits%steps, visits%first, visits%c, visits%slot)
     do round = 1, most_marches
       if (active == 0) exit
       n = together*((active + together - 1)/together)
       ! Who fills up the last group has left.
       visits%c(active + 1:n) = 0.0_wp
-      call march(polygon, n, visits%px, visits%py, visits%zx, visits%zy, visits%steps, &
+      call step_hits(polygon, n, visits%px, visits%py, visits%zx, visits%zy, visits%steps, &
         visits%first, visits%c)
-      call close_ranks(polygon, active, visits)
+      call compact_active(polygon, active, visits)
     end do
     do j = 1, active
-      call finish_alone(polygon, visits, j)
+      call finish_single_visit(polygon, visits, j)
     end do
     visits%all_hits = sum(int(visits%hits(:visits%count), int64))
-  end subroutine cross_polygons
+  end subroutine compute_polygon_visits
 
   !> Places, velocities of length 1, and who flies.
-  pure subroutine enter(n, x, y, along, across, px, py, ux, uy, hits, length, flies, slot)
+  pure subroutine load_visits(n, x, y, along, across, px, py, ux, uy, hits, length, flies, slot)
     integer, intent(in) :: n
     real(wp), intent(in) :: x(n), y(n), along(n), across(n)
     real(wp), intent(out) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), flies(n)
@@ -77,10 +77,10 @@ contains
       flies(j) = 1.0_wp
       slot(j) = j
     end do
-  end subroutine enter
+  end subroutine load_visits
 
   !> `march_hits` hits of each particle that flies.
-  pure subroutine march(polygon, n, px, py, ux, uy, hits, length, flies)
+  pure subroutine step_hits(polygon, n, px, py, ux, uy, hits, length, flies)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
@@ -104,12 +104,12 @@ contains
           call find_nearest_side(polygon%sides, corner, side, polygon%sharp, count, px(first), &
             py(first), ux(first), uy(first), normal_x, normal_y, offset, open_half)
         end if
-        call bounce(count, normal_x, normal_y, offset, open_half, px(first), py(first), &
+        call reflect_visits(count, normal_x, normal_y, offset, open_half, px(first), py(first), &
           ux(first), uy(first), hits(first), length(first), flies(first))
       end do
-      call renew(count, ux(first), uy(first))
+      call normalise_speeds(count, ux(first), uy(first))
     end do
-  end subroutine march
+  end subroutine step_hits
 
   !> Corners, the last first; of each side normal, distance from the origin and half of its opening.
   !> Filled up with sides of no length, which nobody meets.
@@ -143,7 +143,7 @@ contains
     real(wp) :: was, first, second, third, met1, met2, met3
     integer :: k, j
 
-    call begin_with(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
+    call begin_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
       open_half, before, ahead)
     do k = 1, sides, at_once
       c = corner(:, k:k + at_once - 1)
@@ -185,7 +185,7 @@ contains
     real(wp) :: was, after, x, y, nx, ny, distance, half, outward, time, met, kept, least, far
     integer :: k, j
 
-    call begin_with(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
+    call begin_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
       open_half, before, ahead)
     far = 1.0_wp/slowest
     soonest(:n) = far
@@ -216,7 +216,7 @@ contains
   end subroutine find_nearest_side
 
   !> Before any side has been looked at.
-  pure subroutine begin_with(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, open_half, &
+  pure subroutine begin_search(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, open_half, &
     before, ahead)
     integer, intent(in) :: n
     !> The first corner.
@@ -235,12 +235,12 @@ contains
       offset(j) = 0.0_wp
       open_half(j) = -1.0_wp
     end do
-  end subroutine begin_with
+  end subroutine begin_search
 
   !> Moves each of a block to the side that it meets, and turns it there, unless that lets it out.
   !> Who meets none stays where it is.
-  pure subroutine bounce(n, normal_x, normal_y, offset, open_half, px, py, ux, uy, hits, length, &
-    flies)
+  pure subroutine reflect_visits(n, normal_x, normal_y, offset, open_half, px, py, ux, uy, hits, &
+    length, flies)
     integer, intent(in) :: n
     real(wp), intent(in) :: normal_x(n), normal_y(n), offset(n), open_half(n)
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), flies(n)
@@ -264,10 +264,10 @@ contains
       ux(j) = ux(j) - turn*normal_x(j)
       uy(j) = uy(j) - turn*normal_y(j)
     end do
-  end subroutine bounce
+  end subroutine reflect_visits
 
   !> Speeds are set back to 1 by a Newton step.
-  pure subroutine renew(n, ux, uy)
+  pure subroutine normalise_speeds(n, ux, uy)
     integer, intent(in) :: n
     real(wp), intent(inout) :: ux(n), uy(n)
     real(wp) :: norm
@@ -278,10 +278,10 @@ contains
       ux(j) = norm*ux(j)
       uy(j) = norm*uy(j)
     end do
-  end subroutine renew
+  end subroutine normalise_speeds
 
   !> Who has left hands in how; the others close ranks.
-  pure subroutine close_ranks(polygon, active, visits)
+  pure subroutine compact_active(polygon, active, visits)
     type(polygon_type), intent(in) :: polygon
     integer, intent(inout) :: active
     type(visits_type), intent(inout) :: visits
@@ -300,14 +300,14 @@ contains
         visits%slot(kept) = visits%slot(j)
         visits%c(kept) = 1.0_wp
       else
-        call leave(polygon, visits, j)
+        call store_exit(polygon, visits, j)
       end if
     end do
     active = kept
-  end subroutine close_ranks
+  end subroutine compact_active
 
   !> One of the ranks stands in an opening, with a velocity that leads out.
-  pure subroutine leave(polygon, visits, j)
+  pure subroutine store_exit(polygon, visits, j)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
@@ -318,13 +318,13 @@ contains
     visits%channel(mine) = channel
     visits%x(mine) = visits%px(j)
     visits%y(mine) = visits%py(j)
-    visits%along(mine) = max(abs(visits%zx(j)), slowest)
-    visits%across(mine) = visits%zy(j)
+    visits%u_axial(mine) = max(abs(visits%zx(j)), slowest)
+    visits%u_lateral(mine) = visits%zy(j)
     visits%length(mine) = visits%first(j)
-    visits%through(mine) = polygon%length(channel)/visits%along(mine)
+    visits%through(mine) = polygon%length(channel)/visits%u_axial(mine)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
     if (visits%steps(j) >= many_hits) call add_to_many(visits, mine)
-  end subroutine leave
+  end subroutine store_exit
 
   !> Adds to the list of those with many hits.
   pure subroutine add_to_many(visits, which)
@@ -339,7 +339,7 @@ contains
   !> A visit of very many hits, side by side, until it ends, its state comes back, or it has flown a
   !> part of its way. A period is looked for that is as long as it is from a state on: that after
   !> 1, 2, 4 ... hits.
-  pure subroutine finish_alone(polygon, visits, j)
+  pure subroutine finish_single_visit(polygon, visits, j)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
@@ -365,13 +365,13 @@ contains
         y = y + uy*wait
         length = length + wait
         if (abs(y) < polygon%open_half(side)) then
-          call leave(polygon, visits, j)
+          call store_exit(polygon, visits, j)
           return
         end if
-        call reflect(polygon, side, x, y, ux, uy)
+        call reflect_from_side(polygon, side, x, y, ux, uy)
         visits%steps(j) = visits%steps(j) + 1.0_wp
         state = state_on(polygon, side, x, y, ux, uy)
-        if (hits > 1) same = came_back(polygon, state, kept)
+        if (hits > 1) same = has_returned(polygon, state, kept)
         if (same) exit
         if (hits >= longest_period .and. length >= least_part*polygon%reach) exit
         if (hits == keep) then
@@ -379,12 +379,13 @@ contains
           keep = 2*keep
         end if
       end do
-      call hand_on(visits, j, state, merge(no_channel, goes_on, same .or. hits > most_part_hits))
+      call store_truncated(visits, j, state, merge(no_channel, truncated, same .or. hits &
+        > most_part_hits))
     end associate
-  end subroutine finish_alone
+  end subroutine finish_single_visit
 
   !> A visit that is not at its end, and perhaps never will be.
-  pure subroutine hand_on(visits, j, state, channel)
+  pure subroutine store_truncated(visits, j, state, channel)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
     type(state_type), intent(in) :: state
@@ -394,13 +395,13 @@ contains
     mine = visits%slot(j)
     visits%channel(mine) = channel
     visits%y(mine) = state%round
-    visits%along(mine) = state%ux
-    visits%across(mine) = state%uy
+    visits%u_axial(mine) = state%ux
+    visits%u_lateral(mine) = state%uy
     visits%length(mine) = visits%first(j)
     ! When it has to be gone on with, before its end.
     visits%through(mine) = 0.5_wp*visits%first(j)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
     call add_to_many(visits, mine)
-  end subroutine hand_on
+  end subroutine store_truncated
 
 end module battery_polygon_visits

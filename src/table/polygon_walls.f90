@@ -14,9 +14,10 @@ module battery_polygon_walls
   use battery_polygon, only: polygon_type, is_in_polygon, nearest_side
   implicit none (type, external)
   private
-  public :: aim_in_polygon, hit_polygon, put_back_in_polygon, place_in_polygon
+  public :: next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
+    locate_in_polygon
   public :: first_impact_in_polygon
-  public :: surely_next_side, reflect, state_type, state_on, came_back
+  public :: surely_next_side, reflect_from_side, state_type, state_on, has_returned
 
   !> A state that has come back to within this, in units of all walls and of 1, is the same state.
   real(wp), parameter :: same_state = 4096.0_wp*epsilon(1.0_wp)
@@ -96,7 +97,7 @@ contains
   end subroutine surely_next_side
 
   !> Puts a particle at (`x`, `y`) on the side number `side`, and turns its velocity (`ux`, `uy`).
-  pure subroutine reflect(polygon, side, x, y, ux, uy)
+  pure subroutine reflect_from_side(polygon, side, x, y, ux, uy)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
     real(wp), intent(inout) :: x, y, ux, uy
@@ -113,10 +114,10 @@ contains
     norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
     ux = norm*ux
     uy = norm*uy
-  end subroutine reflect
+  end subroutine reflect_from_side
 
   !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
-  pure subroutine aim_in_polygon(polygon, from, x, y, ux, uy, next, wait)
+  pure subroutine next_wall_in_polygon(polygon, from, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
     !> The channel on whose chord it is, or `no_channel`.
     integer, intent(in) :: from
@@ -128,12 +129,12 @@ contains
 
     side = 0
     if (from /= no_channel) side = polygon%side(from)
-    call aim_from(polygon, side, x, y, ux, uy, next, wait)
-  end subroutine aim_in_polygon
+    call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine next_wall_in_polygon
 
   !> The same from a side. Only a point within an opening, its ends excluded, lets a particle out: a
   !> corner belongs to the urn.
-  pure subroutine aim_from(polygon, from, x, y, ux, uy, next, wait)
+  pure subroutine next_wall_from(polygon, from, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
     real(wp), intent(in) :: x, y, ux, uy
@@ -150,10 +151,10 @@ contains
     else
       next = int(side, wall_kind)
     end if
-  end subroutine aim_from
+  end subroutine next_wall_from
 
   !> Reflection from the side `next`; then what is met `next`, after the time `wait`.
-  pure subroutine hit_polygon(polygon, x, y, ux, uy, next, wait)
+  pure subroutine reflect_in_polygon(polygon, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
     !> Place and velocity in the frame of the polygon.
     real(wp), intent(inout) :: x, y, ux, uy
@@ -162,13 +163,13 @@ contains
     integer :: side
 
     side = int(next)
-    call reflect(polygon, side, x, y, ux, uy)
-    call aim_from(polygon, side, x, y, ux, uy, next, wait)
-  end subroutine hit_polygon
+    call reflect_from_side(polygon, side, x, y, ux, uy)
+    call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine reflect_in_polygon
 
   !> Mirrors a particle that a step has taken beyond a side (it `was_beyond`) in the side that it
   !> has crossed, and reflects its velocity there; again, if that takes it beyond another.
-  pure subroutine put_back_in_polygon(polygon, x, y, ux, uy, was_beyond)
+  pure subroutine reflect_overshoot_in_polygon(polygon, x, y, ux, uy, was_beyond)
     type(polygon_type), intent(in) :: polygon
     !> Place and velocity in the frame of the polygon.
     real(wp), intent(inout) :: x, y, ux, uy
@@ -185,14 +186,14 @@ contains
       if (side == 0) side = nearest_side(polygon, x, y)
       beyond = (x - polygon%x(side))*polygon%normal_x(side) &
         + (y - polygon%y(side))*polygon%normal_y(side)
-      call reflect(polygon, side, x, y, ux, uy)
+      call reflect_from_side(polygon, side, x, y, ux, uy)
       x = x - beyond*polygon%normal_x(side)
       y = y - beyond*polygon%normal_y(side)
     end do
     ! A corner too narrow for the step: on its side, where it came from.
     side = nearest_side(polygon, x, y)
-    call put_on(polygon, side, x, y)
-  end subroutine put_back_in_polygon
+    call project_on_side(polygon, side, x, y)
+  end subroutine reflect_overshoot_in_polygon
 
   !> The side that a way out of the polygon has crossed last; 0 if there is none.
   pure function side_behind(polygon, x, y, ux, uy) result(side)
@@ -219,7 +220,7 @@ contains
   end function side_behind
 
   !> The point of a side that is nearest to (x, y).
-  pure subroutine put_on(polygon, side, x, y)
+  pure subroutine project_on_side(polygon, side, x, y)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
     real(wp), intent(inout) :: x, y
@@ -228,7 +229,7 @@ contains
     along = along_side(polygon, side, x, y)
     x = polygon%x(side) - along*polygon%normal_y(side)
     y = polygon%y(side) + along*polygon%normal_x(side)
-  end subroutine put_on
+  end subroutine project_on_side
 
   !> How far a point is along a side from its beginning, not beyond its ends.
   pure function along_side(polygon, side, x, y) result(along)
@@ -270,18 +271,18 @@ contains
   end subroutine place_of
 
   !> Whether a state is the same as one `before`, but for rounding.
-  pure function came_back(polygon, state, before) result(same)
+  pure function has_returned(polygon, state, before) result(same)
     type(polygon_type), intent(in) :: polygon
     type(state_type), intent(in) :: state, before
     logical :: same
 
     same = max(abs(state%ux - before%ux), abs(state%uy - before%uy), &
       abs(state%round - before%round)/polygon%round) <= same_state
-  end function came_back
+  end function has_returned
 
   !> Straight on from side to side for the time `rest`, or until an opening is met. There it stays,
   !> and so does `rest`.
-  pure subroutine fly_on(polygon, side, x, y, ux, uy, rest, hits)
+  pure subroutine continue_flight(polygon, side, x, y, ux, uy, rest, hits)
     type(polygon_type), intent(in) :: polygon
     !> On which it is, or 0.
     integer, intent(inout) :: side
@@ -296,7 +297,7 @@ contains
     hits = 0
     at_once = 0
     do
-      call aim_from(polygon, side, x, y, ux, uy, next, wait)
+      call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
       x = x + ux*min(wait, rest)
       y = y + uy*min(wait, rest)
       ! In a corner that rounding does not let it out of it stays.
@@ -304,53 +305,54 @@ contains
       if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
       rest = rest - wait
       side = int(next)
-      call reflect(polygon, side, x, y, ux, uy)
+      call reflect_from_side(polygon, side, x, y, ux, uy)
       hits = hits + 1
     end do
-  end subroutine fly_on
+  end subroutine continue_flight
 
   !> The first impact of a particle that is in the polygon, also if an opening is there.
-  pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, round, along, across, wait, before)
+  pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, round, u_axial, u_lateral, wait, &
+    before)
     type(polygon_type), intent(in) :: polygon
     !> Place and velocity in the frame of the polygon: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     !> The state after it; the time until then.
-    real(wp), intent(out) :: round, along, across, wait
-    !> Wall hits that `place_in_polygon` does not count from there on: this one.
+    real(wp), intent(out) :: round, u_axial, u_lateral, wait
+    !> Wall hits that `locate_in_polygon` does not count from there on: this one.
     integer(int64), intent(out) :: before
     type(state_type) :: state
     real(wp) :: norm, px, py
     integer :: side
 
     norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
-    along = norm*ux
-    across = norm*uy
-    call surely_next_side(polygon, 0, x, y, along, across, side, wait)
+    u_axial = norm*ux
+    u_lateral = norm*uy
+    call surely_next_side(polygon, 0, x, y, u_axial, u_lateral, side, wait)
     before = 0
     if (side > 0) then
-      px = x + along*wait
-      py = y + across*wait
-      call reflect(polygon, side, px, py, along, across)
-      state = state_on(polygon, side, px, py, along, across)
+      px = x + u_axial*wait
+      py = y + u_lateral*wait
+      call reflect_from_side(polygon, side, px, py, u_axial, u_lateral)
+      state = state_on(polygon, side, px, py, u_axial, u_lateral)
       before = 1
     else
       ! No way leads on: it stays where it is.
       wait = 0.0_wp
-      state = state_on(polygon, nearest_side(polygon, x, y), x, y, along, across)
+      state = state_on(polygon, nearest_side(polygon, x, y), x, y, u_axial, u_lateral)
     end if
     round = state%round
   end subroutine first_impact_in_polygon
 
   !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
   !> is in the polygon.
-  pure subroutine place_in_polygon(polygon, channel, y, along, across, since, position, velocity, &
-    hits)
+  pure subroutine locate_in_polygon(polygon, channel, y, u_axial, u_lateral, since, position, &
+    velocity, hits)
     type(polygon_type), intent(in) :: polygon
     !> The channel it leaves through, or one that is none.
     integer, intent(in) :: channel
     !> Height (a length), |u_x| and u_y at the side of that channel; else a state: how far round the
     !> polygon, u_x and u_y.
-    real(wp), intent(in) :: y, along, across
+    real(wp), intent(in) :: y, u_axial, u_lateral
     !> The time since then; below 0: until then.
     real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
@@ -367,30 +369,32 @@ contains
     if (leaves) then
       side = polygon%side(channel)
       position = [facing(channel)*polygon%chord(channel), y]
-      velocity = [facing(channel)*along, across]
+      velocity = [facing(channel)*u_axial, u_lateral]
     else
       call place_of(polygon, y, side, position(1), position(2))
-      velocity = [along, across]
+      velocity = [u_axial, u_lateral]
     end if
     if (leaves .or. since < 0.0_wp) then
       velocity = -velocity
-      if (.not. leaves) call reflect(polygon, side, position(1), position(2), velocity(1), &
-        velocity(2))
+      if (.not. leaves) call reflect_from_side(polygon, side, position(1), position(2), &
+        velocity(1), velocity(2))
       rest = -since
-      call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
+      call continue_flight(polygon, side, position(1), position(2), velocity(1), velocity(2), &
+        rest, hits)
       velocity = -velocity
       hits = -hits - merge(0, 1, leaves)
     else
       period = huge(1.0_wp)
       hits_each = 0
-      if (since > long*polygon%reach) call find_period(polygon, state_type(y, along, across), &
+      if (since > long*polygon%reach) call find_period(polygon, state_type(y, u_axial, u_lateral), &
         period, hits_each)
       periods = int(since/period, int64)
       rest = max(since - real(periods, wp)*period, 0.0_wp)
-      call fly_on(polygon, side, position(1), position(2), velocity(1), velocity(2), rest, hits)
+      call continue_flight(polygon, side, position(1), position(2), velocity(1), velocity(2), &
+        rest, hits)
       hits = hits + periods*hits_each
     end if
-  end subroutine place_in_polygon
+  end subroutine locate_in_polygon
 
   !> After which time a state comes back, and after how many hits; huge if it does not for long.
   pure subroutine find_period(polygon, state, period, hits)
@@ -407,14 +411,14 @@ contains
     call place_of(polygon, state%round, side, x, y)
     period = 0.0_wp
     do hits = 1, longest_period
-      call aim_from(polygon, side, x, y, ux, uy, next, wait)
+      call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
       if (next < meets_wall) exit
       x = x + ux*wait
       y = y + uy*wait
       period = period + wait
       side = int(next)
-      call reflect(polygon, side, x, y, ux, uy)
-      if (came_back(polygon, state_on(polygon, side, x, y, ux, uy), state) .and. &
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      if (has_returned(polygon, state_on(polygon, side, x, y, ux, uy), state) .and. &
         period > 0.0_wp) return
     end do
     period = huge(1.0_wp)

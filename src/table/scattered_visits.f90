@@ -7,10 +7,10 @@ module battery_scattered_visits
   use battery_kinds, only: wp, int64
   use battery_motion, only: motion_type, wall_kind, slowest, meets_nothing, meets_urn, meets_line, &
     meets_channel_wall
-  use battery_scatterers, only: scattered_half_type, longest_part
+  use battery_scatterers, only: scattered_half_channel_type, longest_part
   implicit none (type, external)
   private
-  public :: cross_half
+  public :: compute_half_channel_visits
 
   !> Particles that the kernel flies side by side.
   integer, parameter :: lanes = 8
@@ -27,9 +27,9 @@ module battery_scattered_visits
 contains
 
   !> All visits of a batch, of which there are `count`.
-  subroutine cross_half(half, limit, count, motion, hits)
+  subroutine compute_half_channel_visits(half, limit, count, motion, hits)
     !> That of all of them.
-    type(scattered_half_type), intent(in) :: half
+    type(scattered_half_channel_type), intent(in) :: half
     !> Nobody is flown beyond this time.
     real(wp), intent(in) :: limit
     integer, intent(in) :: count
@@ -45,29 +45,31 @@ contains
     next = 0
     flying = 0
     do lane = 1, lanes
-      call take_next(lane)
+      call load_lane(lane)
     end do
     do while (flying > 0)
-      call aim_ahead(half%length, half%half_width, now%x, now%y, now%ux, now%uy, now%met, now%delay)
-      call aim_at_discs(half%count, half%x, half%y, half%radius, now%x, now%y, now%ux, now%uy, &
-        now%met, now%delay)
-      call fly_on(now%until, now%x, now%y, now%ux, now%uy, now%met, now%delay, now%time, now%hits)
-      call look_up(half%count, half%x, half%y, half%radius, now%met, now%met_x, now%met_y, &
+      call find_strip_end(half%length, half%half_width, now%x, now%y, now%ux, now%uy, now%met, &
+        now%delay)
+      call find_nearest_disc(half%count, half%x, half%y, half%radius, now%x, now%y, now%ux, &
+        now%uy, now%met, now%delay)
+      call advance_lanes(now%until, now%x, now%y, now%ux, now%uy, now%met, now%delay, now%time, &
+        now%hits)
+      call look_up_discs(half%count, half%x, half%y, half%radius, now%met, now%met_x, now%met_y, &
         now%met_radius)
-      call bounce_off(half%half_width, now%met_x, now%met_y, now%met_radius, now%x, now%y, &
+      call reflect_lanes(half%half_width, now%met_x, now%met_y, now%met_radius, now%x, now%y, &
         now%ux, now%uy, now%met)
       do lane = 1, lanes
         if (now%who(lane) == 0) cycle
         if (now%met(lane) >= real(meets_channel_wall, wp) .and. now%hits(lane) < longest_part) cycle
-        call put_down(lane)
-        call take_next(lane)
+        call store_lane(lane)
+        call load_lane(lane)
       end do
     end do
 
   contains
 
     !> The result of a lane.
-    subroutine put_down(lane)
+    subroutine store_lane(lane)
       integer, intent(in) :: lane
 
       associate (j => now%who(lane))
@@ -77,10 +79,10 @@ contains
         hits(j) = int(now%hits(lane), int64)
       end associate
       flying = flying - 1
-    end subroutine put_down
+    end subroutine store_lane
 
     !> The next of the batch into a lane, if there is one; else the lane idles.
-    subroutine take_next(lane)
+    subroutine load_lane(lane)
       integer, intent(in) :: lane
 
       now%who(lane) = 0
@@ -97,12 +99,12 @@ contains
       end associate
       now%time(lane) = 0.0_wp
       now%hits(lane) = 0.0_wp
-    end subroutine take_next
+    end subroutine load_lane
 
-  end subroutine cross_half
+  end subroutine compute_half_channel_visits
 
   !> The end of the half that a particle flies to, or the wall if that is sooner.
-  pure subroutine aim_ahead(length, half_width, x, y, ux, uy, met, delay)
+  pure subroutine find_strip_end(length, half_width, x, y, ux, uy, met, delay)
     real(wp), intent(in) :: length, half_width
     real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
     real(wp), dimension(lanes), intent(out) :: met, delay
@@ -135,10 +137,10 @@ contains
     do j = 1, lanes
       delay(j) = merge(to_wall(j), way(j), to_wall(j) <= way(j))
     end do
-  end subroutine aim_ahead
+  end subroutine find_strip_end
 
   !> A disc instead, if one is met before.
-  pure subroutine aim_at_discs(count, disc_x, disc_y, radius, x, y, ux, uy, met, delay)
+  pure subroutine find_nearest_disc(count, disc_x, disc_y, radius, x, y, ux, uy, met, delay)
     integer, intent(in) :: count
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
     real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
@@ -171,10 +173,10 @@ contains
     do j = 1, lanes
       delay(j) = max(delay(j), 0.0_wp)
     end do
-  end subroutine aim_at_discs
+  end subroutine find_nearest_disc
 
   !> Straight on to what is met, or until time is up.
-  pure subroutine fly_on(until, x, y, ux, uy, met, delay, time, hits)
+  pure subroutine advance_lanes(until, x, y, ux, uy, met, delay, time, hits)
     real(wp), dimension(lanes), intent(in) :: until, ux, uy
     real(wp), dimension(lanes), intent(inout) :: x, y, met, delay, time, hits
     logical :: over
@@ -190,10 +192,10 @@ contains
       y(j) = y(j) + uy(j)*delay(j)
       hits(j) = hits(j) + merge(1.0_wp, 0.0_wp, met(j) >= real(meets_channel_wall, wp))
     end do
-  end subroutine fly_on
+  end subroutine advance_lanes
 
   !> Where the discs are that are met; of other walls, some disc.
-  pure subroutine look_up(count, disc_x, disc_y, radius, met, met_x, met_y, met_radius)
+  pure subroutine look_up_discs(count, disc_x, disc_y, radius, met, met_x, met_y, met_radius)
     integer, intent(in) :: count
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
     real(wp), intent(in) :: met(lanes)
@@ -206,10 +208,11 @@ contains
       met_y(j) = disc_y(k)
       met_radius(j) = radius(k)
     end do
-  end subroutine look_up
+  end subroutine look_up_discs
 
-  !> Reflection, as in `hit_in_half`; whoever met the line or the urn goes on as it flew.
-  pure subroutine bounce_off(half_width, met_x, met_y, met_radius, x, y, ux, uy, met)
+  !> Reflection, as in `reflect_in_half_channel`; whoever met the line or the urn goes on as it
+  !> flew.
+  pure subroutine reflect_lanes(half_width, met_x, met_y, met_radius, x, y, ux, uy, met)
     real(wp), intent(in) :: half_width
     real(wp), dimension(lanes), intent(in) :: met_x, met_y, met_radius
     real(wp), dimension(lanes), intent(inout) :: x, y, ux, uy
@@ -242,6 +245,6 @@ contains
       ux(j) = merge(norm*vx, wx, at_disc)
       uy(j) = merge(norm*vy, merge(-wy, wy, at_wall), at_disc)
     end do
-  end subroutine bounce_off
+  end subroutine reflect_lanes
 
 end module battery_scattered_visits

@@ -13,8 +13,9 @@ module battery_scatterers
   use battery_motion, only: wall_kind, slowest, meets_urn, meets_line, meets_channel_wall
   implicit none (type, external)
   private
-  public :: scattered_half_type, new_scattered_half, aim_in_half, hit_in_half, is_in_scatterer
-  public :: measure_scatterers, narrowest_gap, comes_back
+  public :: scattered_half_channel_type, new_scattered_half_channel, next_wall_in_half_channel, &
+    reflect_in_half_channel, is_in_scatterer
+  public :: measure_scatterers, narrowest_gap, detect_periodic_path
 
   !> So many hits in a half without leaving it are looked at as a whole: a visit with more is handed
   !> on in parts, and a state that has not come back within as many more is taken for one that will
@@ -22,81 +23,81 @@ module battery_scatterers
   integer, parameter, public :: longest_part = 10000
 
   !> Half of a channel; `count` is 0 where nothing stands in the channel at all.
-  type :: scattered_half_type
+  type :: scattered_half_channel_type
     integer :: count = 0
     !> From the line to the urn, and from the axis to the walls.
     real(wp) :: length = 0.0_wp, half_width = 0.0_wp
     !> The middles of the discs in the frame of the half, and their radii.
     real(wp), allocatable :: x(:), y(:), radius(:)
-  end type scattered_half_type
+  end type scattered_half_channel_type
 
 contains
 
   !> The half of the channel on the side that lies `along` the channel's own axis: 1, or -1 for that
   !> of urn 2. Discs that do not reach into it are left out, but for one where all would be.
-  pure function new_scattered_half(channel, scatterers, along) result(half)
+  pure function new_scattered_half_channel(channel, scatterers, along) result(half_channel)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.
     real(wp), intent(in) :: scatterers(:, :)
     real(wp), intent(in) :: along
-    type(scattered_half_type) :: half
+    type(scattered_half_channel_type) :: half_channel
     logical :: here(size(scatterers, 2))
 
     here = along*scatterers(1, :) + scatterers(3, :) > 0.0_wp
     if (.not. any(here)) here(1:1) = .true.
-    half%count = count(here)
-    half%length = 0.5_wp*channel%length
-    half%half_width = 0.5_wp*channel%width
-    half%x = along*pack(scatterers(1, :), here)
-    half%y = pack(scatterers(2, :), here)
-    half%radius = pack(scatterers(3, :), here)
-  end function new_scattered_half
+    half_channel%count = count(here)
+    half_channel%length = 0.5_wp*channel%length
+    half_channel%half_width = 0.5_wp*channel%width
+    half_channel%x = along*pack(scatterers(1, :), here)
+    half_channel%y = pack(scatterers(2, :), here)
+    half_channel%radius = pack(scatterers(3, :), here)
+  end function new_scattered_half_channel
 
   !> What a particle meets next: the wall, the line, the urn, or a disc by its number.
-  pure subroutine aim_in_half(half, x, y, ux, uy, next, wait)
+  pure subroutine next_wall_in_half_channel(half_channel, x, y, ux, uy, next, wait)
     !> The one that the particle is in.
-    type(scattered_half_type), intent(in) :: half
+    type(scattered_half_channel_type), intent(in) :: half_channel
     !> Place and velocity in the frame of the half.
     real(wp), intent(in) :: x, y, ux, uy
     !> What, as `motion_type` has it.
     integer(wall_kind), intent(out) :: next
     !> Time until then.
     real(wp), intent(out) :: wait
-    real(wp) :: to_wall, dx, dy, beside, room, ahead, time(half%count)
+    real(wp) :: to_wall, dx, dy, beside, room, ahead, time(half_channel%count)
     integer :: k
 
     next = meets_line
     wait = max(x, 0.0_wp)/max(-ux, slowest)
     if (ux >= 0.0_wp) then
       next = meets_urn
-      wait = max(half%length - x, 0.0_wp)/max(ux, slowest)
+      wait = max(half_channel%length - x, 0.0_wp)/max(ux, slowest)
     end if
-    to_wall = max(half%half_width - sign(1.0_wp, uy)*y, 0.0_wp)/max(abs(uy), slowest)
+    to_wall = max(half_channel%half_width - sign(1.0_wp, uy)*y, 0.0_wp)/max(abs(uy), slowest)
     if (to_wall <= wait) then
       next = meets_channel_wall
       wait = to_wall
     end if
-    do k = 1, half%count
-      dx = half%x(k) - x
-      dy = half%y(k) - y
+    do k = 1, half_channel%count
+      dx = half_channel%x(k) - x
+      dy = half_channel%y(k) - y
       ahead = dx*ux + dy*uy
       beside = abs(dx*uy - dy*ux)
-      room = (half%radius(k) - beside)*(half%radius(k) + beside)
+      room = (half_channel%radius(k) - beside)*(half_channel%radius(k) + beside)
       ! Who is in a disc by rounding meets it now, if it does not fly away from it.
       time(k) = merge(max(ahead - sqrt(max(room, 0.0_wp)), 0.0_wp), huge(1.0_wp), &
         room > 0.0_wp .and. ahead > 0.0_wp)
     end do
-    do k = 1, half%count
+    do k = 1, half_channel%count
       if (time(k) >= wait) cycle
       wait = time(k)
       next = int(k, wall_kind)
     end do
-  end subroutine aim_in_half
+  end subroutine next_wall_in_half_channel
 
   !> Reflection from the wall, or from a disc, at which it has arrived.
-  pure subroutine hit_in_half(half, met, x, y, ux, uy)
+  pure subroutine reflect_in_half_channel(half_channel, met, x, y, ux, uy)
     !> The one that the particle is in.
-    type(scattered_half_type), intent(in) :: half
+    type(scattered_half_channel_type), intent(in) :: half_channel
     !> `meets_channel_wall`, or the number of a disc.
     integer, intent(in) :: met
     !> Place and velocity in the frame of the half.
@@ -104,18 +105,18 @@ contains
     real(wp) :: dx, dy, sine, cosine, along, across, norm, radius
 
     if (met <= 0) then
-      y = sign(half%half_width, uy)
+      y = sign(half_channel%half_width, uy)
       uy = -uy
       return
     end if
-    radius = half%radius(met)
-    dx = half%x(met) - x
-    dy = half%y(met) - y
+    radius = half_channel%radius(met)
+    dx = half_channel%x(met) - x
+    dy = half_channel%y(met) - y
     ! Of the angle of incidence.
     sine = max(-1.0_wp, min((dx*uy - dy*ux)/radius, 1.0_wp))
     cosine = sqrt((1.0_wp - sine)*(1.0_wp + sine))
-    x = half%x(met) - radius*(cosine*ux + sine*uy)
-    y = half%y(met) - radius*(cosine*uy - sine*ux)
+    x = half_channel%x(met) - radius*(cosine*ux + sine*uy)
+    y = half_channel%y(met) - radius*(cosine*uy - sine*ux)
     along = (sine - cosine)*(sine + cosine)
     across = 2.0_wp*sine*cosine
     dx = along*ux - across*uy
@@ -124,13 +125,13 @@ contains
     norm = 1.5_wp - 0.5_wp*(dx**2 + dy**2)
     ux = norm*dx
     uy = norm*dy
-  end subroutine hit_in_half
+  end subroutine reflect_in_half_channel
 
   !> Whether a particle comes back to the very state that it has at its next hit, without leaving
   !> the half: then it never will.
-  pure subroutine comes_back(half, x, y, ux, uy, yes)
+  pure subroutine detect_periodic_path(half_channel, x, y, ux, uy, yes)
     !> The one that the particle is in.
-    type(scattered_half_type), intent(in) :: half
+    type(scattered_half_channel_type), intent(in) :: half_channel
     !> Place and velocity in the frame of the half.
     real(wp), intent(in) :: x, y, ux, uy
     !> Whether it does.
@@ -143,26 +144,27 @@ contains
     now = [x, y, ux, uy]
     do hit = 0, longest_part
       if (hit == 1) mark = now
-      call aim_in_half(half, now(1), now(2), now(3), now(4), met, wait)
+      call next_wall_in_half_channel(half_channel, now(1), now(2), now(3), now(4), met, wait)
       if (met < meets_channel_wall) return
       now(:2) = now(:2) + wait*now(3:)
-      call hit_in_half(half, int(met), now(1), now(2), now(3), now(4))
+      call reflect_in_half_channel(half_channel, int(met), now(1), now(2), now(3), now(4))
       if (hit > 0) yes = .not. any(abs(now - mark) > 0.0_wp)
       if (yes) return
     end do
-  end subroutine comes_back
+  end subroutine detect_periodic_path
 
   !> Whether a point is farther inside a disc than `tolerance`.
-  pure function is_in_scatterer(half, x, y, tolerance) result(inside)
+  pure function is_in_scatterer(half_channel, x, y, tolerance) result(inside)
     !> The one that the particle is in.
-    type(scattered_half_type), intent(in) :: half
+    type(scattered_half_channel_type), intent(in) :: half_channel
     !> In the frame of the half.
     real(wp), intent(in) :: x, y
     real(wp), intent(in) :: tolerance
     logical :: inside
 
     inside = .false.
-    if (half%count > 0) inside = any(hypot(half%x - x, half%y - y) < half%radius - tolerance)
+    if (half_channel%count > 0) inside = any(hypot(half_channel%x - x, half_channel%y - y) &
+      < half_channel%radius - tolerance)
   end function is_in_scatterer
 
   !> What discs take of the area of a channel, and the length of their walls in it, less that of the

@@ -17,15 +17,17 @@ module battery_table
   use battery_chamber, only: mean_visit
   use battery_corners, only: directions_stay
   use battery_motion, only: outside, in_urn, in_gate, in_return
-  use battery_scatterers, only: scattered_half_type, new_scattered_half, is_in_scatterer, &
-    measure_scatterers
-  use battery_urn, only: urn_type, shape_polygon, give_form, alike, holds, try_place
+  use battery_scatterers, only: scattered_half_channel_type, new_scattered_half_channel, &
+    is_in_scatterer, measure_scatterers
+  use battery_urn, only: urn_type, shape_polygon, derive_shape, are_mirror_images, contains_point, &
+    try_random_point
   implicit none (type, external)
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
   public :: gated, ungated, no_channel, outside, in_urn, in_gate, in_return
-  public :: side_at, chamber_at, x_direction, is_open, alike, passage_type, passage_at
-  public :: area, perimeter, half_length, mean_visit, shortest_excursion, try_place, longest_run
+  public :: side_at, chamber_at, x_direction, is_open, are_mirror_images, passage_type, passage_at
+  public :: area, perimeter, half_length, mean_visit, shortest_excursion, try_random_point, &
+    longest_run
   public :: is_scattered, relaxation_time
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
@@ -49,9 +51,9 @@ module battery_table
     !> Fixed discs in channel 2: (z, y, radius) of each, z along the channel from urn 2 over the
     !> line at 0 to urn 1; and each half of the channel with them, by side.
     real(wp), allocatable :: scatterers(:, :)
-    type(scattered_half_type) :: scattered(2)
+    type(scattered_half_channel_type) :: scattered(2)
     !> A power of two, at least four times the longest flight from wall to wall.
-    real(wp) :: page = 0.0_wp
+    real(wp) :: epoch = 0.0_wp
   end type table_type
 
   !> Where a particle stands on its way through a channel.
@@ -65,7 +67,7 @@ module battery_table
     real(wp) :: time = 0.0_wp
     !> Of one that goes inward: at which height it came from its urn, 1 or -1 as u_y has turned over
     !> since, and the wall hits since.
-    real(wp) :: height = 0.0_wp, turned = 1.0_wp, hits = 0.0_wp
+    real(wp) :: height = 0.0_wp, reflected = 1.0_wp, hits = 0.0_wp
   end type passage_type
 
   !> A table from its urns and channels, or from its lengths.
@@ -113,20 +115,20 @@ contains
     end if
     do side = 1, 2
       table%urn(side) = urn(min(side, table%sides))
-      call give_form(table%urn(side), table%channel)
+      call derive_shape(table%urn(side), table%channel)
       associate (here => table%urn(side))
-        here%way = -x_direction(side)
+        here%axis_sign = -x_direction(side)
         here%centre = 0.5_wp*channel(gated)%length + here%chord(gated)
         here%begins = [0.5_wp*channel(gated)%length, here%centre + here%chord(ungated)]
         here%periodic_line = here%begins(ungated) + 0.5_wp*channel(ungated)%length
       end associate
       if (size(table%scatterers) > 0 .and. is_open(table%channel(ungated))) &
-        table%scattered(side) = new_scattered_half(channel(ungated), table%scatterers, &
+        table%scattered(side) = new_scattered_half_channel(channel(ungated), table%scatterers, &
         -x_direction(side))
     end do
-    table%page = power_above(4.0_wp*max(2.0_wp*maxval(table%urn%reach), &
+    table%epoch = power_above(4.0_wp*max(2.0_wp*maxval(table%urn%reach), &
       maxval(hypot(table%channel%length, table%channel%width), mask=is_open(table%channel))))
-    table%urn%shortest = epsilon(1.0_wp)*table%page
+    table%urn%shortest = epsilon(1.0_wp)*table%epoch
   end function new_table_of_urns
 
   !> Whether discs stand in channel 2.
@@ -240,14 +242,15 @@ contains
           abs(x) <= urn%periodic_line + tolerance) chamber = in_return
         if (is_in_scatterer(table%scattered(side_at(table, x)), urn%periodic_line - abs(x), y, &
           tolerance)) chamber = outside
-      else if (holds(urn, urn%centre - abs(x), y, tolerance)) then
+      else if (contains_point(urn, urn%centre - abs(x), y, tolerance)) then
         chamber = in_urn
       end if
       if (urn%overhangs .and. chamber /= in_urn) then
         ! Beside a channel, or beyond its end, there may be urn.
         if (abs(y) > urn%half_width(merge(gated, ungated, abs(x) <= urn%begins(gated))) &
-          .and. holds(urn, urn%centre - abs(x), y, 0.0_wp)) chamber = in_urn
-        if (chamber == outside .and. holds(urn, urn%centre - abs(x), y, tolerance)) chamber = in_urn
+          .and. contains_point(urn, urn%centre - abs(x), y, 0.0_wp)) chamber = in_urn
+        if (chamber == outside .and. contains_point(urn, urn%centre - abs(x), y, tolerance)) &
+          chamber = in_urn
       end if
     end associate
     if (table%sides == 1 .and. x > tolerance) chamber = outside
@@ -275,11 +278,11 @@ contains
       ! How far it is beyond the chord, and how fast it goes on from there.
       depth = urn%begins(gated) - abs(x)
       if (passage%channel == ungated) depth = abs(x) - urn%centre - urn%chord(ungated)
-      outward = facing(passage%channel)*urn%way*ux
+      outward = facing(passage%channel)*urn%axis_sign*ux
       passage%time = -depth/outward
       passage%inward = outward > 0.0_wp
       if (passage%inward) call fold(y - uy*depth/outward, channel%width, passage%height, &
-        passage%turned, passage%hits)
+        passage%reflected, passage%hits)
     end associate
   end function passage_at
 

@@ -7,19 +7,20 @@ module battery_urn
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, no_channel
   use battery_chamber, only: chamber_type
-  use battery_disc, only: disc_type, new_disc, is_in_disc, try_point, place_in_disc, &
-    first_impact_in_disc, aim_in_disc, hit_disc, put_back_in_disc
-  use battery_disc_visits, only: cross_discs
+  use battery_disc, only: disc_type, new_disc, is_in_disc, try_point_in_disc, locate_in_disc, &
+    first_impact_in_disc, next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
+  use battery_disc_visits, only: compute_disc_visits
   use battery_motion, only: wall_kind
   use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon
-  use battery_polygon_visits, only: cross_polygons
-  use battery_polygon_walls, only: place_in_polygon, first_impact_in_polygon, &
-    aim_in_polygon, hit_polygon, put_back_in_polygon
+  use battery_polygon_visits, only: compute_polygon_visits
+  use battery_polygon_walls, only: locate_in_polygon, first_impact_in_polygon, &
+    next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: urn_type, shape_disc, shape_polygon, give_form, alike, holds, try_place, cross, &
-    place_in_visit, first_impact, place_after, aim, hit, put_back
+  public :: urn_type, shape_disc, shape_polygon, derive_shape, are_mirror_images, contains_point, &
+    try_random_point, compute_visits, locate_in_visit, first_impact, locate_after, find_next_wall, &
+    reflect_at_wall, reflect_overshoot
 
   !> The shapes.
   integer, parameter :: shape_disc = 1, shape_polygon = 2
@@ -36,7 +37,7 @@ module battery_urn
     type(polygon_type) :: polygon
     !> Where it is: |x| of its origin, and of the periodic line at the end of this side's half of
     !> channel 2; |x| where each channel begins; the way along x that its own x axis points.
-    real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, begins(2) = 0.0_wp, way = 1.0_wp
+    real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, begins(2) = 0.0_wp, axis_sign = 1.0_wp
     !> Shortest flight that a clock can tell from none.
     real(wp) :: shortest = 0.0_wp
   end type urn_type
@@ -57,7 +58,7 @@ contains
   end function urn_of_radius
 
   !> Finds out all that follows from shape and channels.
-  pure subroutine give_form(urn, channel)
+  pure subroutine derive_shape(urn, channel)
     !> Its shape is known.
     type(urn_type), intent(inout) :: urn
     !> By `gated` and `ungated`.
@@ -71,21 +72,23 @@ contains
       urn%disc = new_disc(urn%radius, channel)
       urn%chamber_type = urn%disc%chamber_type
     end select
-  end subroutine give_form
+  end subroutine derive_shape
 
   !> Whether two urns are mirror images of each other, so that one batch of visits serves both.
-  pure function alike(urn)
+  pure function are_mirror_images(urn)
     type(urn_type), intent(in) :: urn(2)
-    logical :: alike
+    logical :: are_mirror_images
 
-    alike = urn(1)%shape == urn(2)%shape .and. .not. abs(urn(1)%radius - urn(2)%radius) > 0.0_wp
-    if (.not. alike .or. urn(1)%shape /= shape_polygon) return
-    alike = size(urn(1)%corner, 2) == size(urn(2)%corner, 2)
-    if (alike) alike = .not. any(abs(urn(1)%corner - urn(2)%corner) > 0.0_wp)
-  end function alike
+    are_mirror_images = urn(1)%shape == urn(2)%shape .and. .not. abs(urn(1)%radius &
+      - urn(2)%radius) > 0.0_wp
+    if (.not. are_mirror_images .or. urn(1)%shape /= shape_polygon) return
+    are_mirror_images = size(urn(1)%corner, 2) == size(urn(2)%corner, 2)
+    if (are_mirror_images) are_mirror_images = .not. any(abs(urn(1)%corner - urn(2)%corner) &
+      > 0.0_wp)
+  end function are_mirror_images
 
   !> Whether a point that is in no channel is inside, or no farther than `tolerance` outside.
-  elemental function holds(urn, x, y, tolerance) result(inside)
+  elemental function contains_point(urn, x, y, tolerance) result(inside)
     type(urn_type), intent(in) :: urn
     !> In the frame of the urn, lengths.
     real(wp), intent(in) :: x, y, tolerance
@@ -97,11 +100,11 @@ contains
     case default
       inside = is_in_disc(urn%disc, x, y, tolerance)
     end select
-  end function holds
+  end function contains_point
 
   !> A point of the table from two numbers `across` and `up` uniform in [0, 1]; uniform in the urn
   !> where `inside`.
-  pure subroutine try_place(urn, across, up, x, y, inside)
+  pure subroutine try_random_point(urn, across, up, x, y, inside)
     type(urn_type), intent(in) :: urn
     real(wp), intent(in) :: across, up
     !> In the frame of the table, lengths.
@@ -112,45 +115,45 @@ contains
     case (shape_polygon)
       call try_point_in_polygon(urn%polygon, across, up, x, y, inside)
     case default
-      call try_point(urn%disc, across, up, x, y, inside)
+      call try_point_in_disc(urn%disc, across, up, x, y, inside)
     end select
-    x = urn%way*(x - urn%centre)
-  end subroutine try_place
+    x = urn%axis_sign*(x - urn%centre)
+  end subroutine try_random_point
 
   !> Whole visits of a batch: what they need and what they yield is told at `visits_type`.
-  subroutine cross(urn, visits)
+  subroutine compute_visits(urn, visits)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
 
     select case (urn%shape)
     case (shape_polygon)
-      call cross_polygons(urn%polygon, visits)
+      call compute_polygon_visits(urn%polygon, visits)
     case default
-      call cross_discs(urn%disc, visits)
+      call compute_disc_visits(urn%disc, visits)
     end select
-  end subroutine cross
+  end subroutine compute_visits
 
   !> The first impact of a particle that is in the urn, also if an opening is there: what
-  !> `place_in_visit` wants to know of one that never leaves.
-  pure subroutine first_impact(urn, x, y, ux, uy, at, along, across, wait, before)
+  !> `locate_in_visit` wants to know of one that never leaves.
+  pure subroutine first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     type(urn_type), intent(in) :: urn
     !> Place and velocity in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
-    !> What `visits_type` has as y, `along` and `across` then; the time until then.
-    real(wp), intent(out) :: at, along, across, wait
-    !> Wall hits that `place_in_visit` does not count from there on.
+    !> What `visits_type` has as y, `u_axial` and `u_lateral` then; the time until then.
+    real(wp), intent(out) :: at, u_axial, u_lateral, wait
+    !> Wall hits that `locate_in_visit` does not count from there on.
     integer(int64), intent(out) :: before
 
     select case (urn%shape)
     case (shape_polygon)
-      call first_impact_in_polygon(urn%polygon, x, y, ux, uy, at, along, across, wait, before)
+      call first_impact_in_polygon(urn%polygon, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     case default
-      call first_impact_in_disc(urn%disc, x, y, ux, uy, at, along, across, wait, before)
+      call first_impact_in_disc(urn%disc, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     end select
   end subroutine first_impact
 
   !> Where a particle is some time after it was somewhere in the urn; it has not left.
-  pure subroutine place_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
+  pure subroutine locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     !> Where it was: lengths, and a vector of length 1, in the frame of the urn.
     real(wp), intent(in) :: x, y, ux, uy
@@ -160,22 +163,23 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Of walls since then.
     integer(int64), intent(out) :: hits
-    real(wp) :: at, along, across, wait
+    real(wp) :: at, u_axial, u_lateral, wait
     integer(int64) :: before
 
-    call first_impact(urn, x, y, ux, uy, at, along, across, wait, before)
-    call place_in_visit(urn, no_channel, at, along, across, elapsed - wait, position, velocity, &
-      hits)
+    call first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
+    call locate_in_visit(urn, no_channel, at, u_axial, u_lateral, elapsed - wait, position, &
+      velocity, hits)
     hits = hits + before
-  end subroutine place_after
+  end subroutine locate_after
 
   !> Where a particle is at a time from what is known of an impact, or of the end of its visit.
-  pure subroutine place_in_visit(urn, channel, y, along, across, since, position, velocity, hits)
+  pure subroutine locate_in_visit(urn, channel, y, u_axial, u_lateral, since, position, velocity, &
+    hits)
     type(urn_type), intent(in) :: urn
-    !> The channel it leaves through then; `no_channel` or `goes_on`.
+    !> The channel it leaves through then; `no_channel` or `truncated`.
     integer, intent(in) :: channel
     !> Height, |u_x| and u_y there, or what `visits_type` has instead.
-    real(wp), intent(in) :: y, along, across
+    real(wp), intent(in) :: y, u_axial, u_lateral
     !> The time since then; below 0: until then. Who leaves has not left yet.
     real(wp), intent(in) :: since
     !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
@@ -185,14 +189,15 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      call place_in_polygon(urn%polygon, channel, y, along, across, since, position, velocity, hits)
+      call locate_in_polygon(urn%polygon, channel, y, u_axial, u_lateral, since, position, &
+        velocity, hits)
     case default
-      call place_in_disc(urn%disc, channel, y, along, across, since, position, velocity, hits)
+      call locate_in_disc(urn%disc, channel, y, u_axial, u_lateral, since, position, velocity, hits)
     end select
-  end subroutine place_in_visit
+  end subroutine locate_in_visit
 
   !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
-  pure subroutine aim(urn, from, x, y, ux, uy, next, wait)
+  pure subroutine find_next_wall(urn, from, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
     !> The channel on whose chord it is, or `no_channel`.
     integer, intent(in) :: from
@@ -203,14 +208,14 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      call aim_in_polygon(urn%polygon, from, x, y, ux, uy, next, wait)
+      call next_wall_in_polygon(urn%polygon, from, x, y, ux, uy, next, wait)
     case default
-      call aim_in_disc(urn%disc, from, x, y, ux, uy, next, wait)
+      call next_wall_in_disc(urn%disc, from, x, y, ux, uy, next, wait)
     end select
-  end subroutine aim
+  end subroutine find_next_wall
 
   !> Reflection from the wall `next`; then what is met `next`, after the time `wait`.
-  pure subroutine hit(urn, x, y, ux, uy, next, wait)
+  pure subroutine reflect_at_wall(urn, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
     !> Place and velocity in the frame of the urn.
     real(wp), intent(inout) :: x, y, ux, uy
@@ -219,15 +224,15 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      call hit_polygon(urn%polygon, x, y, ux, uy, next, wait)
+      call reflect_in_polygon(urn%polygon, x, y, ux, uy, next, wait)
     case default
-      call hit_disc(urn%disc, urn%shortest, x, y, ux, uy, next, wait)
+      call reflect_in_disc(urn%disc, urn%shortest, x, y, ux, uy, next, wait)
     end select
-  end subroutine hit
+  end subroutine reflect_at_wall
 
   !> Mirrors a particle in the wall that it is beyond, and reflects its velocity there, if it
   !> `was_beyond` one.
-  pure subroutine put_back(urn, x, y, ux, uy, was_beyond)
+  pure subroutine reflect_overshoot(urn, x, y, ux, uy, was_beyond)
     type(urn_type), intent(in) :: urn
     !> Place and velocity in the frame of the urn.
     real(wp), intent(inout) :: x, y, ux, uy
@@ -235,10 +240,10 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      call put_back_in_polygon(urn%polygon, x, y, ux, uy, was_beyond)
+      call reflect_overshoot_in_polygon(urn%polygon, x, y, ux, uy, was_beyond)
     case default
-      call put_back_in_disc(urn%disc, x, y, ux, uy, was_beyond)
+      call reflect_overshoot_in_disc(urn%disc, x, y, ux, uy, was_beyond)
     end select
-  end subroutine put_back
+  end subroutine reflect_overshoot
 
 end module battery_urn

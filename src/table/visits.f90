@@ -4,7 +4,8 @@ module battery_visits
   use battery_channel, only: gated, none => no_channel
   implicit none (type, external)
   private
-  public :: visits_type, reserve_visits, part_visits, together, no_channel, goes_on, many_hits
+  public :: visits_type, reserve_visits, split_visits_by_urn, together, no_channel, truncated, &
+    many_hits
 
   !> Particles that the kernels treat together.
   integer, parameter :: together = 4
@@ -14,7 +15,7 @@ module battery_visits
 
   !> In place of a channel: a visit of which only a part is known yet. What is told of it is that of
   !> a particle that never leaves, at the end of the part; `through` is half the part's length.
-  integer(int64), parameter :: goes_on = -1
+  integer(int64), parameter :: truncated = -1
 
   !> Whole visits with fewer wall hits in the urn than this are nowhere on the list of those with
   !> many.
@@ -27,7 +28,7 @@ module battery_visits
     integer, private :: room = -1
     !> Who, and in which urn (1 or 2) the visit is.
     integer, allocatable :: particle(:), urn(:)
-    !> In: when the particle entered the channel it comes from. Out of `leave_channels`: when it
+    !> In: when the particle entered the channel it comes from. Out of `cross_channels`: when it
     !> enters the urn.
     real(wp), allocatable :: time(:)
     !> When a gate turned it back in that channel; huge if none did. How long it has been in it.
@@ -36,13 +37,13 @@ module battery_visits
     integer(int64), allocatable :: channel(:)
     !> Out of `cross`: how long it would be in that channel, from end to end.
     real(wp), allocatable :: through(:)
-    !> Position in the local frame. In: y at the channel's entrance; out of `leave_channels` at the
+    !> Position in the local frame. In: y at the channel's entrance; out of `cross_channels` at the
     !> chord where the urn begins; out of `cross` on the chord where the urn ends.
     real(wp), allocatable :: x(:), y(:)
-    !> Velocity. In: |u_x| and u_y in the channel; out of `leave_channels` in the local frame; out
+    !> Velocity. In: |u_x| and u_y in the channel; out of `cross_channels` in the local frame; out
     !> of `cross` again |u_x| and u_y in the channel that is entered. For a particle that never
     !> leaves: cosine and sine of the incidence, and y is the angle of an impact.
-    real(wp), allocatable :: along(:), across(:)
+    real(wp), allocatable :: u_axial(:), u_lateral(:)
     !> Out of `cross`: length of the way through the urn; for one that never leaves, until the
     !> impact at angle y, before which it had `impacts` of them.
     real(wp), allocatable :: length(:)
@@ -86,7 +87,7 @@ contains
     visits = visits_type()
     visits%room = n
     allocate (visits%time(n), visits%passage(n), visits%turned(n), visits%through(n), visits%x(n), &
-      visits%y(n), visits%along(n), visits%across(n), visits%length(n), visits%hits(n), &
+      visits%y(n), visits%u_axial(n), visits%u_lateral(n), visits%length(n), visits%hits(n), &
       visits%px(n), visits%py(n), visits%zx(n), visits%zy(n), visits%steps(n), visits%c(n), &
       visits%s(n), visits%hit_x(n), visits%hit_y(n), visits%impacts(n), visits%first(n), &
       source=0.5_wp)
@@ -96,7 +97,7 @@ contains
   end subroutine make_room
 
   !> Those in urn 2 become a batch of their own: who, through which channel, and when turned back.
-  subroutine part_visits(visits, other)
+  subroutine split_visits_by_urn(visits, other)
     !> Before: all; after: those in urn 1.
     type(visits_type), intent(inout) :: visits
     !> Those in urn 2.
@@ -118,6 +119,6 @@ contains
     visits%channel(:kept) = pack(visits%channel(:n), .not. second)
     visits%turned(:kept) = pack(visits%turned(:n), .not. second)
     visits%count = kept
-  end subroutine part_visits
+  end subroutine split_visits_by_urn
 
 end module battery_visits

@@ -5,9 +5,9 @@ module differences
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type
   use battery_engine, only: particles_type
-  use battery_observer, only: observer_type, pass_observer
-  use battery_simulation, only: simulation_type, pass_simulation
-  use battery_stream, only: stream_type, new_stream
+  use battery_observer, only: observer_type, serialize_observer
+  use battery_simulation, only: simulation_type, serialize_simulation
+  use battery_archive, only: archive_type, new_archive
   use battery_text, only: to_text
   use scenes, only: same_bits
   use engine_runs, only: log_type
@@ -115,14 +115,14 @@ contains
     type(observer_type), intent(in) :: a, b
     character(len=:), allocatable :: text
     type(observer_type) :: one, other
-    type(stream_type) :: first, second
+    type(archive_type) :: first, second
 
     one = a
     other = b
-    first = new_stream()
-    second = new_stream()
-    call pass_observer(one, first)
-    call pass_observer(other, second)
+    first = new_archive()
+    second = new_archive()
+    call serialize_observer(one, first)
+    call serialize_observer(other, second)
     text = of_words(first%word(:first%length), second%word(:second%length))
     if (text /= '') text = 'observers, '//text//', times '//to_text(a%time)//' and ' &
       //to_text(b%time)//', entries '//to_text(a%entries)//' and '//to_text(b%entries)
@@ -148,7 +148,7 @@ contains
     type(simulation_type), intent(inout) :: a, b
     character(len=:), allocatable :: text
     type(particles_type) :: here, there
-    type(stream_type) :: first, second
+    type(archive_type) :: first, second
     type(error_type), allocatable :: error
     integer(int64) :: hits(2)
 
@@ -158,10 +158,10 @@ contains
     if (text == '' .and. hits(1) /= hits(2)) text = to_text(hits(1))//' and '//to_text(hits(2)) &
       //' collisions'
     if (text /= '') return
-    first = new_stream()
-    second = new_stream()
-    call pass_simulation(a, a%setup, first, error)
-    if (.not. allocated(error)) call pass_simulation(b, b%setup, second, error)
+    first = new_archive()
+    second = new_archive()
+    call serialize_simulation(a, a%setup, first, error)
+    if (.not. allocated(error)) call serialize_simulation(b, b%setup, second, error)
     if (allocated(error)) then
       text = error%message
       return

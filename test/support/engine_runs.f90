@@ -5,8 +5,8 @@ module engine_runs
   use battery_engine, only: engine_type, particles_type
   use battery_engines, only: new_engine
   use battery_error, only: error_type
-  use battery_history, only: history_type
-  use battery_stream, only: stream_type, new_stream, stream_of
+  use battery_event_record, only: event_record_type
+  use battery_archive, only: archive_type, new_archive, archive_of
   implicit none (type, external)
   private
   public :: begin, log_type, run_for, totals_of, tally, make_room, note
@@ -53,53 +53,53 @@ contains
     real(wp), intent(in) :: duration
     type(log_type), intent(inout) :: log
     real(wp), intent(in), optional :: step
-    type(history_type) :: history
+    type(event_record_type) :: event_record
     real(wp) :: rest, began
 
     call make_room(log, 0)
-    history%logging = .true.
+    event_record%logging = .true.
     began = log%elapsed
     rest = duration
     do while (rest > 16.0_wp*epsilon(1.0_wp)*(began + duration))
       if (present(step)) rest = min(rest, step)
-      call engine%advance(rest, history)
-      call tally(history, engine%number, log)
+      call engine%advance(rest, event_record)
+      call tally(event_record, engine%number, log)
       rest = duration - (log%elapsed - began)
     end do
   end subroutine run_for
 
   !> Adds one window to the log.
-  subroutine tally(history, number, log)
-    type(history_type), intent(in) :: history
+  subroutine tally(event_record, number, log)
+    type(event_record_type), intent(in) :: event_record
     integer, intent(in) :: number
     type(log_type), intent(inout) :: log
     integer :: i, n
     real(wp) :: before
 
-    n = history%events
+    n = event_record%events
     if (n > 0) call append_events()
     before = 0.0_wp
-    do i = 1, history%crossings
-      log%spread = log%spread + (history%crossing_time(i) - before)*abs(2*log%first - number)
-      before = history%crossing_time(i)
-      log%first = log%first + merge(1, -1, modulo(int(history%crossing(i)), 2) == 0)
-      log%crossings(history%crossing(i)) = log%crossings(history%crossing(i)) + 1
+    do i = 1, event_record%crossings
+      log%spread = log%spread + (event_record%crossing_time(i) - before)*abs(2*log%first - number)
+      before = event_record%crossing_time(i)
+      log%first = log%first + merge(1, -1, modulo(int(event_record%crossing(i)), 2) == 0)
+      log%crossings(event_record%crossing(i)) = log%crossings(event_record%crossing(i)) + 1
     end do
-    log%spread = log%spread + (history%duration - before)*abs(2*log%first - number)
-    log%elapsed = log%elapsed + history%duration
+    log%spread = log%spread + (event_record%duration - before)*abs(2*log%first - number)
+    log%elapsed = log%elapsed + event_record%duration
     log%windows = log%windows + 1
-    log%collisions = log%collisions + history%collisions
-    log%reversals = log%reversals + sum(history%reversals)
-    log%bounce_backs = log%bounce_backs + history%bounce_backs
+    log%collisions = log%collisions + event_record%collisions
+    log%reversals = log%reversals + sum(event_record%reversals)
+    log%bounce_backs = log%bounce_backs + event_record%bounce_backs
 
   contains
 
     subroutine append_events()
       call make_room(log, log%events + n)
-      log%time(log%events + 1:log%events + n) = log%elapsed + history%event_time(:n)
-      log%kind(log%events + 1:log%events + n) = history%event_kind(:n)
-      log%where(log%events + 1:log%events + n) = history%event_where(:n)
-      log%particle(log%events + 1:log%events + n) = history%event_particle(:n)
+      log%time(log%events + 1:log%events + n) = log%elapsed + event_record%event_time(:n)
+      log%kind(log%events + 1:log%events + n) = event_record%event_kind(:n)
+      log%where(log%events + 1:log%events + n) = event_record%event_where(:n)
+      log%particle(log%events + 1:log%events + n) = event_record%event_particle(:n)
       log%events = log%events + n
     end subroutine append_events
 
@@ -149,11 +149,11 @@ contains
   !> The state of an engine, written and ready to be read.
   subroutine save_engine(engine, state)
     class(engine_type), intent(inout) :: engine
-    type(stream_type), intent(out) :: state
+    type(archive_type), intent(out) :: state
 
-    state = new_stream()
-    call engine%pass_state(engine%table, engine%gate%threshold, state)
-    state = stream_of(state%word(:state%length))
+    state = new_archive()
+    call engine%serialize_state(engine%table, engine%gate%threshold, state)
+    state = archive_of(state%word(:state%length))
   end subroutine save_engine
 
   !> An engine that goes on from a state; step and seed are set already.
@@ -161,12 +161,12 @@ contains
     class(engine_type), intent(inout) :: engine
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold
-    type(stream_type), intent(in) :: state
-    type(stream_type) :: stream
+    type(archive_type), intent(in) :: state
+    type(archive_type) :: archive
 
-    stream = state
-    call engine%pass_state(table, [threshold, threshold], stream)
-    if (stream%failed()) error stop 'a state was not restored'
+    archive = state
+    call engine%serialize_state(table, [threshold, threshold], archive)
+    if (archive%failed()) error stop 'a state was not restored'
   end subroutine restore_engine
 
 end module engine_runs

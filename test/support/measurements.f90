@@ -2,7 +2,7 @@
 module measurements
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp
-  use battery_observer, only: observer_type, measure
+  use battery_observer, only: observer_type, get_measured
   use battery_quantities, only: measured_type, new_measured, averaged_quantities, place_of
   implicit none (type, external)
   private
@@ -16,7 +16,7 @@ contains
     type(measured_type) :: averages
 
     averages = new_measured()
-    call measure(observer, averages)
+    call get_measured(observer, averages)
   end function seen_by
 
   !> The average of a quantity.

@@ -3,7 +3,7 @@ module plain_way
   use battery_kinds, only: wp, dp, int64
   use battery_table, only: table_type, chamber_at, side_at, in_urn, in_gate, x_direction
   use battery_engine, only: particles_type
-  use battery_history, only: event_entry, event_reversal, event_crossing1, event_crossing2
+  use battery_event_record, only: event_entry, event_reversal, event_crossing1, event_crossing2
   use engine_runs, only: log_type, make_room, note
   implicit none (type, external)
   private

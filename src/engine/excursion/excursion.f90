@@ -10,29 +10,29 @@
 !> until then follows by going back from there, or forwards from where a long visit began.
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: gated, ungated, side_at, alike, mean_visit, shortest_excursion, &
-    is_scattered
-  use battery_flight, only: gather, never, to_gate, to_return, in_gate, &
-    parked_in_urn, parked_in_channel, in_parts
-  use battery_launch, only: launch, lay_out, date_back
+  use battery_table, only: gated, ungated, side_at, are_mirror_images, mean_visit, &
+    shortest_excursion, is_scattered
+  use battery_flight, only: load_flights, never, to_gate, to_return, counted_in_gate, &
+    parked_in_urn, parked_in_channel, partial_visit
+  use battery_initial_flight, only: make_initial_flight, allocate_flights, date_back_flight
   use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
-    keep_beginnings, land, set_back_long
-  use battery_few, only: walk_few, few
-  use battery_foresight, only: pays, recall
+    keep_beginnings, store_flights, rebase_long_visits
+  use battery_serial_window, only: run_serial_window, longest_serial_window
+  use battery_lookahead, only: lookahead_pays, take_computed_visits
   use battery_scattered_sides, only: sides_type, new_sides
-  use battery_chamber, only: leave_channels
+  use battery_chamber, only: cross_channels
   use battery_scatterers, only: narrowest_gap
-  use battery_urn, only: cross
-  use battery_parts, only: set_apart, compute_parts
-  use battery_visits, only: visits_type, reserve_visits, part_visits, goes_on
-  use battery_gate, only: enter, admit, number_inside, first_crossing
-  use battery_window, only: window_type, reserve_window, deal, line_up, read_ticket, write_log, &
-    record_crossings
-  use battery_calendar, only: calendar_type, flight_type, new_calendar, page_for, &
-    schedule, schedule_all, open_until, next_due, due_before, drop_done, turn_calendar
-  use battery_engine, only: engine_type, particles_type, turn_clock
-  use battery_history, only: history_type, reserve_history
-  use battery_stream, only: stream_type
+  use battery_urn, only: compute_visits
+  use battery_partial_visits, only: split_off_partial_visits, compute_partial_visits
+  use battery_visits, only: visits_type, reserve_visits, split_visits_by_urn, truncated
+  use battery_gate, only: enter_gate, admit_entries, number_inside, first_crossing_time
+  use battery_batch_window, only: window_type, reserve_batch_window, partition_events, &
+    sort_crossings, decode_crossing_order, record_logged_events, record_crossings
+  use battery_calendar, only: calendar_type, flight_type, new_calendar, epoch_for, &
+    schedule, schedule_all, open_until, next_due, due_before, drop_done, rebase_calendar
+  use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock
+  use battery_event_record, only: event_record_type, reserve_event_record
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
   public :: excursion_type
@@ -62,17 +62,18 @@ module battery_excursion
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> How many visits are known in part; those that are gone on with now, when and who.
-    integer :: parts = 0, others = 0
-    real(wp), allocatable :: other_time(:)
-    integer, allocatable :: other(:)
-    type(visits_type) :: partial
+    integer :: partial_count = 0, resumed_count = 0
+    real(wp), allocatable :: resumed_time(:)
+    integer, allocatable :: resumed(:)
+    type(visits_type) :: partial_visits
     !> How those began that are long; where discs stand in channel 2 `sides` knows that of all.
     type(long_visits_type) :: long_visits
     !> Wall hits of all visits and passages computed so far, those still to come included, and what
     !> histories have told of them.
-    integer(int64) :: known_hits = 0, told_hits = 0
+    integer(int64) :: computed_hits = 0, reported_hits = 0
   contains
-    procedure :: prepare, take_over, live, turn_page, pass_own, state_of, collisions, trapped
+    procedure :: prepare_engine, load_particles, advance_window, rebase_clock, &
+      serialize_own_state, state_of, collisions, trapped
   end type excursion_type
 
   !> Where discs stand in channel 2 a window has no more hits of one particle in a narrow gap,
@@ -100,37 +101,37 @@ module battery_excursion
       integer(int64) :: total
     end function trapped
 
-    module subroutine pass_own(self, stream)
+    module subroutine serialize_own_state(self, archive)
       implicit none (type, external)
       class(excursion_type), intent(inout) :: self
-      type(stream_type), intent(inout) :: stream
-    end subroutine pass_own
+      type(archive_type), intent(inout) :: archive
+    end subroutine serialize_own_state
   end interface
 
   ! Where discs stand in channel 2: `excursion_scattered.f90`.
   interface
-    module subroutine take_over_scattered(self, particles)
+    module subroutine load_particles_scattered(self, particles)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
       type(particles_type), intent(inout) :: particles
-    end subroutine take_over_scattered
+    end subroutine load_particles_scattered
 
-    module subroutine go_scattered(self, began, ends, history)
+    module subroutine compute_scattered_visits(self, began, ends, event_record)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
       !> The window.
       real(wp), intent(in) :: began, ends
-      type(history_type), intent(inout) :: history
-    end subroutine go_scattered
+      type(event_record_type), intent(inout) :: event_record
+    end subroutine compute_scattered_visits
   end interface
 
 contains
 
   !> Sizes and lengths that follow from the table and the number of particles.
-  subroutine prepare(self)
+  subroutine prepare_engine(self)
     class(excursion_type), intent(inout) :: self
 
-    self%batches = merge(1, 2, alike(self%table%urn))
+    self%batches = merge(1, 2, are_mirror_images(self%table%urn))
     self%interval = 0.5_wp*(mean_visit(self%table%urn(1)) + mean_visit(self%table%urn(2))) &
       + 0.25_wp*pi*self%table%channel(gated)%length
     self%lookahead = shortest_excursion(self%table)
@@ -142,37 +143,37 @@ contains
         *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
     end if
     self%looks_ahead = self%batches == 1 .and. .not. self%scattered .and. &
-      pays(real(self%number, wp)*self%lookahead/self%interval, self%gate%threshold)
+      lookahead_pays(real(self%number, wp)*self%lookahead/self%interval, self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
-    call lay_out(self%flight, self%number)
+    call allocate_flights(self%flight, self%number)
     call new_long_visits(self%long_visits, self%number, maxval(self%table%urn%reach))
-    self%known_hits = 0
-    self%told_hits = 0
-    self%parts = 0
-    self%page = page_for(self%interval)
-  end subroutine prepare
+    self%computed_hits = 0
+    self%reported_hits = 0
+    self%partial_count = 0
+    self%epoch = epoch_for(self%interval)
+  end subroutine prepare_engine
 
   !> Takes over the particles, and writes down their first events.
-  subroutine take_over(self, particles)
+  subroutine load_particles(self, particles)
     class(excursion_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
     integer :: i
 
     if (self%scattered) then
-      call take_over_scattered(self, particles)
+      call load_particles_scattered(self, particles)
     else
-      call take_over_straight(self, particles)
+      call load_particles_straight(self, particles)
     end if
     if (any(self%flight%heading == parked_in_channel)) self%parked_x = particles%x
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
-      call write_down(self, i)
+      call schedule_next_event(self, i)
     end do
-  end subroutine take_over
+  end subroutine load_particles
 
   !> First those in the urns, then those in the channels.
-  subroutine take_over_straight(self, particles)
+  subroutine load_particles_straight(self, particles)
     type(excursion_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
     integer :: first, i, j, k, b
@@ -186,28 +187,28 @@ contains
         end do
         do i = first, min(first + start_chunk - 1, self%number)
           b = min(side_at(self%table, particles%x(i)), self%batches)
-          call launch(self%table, i, particles%x(i), particles%y(i), particles%ux(i), &
-            particles%uy(i), from_channels, self%flight(i), self%visits(b), self%known_hits)
+          call make_initial_flight(self%table, i, particles%x(i), particles%y(i), particles%ux(i), &
+            particles%uy(i), from_channels, self%flight(i), self%visits(b), self%computed_hits)
         end do
         do b = 1, self%batches
-          if (from_channels) call leave_channels(self%table%urn(b), self%visits(b))
-          call cross_urn(self, b)
+          if (from_channels) call cross_channels(self%table%urn(b), self%visits(b))
+          call compute_urn_visits(self, b)
           associate (v => self%visits(b))
             do j = 1, v%count
               if (.not. is_long_visit(self%long_visits%least, v%channel(j), v%length(j))) cycle
               i = v%particle(j)
-              call date_back(self%table, particles%x(i), particles%y(i), particles%ux(i), &
+              call date_back_flight(self%table, particles%x(i), particles%y(i), particles%ux(i), &
                 particles%uy(i), self%flight(i), v%hits(j))
             end do
           end associate
-          call go_on(self, b)
+          call store_batch_flights(self, b)
         end do
       end do
     end do
-  end subroutine take_over_straight
+  end subroutine load_particles_straight
 
   !> Puts the next event of a particle into the calendar, or, inside a gate, lets that count it.
-  subroutine write_down(self, i)
+  subroutine schedule_next_event(self, i)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: i
 
@@ -217,185 +218,188 @@ contains
         call schedule(self%calendar, self%flight, i, flight%time)
       case (to_return)
         call schedule(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
-      case (in_parts)
+      case (partial_visit)
         call schedule(self%calendar, self%flight, i, flight%time - flight%through)
-      case (in_gate)
-        call enter(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
+      case (counted_in_gate)
+        call enter_gate(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
       case default
         continue
       end select
     end associate
-  end subroutine write_down
+  end subroutine schedule_next_event
 
   !> Visits of a batch: from the urn's entrance to its exit.
-  subroutine cross_urn(self, b)
+  subroutine compute_urn_visits(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      call cross(self%table%urn(b), v)
-      self%known_hits = self%known_hits + v%all_hits
+      call compute_visits(self%table%urn(b), v)
+      self%computed_hits = self%computed_hits + v%all_hits
     end associate
-  end subroutine cross_urn
+  end subroutine compute_urn_visits
 
   !> Writes down how the particles of a batch go on.
-  subroutine go_on(self, b)
+  subroutine store_batch_flights(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
       if (v%many_count > 0) call keep_beginnings(self%long_visits, self%number, &
         self%flight, v)
-      call land(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, v%length, &
-        v%y, v%along, v%across, v%through)
-      if (self%table%urn(b)%hands_on) self%parts = self%parts &
-        + count(v%channel(:v%count) == goes_on)
+      call store_flights(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, &
+        v%length, v%y, v%u_axial, v%u_lateral, v%through)
+      if (self%table%urn(b)%truncates_visits) self%partial_count = self%partial_count &
+        + count(v%channel(:v%count) == truncated)
     end associate
-  end subroutine go_on
+  end subroutine store_batch_flights
 
   !> One window of at most the time `duration`: its events, then the visits that they begin.
-  subroutine live(self, duration, history)
+  subroutine advance_window(self, duration, event_record)
     class(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: duration
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp) :: began, limit, ends, due
     integer :: due_now, done, counted(2)
 
     began = self%now
-    limit = min(self%now + duration, self%page)
-    call next_due(self%calendar, self%flight, min(limit, first_crossing(self%gate)), due)
+    limit = min(self%now + duration, self%epoch)
+    call next_due(self%calendar, self%flight, min(limit, first_crossing_time(self%gate)), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
     call open_until(self%calendar, self%flight, ends)
     due_now = due_before(self%calendar%sorted, self%calendar%due_time, ends)
     done = due_now
-    self%others = 0
-    if (self%parts > 0 .or. self%scattered) call set_apart(self%number, self%flight, &
-      self%calendar%due_time, self%calendar%particle, done, self%others, self%other_time, &
-      self%other)
+    self%resumed_count = 0
+    if (self%partial_count > 0 .or. self%scattered) call split_off_partial_visits(self%number, &
+      self%flight, self%calendar%due_time, self%calendar%particle, done, self%resumed_count, &
+      self%resumed_time, self%resumed)
     counted = number_inside(self%gate)
     call reserve_visits(self%visits(1), done + sum(counted))
-    call reserve_history(history, done + sum(counted), 0)
-    if (done <= few) then
-      call walk_few(self%gate, self%table%beyond, self%flight, self%calendar, done, began, ends, &
-        self%visits(1), history, self%known_hits)
+    call reserve_event_record(event_record, done + sum(counted), 0)
+    if (done <= longest_serial_window) then
+      call run_serial_window(self%gate, self%table%beyond, self%flight, self%calendar, done, &
+        began, ends, self%visits(1), event_record, self%computed_hits)
     else
-      call reserve_window(self%events, done, counted)
-      call walk(self, began, ends, done, history)
+      call reserve_batch_window(self%events, done, counted)
+      call run_batch_window(self, began, ends, done, event_record)
     end if
     call drop_done(self%calendar, due_now)
     if (self%scattered) then
-      call go_scattered(self, began, ends, history)
+      call compute_scattered_visits(self, began, ends, event_record)
     else
-      if (self%others > 0) call go_on_with_parts(self)
-      call go_straight(self)
+      if (self%resumed_count > 0) call continue_partial_visits(self)
+      call compute_straight_visits(self)
     end if
     self%now = ends
-    history%duration = ends - began
-    history%collisions = self%known_hits - self%told_hits
-    self%told_hits = self%known_hits
-  end subroutine live
+    event_record%duration = ends - began
+    event_record%collisions = self%computed_hits - self%reported_hits
+    self%reported_hits = self%computed_hits
+  end subroutine advance_window
 
   !> The visits of a window.
-  subroutine go_straight(self)
+  subroutine compute_straight_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: b
 
-    if (self%batches == 2) call part_visits(self%visits(1), self%visits(2))
+    if (self%batches == 2) call split_visits_by_urn(self%visits(1), self%visits(2))
     do b = 1, self%batches
       associate (v => self%visits(b))
-        if (self%looks_ahead .and. self%parts == 0) then
-          call recall(self%table%urn(1), self%number, self%flight, self%calendar%sorted, &
-            self%calendar%particle, v, self%visits(2), self%known_hits)
+        if (self%looks_ahead .and. self%partial_count == 0) then
+          call take_computed_visits(self%table%urn(1), self%number, self%flight, &
+            self%calendar%sorted, self%calendar%particle, v, self%visits(2), self%computed_hits)
         else
           if (self%looks_ahead) self%visits(2)%count = 0
-          call gather(self%number, self%flight, v%count, v%particle, v%turned, v%passage, v%time, &
-            v%y, v%along, v%across)
-          call leave_channels(self%table%urn(b), v)
-          call cross_urn(self, b)
+          call load_flights(self%number, self%flight, v%count, v%particle, v%turned, v%passage, &
+            v%time, v%y, v%u_axial, v%u_lateral)
+          call cross_channels(self%table%urn(b), v)
+          call compute_urn_visits(self, b)
         end if
-        call go_on(self, b)
+        call store_batch_flights(self, b)
         call schedule_all(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
-  end subroutine go_straight
+  end subroutine compute_straight_visits
 
   !> Goes on with visits of which a part is known.
-  subroutine go_on_with_parts(self)
+  subroutine continue_partial_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: side
 
     do side = 1, 2
-      associate (v => self%partial)
-        call compute_parts(self%table%urn(side), side, self%number, self%flight, self%others, &
-          self%other_time, self%other, v, self%long_visits, self%known_hits)
-        self%parts = self%parts - v%count + count(v%channel(:v%count) == goes_on)
+      associate (v => self%partial_visits)
+        call compute_partial_visits(self%table%urn(side), side, self%number, self%flight, &
+          self%resumed_count, self%resumed_time, self%resumed, v, self%long_visits, &
+          self%computed_hits)
+        self%partial_count = self%partial_count - v%count + count(v%channel(:v%count) == truncated)
         call schedule_all(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
-  end subroutine go_on_with_parts
+  end subroutine continue_partial_visits
 
   !> Sets back the calendar, the flights and the clock.
-  subroutine turn_page(self)
+  subroutine rebase_clock(self)
     class(excursion_type), intent(inout) :: self
 
-    call turn_calendar(self%calendar, self%flight)
+    call rebase_calendar(self%calendar, self%flight)
     if (self%looks_ahead) self%visits(2)%count = 0
-    if (self%scattered) self%sides%begun%time = self%sides%begun%time - self%page
-    self%flight%time = self%flight%time - self%page
-    call set_back_long(self%long_visits, self%page)
-    call turn_clock(self)
-  end subroutine turn_page
+    if (self%scattered) self%sides%visit_start%time = self%sides%visit_start%time - self%epoch
+    self%flight%time = self%flight%time - self%epoch
+    call rebase_long_visits(self%long_visits, self%epoch)
+    call rebase_gates_and_clock(self)
+  end subroutine rebase_clock
 
   !> All events before `ends`, the first `events` of the sorted ones and the crossings of the middle
   !> line; gathers the visits that they begin. The gates do not meet: what the entries into one lead
   !> to has nothing to do with the other.
-  subroutine walk(self, began, ends, events, history)
+  subroutine run_batch_window(self, began, ends, events, event_record)
     class(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: began, ends
     integer, intent(in) :: events
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     integer :: urn, before, crossed, crossed_before, from_gate(2)
 
     associate (v => self%visits(1), w => self%events, due => self%calendar%due_time, &
       particle => self%calendar%particle)
-      call deal(self%number, self%flight, events, due, particle, size(w%ticket), w%dealt, w%due, &
-        w%middle, w%particle)
+      call partition_events(self%number, self%flight, events, due, particle, &
+        size(w%crossing_order), w%partition_count, w%due, w%middle, w%particle)
       crossed = 0
       do urn = 1, 2
         before = v%count
         crossed_before = crossed
-        call admit(self%gate(urn), w%stretch(urn), w%dealt(urn), w%due(:, urn), w%middle(:, urn), &
-          w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, w%ticket, &
-          w%crossing_time)
+        call admit_entries(self%gate(urn), w%stretch(urn), w%partition_count(urn), w%due(:, urn), &
+          w%middle(:, urn), w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, &
+          w%crossing_order, w%crossing_time)
         v%urn(before + 1:v%count) = urn
         v%channel(before + 1:v%count) = gated
         from_gate(urn) = crossed - crossed_before
-        if (self%table%beyond(urn) == urn) self%known_hits = self%known_hits + from_gate(urn)
+        if (self%table%beyond(urn) == urn) self%computed_hits = self%computed_hits + from_gate(urn)
       end do
-      call line_up(w, from_gate(1), from_gate(2))
-      if (history%logging) then
-        call write_log(w, self%number, self%flight, began, events, due, particle, history)
+      call sort_crossings(w, from_gate(1), from_gate(2))
+      if (event_record%logging) then
+        call record_logged_events(w, self%number, self%flight, began, events, due, particle, &
+          event_record)
       else
-        history%reversals = w%stretch%reversals
-        history%bounce_backs = v%count
-        call record_crossings(w, self%number, self%flight, began, history)
+        event_record%reversals = w%stretch%reversals
+        event_record%bounce_backs = v%count
+        call record_crossings(w, self%number, self%flight, began, event_record)
       end if
-      call send(self, w%crossings, w%ticket)
+      call add_crossing_visits(self, w%crossings, w%crossing_order)
     end associate
-  end subroutine walk
+  end subroutine run_batch_window
 
   !> Puts those who have crossed a line into the batch: they go straight to the urn beyond.
-  pure subroutine send(self, crossings, ticket)
+  pure subroutine add_crossing_visits(self, crossings, crossing_order)
     class(excursion_type), intent(inout) :: self
     integer, intent(in) :: crossings
     !> As in `window_type`.
-    integer, intent(in) :: ticket(crossings)
+    integer, intent(in) :: crossing_order(crossings)
     integer :: k, count, particle, from, channel
 
     associate (v => self%visits(1))
       count = v%count
       do k = 1, crossings
-        call read_ticket(self%number, self%flight, ticket(k), particle, from, channel)
+        call decode_crossing_order(self%number, self%flight, crossing_order(k), particle, from, &
+          channel)
         v%particle(count + k) = particle
         v%urn(count + k) = self%table%beyond(from)
         v%channel(count + k) = channel
@@ -403,6 +407,6 @@ contains
       end do
       v%count = count + crossings
     end associate
-  end subroutine send
+  end subroutine add_crossing_visits
 
 end module battery_excursion

@@ -1,9 +1,9 @@
 !> What the engine `excursion` tells of itself, and how its state is kept.
 submodule (battery_excursion) battery_excursion_state
-  use battery_scattered_sides, only: replay, pass_begun
-  use battery_flight, only: locate, locate_parked
-  use battery_long_visits, only: goes_forwards, locate_forwards, pass_long
-  use battery_scatterers, only: comes_back
+  use battery_scattered_sides, only: locate_by_replay, serialize_visit_starts
+  use battery_flight, only: locate_particle, locate_parked_particle
+  use battery_long_visits, only: is_nearer_start, locate_from_start, serialize_long_visits
+  use battery_scatterers, only: detect_periodic_path
   use battery_table, only: chamber_at, in_return
   implicit none (type, external)
 
@@ -16,8 +16,8 @@ contains
     call locate_now(self, i, state, hits)
   end procedure state_of
 
-  !> The same, from the nearer end of its visit, and by how many wall hits `known_hits` is short for
-  !> it.
+  !> The same, from the nearer end of its visit, and by how many wall hits `computed_hits` is short
+  !> for it.
   subroutine locate_now(self, i, state, hits)
     type(excursion_type), intent(in) :: self
     integer, intent(in) :: i
@@ -26,18 +26,18 @@ contains
 
     associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
       if (flight%heading == parked_in_channel) then
-        call locate_parked(urn, flight, self%parked_x(i), self%now, state, hits)
-      else if (self%scattered .and. flight%heading /= in_gate &
+        call locate_parked_particle(urn, flight, self%parked_x(i), self%now, state, hits)
+      else if (self%scattered .and. flight%heading /= counted_in_gate &
         .and. (flight%heading /= to_gate .or. self%now < flight%time)) then
-        call replay(self%table, self%sides%begun(i), self%now, state, hits)
+        call locate_by_replay(self%table, self%sides%visit_start(i), self%now, state, hits)
       else
-        if (goes_forwards(self%long_visits, flight, self%now)) then
-          call locate_forwards(self%long_visits, urn, i, self%now, state(:2), state(3:), hits)
+        if (is_nearer_start(self%long_visits, flight, self%now)) then
+          call locate_from_start(self%long_visits, urn, i, self%now, state(:2), state(3:), hits)
         else
-          call locate(urn, flight, self%now, state(:2), state(3:), hits)
+          call locate_particle(urn, flight, self%now, state(:2), state(3:), hits)
         end if
-        state(1) = urn%way*(state(1) - urn%centre)
-        state(3) = urn%way*state(3)
+        state(1) = urn%axis_sign*(state(1) - urn%centre)
+        state(3) = urn%axis_sign*state(3)
       end if
     end associate
   end subroutine locate_now
@@ -48,7 +48,7 @@ contains
     integer(int64) :: hits
     integer :: i
 
-    total = self%known_hits
+    total = self%computed_hits
     do i = 1, self%number
       call locate_now(self, i, state, hits)
       total = total + hits
@@ -66,48 +66,48 @@ contains
       parked_in_channel)
     if (.not. self%scattered) return
     do i = 1, self%number
-      if (self%flight(i)%heading /= in_parts) cycle
+      if (self%flight(i)%heading /= partial_visit) cycle
       call locate_now(self, i, state, hits)
       if (chamber_at(self%table, state(1), state(2), huge(1.0_wp)) /= in_return) cycle
       associate (urn => self%table%urn(self%flight(i)%urn))
-        call comes_back(self%table%scattered(self%flight(i)%urn), urn%periodic_line &
-          + urn%way*state(1), state(2), urn%way*state(3), state(4), yes)
+        call detect_periodic_path(self%table%scattered(self%flight(i)%urn), urn%periodic_line &
+          + urn%axis_sign*state(1), state(2), urn%axis_sign*state(3), state(4), yes)
       end associate
       if (yes) total = total + 1
     end do
   end procedure trapped
 
   !> The flights and counts, through a stream; the calendar follows from the flights.
-  module procedure pass_own
+  module procedure serialize_own_state
     integer :: i
 
-    ! In a state x of who is parked in a channel stands with `along`.
-    if (allocated(self%parked_x) .and. .not. stream%reading) then
-      where (self%flight%heading == parked_in_channel) self%flight%along = self%parked_x
+    ! In a state x of who is parked in a channel stands with `u_axial`.
+    if (allocated(self%parked_x) .and. .not. archive%reading) then
+      where (self%flight%heading == parked_in_channel) self%flight%u_axial = self%parked_x
     end if
-    call stream%pass('known_hits', self%known_hits)
-    call stream%pass('told_hits', self%told_hits)
-    call stream%pass('heading', self%flight%heading)
-    call stream%pass('urn', self%flight%urn)
-    call stream%pass('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
-    call stream%pass('along', self%flight%along, 'across', self%flight%across, &
+    call archive%serialize('known_hits', self%computed_hits)
+    call archive%serialize('told_hits', self%reported_hits)
+    call archive%serialize('heading', self%flight%heading)
+    call archive%serialize('urn', self%flight%urn)
+    call archive%serialize('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
+    call archive%serialize('along', self%flight%u_axial, 'across', self%flight%u_lateral, &
       'length', self%flight%length, 'through', self%flight%through)
     if (any(self%flight%heading == parked_in_channel)) then
-      self%parked_x = self%flight%along
-      where (self%flight%heading == parked_in_channel) self%flight%along = 0.0_wp
+      self%parked_x = self%flight%u_axial
+      where (self%flight%heading == parked_in_channel) self%flight%u_axial = 0.0_wp
     end if
     if (self%scattered) then
-      call pass_begun(self%sides, self%flight%urn, stream)
+      call serialize_visit_starts(self%sides, self%flight%urn, archive)
     else
-      call pass_long(self%long_visits, self%flight, stream)
+      call serialize_long_visits(self%long_visits, self%flight, archive)
     end if
-    if (.not. stream%reading .or. stream%failed()) return
-    self%parts = merge(0, count(self%flight%heading == in_parts), self%scattered)
+    if (.not. archive%reading .or. archive%failed()) return
+    self%partial_count = merge(0, count(self%flight%heading == partial_visit), self%scattered)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
-      if (any(self%flight(i)%heading == [to_gate, to_return, in_parts])) &
+      if (any(self%flight(i)%heading == [to_gate, to_return, partial_visit])) &
         call schedule(self%calendar, self%flight, i, self%flight(i)%due)
     end do
-  end procedure pass_own
+  end procedure serialize_own_state
 
 end submodule battery_excursion_state

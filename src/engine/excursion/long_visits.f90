@@ -12,14 +12,15 @@ module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_calendar, only: flight_type
   use battery_channel, only: fold, gated, ungated, facing, no_channel
-  use battery_flight, only: never, to_gate, to_return, parked_in_urn, in_parts, go_back_to_channel
-  use battery_stream, only: stream_type
-  use battery_urn, only: urn_type, place_in_visit, place_after
-  use battery_visits, only: visits_type, goes_on
+  use battery_flight, only: never, to_gate, to_return, parked_in_urn, partial_visit, &
+    trace_back_into_channel
+  use battery_archive, only: archive_type
+  use battery_urn, only: urn_type, locate_in_visit, locate_after
+  use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
   public :: long_visits_type, new_long_visits, is_long_visit, keep_beginnings, &
-    land, goes_forwards, locate_forwards, set_back_long, pass_long
+    store_flights, is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
 
   !> A visit is long from so many times the reach of its urn on: going back through half of it costs
   !> no more than some 1e-13. One with fewer than `many_hits` hits has at most that many chords and
@@ -28,10 +29,10 @@ module battery_long_visits
 
   !> How a visit began: a line of the cache.
   type :: entry_type
-    !> As the flight had it. Heading `in_gate` or `to_return`: how the particle entered the channel
-    !> before the urn. `in_parts`: when it had an impact in the urn, with what `visits_type` tells
-    !> of one that never leaves.
-    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp, through = 0.0_wp
+    !> As the flight had it. Heading `counted_in_gate` or `to_return`: how the particle entered the
+    !> channel before the urn. `partial_visit`: when it had an impact in the urn, with what
+    !> `visits_type` tells of one that never leaves.
+    real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
     !> When a gate turned it back in the channel, or `never`.
     real(wp) :: turned = never
     !> Wall hits in that channel and of the whole visit; after an impact, those since then.
@@ -81,22 +82,22 @@ contains
   end function is_long_visit
 
   !> Whether the visit that a flight tells of is long.
-  elemental function is_long(visits, flight) result(yes)
+  elemental function has_long_visit(visits, flight) result(yes)
     type(long_visits_type), intent(in) :: visits
     type(flight_type), intent(in) :: flight
     logical :: yes
 
     select case (flight%heading)
-    case (parked_in_urn, in_parts)
+    case (parked_in_urn, partial_visit)
       yes = .true.
     case (to_gate, to_return)
       yes = flight%length > visits%least
     case default
       yes = .false.
     end select
-  end function is_long
+  end function has_long_visit
 
-  !> Keeps how the long visits of a batch began, before `land` writes their flights.
+  !> Keeps how the long visits of a batch began, before `store_flights` writes their flights.
   pure subroutine keep_beginnings(visits, number, flight, batch)
     !> Learns how they began.
     type(long_visits_type), intent(inout) :: visits
@@ -112,16 +113,16 @@ contains
       j = batch%many(k)
       if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
       ! For all that are left: whose visit is kept already still has the flight of before.
-      if (visits%count + batch%many_count - k >= visits%room) call make_room(visits, flight, &
+      if (visits%count + batch%many_count - k >= visits%room) call grow_entries(visits, flight, &
         batch%many_count - k + 1)
       i = batch%particle(j)
-      call keep(visits, i, flight(i), batch%turned(j), batch%hits(j))
+      call store_visit_start(visits, i, flight(i), batch%turned(j), batch%hits(j))
     end do
   end subroutine keep_beginnings
 
   !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
-  pure subroutine land(number, flight, n, particle, urn, channel, time, length, y, along, across, &
-    through)
+  pure subroutine store_flights(number, flight, n, particle, urn, channel, time, length, y, &
+    u_axial, u_lateral, through)
     !> How many particles there are, and how many are in the batch.
     integer, intent(in) :: number, n
     type(flight_type), intent(inout) :: flight(number)
@@ -131,7 +132,7 @@ contains
     integer(int64), intent(in) :: channel(n)
     !> Way through the urn, a length; height, |u_x| and u_y at its end; time in the channel beyond,
     !> from end to end. For `no_channel` as in `visits_type`.
-    real(wp), intent(in) :: length(n), y(n), along(n), across(n), through(n)
+    real(wp), intent(in) :: length(n), y(n), u_axial(n), u_lateral(n), through(n)
     !> In: when each visit begins. Out: huge if there is no event.
     real(wp), intent(inout) :: time(n)
     integer :: j, i
@@ -143,8 +144,8 @@ contains
       flight(i)%length = length(j)
       flight(i)%time = leaves
       flight(i)%y = y(j)
-      flight(i)%along = along(j)
-      flight(i)%across = across(j)
+      flight(i)%u_axial = u_axial(j)
+      flight(i)%u_lateral = u_lateral(j)
       flight(i)%through = through(j)
       flight(i)%urn = int(urn(j), int16)
       flight(i)%heading = to_gate
@@ -152,18 +153,18 @@ contains
       if (channel(j) /= gated) then
         flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
         time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
-        if (channel(j) == goes_on) then
+        if (channel(j) == truncated) then
           ! Before its end, lest what comes then is due within the lookahead.
-          flight(i)%heading = in_parts
+          flight(i)%heading = partial_visit
           time(j) = leaves - through(j)
         end if
       end if
       flight(i)%due = time(j)
     end do
-  end subroutine land
+  end subroutine store_flights
 
   !> Keeps how a long visit began, before its flight is written; there is room for it.
-  pure subroutine keep(visits, particle, flight, turned, hits)
+  pure subroutine store_visit_start(visits, particle, flight, turned, hits)
     type(long_visits_type), intent(inout) :: visits
     !> Who.
     integer, intent(in) :: particle
@@ -183,24 +184,24 @@ contains
     associate (entry => visits%entry(at))
       entry%time = flight%time
       entry%y = flight%y
-      entry%along = flight%along
-      entry%across = flight%across
+      entry%u_axial = flight%u_axial
+      entry%u_lateral = flight%u_lateral
       entry%through = flight%through
       entry%turned = turned
       entry%hits = hits
       entry%heading = flight%heading
     end associate
-  end subroutine keep
+  end subroutine store_visit_start
 
   !> Throws out what is of no use any more; if that leaves it half full, there will be more room.
-  pure subroutine make_room(visits, flight, more)
+  pure subroutine grow_entries(visits, flight, more)
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     !> How many entries there is to be room for.
     integer, intent(in) :: more
     type(entry_type), allocatable :: entry(:)
 
-    call throw_out(visits, flight)
+    call drop_finished_entries(visits, flight)
     if (2*(visits%count + more) <= size(visits%entry)) return
     ! Nobody has two.
     allocate (entry(min(max(64, 2*(visits%count + more)), visits%number + more)))
@@ -208,10 +209,10 @@ contains
     call move_alloc(entry, visits%entry)
     visits%room = size(visits%entry)
     if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
-  end subroutine make_room
+  end subroutine grow_entries
 
   !> Throws out the entries of visits that are over.
-  pure subroutine throw_out(visits, flight)
+  pure subroutine drop_finished_entries(visits, flight)
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     integer :: at, kept, i
@@ -220,17 +221,17 @@ contains
     do at = 1, visits%count
       i = visits%entry(at)%particle
       visits%place(i) = 0
-      if (.not. is_long(visits, flight(i))) cycle
+      if (.not. has_long_visit(visits, flight(i))) cycle
       kept = kept + 1
       visits%entry(kept) = visits%entry(at)
       visits%place(i) = int(kept, int32)
     end do
     visits%count = kept
-  end subroutine throw_out
+  end subroutine drop_finished_entries
 
   !> Whether a particle is to be located forwards: there is an entry, and the end of its visit is
   !> farther than the beginning.
-  pure function goes_forwards(visits, flight, now) result(yes)
+  pure function is_nearer_start(visits, flight, now) result(yes)
     !> All that are known.
     type(long_visits_type), intent(in) :: visits
     type(flight_type), intent(in) :: flight
@@ -238,12 +239,12 @@ contains
     real(wp), intent(in) :: now
     logical :: yes
 
-    yes = is_long(visits, flight)
+    yes = has_long_visit(visits, flight)
     if (yes .and. flight%heading /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
-  end function goes_forwards
+  end function is_nearer_start
 
-  !> Where a particle is now that is located forwards, as `locate` tells it.
-  pure subroutine locate_forwards(visits, urn, particle, now, position, velocity, hits)
+  !> Where a particle is now that is located forwards, as `locate_particle` tells it.
+  pure subroutine locate_from_start(visits, urn, particle, now, position, velocity, hits)
     !> All that are known.
     type(long_visits_type), intent(in) :: visits
     type(urn_type), intent(in) :: urn
@@ -255,62 +256,62 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Whole number of either sign.
     integer(int64), intent(out) :: hits
-    real(wp) :: passage, turned, passed, begins, x, y, ux, uy
+    real(wp) :: passage, reflected, passed, begins, x, y, ux, uy
     integer :: from
 
     associate (entry => visits%entry(visits%place(particle)))
-      if (entry%heading == in_parts) then
-        call place_in_visit(urn, no_channel, entry%y, entry%along, entry%across, now - entry%time, &
-          position, velocity, hits)
+      if (entry%heading == partial_visit) then
+        call locate_in_visit(urn, no_channel, entry%y, entry%u_axial, entry%u_lateral, now &
+          - entry%time, position, velocity, hits)
       else
         from = merge(ungated, gated, entry%heading == to_return)
         passage = merge(2.0_wp*(entry%turned - entry%time), entry%through, entry%turned < never)
         begins = entry%time + passage
         x = facing(from)*urn%chord(from)
-        call fold(entry%y + entry%across*passage, urn%width(from), y, turned, passed)
-        ux = -facing(from)*entry%along
-        uy = turned*entry%across
+        call fold(entry%y + entry%u_lateral*passage, urn%width(from), y, reflected, passed)
+        ux = -facing(from)*entry%u_axial
+        uy = reflected*entry%u_lateral
         if (now < begins) then
           position = [x, y]
           velocity = [ux, uy]
           hits = 0
-          call go_back_to_channel(urn, begins - now, position, velocity, hits)
+          call trace_back_into_channel(urn, begins - now, position, velocity, hits)
         else
-          call place_after(urn, x, y, ux, uy, now - begins, position, velocity, hits)
+          call locate_after(urn, x, y, ux, uy, now - begins, position, velocity, hits)
         end if
         hits = hits + int(passed, int64)
       end if
       hits = hits - int(entry%hits, int64)
     end associate
-  end subroutine locate_forwards
+  end subroutine locate_from_start
 
   !> Sets all times back by the length of a page.
-  pure subroutine set_back_long(visits, page)
+  pure subroutine rebase_long_visits(visits, epoch)
     !> All that are known.
     type(long_visits_type), intent(inout) :: visits
     !> How long.
-    real(wp), intent(in) :: page
+    real(wp), intent(in) :: epoch
 
     associate (entry => visits%entry(:visits%count))
-      entry%time = entry%time - page
-      entry%turned = entry%turned - page
+      entry%time = entry%time - epoch
+      entry%turned = entry%turned - epoch
     end associate
-  end subroutine set_back_long
+  end subroutine rebase_long_visits
 
   !> The entries that are of use, through a stream.
-  pure subroutine pass_long(visits, flight, stream)
+  pure subroutine serialize_long_visits(visits, flight, archive)
     !> All that are known; those that are over are thrown out.
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     integer(int32), allocatable :: particle(:)
     integer :: at
 
-    if (.not. stream%reading) call throw_out(visits, flight)
+    if (.not. archive%reading) call drop_finished_entries(visits, flight)
     particle = visits%entry(:visits%count)%particle
-    call stream%pass_list('long_visits', particle)
-    if (stream%failed()) return
-    if (stream%reading) then
+    call archive%serialize_list('long_visits', particle)
+    if (archive%failed()) return
+    if (archive%reading) then
       visits%count = size(particle)
       visits%room = size(particle)
       visits%entry = [(entry_type(particle=particle(at)), at=1, size(particle))]
@@ -318,11 +319,11 @@ contains
       visits%place(particle) = [(int(at, int32), at=1, size(particle))]
     end if
     associate (entry => visits%entry(:visits%count))
-      call stream%pass('long_heading', entry%heading)
-      call stream%pass('long_time', entry%time, 'long_y', entry%y, 'long_along', entry%along, &
-        'long_across', entry%across, 'long_through', entry%through)
-      call stream%pass('long_turned', entry%turned, 'long_hits', entry%hits)
+      call archive%serialize('long_heading', entry%heading)
+      call archive%serialize('long_time', entry%time, 'long_y', entry%y, 'long_along', &
+        entry%u_axial, 'long_across', entry%u_lateral, 'long_through', entry%through)
+      call archive%serialize('long_turned', entry%turned, 'long_hits', entry%hits)
     end associate
-  end subroutine pass_long
+  end subroutine serialize_long_visits
 
 end module battery_long_visits

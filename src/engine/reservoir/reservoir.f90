@@ -21,18 +21,18 @@
 module battery_reservoir
   use battery_kinds, only: wp, int32, int64, pi
   use battery_powers, only: power_above
-  use battery_table, only: table_type, gated, ungated, alike, mean_visit, is_scattered
-  use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, &
-    hits_to_come, whereabouts, where_parked, look_outside, pass_stays, pass_draws, &
-    is_parked, from_gate, from_return, in_gate, to_return
+  use battery_table, only: table_type, gated, ungated, are_mirror_images, mean_visit, is_scattered
+  use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, &
+    make_initial_stay, hits_to_come, locate_stay, locate_parked_stay, sum_outside_urns, &
+    serialize_stays, serialize_draws, is_parked, from_gate, from_return, counted_in_gate, to_return
   use battery_random, only: new_random
-  use battery_queue, only: queue_type, empty_queue, push, pop, shift_queue, pass_queue
-  use battery_gate, only: enter, must_turn, first_to_cross, cross_first, turned_back, &
-    number_inside, who_is_inside, next_crossing, first_crossing
-  use battery_engine, only: engine_type, particles_type, turn_clock, what_all_need
-  use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
-    record_reversal, crossing_of, event_entry
-  use battery_stream, only: stream_type
+  use battery_queue, only: queue_type, empty_queue, push, pop, rebase_queue, serialize_queue
+  use battery_gate, only: enter_gate, must_reverse, gate_crossed_first, uncount_first, &
+    uncount_all, number_inside, counted_particle, next_crossing_time, first_crossing_time
+  use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock, unmet_requirement
+  use battery_event_record, only: event_record_type, reserve_event_record, record_crossing, &
+    record_event, record_reversal, crossing_of, event_entry
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
   public :: reservoir_type
@@ -59,20 +59,21 @@ module battery_reservoir
     type(draws_type) :: draws
     !> Longest window, mean time between ticks of a member, half lengths of the channels, and a time
     !> that any clock within a page can tell from none.
-    real(wp) :: window = 0.0_wp, mean_stay = 0.0_wp, half(2) = 0.0_wp, shortest = 0.0_wp
+    real(wp) :: window = 0.0_wp, mean_stay = 0.0_wp, half_length(2) = 0.0_wp, shortest = 0.0_wp
     !> Whether the urns differ; the share of its ticks that one in each urn heeds; hits per time in
     !> each urn, and the greater of the two rates.
     logical :: uneven = .false.
-    real(wp) :: heeded(2) = 1.0_wp, urn_rate(2) = 0.0_wp, hit_rate = 0.0_wp
+    real(wp) :: tick_share(2) = 1.0_wp, urn_rate(2) = 0.0_wp, hit_rate = 0.0_wp
     !> Wall hits, as if all that move had been in the urn of more hits all the time but for the
     !> passages before their present stay, and all passages would be whole: never less than there
     !> were. What is left over of those that are not whole; what histories have told of them.
-    integer(int64) :: known_hits = 0, told_hits = 0
+    integer(int64) :: computed_hits = 0, reported_hits = 0
     real(wp) :: fraction = 0.0_wp
     !> How many move on, that is, are not parked.
     integer :: moving = 0
   contains
-    procedure :: supports, prepare, take_over, live, turn_page, pass_own, state_of, collisions
+    procedure :: supports, prepare_engine, load_particles, advance_window, rebase_clock, &
+      serialize_own_state, state_of, collisions
     procedure :: trapped
   end type reservoir_type
 
@@ -84,25 +85,25 @@ contains
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
 
-    reason = what_all_need(table)
+    reason = unmet_requirement(table)
     if (is_scattered(table) .and. self%number >= 0) reason = 'it does not support scatterers'
   end function supports
 
   !> Sizes and lengths that follow from the table and the number of particles.
-  subroutine prepare(self)
+  subroutine prepare_engine(self)
     class(reservoir_type), intent(inout) :: self
     real(wp) :: stay(2), interval
 
     stay = [mean_visit(self%table%urn(1)), mean_visit(self%table%urn(2))]
     self%urn_rate = self%table%urn%perimeter/(pi*self%table%urn%area)
-    self%uneven = .not. alike(self%table%urn)
+    self%uneven = .not. are_mirror_images(self%table%urn)
     self%mean_stay = minval(stay)
-    self%heeded = self%mean_stay/stay
+    self%tick_share = self%mean_stay/stay
     self%hit_rate = maxval(self%urn_rate)
-    self%half = 0.5_wp*self%table%channel%length
+    self%half_length = 0.5_wp*self%table%channel%length
     interval = self%mean_stay + 0.25_wp*pi*self%table%channel(gated)%length
-    self%page = power_above(4.0_wp*interval)
-    self%shortest = epsilon(1.0_wp)*self%page
+    self%epoch = power_above(4.0_wp*interval)
+    self%shortest = epsilon(1.0_wp)*self%epoch
     ! Where stays are much shorter than passages, those in the channels tick most of the time.
     self%window = min(min(window_events/real(self%number, wp), 2.0_wp)*interval, &
       window_ticks/real(self%number, wp)*self%mean_stay)
@@ -112,89 +113,89 @@ contains
     self%members = 0
     self%next_tick = huge(1.0_wp)
     self%draws = draws_type(random=new_random(self%seed))
-    self%known_hits = 0
-    self%told_hits = 0
+    self%computed_hits = 0
+    self%reported_hits = 0
     self%fraction = 0.0_wp
-  end subroutine prepare
+  end subroutine prepare_engine
 
   !> Those in channels go on as they do, those in urns begin a stay.
-  subroutine take_over(self, particles)
+  subroutine load_particles(self, particles)
     class(reservoir_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
     integer :: i
 
     do i = 1, self%number
-      call take_in(self%table, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i), &
-        self%stay(i), self%entered(i))
+      call make_initial_stay(self%table, particles%x(i), particles%y(i), particles%ux(i), &
+        particles%uy(i), self%stay(i), self%entered(i))
       associate (stay => self%stay(i))
         select case (stay%heading)
-        case (in_gate)
-          call enter(self%gate(stay%urn), stay%time + self%half(gated)/stay%along, i)
+        case (counted_in_gate)
+          call enter_gate(self%gate(stay%urn), stay%time + self%half_length(gated)/stay%u_axial, i)
         case (to_return)
-          call push(self%returning, stay%time + self%half(ungated)/stay%along, i)
+          call push(self%returning, stay%time + self%half_length(ungated)/stay%u_axial, i)
         case (from_gate, from_return)
-          call join(self, i)
+          call start_ticking(self, i)
         case default
           continue
         end select
-        self%known_hits = self%known_hits + hits_to_come(self%table, stay)
+        self%computed_hits = self%computed_hits + hits_to_come(self%table, stay)
         ! The time in the channel before the start is no time of this run.
         if (.not. is_parked(stay)) self%fraction = self%fraction - self%hit_rate*stay%time
       end associate
     end do
     self%moving = self%number - count(is_parked(self%stay))
     if (self%moving < self%number) self%parked_x = particles%x
-    call wind_up(self, 0.0_wp)
-  end subroutine take_over
+    call schedule_tick(self, 0.0_wp)
+  end subroutine load_particles
 
   !> One window of at most the time `duration`; hits of urns are their mean.
-  subroutine live(self, duration, history)
+  subroutine advance_window(self, duration, event_record)
     class(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: duration
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp) :: began, ends, whole
 
     began = self%now
-    ends = min(began + min(duration, self%window), self%page)
-    call reserve_history(history, 64, 64)
-    call walk(self, began, ends, history)
+    ends = min(began + min(duration, self%window), self%epoch)
+    call reserve_event_record(event_record, 64, 64)
+    call run_window_events(self, began, ends, event_record)
     self%now = ends
     self%fraction = self%fraction + self%hit_rate*real(self%moving, wp)*(ends - began)
     whole = aint(self%fraction)
-    self%known_hits = self%known_hits + int(whole, int64)
+    self%computed_hits = self%computed_hits + int(whole, int64)
     self%fraction = self%fraction - whole
-    history%duration = ends - began
-    history%collisions = self%known_hits - self%told_hits
-    self%told_hits = self%known_hits
-  end subroutine live
+    event_record%duration = ends - began
+    event_record%collisions = self%computed_hits - self%reported_hits
+    self%reported_hits = self%computed_hits
+  end subroutine advance_window
 
   !> Sets back the queue, the stays, the next tick and the clock.
-  subroutine turn_page(self)
+  subroutine rebase_clock(self)
     class(reservoir_type), intent(inout) :: self
 
-    call shift_queue(self%returning, self%page)
-    self%stay%time = self%stay%time - self%page
-    self%entered = self%entered - self%page
-    if (self%members > 0) self%next_tick = self%next_tick - self%page
-    call turn_clock(self)
-  end subroutine turn_page
+    call rebase_queue(self%returning, self%epoch)
+    self%stay%time = self%stay%time - self%epoch
+    self%entered = self%entered - self%epoch
+    if (self%members > 0) self%next_tick = self%next_tick - self%epoch
+    call rebase_gates_and_clock(self)
+  end subroutine rebase_clock
 
   !> All events before `ends`, in the order of time. Crossings come before a tick at one time; no
   !> two ticks are at one time.
-  subroutine walk(self, began, ends, history)
+  subroutine run_window_events(self, began, ends, event_record)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: began, ends
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp) :: time, crossing, place
     integer :: at
     logical :: leaves
 
     do
-      crossing = min(first_crossing(self%gate), self%returning%next)
+      crossing = min(first_crossing_time(self%gate), self%returning%next)
       time = self%next_tick
       if (crossing <= time) then
         if (crossing >= ends) exit
-        call cross_line(self, crossing, began, history)
+        call cross_line(self, crossing, began, event_record)
         cycle
       end if
       if (time >= ends) exit
@@ -202,34 +203,34 @@ contains
       at = min(1 + int(place), self%members)
       if (self%entered(self%member(at)) <= time) then
         leaves = .true.
-        if (self%uneven) call heed(self, self%member(at), place - real(at - 1, wp), time, leaves)
-        if (leaves) call leave_urn(self, at, time, began, history)
+        if (self%uneven) call thin(self, self%member(at), place - real(at - 1, wp), time, leaves)
+        if (leaves) call leave_urn(self, at, time, began, event_record)
       end if
-      call wind_up(self, time)
+      call schedule_tick(self, time)
     end do
-  end subroutine walk
+  end subroutine run_window_events
 
   !> Urns that differ: whether particle i heeds a tick, by a number `chance` uniform in (0, 1). If
   !> it does, what was hit less than in the other urn is taken off.
-  pure subroutine heed(self, i, chance, time, heeds)
+  pure subroutine thin(self, i, chance, time, is_kept)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: i
     real(wp), intent(in) :: chance, time
-    logical, intent(out) :: heeds
+    logical, intent(out) :: is_kept
     integer :: urn
 
     urn = self%stay(i)%urn
-    heeds = chance <= self%heeded(urn)
-    if (heeds) self%fraction = self%fraction &
+    is_kept = chance <= self%tick_share(urn)
+    if (is_kept) self%fraction = self%fraction &
       - (self%hit_rate - self%urn_rate(urn))*(time - self%entered(i))
-  end subroutine heed
+  end subroutine thin
 
   !> Member `at` leaves its urn at `time`, into one of the channels.
-  subroutine leave_urn(self, at, time, began, history)
+  subroutine leave_urn(self, at, time, began, event_record)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: at
     real(wp), intent(in) :: time, began
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     integer :: i, k, urn
     real(wp) :: inverse
 
@@ -243,25 +244,25 @@ contains
         - stay%time))
       stay%time = time
       stay%y = self%draws%y(k)
-      stay%along = self%draws%along(k)
-      stay%across = self%draws%across(k)
+      stay%u_axial = self%draws%u_axial(k)
+      stay%u_lateral = self%draws%u_lateral(k)
       stay%hits = self%draws%hits(k)
       urn = stay%urn
-      stay%heading = int(merge(in_gate, to_return, self%draws%channel(k) == gated), int32)
+      stay%heading = int(merge(counted_in_gate, to_return, self%draws%channel(k) == gated), int32)
     end associate
     self%member(at) = self%member(self%members)
     self%members = self%members - 1
     if (self%draws%channel(k) == gated) then
-      call enter(self%gate(urn), time + self%half(gated)*inverse, i)
-      if (history%logging) call record_event(history, time - began, event_entry, urn, i)
-      if (must_turn(self%gate(urn))) call reverse(self, urn, time, began, history)
+      call enter_gate(self%gate(urn), time + self%half_length(gated)*inverse, i)
+      if (event_record%logging) call record_event(event_record, time - began, event_entry, urn, i)
+      if (must_reverse(self%gate(urn))) call reverse_gate(self, urn, time, began, event_record)
     else
-      call push(self%returning, time + self%half(ungated)*inverse, i)
+      call push(self%returning, time + self%half_length(ungated)*inverse, i)
     end if
   end subroutine leave_urn
 
   !> Draws when the next tick comes after `time`.
-  subroutine wind_up(self, time)
+  subroutine schedule_tick(self, time)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: time
 
@@ -270,67 +271,67 @@ contains
     if (self%members > 0) self%next_tick = time + self%shortest &
       + self%mean_stay*self%draws%wait(self%draws%next_tick)/real(self%members, wp)
     self%draws%next_tick = self%draws%next_tick + 1
-  end subroutine wind_up
+  end subroutine schedule_tick
 
   !> One more particle ticks from now on.
-  subroutine join(self, i)
+  subroutine start_ticking(self, i)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: i
 
     self%members = self%members + 1
     self%member(self%members) = int(i, int32)
-  end subroutine join
+  end subroutine start_ticking
 
   !> A gate reverses: all counted go back to their urn, as long as they have been in the channel.
-  subroutine reverse(self, urn, time, began, history)
+  subroutine reverse_gate(self, urn, time, began, event_record)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: urn
     real(wp), intent(in) :: time, began
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp) :: hits, per_width
     integer :: place, i
 
     per_width = 1.0_wp/self%table%channel(gated)%width
-    call record_reversal(history, time - began, urn, number_inside(self%gate(urn)))
+    call record_reversal(event_record, time - began, urn, number_inside(self%gate(urn)))
     do place = 1, number_inside(self%gate(urn))
-      i = who_is_inside(self%gate(urn), place)
-      hits = aint(abs(self%stay(i)%y + self%stay(i)%across*(2.0_wp*(time - self%stay(i)%time))) &
+      i = counted_particle(self%gate(urn), place)
+      hits = aint(abs(self%stay(i)%y + self%stay(i)%u_lateral*(2.0_wp*(time - self%stay(i)%time))) &
         *per_width + 0.5_wp)
       self%fraction = self%fraction + (hits - self%stay(i)%hits)
       self%stay(i)%hits = hits
       self%entered(i) = 2.0_wp*time - self%stay(i)%time
       self%stay(i)%heading = from_gate
-      call join(self, i)
+      call start_ticking(self, i)
     end do
-    call turned_back(self%gate(urn))
-  end subroutine reverse
+    call uncount_all(self%gate(urn))
+  end subroutine reverse_gate
 
   !> The next of all crosses its line, or hits the end wall there, and goes on to the urn beyond.
   !> With one more to tick, the next tick comes so much sooner.
-  subroutine cross_line(self, time, began, history)
+  subroutine cross_line(self, time, began, event_record)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: time, began
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     integer :: i, urn, channel
 
-    urn = first_to_cross(self%gate)
-    channel = merge(gated, ungated, next_crossing(self%gate(urn)) <= time)
+    urn = gate_crossed_first(self%gate)
+    channel = merge(gated, ungated, next_crossing_time(self%gate(urn)) <= time)
     if (channel == gated) then
-      call cross_first(self%gate(urn), i)
+      call uncount_first(self%gate(urn), i)
     else
       call pop(self%returning, i)
       urn = self%stay(i)%urn
     end if
-    call record_crossing(history, time - began, crossing_of(urn, channel), i)
-    if (self%table%beyond(urn) == urn) self%known_hits = self%known_hits + 1
+    call record_crossing(event_record, time - began, crossing_of(urn, channel), i)
+    if (self%table%beyond(urn) == urn) self%computed_hits = self%computed_hits + 1
     associate (stay => self%stay(i))
       stay%urn = int(self%table%beyond(urn), int32)
       stay%heading = int(merge(from_gate, from_return, channel == gated), int32)
-      self%entered(i) = stay%time + 2.0_wp*self%half(channel)/stay%along
+      self%entered(i) = stay%time + 2.0_wp*self%half_length(channel)/stay%u_axial
     end associate
-    call join(self, i)
+    call start_ticking(self, i)
     if (self%members == 1) then
-      call wind_up(self, time)
+      call schedule_tick(self, time)
     else
       self%next_tick = time + (self%next_tick - time)*(real(self%members - 1, wp) &
         /real(self%members, wp))
@@ -344,11 +345,11 @@ contains
     real(wp) :: state(4)
     integer(int64) :: key
 
-    key = self%seed + ishft(self%pages, 20) + int(self%now/self%page*2.0_wp**61, int64)
+    key = self%seed + ishft(self%epochs, 20) + int(self%now/self%epoch*2.0_wp**61, int64)
     if (is_parked(self%stay(i))) then
-      state = where_parked(self%table, self%stay(i), self%parked_x(i), self%now)
+      state = locate_parked_stay(self%table, self%stay(i), self%parked_x(i), self%now)
     else
-      state = whereabouts(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
+      state = locate_stay(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
     end if
   end function state_of
 
@@ -359,11 +360,11 @@ contains
     integer(int64) :: passed
     real(wp) :: outside
 
-    call look_outside(self%table, self%stay, self%entered, self%now, self%urn_rate/self%hit_rate, &
-      outside, passed)
-    total = self%known_hits + passed
+    call sum_outside_urns(self%table, self%stay, self%entered, self%now, &
+      self%urn_rate/self%hit_rate, outside, passed)
+    total = self%computed_hits + passed
     total = max(total + floor(self%fraction - self%hit_rate*outside + 0.5_wp, int64), 0_int64)
-    total = min(total, self%known_hits + merge(huge(total) - self%known_hits, 0_int64, &
+    total = min(total, self%computed_hits + merge(huge(total) - self%computed_hits, 0_int64, &
       self%moving < self%number))
   end function collisions
 
@@ -376,20 +377,20 @@ contains
   end function trapped
 
   !> The stays, those that tick, the numbers drawn ahead and the counts, through a stream.
-  subroutine pass_own(self, stream)
+  subroutine serialize_own_state(self, archive)
     class(reservoir_type), intent(inout) :: self
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call pass_stays(self%table, self%stay, self%entered, self%parked_x, stream)
-    call stream%pass('members', self%members)
-    call stream%pass('member', self%member(:self%members))
-    call stream%pass('next_tick', self%next_tick)
-    call pass_queue(self%returning, stream)
-    call pass_draws(self%draws, stream)
-    call stream%pass('known_hits', self%known_hits)
-    call stream%pass('told_hits', self%told_hits)
-    call stream%pass('fraction', self%fraction)
-    call stream%pass('moving', self%moving)
-  end subroutine pass_own
+    call serialize_stays(self%table, self%stay, self%entered, self%parked_x, archive)
+    call archive%serialize('members', self%members)
+    call archive%serialize('member', self%member(:self%members))
+    call archive%serialize('next_tick', self%next_tick)
+    call serialize_queue(self%returning, archive)
+    call serialize_draws(self%draws, archive)
+    call archive%serialize('known_hits', self%computed_hits)
+    call archive%serialize('told_hits', self%reported_hits)
+    call archive%serialize('fraction', self%fraction)
+    call archive%serialize('moving', self%moving)
+  end subroutine serialize_own_state
 
 end module battery_reservoir

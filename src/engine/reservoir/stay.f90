@@ -2,29 +2,30 @@
 module battery_stay
   use battery_kinds, only: wp, int32, int64, pi
   use battery_table, only: table_type, passage_type, passage_at, gated, ungated, no_channel, &
-    x_direction, try_place
+    x_direction, try_random_point
   use battery_channel, only: fold
-  use battery_stream, only: stream_type
+  use battery_archive, only: archive_type
   use battery_random, only: random_type, draw_uniform, hashed_uniform
   implicit none (type, external)
   private
-  public :: stay_type, draws_type, block_length, draw_ticks, draw_exits, take_in, whereabouts, &
-    where_parked, is_parked, hits_to_come, look_outside, pass_stays, pass_draws
-  public :: from_gate, from_return, in_gate, to_return
+  public :: stay_type, draws_type, block_length, draw_ticks, draw_exits, make_initial_stay, &
+    locate_stay, locate_parked_stay, is_parked, hits_to_come, sum_outside_urns, serialize_stays, &
+    serialize_draws
+  public :: from_gate, from_return, counted_in_gate, to_return
 
   !> Random numbers are drawn so many at a time.
   integer, parameter :: block_length = 512
 
   !> In an urn, or on the way into it from channel 1 or 2; counted in a gate; on the way to the
   !> periodic line; flying to and fro across channel 1 or 2 for ever.
-  integer, parameter :: from_gate = 1, from_return = 2, in_gate = 3, to_return = 4, &
+  integer, parameter :: from_gate = 1, from_return = 2, counted_in_gate = 3, to_return = 4, &
     parked_in_gate = 5, parked_in_return = 6
 
   !> What is known of a particle, but for when it enters its urn.
   type :: stay_type
     !> When it entered the channel it is or was last in, at which height, with |u_x| and u_y.
     !> Of one that is parked: since when and at which height it has been flying to and fro.
-    real(wp) :: time = 0.0_wp, y = 0.0_wp, along = 0.0_wp, across = 0.0_wp
+    real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp
     !> Wall hits of the whole way through the channel it is in.
     real(wp) :: hits = 0.0_wp
     integer(int32) :: heading = from_gate
@@ -39,8 +40,8 @@ module battery_stay
     type(random_type) :: random
     integer :: next_tick = block_length + 1, next_exit = block_length + 1
     real(wp), dimension(block_length) :: wait = 0.0_wp, who = 0.0_wp
-    real(wp), dimension(block_length) :: y = 0.0_wp, along = 0.0_wp, inverse = 0.0_wp, &
-      across = 0.0_wp, hits = 0.0_wp
+    real(wp), dimension(block_length) :: y = 0.0_wp, u_axial = 0.0_wp, inverse = 0.0_wp, &
+      u_lateral = 0.0_wp, hits = 0.0_wp
     integer :: channel(block_length) = gated
   end type draws_type
 
@@ -74,17 +75,17 @@ contains
     length1 = table%channel(gated)%length
     length2 = table%channel(ungated)%length
     call draw_uniform(draws%random, block_length, draws%y)
-    call draw_uniform(draws%random, block_length, draws%across)
+    call draw_uniform(draws%random, block_length, draws%u_lateral)
     do k = 1, block_length
       place = (width1 + width2)*draws%y(k)
       draws%channel(k) = merge(gated, ungated, place < width1)
       width = merge(width1, width2, place < width1)
       length = merge(length1, length2, place < width1)
       draws%y(k) = merge(place, place - width1, place < width1) - 0.5_wp*width
-      sine = 2.0_wp*draws%across(k) - 1.0_wp
-      draws%across(k) = sine
-      draws%along(k) = sqrt((1.0_wp - sine)*(1.0_wp + sine))
-      draws%inverse(k) = 1.0_wp/draws%along(k)
+      sine = 2.0_wp*draws%u_lateral(k) - 1.0_wp
+      draws%u_lateral(k) = sine
+      draws%u_axial(k) = sqrt((1.0_wp - sine)*(1.0_wp + sine))
+      draws%inverse(k) = 1.0_wp/draws%u_axial(k)
       draws%hits(k) = aint(abs(draws%y(k) + sine*length*draws%inverse(k))/width + 0.5_wp)
     end do
     draws%next_exit = 1
@@ -92,7 +93,7 @@ contains
 
   !> From a position and velocity at the time 0. A particle in a channel that heads for its far end
   !> is dated back to where it would have entered; `entered` is when any other enters its urn.
-  pure subroutine take_in(table, x, y, ux, uy, stay, entered)
+  pure subroutine make_initial_stay(table, x, y, ux, uy, stay, entered)
     type(table_type), intent(in) :: table
     !> Place in the frame of the table, lengths; velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
@@ -102,21 +103,21 @@ contains
 
     passage = passage_at(table, x, y, ux, uy)
     entered = 0.0_wp
-    stay = stay_type(y=y, along=abs(ux), across=uy, urn=int(passage%side, int32))
+    stay = stay_type(y=y, u_axial=abs(ux), u_lateral=uy, urn=int(passage%side, int32))
     if (passage%endless) then
       stay%heading = int(merge(parked_in_gate, parked_in_return, passage%channel == gated), int32)
     else if (passage%inward) then
       stay%time = passage%time
       stay%y = passage%height
-      stay%across = passage%turned*uy
-      stay%heading = int(merge(in_gate, to_return, passage%channel == gated), int32)
+      stay%u_lateral = passage%reflected*uy
+      stay%heading = int(merge(counted_in_gate, to_return, passage%channel == gated), int32)
       stay%hits = real(passed_walls(table, stay, table%channel(passage%channel)%length/abs(ux)), wp)
     else if (passage%channel /= no_channel) then
       stay%heading = int(merge(from_gate, from_return, passage%channel == gated), int32)
       entered = passage%time
       stay%hits = real(passed_walls(table, stay, entered), wp)
     end if
-  end subroutine take_in
+  end subroutine make_initial_stay
 
   !> Wall hits in its channel in the time `passage` after it entered that.
   elemental function passed_walls(table, stay, passage) result(hits)
@@ -126,7 +127,7 @@ contains
     integer(int64) :: hits
 
     hits = 0
-    if (passage > 0.0_wp) hits = int(abs(stay%y + stay%across*passage)/width_of(table, stay) &
+    if (passage > 0.0_wp) hits = int(abs(stay%y + stay%u_lateral*passage)/width_of(table, stay) &
       + 0.5_wp, int64)
   end function passed_walls
 
@@ -136,7 +137,7 @@ contains
     type(stay_type), intent(in) :: stay
     real(wp) :: width
 
-    width = table%channel(merge(gated, ungated, any(stay%heading == [from_gate, in_gate, &
+    width = table%channel(merge(gated, ungated, any(stay%heading == [from_gate, counted_in_gate, &
       parked_in_gate])))%width
   end function width_of
 
@@ -158,7 +159,7 @@ contains
   end function hits_to_come
 
   !> What all have done but for being in an urn.
-  pure subroutine look_outside(table, stay, entered, now, rate, outside, passed)
+  pure subroutine sum_outside_urns(table, stay, entered, now, rate, outside, passed)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay(:)
     !> When each enters its urn, if it goes there or is there; the time now, on the same clock.
@@ -178,7 +179,7 @@ contains
       associate (its => stay(i))
         if (is_parked(its)) then
           passed = passed + passed_walls(table, its, now - its%time)
-        else if (any(its%heading == [in_gate, to_return])) then
+        else if (any(its%heading == [counted_in_gate, to_return])) then
           outside = outside + (now - its%time)
           passed = passed + passed_walls(table, its, now - its%time) - int(its%hits, int64)
         else
@@ -189,7 +190,7 @@ contains
       end associate
     end do
     if (any(rate < 1.0_wp)) outside = outside + missed_time(stay, entered, now, rate)
-  end subroutine look_outside
+  end subroutine sum_outside_urns
 
   !> The time in the urn of more hits that would have as many as are missed in the other.
   pure function missed_time(stay, entered, now, rate) result(time)
@@ -206,22 +207,23 @@ contains
   end function missed_time
 
   !> x, y, u_x, u_y of one that is parked.
-  pure function where_parked(table, stay, x, now) result(place)
+  pure function locate_parked_stay(table, stay, x, now) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     !> Where it is along the channel, in the frame of the table; the time now.
     real(wp), intent(in) :: x, now
     real(wp) :: place(4)
-    real(wp) :: turned, hits
+    real(wp) :: reflected, hits
 
     ! The zero has the sign that it has always had.
     place = [x, 0.0_wp, sign(0.0_wp, x), 0.0_wp]
-    call fold(stay%y + stay%across*(now - stay%time), width_of(table, stay), place(2), turned, hits)
-    place(4) = turned*stay%across
-  end function where_parked
+    call fold(stay%y + stay%u_lateral*(now - stay%time), width_of(table, stay), place(2), &
+      reflected, hits)
+    place(4) = reflected*stay%u_lateral
+  end function locate_parked_stay
 
   !> x, y, u_x, u_y of one that is not parked. In an urn they are drawn, for this key and count.
-  pure function whereabouts(table, stay, entered, now, key, count) result(place)
+  pure function locate_stay(table, stay, entered, now, key, count) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     !> When it enters its urn, if it goes there or is there; the time now, on the same clock.
@@ -232,10 +234,10 @@ contains
     real(wp) :: gone, left, begins
 
     begins = table%urn(stay%urn)%begins(ungated)
-    gone = stay%along*(now - stay%time)
-    left = stay%along*(entered - now)
+    gone = stay%u_axial*(now - stay%time)
+    left = stay%u_axial*(entered - now)
     select case (stay%heading)
-    case (in_gate)
+    case (counted_in_gate)
       place = in_channel(0.5_wp*table%channel(gated)%length - gone, -1.0_wp)
     case (to_return)
       place = in_channel(begins + gone, 1.0_wp)
@@ -257,16 +259,16 @@ contains
     pure function in_channel(x, way) result(found)
       real(wp), intent(in) :: x, way
       real(wp) :: found(4)
-      real(wp) :: turned, hits
+      real(wp) :: reflected, hits
 
-      call fold(stay%y + stay%across*(now - stay%time), width_of(table, stay), found(2), turned, &
-        hits)
+      call fold(stay%y + stay%u_lateral*(now - stay%time), width_of(table, stay), found(2), &
+        reflected, hits)
       found(1) = x
-      found(3) = way*stay%along
-      found(4) = turned*stay%across
+      found(3) = way*stay%u_axial
+      found(4) = reflected*stay%u_lateral
     end function in_channel
 
-  end function whereabouts
+  end function locate_stay
 
   !> Uniform in an urn, as if that lay at x > 0, with a direction.
   pure function drawn_in_urn(table, side, key, count) result(place)
@@ -280,8 +282,8 @@ contains
 
     turn = ishft(count, 20)
     do
-      call try_place(table%urn(side), 1.0_wp - hashed_uniform(key, turn), hashed_uniform(key, &
-        turn + 1), place(1), place(2), inside)
+      call try_random_point(table%urn(side), 1.0_wp - hashed_uniform(key, turn), &
+        hashed_uniform(key, turn + 1), place(1), place(2), inside)
       turn = turn + 2
       if (inside) exit
     end do
@@ -291,51 +293,51 @@ contains
   end function drawn_in_urn
 
   !> The stays, and when each has `entered` its urn, through a stream.
-  subroutine pass_stays(table, stay, entered, parked_x, stream)
+  subroutine serialize_stays(table, stay, entered, parked_x, archive)
     type(table_type), intent(in) :: table
     type(stay_type), intent(inout) :: stay(:)
     real(wp), intent(inout) :: entered(:)
     !> Where each is along x in the frame of the table, if any is parked.
     real(wp), allocatable, intent(inout) :: parked_x(:)
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    ! In a state x of who is parked stands with `along`, and one heading for both channels.
-    if (allocated(parked_x) .and. .not. stream%reading) then
+    ! In a state x of who is parked stands with `u_axial`, and one heading for both channels.
+    if (allocated(parked_x) .and. .not. archive%reading) then
       where (is_parked(stay))
-        stay%along = parked_x
+        stay%u_axial = parked_x
         stay%heading = parked_in_gate
       end where
     end if
-    call stream%pass('time', stay%time, 'y', stay%y, 'along', stay%along, 'across', stay%across, &
-      'entered', entered)
-    call stream%pass('hits', stay%hits)
-    call stream%pass('heading', stay%heading)
-    call stream%pass('urn', stay%urn)
+    call archive%serialize('time', stay%time, 'y', stay%y, 'along', stay%u_axial, 'across', &
+      stay%u_lateral, 'entered', entered)
+    call archive%serialize('hits', stay%hits)
+    call archive%serialize('heading', stay%heading)
+    call archive%serialize('urn', stay%urn)
     if (.not. any(is_parked(stay))) return
-    parked_x = stay%along
+    parked_x = stay%u_axial
     where (is_parked(stay))
-      stay%along = 0.0_wp
+      stay%u_axial = 0.0_wp
       stay%heading = int(merge(parked_in_gate, parked_in_return, abs(parked_x) &
         <= 0.5_wp*table%channel(gated)%length), int32)
     end where
-  end subroutine pass_stays
+  end subroutine serialize_stays
 
   !> The numbers drawn ahead, and the generator, through a stream.
-  pure subroutine pass_draws(draws, stream)
+  pure subroutine serialize_draws(draws, archive)
     type(draws_type), intent(inout) :: draws
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     integer :: word
 
     do word = 1, size(draws%random%state, 2)
-      call stream%pass('random', draws%random%state(:, word))
+      call archive%serialize('random', draws%random%state(:, word))
     end do
-    call stream%pass('next_tick', draws%next_tick)
-    call stream%pass('next_exit', draws%next_exit)
-    call stream%pass('wait', draws%wait, 'y', draws%y, 'along', draws%along, &
-      'inverse', draws%inverse, 'across', draws%across)
-    call stream%pass('who', draws%who)
-    call stream%pass('hits', draws%hits)
-    call stream%pass('channel', draws%channel)
-  end subroutine pass_draws
+    call archive%serialize('next_tick', draws%next_tick)
+    call archive%serialize('next_exit', draws%next_exit)
+    call archive%serialize('wait', draws%wait, 'y', draws%y, 'along', draws%u_axial, &
+      'inverse', draws%inverse, 'across', draws%u_lateral)
+    call archive%serialize('who', draws%who)
+    call archive%serialize('hits', draws%hits)
+    call archive%serialize('channel', draws%channel)
+  end subroutine serialize_draws
 
 end module battery_stay

@@ -7,14 +7,16 @@
 module battery_collision
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
-  use battery_motion, only: motion_type, fly, meets_channel_wall, meets_nothing
-  use battery_bounce, only: hit_wall, turn_back
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
-    meet, end_instant, count_hits, longest_window, end_of_window, window_events, most_hits
-  use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, shift_times
-  use battery_engine, only: particles_type, turn_clock
-  use battery_history, only: history_type
-  use battery_stream, only: stream_type
+  use battery_motion, only: motion_type, move_straight, meets_channel_wall, meets_nothing
+  use battery_bounce, only: hit_wall, reverse_motion
+  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, load_motions, &
+    serialize_counts, process_event, end_instant, count_hits, longest_window, end_of_window, &
+    window_events, most_hits
+  use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, &
+    rebase_tournament
+  use battery_engine, only: particles_type, rebase_gates_and_clock
+  use battery_event_record, only: event_record_type
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
   public :: collision_type
@@ -28,14 +30,14 @@ module battery_collision
     !> The same where there is no tournament yet.
     real(wp), allocatable :: due(:)
   contains
-    procedure :: prepare, take_over, go_on, turn_page, pass_own
-    procedure :: turn_particle, motion_now, write_down
+    procedure :: prepare_engine, load_particles, process_window, rebase_clock, serialize_own_state
+    procedure :: reverse_particle, motion_now, store_motion
   end type collision_type
 
 contains
 
   !> Walls, the longest window, and room for the particles.
-  subroutine prepare(self)
+  subroutine prepare_engine(self)
     class(collision_type), intent(inout) :: self
 
     call prepare_walls(self)
@@ -44,16 +46,16 @@ contains
     if (allocated(self%due)) deallocate (self%due)
     allocate (self%motion(self%number))
     allocate (self%due(self%number), source=huge(1.0_wp))
-  end subroutine prepare
+  end subroutine prepare_engine
 
   !> Takes in the particles, and begins the tournament of their first events.
-  subroutine take_over(self, particles)
+  subroutine load_particles(self, particles)
     class(collision_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
 
-    call take_in(self, particles)
+    call load_motions(self, particles)
     call begin_tournament(self)
-  end subroutine take_over
+  end subroutine load_particles
 
   subroutine begin_tournament(self)
     class(collision_type), intent(inout) :: self
@@ -63,9 +65,9 @@ contains
   end subroutine begin_tournament
 
   !> Event by event, each at its particle alone, for the time `duration` at most.
-  subroutine go_on(self, history, duration)
+  subroutine process_window(self, event_record, duration)
     class(collision_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp), intent(in) :: duration
     real(wp) :: ends, wait
     integer(int64) :: hits
@@ -73,32 +75,33 @@ contains
 
     ends = end_of_window(self, duration)
     do
-      call bounce_until(self%table, self%number, self%motion, self%tournament, ends, hits)
-      call count_hits(self, history, hits)
+      call process_collisions_until(self%table, self%number, self%motion, self%tournament, ends, &
+        hits)
+      call count_hits(self, event_record, hits)
       if (self%tournament%node(1)%time >= ends) exit
-      if (history%collisions_seen >= most_hits) then
+      if (event_record%collisions_seen >= most_hits) then
         ends = self%tournament%node(1)%time
         exit
       end if
       self%now = self%tournament%node(1)%time
       self%since = self%now - self%began
-      first = history%events + 1
+      first = event_record%events + 1
       do while (self%tournament%node(1)%time <= self%now)
         i = self%tournament%node(1)%particle
-        call fly(self%motion(i), self%now - self%motion(i)%time)
+        call move_straight(self%motion(i), self%now - self%motion(i)%time)
         self%motion(i)%time = self%now
-        call meet(self, history, i, self%motion(i), wait)
+        call process_event(self, event_record, i, self%motion(i), wait)
         call set_time(self%tournament, i, self%now + wait)
       end do
-      call end_instant(self, first, history)
+      call end_instant(self, first, event_record)
     end do
     self%now = ends
     self%since = ends - self%began
-  end subroutine go_on
+  end subroutine process_window
 
   !> The hot loop: wall collisions, until something else is due or the window ends. They touch only
   !> the particle that has one.
-  pure subroutine bounce_until(table, number, motion, tournament, ends, hits)
+  pure subroutine process_collisions_until(table, number, motion, tournament, ends, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
     type(motion_type), intent(inout) :: motion(number)
@@ -113,25 +116,25 @@ contains
       time = tournament%node(1)%time
       i = tournament%node(1)%particle
       if (time >= ends .or. motion(i)%next < meets_channel_wall .or. hits >= most_hits) exit
-      call fly(motion(i), time - motion(i)%time)
+      call move_straight(motion(i), time - motion(i)%time)
       call hit_wall(table, motion(i), wait)
       motion(i)%time = time
       call set_time(tournament, i, time + wait)
       hits = hits + 1
     end do
-  end subroutine bounce_until
+  end subroutine process_collisions_until
 
   !> Turns particle `i` of a gate back, where it is kept.
-  subroutine turn_particle(self, i)
+  subroutine reverse_particle(self, i)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
     real(wp) :: wait
 
-    call fly(self%motion(i), self%now - self%motion(i)%time)
+    call move_straight(self%motion(i), self%now - self%motion(i)%time)
     self%motion(i)%time = self%now
-    call turn_back(self%table, self%motion(i), wait)
+    call reverse_motion(self%table, self%motion(i), wait)
     call set_time(self%tournament, i, self%now + wait)
-  end subroutine turn_particle
+  end subroutine reverse_particle
 
   !> Particle `i`, flown on from its last event until now, if it meets anything at all.
   pure function motion_now(self, i) result(motion)
@@ -140,12 +143,12 @@ contains
     type(motion_type) :: motion
 
     motion = self%motion(i)
-    if (motion%next /= meets_nothing) call fly(motion, self%now - motion%time)
+    if (motion%next /= meets_nothing) call move_straight(motion, self%now - motion%time)
     motion%time = self%now
   end function motion_now
 
   !> Particle `i` as it is now; its next event is due after the time `wait`.
-  subroutine write_down(self, i, motion, wait)
+  subroutine store_motion(self, i, motion, wait)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
     type(motion_type), intent(in) :: motion
@@ -157,32 +160,32 @@ contains
     else
       call set_time(self%tournament, i, self%now + wait)
     end if
-  end subroutine write_down
+  end subroutine store_motion
 
   !> Sets back the motions, the tournament and the clock.
-  subroutine turn_page(self)
+  subroutine rebase_clock(self)
     class(collision_type), intent(inout) :: self
 
-    self%motion%time = self%motion%time - self%page
-    call shift_times(self%tournament, self%page)
-    call turn_clock(self)
-  end subroutine turn_page
+    self%motion%time = self%motion%time - self%epoch
+    call rebase_tournament(self%tournament, self%epoch)
+    call rebase_gates_and_clock(self)
+  end subroutine rebase_clock
 
   !> The counts, the motions and when each has its event, through a stream.
-  subroutine pass_own(self, stream)
+  subroutine serialize_own_state(self, archive)
     class(collision_type), intent(inout) :: self
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     integer :: i
 
-    call pass_counts(self, stream)
-    call stream%pass('x', self%motion%x, 'y', self%motion%y, 'ux', self%motion%ux, &
+    call serialize_counts(self, archive)
+    call archive%serialize('x', self%motion%x, 'y', self%motion%y, 'ux', self%motion%ux, &
       'uy', self%motion%uy, 'time', self%motion%time)
-    call stream%pass('side', self%motion%side)
-    call stream%pass('chamber', self%motion%chamber)
-    call stream%pass('next', self%motion%next)
-    if (.not. stream%reading) self%due = [(time_of(self%tournament, i), i=1, self%number)]
-    call stream%pass('due', self%due)
+    call archive%serialize('side', self%motion%side)
+    call archive%serialize('chamber', self%motion%chamber)
+    call archive%serialize('next', self%motion%next)
+    if (.not. archive%reading) self%due = [(time_of(self%tournament, i), i=1, self%number)]
+    call archive%serialize('due', self%due)
     call begin_tournament(self)
-  end subroutine pass_own
+  end subroutine serialize_own_state
 
 end module battery_collision

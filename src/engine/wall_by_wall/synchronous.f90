@@ -15,12 +15,13 @@
 module battery_synchronous
   use battery_kinds, only: wp, int8, int64
   use battery_motion, only: motion_type, meets_nothing, wall_kind
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, take_in, pass_counts, &
-    meet, end_instant, longest_window, end_of_window, window_events, most_hits
+  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, load_motions, &
+    serialize_counts, process_event, end_instant, longest_window, end_of_window, window_events, &
+    most_hits
   use battery_engine, only: particles_type
-  use battery_history, only: history_type
+  use battery_event_record, only: event_record_type
   use battery_memory, only: bytes_to_next_line, line_bytes
-  use battery_stream, only: stream_type
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
   public :: synchronous_type
@@ -48,17 +49,18 @@ module battery_synchronous
     !> Whether the next pass goes backwards.
     logical :: backwards = .false.
     !> Velocities of those that meet nothing.
-    real(wp), allocatable :: kept_ux(:), kept_uy(:)
+    real(wp), allocatable :: parked_ux(:), parked_uy(:)
     !> Least time left in each lane.
     real(wp) :: least(row_length) = 0.0_wp
   contains
-    procedure :: prepare, take_over, go_on, pass_own, motion_now, write_down
+    procedure :: prepare_engine, load_particles, process_window, serialize_own_state, motion_now, &
+      store_motion
   end type synchronous_type
 
 contains
 
   !> Walls, the longest window, and rows in which nobody is yet.
-  subroutine prepare(self)
+  subroutine prepare_engine(self)
     class(synchronous_type), intent(inout) :: self
     integer :: number, bytes, i
 
@@ -68,40 +70,40 @@ contains
     bytes = storage_size(1.0_wp)/8
     self%window = longest_window(self, min(window_events, window_moves/real(number, wp)))
     if (allocated(self%field)) deallocate (self%field, self%side, self%chamber, self%next, &
-      self%kept_ux, self%kept_uy)
+      self%parked_ux, self%parked_uy)
     allocate (self%field(row_length*in_left*self%rows + line_bytes/bytes - 1), source=0.0_wp)
     self%begins = 1 + bytes_to_next_line(self%field)/bytes
     do i = 1, row_length*self%rows
-      self%field(place(self, i, in_left)) = huge(1.0_wp)
+      self%field(field_index(self, i, in_left)) = huge(1.0_wp)
     end do
     allocate (self%side(number), self%chamber(number), source=1_int8)
     allocate (self%next(number), source=meets_nothing)
-    allocate (self%kept_ux(number), self%kept_uy(number), source=0.0_wp)
-  end subroutine prepare
+    allocate (self%parked_ux(number), self%parked_uy(number), source=0.0_wp)
+  end subroutine prepare_engine
 
   !> Where a number of particle `i` is kept.
-  pure function place(self, i, which) result(at)
+  pure function field_index(self, i, which) result(at)
     class(synchronous_type), intent(in) :: self
     integer, intent(in) :: i, which
     integer :: at
 
     at = self%begins + modulo(i - 1, row_length) + row_length*(which - 1 + in_left*((i - 1) &
       /row_length))
-  end function place
+  end function field_index
 
   !> Takes in the particles, and finds the least time left in each lane.
-  subroutine take_over(self, particles)
+  subroutine load_particles(self, particles)
     class(synchronous_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
 
-    call take_in(self, particles)
-    call pass(self, 0.0_wp)
-  end subroutine take_over
+    call load_motions(self, particles)
+    call move_all_by(self, 0.0_wp)
+  end subroutine load_particles
 
   !> All from event to event, not beyond `duration`.
-  subroutine go_on(self, history, duration)
+  subroutine process_window(self, event_record, duration)
     class(synchronous_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp), intent(in) :: duration
     real(wp) :: ends, wait
 
@@ -109,30 +111,30 @@ contains
     do
       wait = earliest(self%least)
       if (self%now + wait >= ends) exit
-      if (history%collisions_seen >= most_hits) then
+      if (event_record%collisions_seen >= most_hits) then
         ends = self%now
         exit
       end if
-      call pass(self, wait)
+      call move_all_by(self, wait)
       self%now = self%now + wait
       self%since = self%now - self%began
-      call live_instant(self, history)
+      call process_instant(self, event_record)
     end do
     ! Not by more than what is left, lest the event lie in the past by rounding.
     wait = min(wait, ends - self%now)
-    call pass(self, wait)
+    call move_all_by(self, wait)
     self%now = ends
     self%since = ends - self%began
-  end subroutine go_on
+  end subroutine process_window
 
   !> Moves everyone by `time`.
-  subroutine pass(self, time)
+  subroutine move_all_by(self, time)
     type(synchronous_type), intent(inout) :: self
     real(wp), intent(in) :: time
 
     call move_all(self%rows, self%backwards, time, self%field(self%begins), self%least)
     self%backwards = .not. self%backwards
-  end subroutine pass
+  end subroutine move_all_by
 
   !> The pass itself. `least` is the least time left in each lane.
   pure subroutine move_all(rows, backwards, time, field, least)
@@ -174,39 +176,39 @@ contains
   end function earliest
 
   !> Everything that is due now, then what the gates decide.
-  subroutine live_instant(self, history)
+  subroutine process_instant(self, event_record)
     type(synchronous_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     type(motion_type) :: motion
     real(wp) :: wait
     integer(int64) :: reversals(2)
     integer :: i, first
 
-    first = history%events + 1
-    reversals = history%reversals
+    first = event_record%events + 1
+    reversals = event_record%reversals
     do
-      call who_is_due(self, i)
+      call find_due_particle(self, i)
       if (i == 0) exit
       motion = self%motion_now(i)
-      call meet(self, history, i, motion, wait)
-      call self%write_down(i, motion, wait)
+      call process_event(self, event_record, i, motion, wait)
+      call self%store_motion(i, motion, wait)
       call renew_lane(self%rows, modulo(i - 1, row_length) + 1, self%field(self%begins), &
         self%least)
     end do
-    call end_instant(self, first, history)
-    if (any(history%reversals > reversals)) call renew_all(self%rows, self%field(self%begins), &
-      self%least)
-  end subroutine live_instant
+    call end_instant(self, first, event_record)
+    if (any(event_record%reversals > reversals)) call renew_all(self%rows, &
+      self%field(self%begins), self%least)
+  end subroutine process_instant
 
   !> A particle with no time left; 0 if there is none.
-  pure subroutine who_is_due(self, i)
+  pure subroutine find_due_particle(self, i)
     type(synchronous_type), intent(in) :: self
     integer, intent(out) :: i
     integer :: lane, row, at
 
     do lane = 1, row_length
       if (self%least(lane) <= 0.0_wp) then
-        at = place(self, lane, in_left)
+        at = field_index(self, lane, in_left)
         do row = 1, self%rows
           i = row_length*(row - 1) + lane
           if (self%field(at) <= 0.0_wp) return
@@ -215,7 +217,7 @@ contains
       end if
     end do
     i = 0
-  end subroutine who_is_due
+  end subroutine find_due_particle
 
   !> Particle `i` from its row; with its velocity, even if it stands still there.
   pure function motion_now(self, i) result(motion)
@@ -223,17 +225,17 @@ contains
     integer, intent(in) :: i
     type(motion_type) :: motion
 
-    motion%x = self%field(place(self, i, in_x))
-    motion%y = self%field(place(self, i, in_y))
-    motion%ux = self%field(place(self, i, in_ux)) + self%kept_ux(i)
-    motion%uy = self%field(place(self, i, in_uy)) + self%kept_uy(i)
+    motion%x = self%field(field_index(self, i, in_x))
+    motion%y = self%field(field_index(self, i, in_y))
+    motion%ux = self%field(field_index(self, i, in_ux)) + self%parked_ux(i)
+    motion%uy = self%field(field_index(self, i, in_uy)) + self%parked_uy(i)
     motion%side = self%side(i)
     motion%chamber = self%chamber(i)
     motion%next = self%next(i)
   end function motion_now
 
   !> Particle `i` into its row, with the time `wait` left until its next event.
-  subroutine write_down(self, i, motion, wait)
+  subroutine store_motion(self, i, motion, wait)
     class(synchronous_type), intent(inout) :: self
     integer, intent(in) :: i
     type(motion_type), intent(in) :: motion
@@ -244,15 +246,15 @@ contains
     own = [motion%x, motion%y, motion%ux, motion%uy, wait]
     if (motion%next == meets_nothing) own(in_ux:in_uy) = 0.0_wp
     do which = in_x, in_left
-      self%field(place(self, i, which)) = own(which)
+      self%field(field_index(self, i, which)) = own(which)
     end do
     self%side(i) = motion%side
     self%chamber(i) = motion%chamber
     self%next(i) = motion%next
     if (motion%next /= meets_nothing) return
-    self%kept_ux(i) = motion%ux
-    self%kept_uy(i) = motion%uy
-  end subroutine write_down
+    self%parked_ux(i) = motion%ux
+    self%parked_uy(i) = motion%uy
+  end subroutine store_motion
 
   !> The least time left in one lane.
   pure subroutine renew_lane(rows, lane, field, least)
@@ -283,23 +285,24 @@ contains
   end subroutine renew_all
 
   !> The counts and the rows, as they stand, through a stream.
-  subroutine pass_own(self, stream)
+  subroutine serialize_own_state(self, archive)
     class(synchronous_type), intent(inout) :: self
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
     integer :: row, which, first
 
-    call pass_counts(self, stream)
+    call serialize_counts(self, archive)
     do row = 1, self%rows
       do which = in_x, in_left
-        first = place(self, row_length*(row - 1) + 1, which)
-        call stream%pass('field', self%field(first:first + row_length - 1))
+        first = field_index(self, row_length*(row - 1) + 1, which)
+        call archive%serialize('field', self%field(first:first + row_length - 1))
       end do
     end do
-    call stream%pass('side', self%side)
-    call stream%pass('chamber', self%chamber)
-    call stream%pass('next', self%next)
-    call stream%pass('kept_ux', self%kept_ux, 'kept_uy', self%kept_uy, 'least', self%least)
-    call stream%pass('backwards', self%backwards)
-  end subroutine pass_own
+    call archive%serialize('side', self%side)
+    call archive%serialize('chamber', self%chamber)
+    call archive%serialize('next', self%next)
+    call archive%serialize('kept_ux', self%parked_ux, 'kept_uy', self%parked_uy, 'least', &
+      self%least)
+    call archive%serialize('backwards', self%backwards)
+  end subroutine serialize_own_state
 
 end module battery_synchronous

@@ -22,15 +22,15 @@ module battery_timestep
   use battery_kinds, only: wp, int8, int64
   use battery_text, only: to_text
   use battery_table, only: table_type, urn_type, gated, ungated, in_urn, in_gate, in_return, &
-    x_direction, alike, is_scattered
+    x_direction, are_mirror_images, is_scattered
   use battery_channel, only: fold, facing, is_open
   use battery_motion, only: motion_type
-  use battery_urn, only: holds, put_back
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, pass_counts, end_instant, &
-    count_hits, enter_gate, cross_over, window_reaches
-  use battery_engine, only: what_all_need
-  use battery_history, only: history_type
-  use battery_stream, only: stream_type
+  use battery_urn, only: contains_point, reflect_overshoot
+  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, serialize_counts, end_instant, &
+    count_hits, record_gate_entry, record_line_crossing, window_reaches
+  use battery_engine, only: unmet_requirement
+  use battery_event_record, only: event_record_type
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
   public :: timestep_type
@@ -50,11 +50,12 @@ module battery_timestep
     real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
     integer(int8), allocatable :: side(:), chamber(:)
     !> Who is not well inside an urn.
-    logical, allocatable :: busy(:)
+    logical, allocatable :: near_wall(:)
     !> Steps in a window.
     integer :: steps = 1
   contains
-    procedure :: supports, prepare, go_on, pass_own, motion_now, write_down
+    procedure :: supports, prepare_engine, process_window, serialize_own_state, motion_now, &
+      store_motion
   end type timestep_type
 
 contains
@@ -66,7 +67,7 @@ contains
     character(len=:), allocatable :: reason
     real(wp) :: longest
 
-    reason = what_all_need(table)
+    reason = unmet_requirement(table)
     if (is_scattered(table)) reason = 'it does not support scatterers'
     if (reason /= '') return
     longest = min(minval(table%urn%longest_step), minval(0.5_wp*table%channel%length, &
@@ -78,7 +79,7 @@ contains
   end function supports
 
   !> Walls, the steps of a window, and room for the particles.
-  subroutine prepare(self)
+  subroutine prepare_engine(self)
     class(timestep_type), intent(inout) :: self
     integer :: number
 
@@ -88,43 +89,43 @@ contains
       window_reaches*maxval(self%table%urn%reach)/self%time_step)))
     self%slips = 0
     if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%side, self%chamber, &
-      self%busy)
+      self%near_wall)
     allocate (self%x(number), self%y(number), self%ux(number), self%uy(number))
-    allocate (self%side(number), self%chamber(number), self%busy(number))
-  end subroutine prepare
+    allocate (self%side(number), self%chamber(number), self%near_wall(number))
+  end subroutine prepare_engine
 
   !> Some steps, within the time `duration`.
-  subroutine go_on(self, history, duration)
+  subroutine process_window(self, event_record, duration)
     class(timestep_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp), intent(in) :: duration
     real(wp) :: step
     integer :: turn
 
     self%since = 0.0_wp
     do turn = 1, self%steps
-      if (self%began + self%since >= self%page) exit
+      if (self%began + self%since >= self%epoch) exit
       step = self%time_step
       if (duration - self%since < (1.0_wp + stretch)*step) step = max(duration - self%since, 0.0_wp)
       if (turn > 1 .and. .not. step > 0.0_wp) exit
       self%since = self%since + step
       self%now = self%began + self%since
       call move_all(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
-        self%chamber, self%busy)
-      if (.not. alike(self%table%urn)) call look_again(self)
-      call look_around(self, history)
+        self%chamber, self%near_wall)
+      if (.not. are_mirror_images(self%table%urn)) call mark_near_walls_of_urn2(self)
+      call process_step_end(self, event_record)
     end do
-  end subroutine go_on
+  end subroutine process_window
 
   !> Straight on by `step`; who may have met something is busy.
-  pure subroutine move_all(urn, number, step, x, y, ux, uy, chamber, busy)
+  pure subroutine move_all(urn, number, step, x, y, ux, uy, chamber, near_wall)
     !> Of side 1; what is busy on the other side is right if the urns are alike.
     type(urn_type), intent(in) :: urn
     integer, intent(in) :: number
     real(wp), intent(in) :: step, ux(number), uy(number)
     real(wp), intent(inout) :: x(number), y(number)
     integer(int8), intent(in) :: chamber(number)
-    logical, intent(out) :: busy(number)
+    logical, intent(out) :: near_wall(number)
     real(wp) :: clear2, chord1, chord2, centre
     integer :: i
 
@@ -136,10 +137,10 @@ contains
     do i = 1, number
       x(i) = x(i) + ux(i)*step
       y(i) = y(i) + uy(i)*step
-      busy(i) = is_near(centre - abs(x(i)), y(i), clear2, chord1, chord2)
+      near_wall(i) = is_near(centre - abs(x(i)), y(i), clear2, chord1, chord2)
     end do
     do i = 1, number
-      busy(i) = busy(i) .or. chamber(i) /= in_urn
+      near_wall(i) = near_wall(i) .or. chamber(i) /= in_urn
     end do
   end subroutine move_all
 
@@ -152,79 +153,81 @@ contains
   end function is_near
 
   !> Urns that differ: who is busy in urn 2.
-  pure subroutine look_again(self)
+  pure subroutine mark_near_walls_of_urn2(self)
     type(timestep_type), intent(inout) :: self
     integer :: i
 
     associate (urn => self%table%urn(2))
       do i = 1, self%number
-        if (self%side(i) == 2 .and. self%chamber(i) == in_urn) self%busy(i) = is_near(urn%centre &
-          - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), urn%chord(ungated))
+        if (self%side(i) == 2 .and. self%chamber(i) == in_urn) self%near_wall(i) = &
+          is_near(urn%centre - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), &
+          urn%chord(ungated))
       end do
     end associate
-  end subroutine look_again
+  end subroutine mark_near_walls_of_urn2
 
   !> Puts the particles right at the end of a step, and lets the gates decide.
-  subroutine look_around(self, history)
+  subroutine process_step_end(self, event_record)
     type(timestep_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     integer :: i, first
 
-    first = history%events + 1
+    first = event_record%events + 1
     do i = 1, self%number
-      if (.not. self%busy(i)) cycle
+      if (.not. self%near_wall(i)) cycle
       if (self%chamber(i) == in_urn) then
-        call live_in_urn(self, i, history)
+        call correct_in_urn(self, i, event_record)
       else
-        call live_in_channel(self, i, history)
+        call correct_in_channel(self, i, event_record)
       end if
     end do
-    call end_instant(self, first, history)
-  end subroutine look_around
+    call end_instant(self, first, event_record)
+  end subroutine process_step_end
 
   !> A particle of an urn that may be beyond a wall or beyond a chord.
-  subroutine live_in_urn(self, i, history)
+  subroutine correct_in_urn(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     real(wp) :: x, ux
     logical :: was_beyond
 
     associate (urn => self%table%urn(self%side(i)), y => self%y(i))
-      x = urn%centre + urn%way*self%x(i)
-      ux = urn%way*self%ux(i)
+      x = urn%centre + urn%axis_sign*self%x(i)
+      ux = urn%axis_sign*self%ux(i)
       if (x >= urn%chord(gated) .and. ux > 0.0_wp .and. abs(y) < urn%half_width(gated)) then
-        call go_through(self, i, in_gate, urn%half_width(gated), (x - urn%chord(gated))/ux)
-        call enter_gate(self, history, i, self%motion_now(i))
+        call change_chamber(self, i, in_gate, urn%half_width(gated), (x - urn%chord(gated))/ux)
+        call record_gate_entry(self, event_record, i, self%motion_now(i))
       else if (x <= -urn%chord(ungated) .and. ux < 0.0_wp .and. abs(y) &
         < urn%half_width(ungated)) then
-        call go_through(self, i, in_return, urn%half_width(ungated), (x + urn%chord(ungated))/ux)
+        call change_chamber(self, i, in_return, urn%half_width(ungated), (x &
+          + urn%chord(ungated))/ux)
       else
-        call put_back(urn, x, y, ux, self%uy(i), was_beyond)
+        call reflect_overshoot(urn, x, y, ux, self%uy(i), was_beyond)
         if (.not. was_beyond) return
-        self%x(i) = urn%way*(x - urn%centre)
-        self%ux(i) = urn%way*ux
-        call count_hits(self, history, 1_int64)
+        self%x(i) = urn%axis_sign*(x - urn%centre)
+        self%ux(i) = urn%axis_sign*ux
+        call count_hits(self, event_record, 1_int64)
       end if
     end associate
-  end subroutine live_in_urn
+  end subroutine correct_in_urn
 
-  !> Through a chord into another chamber, `ago`; there the channel's half width is `half`.
-  subroutine go_through(self, i, chamber, half, ago)
+  !> Through a chord into another chamber, `ago`; there the channel's half width is `half_width`.
+  subroutine change_chamber(self, i, chamber, half_width, ago)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i, chamber
-    real(wp), intent(in) :: half, ago
+    real(wp), intent(in) :: half_width, ago
 
-    if (abs(self%y(i) - self%uy(i)*ago) > half) self%slips = self%slips + 1
+    if (abs(self%y(i) - self%uy(i)*ago) > half_width) self%slips = self%slips + 1
     self%chamber(i) = int(chamber, int8)
-  end subroutine go_through
+  end subroutine change_chamber
 
   !> A particle of a channel: walls, lines, and the way out.
-  subroutine live_in_channel(self, i, history)
+  subroutine correct_in_channel(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
-    type(history_type), intent(inout) :: history
-    real(wp) :: out, depth, ahead, half, ago
+    type(event_record_type), intent(inout) :: event_record
+    real(wp) :: out, depth, ahead, half_width, ago
     integer :: channel
     logical :: inward
 
@@ -233,46 +236,46 @@ contains
     ! On its way to the far end: such a particle cannot leave.
     inward = facing(channel)*out*self%ux(i) < 0.0_wp
     associate (urn => self%table%urn(self%side(i)), x => self%x(i))
-      half = urn%half_width(channel)
+      half_width = urn%half_width(channel)
       ! How far it is beyond the chord, and short of the line.
       depth = facing(channel)*(urn%begins(channel) - out*x)
       ahead = merge(out*x, urn%periodic_line - out*x, channel == gated)
-      if (.not. inward .and. depth < 0.0_wp .and. holds(urn, urn%centre - out*x, self%y(i), &
-        0.0_wp)) then
+      if (.not. inward .and. depth < 0.0_wp .and. contains_point(urn, urn%centre - out*x, &
+        self%y(i), 0.0_wp)) then
         ago = 0.0_wp
         if (abs(self%ux(i)) > 0.0_wp) ago = -depth/abs(self%ux(i))
-        call go_through(self, i, in_urn, half, ago)
+        call change_chamber(self, i, in_urn, half_width, ago)
         return
       end if
-      if (abs(self%y(i)) > half) call mirror(self, i, half, history)
+      if (abs(self%y(i)) > half_width) call mirror_in_channel(self, i, half_width, event_record)
       if (.not. inward) then
         ! In the wall beside the channel.
-        if (depth < 0.0_wp) call go_through(self, i, in_urn, half, 0.0_wp)
+        if (depth < 0.0_wp) call change_chamber(self, i, in_urn, half_width, 0.0_wp)
       else if (ahead < 0.0_wp) then
-        call go_over(self, i, history)
+        call move_across_line(self, i, event_record)
       end if
     end associate
-  end subroutine live_in_channel
+  end subroutine correct_in_channel
 
   !> Mirrors a particle in the walls of its channel until it is between them.
-  subroutine mirror(self, i, half, history)
+  subroutine mirror_in_channel(self, i, half_width, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
-    real(wp), intent(in) :: half
-    type(history_type), intent(inout) :: history
-    real(wp) :: height, turned, hits
+    real(wp), intent(in) :: half_width
+    type(event_record_type), intent(inout) :: event_record
+    real(wp) :: height, reflected, hits
 
-    call fold(self%y(i), 2.0_wp*half, height, turned, hits)
+    call fold(self%y(i), 2.0_wp*half_width, height, reflected, hits)
     self%y(i) = height
-    self%uy(i) = turned*self%uy(i)
-    call count_hits(self, history, int(hits, int64))
-  end subroutine mirror
+    self%uy(i) = reflected*self%uy(i)
+    call count_hits(self, event_record, int(hits, int64))
+  end subroutine mirror_in_channel
 
   !> Over the line of its channel, or back from the end wall.
-  subroutine go_over(self, i, history)
+  subroutine move_across_line(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     integer :: from
 
     from = self%side(i)
@@ -284,8 +287,8 @@ contains
       ! From one end of the table to the other.
       self%x(i) = self%x(i) - x_direction(from)*sum(self%table%urn%periodic_line)
     end if
-    call cross_over(self, history, i, from, int(self%chamber(i)))
-  end subroutine go_over
+    call record_line_crossing(self, event_record, i, from, int(self%chamber(i)))
+  end subroutine move_across_line
 
   !> Particle `i` as it is now; what it meets next is not known.
   pure function motion_now(self, i) result(motion)
@@ -298,7 +301,7 @@ contains
   end function motion_now
 
   !> Particle `i` as it is now; the time `wait` until its next event says whether it is busy.
-  subroutine write_down(self, i, motion, wait)
+  subroutine store_motion(self, i, motion, wait)
     class(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
     type(motion_type), intent(in) :: motion
@@ -311,19 +314,19 @@ contains
     self%side(i) = motion%side
     self%chamber(i) = motion%chamber
     ! For the walls that it meets, the end of each step is looked at.
-    self%busy(i) = wait <= self%time_step
-  end subroutine write_down
+    self%near_wall(i) = wait <= self%time_step
+  end subroutine store_motion
 
   !> The counts and the particles, through a stream.
-  subroutine pass_own(self, stream)
+  subroutine serialize_own_state(self, archive)
     class(timestep_type), intent(inout) :: self
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call pass_counts(self, stream)
-    call stream%pass('slips', self%slips)
-    call stream%pass('x', self%x, 'y', self%y, 'ux', self%ux, 'uy', self%uy)
-    call stream%pass('side', self%side)
-    call stream%pass('chamber', self%chamber)
-  end subroutine pass_own
+    call serialize_counts(self, archive)
+    call archive%serialize('slips', self%slips)
+    call archive%serialize('x', self%x, 'y', self%y, 'ux', self%ux, 'uy', self%uy)
+    call archive%serialize('side', self%side)
+    call archive%serialize('chamber', self%chamber)
+  end subroutine serialize_own_state
 
 end module battery_timestep

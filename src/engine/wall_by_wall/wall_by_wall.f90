@@ -1,26 +1,26 @@
 !> What the engines have in common in which a particle has an event at every wall.
 !>
 !> Such an engine knows when events happen; here is what they do to the gates, to the counts and to
-!> the history. It hands over the particle that has an event (`meet`), goes on until no other event
-!> is due at that same instant, and only then are the gates asked whether they turn (`end_instant`).
-!> Whatever the order in which the events of the instant came, that decides as the rule of
-!> `battery_gate` does.
+!> the history. It hands over the particle that has an event (`process_event`), goes on until no
+!> other event is due at that same instant, and only then are the gates asked whether they turn
+!> (`end_instant`). Whatever the order in which the events of the instant came, that decides as the
+!> rule of `battery_gate` does.
 module battery_wall_by_wall
   use battery_kinds, only: wp, int64
   use battery_table, only: gated, ungated, in_gate
   use battery_motion, only: motion_type, meets_gate, meets_line, meets_channel_wall
-  use battery_bounce, only: put_down, take_off, hit_wall, pass_line, turn_back, heads_for_middle, &
-    time_to_middle, is_trapped
-  use battery_gate, only: enter, undecided, decide, cross, turned_back, &
-    number_inside, who_is_inside
+  use battery_bounce, only: motion_at, find_first_wall, hit_wall, pass_line, reverse_motion, &
+    heads_for_middle, time_to_middle, is_trapped
+  use battery_gate, only: enter_gate, has_undecided_entries, decide_reversal, uncount_particle, &
+    uncount_all, number_inside, counted_particle
   use battery_engine, only: engine_type, particles_type
-  use battery_history, only: history_type, reserve_history, record_crossing, record_event, &
-    record_reversal, order_events, crossing_of, event_entry
-  use battery_stream, only: stream_type
+  use battery_event_record, only: event_record_type, reserve_event_record, record_crossing, &
+    record_event, record_reversal, sort_simultaneous_events, crossing_of, event_entry
+  use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: wall_by_wall_type, prepare_walls, take_in, pass_counts, meet, end_instant, count_hits, &
-    enter_gate, cross_over, longest_window, end_of_window
+  public :: wall_by_wall_type, prepare_walls, load_motions, serialize_counts, process_event, &
+    end_instant, count_hits, record_gate_entry, record_line_crossing, longest_window, end_of_window
 
   !> A window is at most so many times the reach of the larger urn long, and has about so many
   !> events at most.
@@ -41,27 +41,27 @@ module battery_wall_by_wall
     !> Longest window, of an engine that has one.
     real(wp) :: window = huge(1.0_wp)
   contains
-    procedure :: take_over => take_in
+    procedure :: load_particles => load_motions
     procedure :: state_of, collisions, trapped
-    procedure :: live
+    procedure :: advance_window
     !> Goes on by at most one window and not beyond `duration`; sets `now` and `since`.
-    procedure(go_on_interface), deferred :: go_on
+    procedure(process_window_interface), deferred :: process_window
     !> Turns a particle of a gate back.
-    procedure :: turn_particle
+    procedure :: reverse_particle
     !> Where a particle is now, and how it moves.
     procedure(motion_interface), deferred :: motion_now
     !> Takes note of a particle now, and of the time until its next event.
-    procedure(write_down_interface), deferred :: write_down
+    procedure(store_motion_interface), deferred :: store_motion
   end type wall_by_wall_type
 
   abstract interface
-    subroutine go_on_interface(self, history, duration)
-      import :: wall_by_wall_type, history_type, wp
+    subroutine process_window_interface(self, event_record, duration)
+      import :: wall_by_wall_type, event_record_type, wp
       implicit none (type, external)
       class(wall_by_wall_type), intent(inout) :: self
-      type(history_type), intent(inout) :: history
+      type(event_record_type), intent(inout) :: event_record
       real(wp), intent(in) :: duration
-    end subroutine go_on_interface
+    end subroutine process_window_interface
 
     pure function motion_interface(self, i) result(motion)
       import :: wall_by_wall_type, motion_type
@@ -71,14 +71,14 @@ module battery_wall_by_wall
       type(motion_type) :: motion
     end function motion_interface
 
-    subroutine write_down_interface(self, i, motion, wait)
+    subroutine store_motion_interface(self, i, motion, wait)
       import :: wall_by_wall_type, motion_type, wp
       implicit none (type, external)
       class(wall_by_wall_type), intent(inout) :: self
       integer, intent(in) :: i
       type(motion_type), intent(in) :: motion
       real(wp), intent(in) :: wait
-    end subroutine write_down_interface
+    end subroutine store_motion_interface
   end interface
 
 contains
@@ -87,7 +87,7 @@ contains
   subroutine prepare_walls(self)
     class(wall_by_wall_type), intent(inout) :: self
 
-    self%page = self%table%page
+    self%epoch = self%table%epoch
     self%difference = 0
     self%hits = 0
   end subroutine prepare_walls
@@ -109,27 +109,27 @@ contains
     real(wp), intent(in) :: duration
     real(wp) :: ends
 
-    ends = min(self%now + min(duration, self%window), self%page)
+    ends = min(self%now + min(duration, self%window), self%epoch)
   end function end_of_window
 
   !> One window of at most the time `duration`.
-  subroutine live(self, duration, history)
+  subroutine advance_window(self, duration, event_record)
     class(wall_by_wall_type), intent(inout) :: self
     real(wp), intent(in) :: duration
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     integer(int64) :: hits
 
     self%began = self%now
     hits = self%hits
-    call reserve_history(history, 64, 64)
-    call self%go_on(history, duration)
-    history%duration = self%since
-    history%collisions = self%hits - hits
-  end subroutine live
+    call reserve_event_record(event_record, 64, 64)
+    call self%process_window(event_record, duration)
+    event_record%duration = self%since
+    event_record%collisions = self%hits - hits
+  end subroutine advance_window
 
   !> Takes in the particles. In a gate and on its way to the other one a particle is counted from
   !> the start, but only an entry can make a gate turn.
-  subroutine take_in(self, particles)
+  subroutine load_motions(self, particles)
     class(wall_by_wall_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
     type(motion_type) :: motion
@@ -137,21 +137,21 @@ contains
     integer :: i
 
     do i = 1, self%number
-      motion = put_down(self%table, particles%x(i), particles%y(i), particles%ux(i), &
+      motion = motion_at(self%table, particles%x(i), particles%y(i), particles%ux(i), &
         particles%uy(i))
-      call take_off(self%table, motion, wait)
+      call find_first_wall(self%table, motion, wait)
       self%difference = self%difference + merge(1, -1, motion%side == 1)
-      if (heads_for_middle(motion)) call enter(self%gate(motion%side), self%now &
+      if (heads_for_middle(motion)) call enter_gate(self%gate(motion%side), self%now &
         + time_to_middle(motion), i)
-      call self%write_down(i, motion, wait)
+      call self%store_motion(i, motion, wait)
     end do
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
-  end subroutine take_in
+  end subroutine load_motions
 
   !> The event of a particle, which has been moved to it. `wait` is how long it takes to its next.
-  subroutine meet(self, history, particle, motion, wait)
+  subroutine process_event(self, event_record, particle, motion, wait)
     class(wall_by_wall_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     !> Its number, from 1.
     integer, intent(in) :: particle
     type(motion_type), intent(inout) :: motion
@@ -163,97 +163,99 @@ contains
     met = motion%next
     if (met >= meets_channel_wall) then
       call hit_wall(self%table, motion, wait)
-      call count_hits(self, history, 1_int64)
+      call count_hits(self, event_record, 1_int64)
     else
       call pass_line(self%table, motion, wait)
-      if (met == meets_gate) call enter_gate(self, history, particle, motion)
-      if (met == meets_line) call cross_over(self, history, particle, side, chamber)
+      if (met == meets_gate) call record_gate_entry(self, event_record, particle, motion)
+      if (met == meets_line) call record_line_crossing(self, event_record, particle, side, chamber)
     end if
-  end subroutine meet
+  end subroutine process_event
 
   !> A particle has come into the gate of its side.
-  subroutine enter_gate(self, history, particle, motion)
+  subroutine record_gate_entry(self, event_record, particle, motion)
     class(wall_by_wall_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     !> Its number, from 1.
     integer, intent(in) :: particle
     type(motion_type), intent(in) :: motion
 
-    call enter(self%gate(motion%side), self%now + time_to_middle(motion), particle)
-    if (history%logging) call record_event(history, self%since, event_entry, int(motion%side), &
-      particle)
-  end subroutine enter_gate
+    call enter_gate(self%gate(motion%side), self%now + time_to_middle(motion), particle)
+    if (event_record%logging) call record_event(event_record, self%since, event_entry, &
+      int(motion%side), particle)
+  end subroutine record_gate_entry
 
   !> A particle has come to the line of its channel, from `chamber` of `side`.
-  subroutine cross_over(self, history, particle, side, chamber)
+  subroutine record_line_crossing(self, event_record, particle, side, chamber)
     class(wall_by_wall_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     !> Its number; side 1 or 2; `in_gate` or `in_return`.
     integer, intent(in) :: particle, side, chamber
 
     if (chamber == in_gate) then
-      call cross(self%gate(side), particle)
-      call record_crossing(history, self%since, crossing_of(side, gated), particle)
+      call uncount_particle(self%gate(side), particle)
+      call record_crossing(event_record, self%since, crossing_of(side, gated), particle)
     else
-      call record_crossing(history, self%since, crossing_of(side, ungated), particle)
+      call record_crossing(event_record, self%since, crossing_of(side, ungated), particle)
     end if
     if (self%table%beyond(side) == side) then
-      call count_hits(self, history, 1_int64)
+      call count_hits(self, event_record, 1_int64)
     else
       self%difference = self%difference + merge(-2, 2, side == 1)
     end if
-  end subroutine cross_over
+  end subroutine record_line_crossing
 
   !> `hits` wall collisions, and the state right after them.
-  subroutine count_hits(self, history, hits)
+  subroutine count_hits(self, event_record, hits)
     class(wall_by_wall_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     integer(int64), intent(in) :: hits
 
     self%hits = self%hits + hits
-    history%collision_spread_sum = history%collision_spread_sum + hits*abs(self%difference)
-    history%collisions_seen = history%collisions_seen + hits
+    event_record%collision_spread_sum = event_record%collision_spread_sum &
+      + hits*abs(self%difference)
+    event_record%collisions_seen = event_record%collisions_seen + hits
   end subroutine count_hits
 
   !> The gates decide, and the log of the instant, events `first` and later, is put in order.
-  subroutine end_instant(self, first, history)
+  subroutine end_instant(self, first, event_record)
     class(wall_by_wall_type), intent(inout) :: self
     integer, intent(in) :: first
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
 
-    if (undecided(self%gate)) call let_gates_decide(self, history)
-    if (history%events > first) call order_events(history, first, history%events)
+    if (has_undecided_entries(self%gate)) call let_gates_decide(self, event_record)
+    if (event_record%events > first) call sort_simultaneous_events(event_record, first, &
+      event_record%events)
   end subroutine end_instant
 
   !> Where a gate turns, all those counted in it turn back.
-  subroutine let_gates_decide(self, history)
+  subroutine let_gates_decide(self, event_record)
     class(wall_by_wall_type), intent(inout) :: self
-    type(history_type), intent(inout) :: history
+    type(event_record_type), intent(inout) :: event_record
     integer :: side, place
     logical :: turns
 
     do side = 1, 2
-      call decide(self%gate(side), turns)
+      call decide_reversal(self%gate(side), turns)
       if (.not. turns) cycle
-      call record_reversal(history, self%since, side, number_inside(self%gate(side)))
+      call record_reversal(event_record, self%since, side, number_inside(self%gate(side)))
       do place = 1, number_inside(self%gate(side))
-        call self%turn_particle(who_is_inside(self%gate(side), place))
+        call self%reverse_particle(counted_particle(self%gate(side), place))
       end do
-      call turned_back(self%gate(side))
+      call uncount_all(self%gate(side))
     end do
   end subroutine let_gates_decide
 
   !> Turns particle `i` of a gate back.
-  subroutine turn_particle(self, i)
+  subroutine reverse_particle(self, i)
     class(wall_by_wall_type), intent(inout) :: self
     integer, intent(in) :: i
     type(motion_type) :: motion
     real(wp) :: wait
 
     motion = self%motion_now(i)
-    call turn_back(self%table, motion, wait)
-    call self%write_down(i, motion, wait)
-  end subroutine turn_particle
+    call reverse_motion(self%table, motion, wait)
+    call self%store_motion(i, motion, wait)
+  end subroutine reverse_particle
 
   !> x, y, u_x, u_y of particle `i` now.
   function state_of(self, i) result(state)
@@ -287,12 +289,12 @@ contains
   end function trapped
 
   !> The counts, through a stream.
-  subroutine pass_counts(self, stream)
+  subroutine serialize_counts(self, archive)
     class(wall_by_wall_type), intent(inout) :: self
-    type(stream_type), intent(inout) :: stream
+    type(archive_type), intent(inout) :: archive
 
-    call stream%pass('difference', self%difference)
-    call stream%pass('hits', self%hits)
-  end subroutine pass_counts
+    call archive%serialize('difference', self%difference)
+    call archive%serialize('hits', self%hits)
+  end subroutine serialize_counts
 
 end module battery_wall_by_wall

@@ -7,12 +7,12 @@ program reversal_times
   use battery_initial_state, only: random_particles
   use battery_engine, only: engine_type, particles_type
   use battery_engines, only: new_engine
-  use battery_history, only: history_type, event_reversal
+  use battery_event_record, only: event_record_type, event_reversal
   implicit none (type, external)
   class(engine_type), allocatable :: engine
   type(table_type) :: table
   type(particles_type) :: particles
-  type(history_type) :: history
+  type(event_record_type) :: event_record
   type(error_type), allocatable :: error
   real(wp), parameter :: duration = 2000.0_wp
   real(wp) :: last(2) = -1.0_wp, begin, time, mean
@@ -24,15 +24,15 @@ program reversal_times
   if (.not. allocated(error)) call new_engine('excursion', engine, error)
   if (allocated(error)) error stop error%message
   call engine%start(table, 7, particles, 0.0_wp)
-  history%logging = .true.
+  event_record%logging = .true.
   allocate (waits(0))
   do while (engine%clock() < duration)
     begin = engine%clock()
-    call engine%advance(duration - begin, history)
-    do event = 1, history%events
-      if (history%event_kind(event) /= event_reversal) cycle
-      time = begin + history%event_time(event)
-      associate (before => last(history%event_where(event)))
+    call engine%advance(duration - begin, event_record)
+    do event = 1, event_record%events
+      if (event_record%event_kind(event) /= event_reversal) cycle
+      time = begin + event_record%event_time(event)
+      associate (before => last(event_record%event_where(event)))
         if (before >= 0.0_wp) waits = [waits, time - before]
         before = time
       end associate

@@ -1,6 +1,6 @@
 !> What a plan will do and cost, before it is run: tasks, parameters, time from a short calibration,
 !> memory.
-module battery_outlook
+module battery_plan_report
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
   use battery_engine, only: particles_type
@@ -8,19 +8,19 @@ module battery_outlook
   use battery_answer, only: write_plan_answer
   use battery_memory_estimate, only: estimate_type, estimate_of, bytes_a_rank, bytes_at_the_end
   use battery_memory_limits, only: memory_type, memory_left, size_text
-  use battery_preparation, only: progress_type, look_at_output, further_text
+  use battery_startup, only: progress_type, inspect_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
   use battery_screen, only: duration_text, rate_text
   use battery_signals, only: stop_requested, stopped_before_start
-  use battery_simulation, only: simulation_type, begin_simulation, step
+  use battery_simulation, only: simulation_type, begin_simulation, advance_simulation
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_type, task_count, task_of, place_particles
-  use battery_terminal, only: say
+  use battery_terminal, only: print_line
   use battery_text, only: string_type, to_text, counted
   implicit none (type, external)
   private
-  public :: print_outlook
+  public :: print_plan_report
 
   !> Tasks tried for the calibration, and seconds spent on each.
   integer, parameter :: most_tries = 5
@@ -29,7 +29,7 @@ module battery_outlook
 contains
 
   !> Prints the plan and what it will cost on `ranks` ranks, `sharing` of them on one machine.
-  subroutine print_outlook(plan, ranks, sharing, overwrite, json, error)
+  subroutine print_plan_report(plan, ranks, sharing, overwrite, json, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks, sharing
     !> Whether what is there would be discarded.
@@ -38,7 +38,7 @@ contains
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
     type(memory_type) :: left
-    type(estimate_type) :: needs
+    type(estimate_type) :: estimate
     type(progress_type) :: progress
     character(len=:), allocatable :: remark
     type(string_type), allocatable :: remarks(:)
@@ -49,30 +49,30 @@ contains
     if (overwrite) then
       progress = nothing_done(plan)
     else
-      call look_at_output(plan, progress, remark, error)
+      call inspect_output(plan, progress, remark, error)
     end if
     if (allocated(error)) return
-    if (remark /= '') call say(remark)
+    if (remark /= '') call print_line(remark)
     left = memory_left(sharing)
-    needs = estimate_of(plan, left)
+    estimate = estimate_of(plan, left)
     call print_parameters(plan)
     remarks = remarks_of(plan)
     do at = 1, size(remarks)
-      call say('remark:     '//remarks(at)%text)
+      call print_line('remark:     '//remarks(at)%text)
     end do
-    call say('finished:   '//counted(progress%finished, 'task')//'; to be done: ' &
+    call print_line('finished:   '//counted(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
-    call calibrate(plan, progress%pending, needs%number, seconds, rate, error)
+    call calibrate(plan, progress%pending, estimate%number, seconds, rate, error)
     if (allocated(error)) return
     if (rate > 0.0_dp) &
-      call say('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
-    if (size(progress%pending) > 0) call say('time:       about '//time_text(0.0_dp)//' on ' &
-      //counted(ranks, 'rank')//further_time())
-    call print_memory(needs, left)
-    call say('results:    '//plan%file)
-    call say('nothing was written')
+      call print_line('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
+    if (size(progress%pending) > 0) call print_line('time:       about '//time_text(0.0_dp) &
+      //' on ' //counted(ranks, 'rank')//further_time())
+    call print_memory(estimate, left)
+    call print_line('results:    '//plan%file)
+    call print_line('nothing was written')
     call write_plan_answer(json, task_count(plan), size(progress%pending), seconds, &
-      bytes_a_rank(needs), error)
+      bytes_a_rank(estimate), error)
 
   contains
 
@@ -95,7 +95,7 @@ contains
       text = text//'; at most '//time_text(real(progress%further, dp))
     end function further_time
 
-  end subroutine print_outlook
+  end subroutine print_plan_report
 
   !> What is to be done where nothing is there.
   function nothing_done(plan) result(progress)
@@ -109,17 +109,18 @@ contains
   end function nothing_done
 
   !> What a rank takes while it runs, what rank 0 takes at the end, and what there is.
-  subroutine print_memory(needs, left)
-    type(estimate_type), intent(in) :: needs
+  subroutine print_memory(estimate, left)
+    type(estimate_type), intent(in) :: estimate
     type(memory_type), intent(in) :: left
 
-    call say('memory:     about '//size_text(bytes_a_rank(needs))//' a rank; rank 0 about ' &
-      //size_text(bytes_at_the_end(needs))//' at the end; ' &
+    call print_line('memory:     about '//size_text(bytes_a_rank(estimate)) &
+      //' a rank; rank 0 about ' //size_text(bytes_at_the_end(estimate))//' at the end; ' &
       //'there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
-    if (needs%events > 0.0_dp) call say('            events take about '//size_text(needs%events) &
-      //' of it; a run whose events outgrow the memory fails')
-    if (needs%too_large > 0) call say('            '//counted(needs%too_large, 'point') &
-      //' with up to '//to_text(needs%greatest)//' particles need more: their tasks will fail')
+    if (estimate%events > 0.0_dp) call print_line('            events take about ' &
+      //size_text(estimate%events) //' of it; a run whose events outgrow the memory fails')
+    if (estimate%too_large > 0) call print_line('            '//counted(estimate%too_large, &
+      'point') //' with up to '//to_text(estimate%greatest) &
+      //' particles need more: their tasks will fail')
   end subroutine print_memory
 
   subroutine print_parameters(plan)
@@ -136,30 +137,31 @@ contains
         point%channel(gated)%width, point%channel(gated)%length, point%channel(ungated)%width, &
         point%channel(ungated)%length, real(point%urn1_number, wp)])
     end do
-    call say('tasks:      '//to_text(task_count(plan))//' (' &
+    call print_line('tasks:      '//to_text(task_count(plan))//' (' &
       //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)')
-    if (plan%first_replicas < plan%replicas) call say('precision:  the first ' &
+    if (plan%first_replicas < plan%replicas) call print_line('precision:  the first ' &
       //to_text(plan%first_replicas)//' replicas of a point determine its number, up to ' &
       //to_text(plan%replicas)//'')
-    call say('engine:     '//plan%engine)
+    call print_line('engine:     '//plan%engine)
     if (plan%urn_shape == 'disc') then
-      call say('shape:      '//plan%shape//', urn radius '//both(4))
+      call print_line('shape:      '//plan%shape//', urn radius '//both(4))
     else
-      call say('shape:      '//plan%shape//', '//outline_text(plan)//', urn radius '//both(4))
+      call print_line('shape:      '//plan%shape//', '//outline_text(plan)//', urn radius ' &
+        //both(4))
     end if
-    call say('channel 1:  w = '//range_text(6)//', l = '//range_text(7))
+    call print_line('channel 1:  w = '//range_text(6)//', l = '//range_text(7))
     if (plan%shape /= 'urn') &
-      call say('channel 2:  w'' = '//range_text(8)//', l'' = '//range_text(9))
+      call print_line('channel 2:  w'' = '//range_text(8)//', l'' = '//range_text(9))
     if (size(plan%scatterers) > 0) &
-      call say('            with '//counted(size(plan%scatterers)/3, 'scatterer'))
-    call say('N:          '//range_text(1))
-    call say('T:          '//both(2))
-    call say('urn 1:      '//range_text(10)//' particles at the start')
+      call print_line('            with '//counted(size(plan%scatterers)/3, 'scatterer'))
+    call print_line('N:          '//range_text(1))
+    call print_line('T:          '//both(2))
+    call print_line('urn 1:      '//range_text(10)//' particles at the start')
     if (plan%duration > 0.0_wp) then
-      call say('length:     '//to_text(plan%duration) &
+      call print_line('length:     '//to_text(plan%duration) &
         //' time units each, the first ' //to_text(plan%transient_duration)//' not averaged')
     else
-      call say('length:     '//rate_text(real(plan%collisions, dp)) &
+      call print_line('length:     '//rate_text(real(plan%collisions, dp)) &
         //' collisions each, the first ' &
         //rate_text(real(plan%transient_collisions, dp))//' not averaged')
     end if
@@ -247,7 +249,7 @@ contains
       before = simulation%engine%collisions()
       elapsed = real(simulation%elapsed, dp)
       do
-        call step(simulation)
+        call advance_simulation(simulation)
         spent = cpu_seconds() - began
         if (stop_requested()) call stopped_before_start(error)
         if (allocated(error)) return
@@ -267,4 +269,4 @@ contains
     rate = rate/max(tried, 1)
   end subroutine calibrate
 
-end module battery_outlook
+end module battery_plan_report

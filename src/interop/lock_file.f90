@@ -8,9 +8,9 @@
 !> holds on this machine where the file system has no locks.
 !>
 !> Ranks that outlive their rank 0 may still write, and so may a run whose file was removed: each
-!> asks the file before it does (`is_taken_over`), no two starts write to the same rank file, and
+!> asks the file before it does (`is_lock_lost`), no two starts write to the same rank file, and
 !> what is written over is made anew, so that two never write into one file.
-module battery_ownership
+module battery_lock_file
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_ptr, c_null_char, c_null_ptr, c_associated
   use battery_c_shapes, only: action_on_address, number_of_path_and_text
   use battery_kinds, only: dp
@@ -19,34 +19,34 @@ module battery_ownership
     seen_at
   use battery_fingerprint, only: fingerprint_of, fingerprint_text
   use battery_paths, only: system_message, folder_of
-  use battery_clocks, only: wall_seconds, rest
+  use battery_clocks, only: wall_seconds, sleep_for
   use battery_signals, only: stop_requested
   use battery_machine, only: host_name
   use battery_process, only: process_number
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: ownership_type, take_ownership, give_up_ownership, is_taken_over
-  public :: taken_over_text, leave_mark, remove_mark, sees_mark
+  public :: lock_type, acquire_lock, release_lock, is_lock_lost
+  public :: lock_lost_text, create_marker, remove_marker, sees_marker
 
-  !> What an attempt came to, as in `owner.c`.
+  !> What an attempt came to, as in `lock_file.c`.
   integer(c_int), parameter :: taken = 0, held = 1, unknown = 2, again = 3, not_a_file = 5
 
   !> Bytes of the longest text of an owner, and of the name of a machine in it.
   integer, parameter :: longest_text = 256
 
   !> Seconds to wait for the end of another owner, and between two attempts.
-  real(dp), parameter :: usual_patience = 5.0_dp, pause = 0.05_dp
+  real(dp), parameter :: default_patience = 5.0_dp, pause = 0.05_dp
 
   !> An output that is owned, or that another rank owns.
-  type :: ownership_type
+  type :: lock_type
     !> The file, and what it says while this run owns it; not allocated: nothing is owned.
     character(len=:), allocatable :: path, text
     !> What the output was when it was taken, on rank 0 alone.
     type(seen_type) :: before
     !> The file, on rank 0 alone.
     type(c_ptr), private :: handle = c_null_ptr
-  end type ownership_type
+  end type lock_type
 
   procedure(action_on_address), bind(c, name='battery_disown') :: c_disown
   procedure(number_of_path_and_text), bind(c, name='battery_read_owner') :: c_read_owner
@@ -66,12 +66,12 @@ contains
 
   !> Makes this process the owner of the output `file`. Where another run owns it, waits a while for
   !> that to end, and takes over from a dead one of this machine.
-  subroutine take_ownership(ownership, file, error, patience, text, hint)
-    type(ownership_type), intent(out) :: ownership
+  subroutine acquire_lock(lock, file, error, patience, text, hint)
+    type(lock_type), intent(out) :: lock
     character(len=*), intent(in) :: file
     !> Code `exit_bad_input` where another run owns it, `exit_stopped_early` where a signal came.
     type(error_type), allocatable, intent(out) :: error
-    !> Seconds to wait, `usual_patience` if absent.
+    !> Seconds to wait, `default_patience` if absent.
     real(dp), intent(in), optional :: patience
     !> What the file is to say, `owner_text` if absent.
     character(len=*), intent(in), optional :: text
@@ -82,36 +82,36 @@ contains
     real(dp) :: last_attempt
     integer(c_int) :: outcome
 
-    last_attempt = wall_seconds() + usual_patience
-    if (present(patience)) last_attempt = last_attempt - usual_patience + patience
-    ownership%path = file//'.owner'
-    ownership%text = owner_text()
-    if (present(text)) ownership%text = text
+    last_attempt = wall_seconds() + default_patience
+    if (present(patience)) last_attempt = last_attempt - default_patience + patience
+    lock%path = file//'.owner'
+    lock%text = owner_text()
+    if (present(text)) lock%text = text
     do
-      outcome = c_own(ownership%path//c_null_char, ownership%text//c_null_char, holder, &
-        longest_text, ownership%handle)
+      outcome = c_own(lock%path//c_null_char, lock%text//c_null_char, holder, &
+        longest_text, lock%handle)
       select case (outcome)
       case (taken)
         ! A run that was killed may have left its mark as well.
-        if (words_of(holder) /= '') call remove_file(mark_of(ownership%path, words_of(holder)), &
+        if (words_of(holder) /= '') call remove_file(marker_of(lock%path, words_of(holder)), &
           no_matter)
-        ownership%before = seen_at(file)
+        lock%before = seen_at(file)
         return
       case (held, unknown)
         if (wall_seconds() > last_attempt) then
           call fatal_error(error, file//': '//owned_by(holder)//what_to_do(outcome == held, &
-            ownership%path), exit_bad_input)
+            lock%path), exit_bad_input)
           if (present(hint)) error%message = error%message//hint
           return
         end if
       case (again)
         continue
       case (not_a_file)
-        call fatal_error(error, ownership%path//': is not a file that a run has left; remove it, ' &
+        call fatal_error(error, lock%path//': is not a file that a run has left; remove it, ' &
           //'or name another output file', exit_bad_input)
         return
       case default
-        call fatal_error(error, ownership%path//': cannot be written: '//system_message(), &
+        call fatal_error(error, lock%path//': cannot be written: '//system_message(), &
           merge(exit_failure, exit_bad_input, is_disk_error()))
         return
       end select
@@ -119,72 +119,72 @@ contains
         call fatal_error(error, 'stopped while it waited: '//owned_by(holder), exit_stopped_early)
         return
       end if
-      call rest(pause)
+      call sleep_for(pause)
     end do
-  end subroutine take_ownership
+  end subroutine acquire_lock
 
   !> The output is free for others; without an ownership, does nothing.
-  subroutine give_up_ownership(ownership)
-    type(ownership_type), intent(inout) :: ownership
+  subroutine release_lock(lock)
+    type(lock_type), intent(inout) :: lock
 
-    if (c_associated(ownership%handle)) call c_disown(ownership%handle)
-    ownership%handle = c_null_ptr
-  end subroutine give_up_ownership
+    if (c_associated(lock%handle)) call c_disown(lock%handle)
+    lock%handle = c_null_ptr
+  end subroutine release_lock
 
   !> Whether the output is another run's now: then nothing may be written any more. A file that is
   !> gone tells nothing.
-  logical function is_taken_over(ownership) result(yes)
-    type(ownership_type), intent(in) :: ownership
+  logical function is_lock_lost(lock) result(yes)
+    type(lock_type), intent(in) :: lock
     character(len=longest_text) :: now
     integer :: length
 
     yes = .false.
-    if (.not. allocated(ownership%path)) return
-    length = c_read_owner(ownership%path//c_null_char, now, longest_text)
-    yes = length > 0 .and. now(:length) /= ownership%text
-  end function is_taken_over
+    if (.not. allocated(lock%path)) return
+    length = c_read_owner(lock%path//c_null_char, now, longest_text)
+    yes = length > 0 .and. now(:length) /= lock%text
+  end function is_lock_lost
 
   !> Makes a file beside the output of a name that no other run has: who sees it sees the folder
   !> that this run writes to.
-  subroutine leave_mark(ownership, error)
-    type(ownership_type), intent(in) :: ownership
+  subroutine create_marker(lock, error)
+    type(lock_type), intent(in) :: lock
     type(error_type), allocatable, intent(out) :: error
 
-    call create_new_file(mark_of(ownership%path, ownership%text), error)
-  end subroutine leave_mark
+    call create_new_file(marker_of(lock%path, lock%text), error)
+  end subroutine create_marker
 
-  !> The end of what `leave_mark` made.
-  subroutine remove_mark(ownership, error)
-    type(ownership_type), intent(in) :: ownership
+  !> The end of what `create_marker` made.
+  subroutine remove_marker(lock, error)
+    type(lock_type), intent(in) :: lock
     type(error_type), allocatable, intent(out) :: error
 
-    call remove_file(mark_of(ownership%path, ownership%text), error)
-  end subroutine remove_mark
+    call remove_file(marker_of(lock%path, lock%text), error)
+  end subroutine remove_marker
 
   !> Whether a rank sees the mark of the rank that owns the output.
-  logical function sees_mark(ownership) result(yes)
-    type(ownership_type), intent(in) :: ownership
+  logical function sees_marker(lock) result(yes)
+    type(lock_type), intent(in) :: lock
 
-    yes = file_exists(mark_of(ownership%path, ownership%text))
-  end function sees_mark
+    yes = file_exists(marker_of(lock%path, lock%text))
+  end function sees_marker
 
   !> The mark of a run: its name does not depend on that of the output, which may be as long as
   !> names can be.
-  pure function mark_of(path, text) result(mark)
+  pure function marker_of(path, text) result(mark)
     !> The file of the owner, and what it says.
     character(len=*), intent(in) :: path, text
     character(len=:), allocatable :: mark
 
     mark = folder_of(path)//'/.battery_'//fingerprint_text(fingerprint_of(text))
-  end function mark_of
+  end function marker_of
 
   !> What a run says that has lost its output.
-  pure function taken_over_text(ownership) result(text)
-    type(ownership_type), intent(in) :: ownership
+  pure function lock_lost_text(lock) result(text)
+    type(lock_type), intent(in) :: lock
     character(len=:), allocatable :: text
 
-    text = ownership%path//': another run has taken over; this one, '//ownership%text//', ends'
-  end function taken_over_text
+    text = lock%path//': another run has taken over; this one, '//lock%text//', ends'
+  end function lock_lost_text
 
   !> What the file of an owner says: machine, process, time.
   function owner_text() result(text)
@@ -235,4 +235,4 @@ contains
       //host_name()//': if it has ended for certain, remove '//path
   end function what_to_do
 
-end module battery_ownership
+end module battery_lock_file

@@ -1,22 +1,22 @@
 !> How a particle starts in the engine `excursion`: from a position and a velocity to a flight, or
 !> to a visit that will be one.
-module battery_launch
+module battery_initial_flight
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64
   use battery_table, only: table_type, passage_type, passage_at, gated, no_channel
   use battery_calendar, only: flight_type, idle
   use battery_memory, only: prefer_large_pages
-  use battery_flight, only: to_return, in_gate, parked_in_channel, in_parts, never
+  use battery_flight, only: to_return, counted_in_gate, parked_in_channel, partial_visit, never
   use battery_urn, only: first_impact
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: launch, lay_out, date_back
+  public :: make_initial_flight, allocate_flights, date_back_flight
 
 contains
 
   !> Flights in large pages of memory, before anything is written to them.
-  subroutine lay_out(flight, number)
+  subroutine allocate_flights(flight, number)
     type(flight_type), allocatable, target, intent(out) :: flight(:)
     !> How many particles there are.
     integer, intent(in) :: number
@@ -24,13 +24,13 @@ contains
     allocate (flight(number))
     call prefer_large_pages(c_loc(flight), int(number, c_size_t)*storage_size(flight)/8)
     flight = idle
-  end subroutine lay_out
+  end subroutine allocate_flights
 
   !> Particle `i` at (x, y) with velocity (ux, uy) in the table's frame. One in a channel that heads
   !> for its far end is dated back to where it would have entered: its flight is written; `hits`
   !> loses the wall hits it did not have. One in an urn, or on its way back to it, is added to the
   !> visits. Those in the channels are left out, or only they are taken.
-  subroutine launch(table, i, x, y, ux, uy, from_channels, flight, visits, hits)
+  subroutine make_initial_flight(table, i, x, y, ux, uy, from_channels, flight, visits, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
     !> Place, lengths, and velocity, of length 1.
@@ -49,15 +49,15 @@ contains
     if (passage%endless) then
       flight%heading = parked_in_channel
       flight%y = y
-      flight%along = abs(ux)
-      flight%across = uy
+      flight%u_axial = abs(ux)
+      flight%u_lateral = uy
     else if (passage%inward) then
-      flight%heading = merge(in_gate, to_return, passage%channel == gated)
+      flight%heading = merge(counted_in_gate, to_return, passage%channel == gated)
       flight%time = passage%time
       flight%y = passage%height
-      flight%along = abs(ux)
+      flight%u_axial = abs(ux)
       flight%through = table%channel(passage%channel)%length/abs(ux)
-      flight%across = passage%turned*uy
+      flight%u_lateral = passage%reflected*uy
       hits = hits - int(passage%hits, int64)
     else
       associate (urn => table%urn(passage%side), at => visits%count + 1)
@@ -66,22 +66,22 @@ contains
         visits%time(at) = 0.0_wp
         visits%turned(at) = never
         visits%y(at) = y
-        visits%across(at) = uy
-        ! In an urn in the frame of that, in a channel as `leave_channels` wants it.
+        visits%u_lateral(at) = uy
+        ! In an urn in the frame of that, in a channel as `cross_channels` wants it.
         visits%hits(at) = 0.0_wp
         visits%x(at) = urn%centre - abs(x)
         visits%passage(at) = passage%time
-        visits%along(at) = merge(abs(ux), urn%way*ux, from_channels)
+        visits%u_axial(at) = merge(abs(ux), urn%axis_sign*ux, from_channels)
         if (from_channels) visits%channel(at) = passage%channel
         visits%count = at
       end associate
     end if
-  end subroutine launch
+  end subroutine make_initial_flight
 
-  !> What the flight of a particle would have been before its first visit, which `launch` has added
-  !> to the visits: it has just entered the channel where it was, or it is about to have its first
-  !> impact in the urn.
-  subroutine date_back(table, x, y, ux, uy, flight, hits)
+  !> What the flight of a particle would have been before its first visit, which
+  !> `make_initial_flight` has added to the visits: it has just entered the channel where it was, or
+  !> it is about to have its first impact in the urn.
+  subroutine date_back_flight(table, x, y, ux, uy, flight, hits)
     type(table_type), intent(in) :: table
     !> Where it was, lengths, and its velocity, of length 1, in the frame of the table.
     real(wp), intent(in) :: x, y, ux, uy
@@ -94,19 +94,19 @@ contains
     passage = passage_at(table, x, y, ux, uy)
     if (passage%channel == no_channel) then
       associate (urn => table%urn(passage%side))
-        call first_impact(urn, urn%centre - abs(x), y, urn%way*ux, uy, flight%y, flight%along, &
-          flight%across, flight%time, before)
+        call first_impact(urn, urn%centre - abs(x), y, urn%axis_sign*ux, uy, flight%y, &
+          flight%u_axial, flight%u_lateral, flight%time, before)
       end associate
-      flight%heading = in_parts
+      flight%heading = partial_visit
       hits = hits - real(before, wp)
     else
-      flight%heading = merge(in_gate, to_return, passage%channel == gated)
+      flight%heading = merge(counted_in_gate, to_return, passage%channel == gated)
       flight%time = 0.0_wp
       flight%y = y
-      flight%along = abs(ux)
-      flight%across = uy
+      flight%u_axial = abs(ux)
+      flight%u_lateral = uy
       flight%through = passage%time
     end if
-  end subroutine date_back
+  end subroutine date_back_flight
 
-end module battery_launch
+end module battery_initial_flight

@@ -1,21 +1,22 @@
-!> The board of an ensemble under load: `mpirun -n RANKS bench board [ITEMS]`.
+!> The board of an ensemble under load: `mpirun -n RANKS bench task_queue [ITEMS]`.
 !>
 !> All ranks take tasks that take no time from the list of rank 0, as an ensemble does but for the
 !> work: so fast as here no ensemble ever asks. Rank 0 first only lends the network a hand now and
 !> then, as when it computes, then takes part. JSON with rates and latencies.
-module battery_bench_board
+module battery_bench_task_queue
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds
-  use battery_communicator, only: communicator_type, board_type, open_communicator, &
-    close_communicator, open_board, close_board, take_task, add_to_board, read_board, help_board, &
-    help_interval, summary_of, wait_for_all, tasks_finished
+  use battery_communicator, only: communicator_type, task_queue_type, open_communicator, &
+    close_communicator, open_task_queue, close_task_queue, take_task, add_to_counter, &
+    read_counter, drive_mpi_progress, mpi_progress_interval, summary_of, wait_for_all, &
+    tasks_finished
   implicit none (type, external)
   private
-  public :: bench_board
+  public :: bench_task_queue
 
 contains
 
-  subroutine bench_board(unit, items)
+  subroutine bench_task_queue(unit, items)
     integer, intent(in) :: unit
     !> Tasks on the list.
     integer, intent(in) :: items
@@ -45,7 +46,7 @@ contains
         found(1), ', "mean_latency":', found(2), ', "longest_latency":', found(3), end
     end subroutine write_round
 
-  end subroutine bench_board
+  end subroutine bench_task_queue
 
   !> Tasks a second of all ranks together; mean and longest time of one operation, in seconds.
   subroutine one_round(communicator, items, rank0_computes, found)
@@ -53,23 +54,23 @@ contains
     integer, intent(in) :: items
     logical, intent(in) :: rank0_computes
     real(dp), intent(out) :: found(3)
-    type(board_type) :: board
+    type(task_queue_type) :: task_queue
     real(dp) :: began, before, after, summary(3), longest, spent
     integer :: task, k, operations
 
-    call open_board(board, communicator, [(k, k=1, items)])
+    call open_task_queue(task_queue, communicator, [(k, k=1, items)])
     longest = 0.0_dp
     operations = 0
     began = wall_seconds()
     if (rank0_computes .and. communicator%rank == 0) then
-      call help_until_done()
+      call drive_until_done()
     else
       after = began
       do
         before = after
-        call take_task(board, task)
+        call take_task(task_queue, task)
         if (task == 0) exit
-        call add_to_board(board, tasks_finished, 1_int64)
+        call add_to_counter(task_queue, tasks_finished, 1_int64)
         after = wall_seconds()
         ! Three operations a task.
         operations = operations + 3
@@ -86,24 +87,24 @@ contains
     found(2) = found(2)/max(summary(2)*communicator%size, 1.0_dp)
     summary = summary_of(communicator, longest)
     found(3) = summary(3)
-    call close_board(board)
+    call close_task_queue(task_queue)
 
   contains
 
     !> Rank 0 is busy, and lends a hand at times.
-    subroutine help_until_done()
+    subroutine drive_until_done()
       real(dp) :: next
 
       do
-        next = wall_seconds() + help_interval
+        next = wall_seconds() + mpi_progress_interval
         do while (wall_seconds() < next)
           continue
         end do
-        call help_board(board)
-        if (read_board(board, tasks_finished) >= items) exit
+        call drive_mpi_progress(task_queue)
+        if (read_counter(task_queue, tasks_finished) >= items) exit
       end do
-    end subroutine help_until_done
+    end subroutine drive_until_done
 
   end subroutine one_round
 
-end module battery_bench_board
+end module battery_bench_task_queue

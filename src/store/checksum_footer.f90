@@ -7,7 +7,7 @@
 !>
 !> HDF5's user block, before its own head, would be the other place; but readers that look at the
 !> first bytes of a file to see what it is (`xarray.open_dataset` does) then take it for no HDF5.
-module battery_seal
+module battery_checksum_footer
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_digest, only: digest_type, begin_digest, add_to_digest, end_digest, digest_length
@@ -15,7 +15,7 @@ module battery_seal
   use battery_paths, only: is_folder
   implicit none (type, external)
   private
-  public :: seal_length, seal_of, check_seal
+  public :: seal_length, footer_of, check_footer
 
   !> Bytes of the seal.
   integer, parameter :: seal_length = 512
@@ -34,11 +34,11 @@ module battery_seal
 contains
 
   !> The seal of bytes that are in memory.
-  subroutine seal_of(bytes, seal, error)
+  subroutine footer_of(bytes, footer, error)
     !> All that is to stand before the seal.
     integer(int8), intent(in), contiguous :: bytes(:)
     !> Its text.
-    character(len=seal_length), intent(out) :: seal
+    character(len=seal_length), intent(out) :: footer
     !> The digest could not be computed.
     type(error_type), allocatable, intent(out) :: error
     type(digest_type) :: digest
@@ -47,34 +47,34 @@ contains
     call begin_digest(digest)
     call add_to_digest(digest, bytes)
     call end_digest(digest, digits)
-    seal = seal_text(size(bytes, kind=int64), digits)
+    footer = footer_text(size(bytes, kind=int64), digits)
     if (len(digits) /= digest_length) call fatal_error(error, 'the digest cannot be computed')
-  end subroutine seal_of
+  end subroutine footer_of
 
   !> The text of the seal of `count` bytes with a digest.
-  pure function seal_text(count, digits) result(seal)
+  pure function footer_text(count, digits) result(footer)
     integer(int64), intent(in) :: count
     character(len=*), intent(in) :: digits
-    character(len=seal_length) :: seal
+    character(len=seal_length) :: footer
     character(len=*), parameter :: lf = new_line('a')
     character(len=20) :: number
 
     write (number, '(i0)') count
-    seal = first_line//lf//'bytes '//trim(number)//lf//'sha256 '//digits//lf//remark//lf
-    seal(seal_length:) = lf
-  end function seal_text
+    footer = first_line//lf//'bytes '//trim(number)//lf//'sha256 '//digits//lf//remark//lf
+    footer(seal_length:) = lf
+  end function footer_text
 
   !> Reads a file whole and compares it with its seal. The error has the code `exit_failure` if the
   !> file was a results file and is damaged, `exit_bad_input` if it is something else: one of a
   !> version before 0.2.0, or one that HDF5 wrote anew, which ends where HDF5 says that it does. A
   !> file that is empty, or whose first bytes are zero, is what a crash of the machine leaves, and
   !> counts as damaged.
-  subroutine check_seal(name, error)
+  subroutine check_footer(name, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
     !> What is wrong with it.
     type(error_type), allocatable, intent(out) :: error
-    character(len=seal_length) :: seal
+    character(len=seal_length) :: footer
     character(len=:), allocatable :: first, digits
     integer(int64) :: bytes, content
     integer :: unit, status
@@ -86,21 +86,21 @@ contains
     end if
     if (allocated(error)) return
     content = 0
-    seal = ''
+    footer = ''
     open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
       status='old', iostat=status)
     if (status == 0) then
       inquire (unit, size=bytes)
       content = merge(bytes - seal_length, bytes, bytes > seal_length)
       call read_content(unit, content, first, digits, status)
-      if (status == 0 .and. content < bytes) read (unit, iostat=status) seal
+      if (status == 0 .and. content < bytes) read (unit, iostat=status) footer
       close (unit)
     end if
     if (status /= 0) then
       call fatal_error(error, name//' is damaged: it cannot be read to its end', exit_failure)
-    else if (seal == seal_text(content, digits)) then
+    else if (footer == footer_text(content, digits)) then
       return
-    else if (index(seal, first_line//new_line('a')) == 1 .or. index(seal, remark) > 0) then
+    else if (index(footer, first_line//new_line('a')) == 1 .or. index(footer, remark) > 0) then
       call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
     else if (index(first, mark) > 0 .and. end_in_hdf5(first) == bytes) then
       call fatal_error(error, name//' is of a version before 0.2.0, or was changed: it has no ' &
@@ -110,7 +110,7 @@ contains
     else
       call fatal_error(error, name//' is not a results file of this program', exit_bad_input)
     end if
-  end subroutine check_seal
+  end subroutine check_footer
 
   !> Where a file ends by its own head, the superblock of HDF5 in its first form (all of ours are).
   pure integer(int64) function end_in_hdf5(first) result(bytes)
@@ -159,4 +159,4 @@ contains
     if (status == 0 .and. len(digits) /= digest_length) status = 1
   end subroutine read_content
 
-end module battery_seal
+end module battery_checksum_footer

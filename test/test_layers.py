@@ -1,4 +1,4 @@
-"""The house: no room knows one below it in docs/rooms.txt, and no two modules know each other."""
+"""The house: no room knows one below it in docs/layers.txt, and no two modules know each other."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ UNIT = re.compile(r"^\s*(module|submodule)\s*(?:\((.*)\))?\s*(\w+)\s*$", re.MULT
 
 
 def order_of(house: str) -> list[str]:
-    """Return the rooms of `src` or `postproc`, as docs/rooms.txt lists them."""
-    text = (ROOT / "docs/rooms.txt").read_text(encoding="utf-8")
+    """Return the rooms of `src` or `postproc`, as docs/layers.txt lists them."""
+    text = (ROOT / "docs/layers.txt").read_text(encoding="utf-8")
     found = re.search(rf"^{house}\n((?:  .*\n)+)", text, re.MULTILINE)
     return [line.split()[0] for line in found[1].splitlines()]
 

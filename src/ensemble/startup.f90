@@ -1,12 +1,12 @@
 !> The start of an ensemble: what is there already, and which tasks are still to be done.
-module battery_preparation
+module battery_startup
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
   use battery_current_age, only: current_remark
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
-  use battery_journal, only: journal_type, read_plan, kept_in, begin_journal, join_journal, &
+  use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
     rank_files_in
   use battery_journal_folder, only: check_journal, remove_journal
   use battery_merge, only: collect_results, sources_type, close_sources
@@ -14,13 +14,13 @@ module battery_preparation
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_results, only: results_type, task_complete, point_undecided
-  use battery_tasks, only: task_type, task_count, task_of, put_longest_first, roster_type, &
-    roster_of, number_in
-  use battery_terminal, only: say
+  use battery_tasks, only: task_type, task_count, task_of, put_longest_first, task_index_type, &
+    task_index_of, task_number_of
+  use battery_terminal, only: print_line
   use battery_text, only: string_type, to_text, new_line_character
   implicit none (type, external)
   private
-  public :: prepare, progress_type, look_at_output, further_text
+  public :: find_pending_tasks, progress_type, inspect_output, further_text
 
   !> How far an ensemble is.
   type :: progress_type
@@ -44,7 +44,8 @@ module battery_preparation
 contains
 
   !> Rank 0 looks at what is there: results that are complete, a journal to go on with, or neither.
-  subroutine prepare(plan, communicator, overwrite, quiet, journal, pending, complete, error)
+  subroutine find_pending_tasks(plan, communicator, overwrite, quiet, journal, pending, complete, &
+    error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
     !> Whether to discard what is there; whether rank 0 says nothing.
@@ -61,7 +62,8 @@ contains
 
     allocate (pending(0))
     if (communicator%rank == 0) then
-      call begin(plan, communicator%size, overwrite, quiet, complete, rank_files, pending, error)
+      call begin_on_rank0(plan, communicator%size, overwrite, quiet, complete, rank_files, &
+        pending, error)
       shared = [merge(1, 0, complete), rank_files]
     end if
     call share_error(communicator, error)
@@ -70,11 +72,11 @@ contains
     complete = shared(1) == 1
     call join_journal(journal, journal_folder(plan), int(shared(2)), communicator%rank, &
       communicator%size)
-  end subroutine prepare
+  end subroutine find_pending_tasks
 
   !> Which tasks are pending, and how many rank files earlier starts have; begins the journal of a
   !> start with so many ranks if there is something to do.
-  subroutine begin(plan, ranks, overwrite, quiet, complete, rank_files, pending, error)
+  subroutine begin_on_rank0(plan, ranks, overwrite, quiet, complete, rank_files, pending, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks
     logical, intent(in) :: overwrite, quiet
@@ -90,24 +92,24 @@ contains
     call check_journal(journal_folder(plan), error)
     if (.not. allocated(error) .and. overwrite) call remove_file(plan%file, error)
     if (.not. allocated(error) .and. overwrite) call remove_journal(journal_folder(plan), error)
-    if (.not. allocated(error)) call look_at_output(plan, progress, remark, error)
+    if (.not. allocated(error)) call inspect_output(plan, progress, remark, error)
     if (allocated(error)) return
     complete = progress%complete
     pending = progress%pending
-    if (remark /= '' .and. .not. quiet) call say(remark)
+    if (remark /= '' .and. .not. quiet) call print_line(remark)
     if (complete) then
       call remove_journal(journal_folder(plan), error)
     else
       remark = current_remark(plan)
-      if (remark /= '' .and. .not. quiet) call say('remark: '//remark)
+      if (remark /= '' .and. .not. quiet) call print_line('remark: '//remark)
       rank_files = rank_files_in(journal_folder(plan))
       call open_journal(plan, ranks, rank_files, error)
       call put_longest_first(plan, pending)
     end if
-  end subroutine begin
+  end subroutine begin_on_rank0
 
   !> How far an ensemble is, by what is there; writes nothing.
-  subroutine look_at_output(plan, progress, remark, error)
+  subroutine inspect_output(plan, progress, remark, error)
     type(plan_type), intent(in) :: plan
     type(progress_type), intent(out) :: progress
     !> What a user should know of it; may be empty.
@@ -125,8 +127,8 @@ contains
 
     allocate (progress%pending(0))
     remark = ''
-    call look_at_results_file(plan, progress%complete, damage, error)
-    if (.not. allocated(error)) call look_at_journal(plan, progress%complete, found, error)
+    call inspect_results_file(plan, progress%complete, damage, error)
+    if (.not. allocated(error)) call inspect_journal(plan, progress%complete, found, error)
     if (allocated(error)) return
     call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
     call collect_results(plan, journal, .false., results, failures, wanted, sources, error)
@@ -151,12 +153,12 @@ contains
     end if
     progress%pending = pack([(k, k=1, task_count(plan))], [(results%task_status(:wanted(k), k) &
       /= task_complete, spread(.false., 1, plan%replicas - wanted(k)), k=1, plan%point_count)])
-    if (allocated(results%point_status)) call foresee(plan, results%point_status /= &
+    if (allocated(results%point_status)) call estimate_further_tasks(plan, results%point_status /= &
       point_undecided, wanted, progress)
     if (found) remark = remark//'going on: '//to_text(progress%finished)//' of ' &
       //to_text(progress%finished + size(progress%pending))//' tasks are finished' &
       //further_text(progress)
-  end subroutine look_at_output
+  end subroutine inspect_output
 
   !> How many tasks may come on top of those that are known to be needed; empty: none.
   function further_text(progress) result(text)
@@ -169,7 +171,7 @@ contains
   end function further_text
 
   !> What points may still ask for whose first replicas are not complete.
-  pure subroutine foresee(plan, decided, wanted, progress)
+  pure subroutine estimate_further_tasks(plan, decided, wanted, progress)
     type(plan_type), intent(in) :: plan
     !> Whether it is known how many replicas a point gets, and how many are known; (point).
     logical, intent(in) :: decided(:)
@@ -181,7 +183,7 @@ contains
     progress%further = others*(plan%replicas - plan%first_replicas)
     if (any(decided)) progress%expected = others*(real(sum(wanted, decided), dp)/count(decided) &
       - plan%first_replicas)
-  end subroutine foresee
+  end subroutine estimate_further_tasks
 
   !> Notes in the journal that so many ranks start, after so many rank files of earlier ones.
   subroutine open_journal(plan, ranks, rank_files, error)
@@ -207,7 +209,7 @@ contains
   end function journal_folder
 
   !> Results that are there must be of this input, or of one that it goes on with.
-  subroutine look_at_results_file(plan, complete, damage, error)
+  subroutine inspect_results_file(plan, complete, damage, error)
     type(plan_type), intent(in) :: plan
     !> Whether nothing is left to be done.
     logical, intent(out) :: complete
@@ -227,7 +229,7 @@ contains
       ! Without an initial file the text is empty.
       read (fingerprint, '(z16)', iostat=unread) initial_fingerprint
       if (unread /= 0) initial_fingerprint = 0
-      call compare(plan, before, initial_fingerprint, same, error)
+      call compare_inputs(plan, before, initial_fingerprint, same, error)
       complete = same .and. status == 'complete'
       if (.not. (complete .or. allocated(error)) .and. version /= program_version) &
         call fatal_error(error, plan%file//' was made by version '//version//', and this is ' &
@@ -240,11 +242,11 @@ contains
     else
       error%message = error%message//leave_it
     end if
-  end subroutine look_at_results_file
+  end subroutine inspect_results_file
 
   !> A journal must be of this input, or of one that it goes on with; if its plan is damaged, its
   !> other files must not say that they are of another.
-  subroutine look_at_journal(plan, complete, found, error)
+  subroutine inspect_journal(plan, complete, found, error)
     type(plan_type), intent(in) :: plan
     !> Whether there are complete results, so that the journal is left over.
     logical, intent(in) :: complete
@@ -254,27 +256,28 @@ contains
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: before
     integer(int64) :: initial_fingerprint
-    integer(int64), allocatable :: kept(:)
-    type(roster_type) :: roster
+    integer(int64), allocatable :: task_id(:)
+    type(task_index_type) :: task_index
     logical :: same
     integer :: k
 
     call read_plan(journal_folder(plan), before, initial_fingerprint, found)
     if (found) then
-      call compare(plan, before, initial_fingerprint, same, error)
+      call compare_inputs(plan, before, initial_fingerprint, same, error)
     else if (.not. complete) then
-      kept = kept_in(journal_folder(plan))
-      if (size(kept) == 0) return
-      roster = roster_of(plan)
-      if (any([(number_in(roster, kept(k)) == 0, k=1, size(kept))])) call fatal_error(error, &
-        journal_folder(plan)//' holds parts of another input, and the plan in it is damaged; ' &
+      task_id = task_ids_in(journal_folder(plan))
+      if (size(task_id) == 0) return
+      task_index = task_index_of(plan)
+      if (any([(task_number_of(task_index, task_id(k)) == 0, k=1, size(task_id))])) call &
+        fatal_error(error, journal_folder(plan) &
+        //' holds parts of another input, and the plan in it is damaged; ' &
         //'name another output file, or discard it with --overwrite', exit_bad_input)
     end if
-  end subroutine look_at_journal
+  end subroutine inspect_journal
 
   !> A run goes on with what was made before if all tasks of that input are its own; not with one of
   !> another input, nor of an initial file that has changed.
-  subroutine compare(plan, before, initial_fingerprint, same, error)
+  subroutine compare_inputs(plan, before, initial_fingerprint, same, error)
     type(plan_type), intent(in) :: plan
     character(len=*), intent(in) :: before
     integer(int64), intent(in) :: initial_fingerprint
@@ -294,7 +297,7 @@ contains
     call fatal_error(error, plan%file//' was made from another input; these differ:' &
       //new_line_character//keys//new_line_character &
       //'name another output file, or discard it with --overwrite', exit_bad_input)
-  end subroutine compare
+  end subroutine compare_inputs
 
   !> Whether a plan has all tasks of an input.
   logical function has_all_of(plan, before, initial_fingerprint) result(yes)
@@ -302,7 +305,7 @@ contains
     character(len=*), intent(in) :: before
     integer(int64), intent(in) :: initial_fingerprint
     type(plan_type) :: old
-    type(roster_type) :: roster
+    type(task_index_type) :: task_index
     type(task_type) :: task
     type(error_type), allocatable :: error
     integer :: k
@@ -315,10 +318,10 @@ contains
       .or. .not. any(plan%precision > 0.0_wp))
     if (.not. yes) return
     old%initial_fingerprint = initial_fingerprint
-    roster = roster_of(plan)
+    task_index = task_index_of(plan)
     do k = 1, task_count(old)
       task = task_of(old, k)
-      yes = number_in(roster, task%kept) > 0
+      yes = task_number_of(task_index, task%task_id) > 0
       if (.not. yes) return
     end do
   end function has_all_of
@@ -330,4 +333,4 @@ contains
     yes = .not. before > 0.0_wp .or. (precision > 0.0_wp .and. precision <= before)
   end function finer
 
-end module battery_preparation
+end module battery_startup

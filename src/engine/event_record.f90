@@ -1,0 +1,244 @@
+!> What happened in one window of an engine: crossings, counts, and the event log.
+!>
+!> Times in a history are counted from the beginning of its window, so they stay sharp however long
+!> the run has been.
+module battery_event_record
+  use battery_kinds, only: wp, int8, int32, int64
+  use battery_channel, only: gated, ungated
+  use battery_ordering, only: put_times_in_order => sort_by_time
+  implicit none (type, external)
+  private
+  public :: event_record_type, reserve_event_record, grow_event_record, record_crossing, &
+    record_event, record_reversal, sort_simultaneous_events, crossing_of, channel_of, &
+    sort_event_record
+  public :: channel1_12, channel1_21, channel2_12, channel2_21
+  public :: event_entry, event_reversal, event_crossing1, event_crossing2
+
+  !> Crossings: of the middle line of channel 1 and of the periodic line, from urn 1 to 2 and back.
+  integer, parameter :: channel1_12 = 1, channel1_21 = 2, channel2_12 = 3, channel2_21 = 4
+
+  !> The crossing of the line of each channel by one who comes from each side, (side, channel).
+  integer, parameter :: crossing_of(2, 2) = reshape([channel1_12, channel1_21, channel2_12, &
+    channel2_21], [2, 2])
+
+  !> Kinds of the event log.
+  integer, parameter :: event_entry = 1, event_reversal = 2, event_crossing1 = 3, &
+    event_crossing2 = 4
+
+  !> How the log tells of a crossing: its kind, and which way.
+  integer, parameter :: event_of(4) = [event_crossing1, event_crossing1, event_crossing2, &
+    event_crossing2], way_of(4) = [12, 21, 12, 21]
+
+  !> The history of one window. Arrays may be longer than their counts say.
+  type :: event_record_type
+    !> Length of the window.
+    real(wp) :: duration = 0.0_wp
+    !> Crossings in the order of time: when (since the window began) and which (`channel1_12` ...).
+    integer :: crossings = 0
+    !> How many `grow_event_record` has made room for; before, less than anybody asks for.
+    integer, private :: room = -1
+    real(wp), allocatable :: crossing_time(:)
+    integer(int8), allocatable :: crossing(:)
+    !> Wall collisions that became known in the window (see `engine_type%collisions`).
+    integer(int64) :: collisions = 0
+    !> How often the gate of each urn reversed, and how many particles both turned back.
+    integer(int64) :: reversals(2) = 0, bounce_backs = 0
+    !> Sum of |N1 - N2| over the states after each wall collision, and how many there were; only
+    !> from engines that see each collision.
+    integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
+    !> The event log, if asked for: kind, where (gate, or 12 or 21), particle (or how many).
+    logical :: logging = .false.
+    integer :: events = 0
+    real(wp), allocatable :: event_time(:)
+    integer(int32), allocatable :: event_kind(:), event_where(:), event_particle(:)
+  end type event_record_type
+
+contains
+
+  !> The channel of a crossing.
+  elemental function channel_of(crossing) result(channel)
+    !> `channel1_12` ...
+    integer, intent(in) :: crossing
+    integer :: channel
+
+    channel = merge(gated, ungated, crossing == channel1_12 .or. crossing == channel1_21)
+  end function channel_of
+
+  !> Empties the history and makes room for `crossings` crossings and as many as `events` events.
+  subroutine reserve_event_record(event_record, crossings, events)
+    type(event_record_type), intent(inout) :: event_record
+    integer, intent(in) :: crossings, events
+
+    event_record%duration = 0.0_wp
+    event_record%crossings = 0
+    event_record%collisions = 0
+    event_record%reversals = 0
+    event_record%bounce_backs = 0
+    event_record%collision_spread_sum = 0
+    event_record%collisions_seen = 0
+    event_record%events = 0
+    if (crossings > event_record%room .or. event_record%logging) call &
+      grow_event_record(event_record, crossings, events)
+  end subroutine reserve_event_record
+
+  !> Makes room for that many crossings and events, at least doubling what must grow.
+  subroutine grow_event_record(event_record, crossings, events)
+    type(event_record_type), intent(inout) :: event_record
+    !> How many must fit in all; events only if they are logged.
+    integer, intent(in) :: crossings, events
+    integer :: room
+
+    if (.not. allocated(event_record%crossing_time)) allocate (event_record%crossing_time(0), &
+      event_record%crossing(0))
+    if (size(event_record%crossing_time) < crossings) then
+      room = max(crossings, 2*size(event_record%crossing_time), 64)
+      event_record%crossing_time = [event_record%crossing_time, spread(0.0_wp, 1, room &
+        - size(event_record%crossing_time))]
+      event_record%crossing = [event_record%crossing, spread(0_int8, 1, room &
+        - size(event_record%crossing))]
+    end if
+    event_record%room = size(event_record%crossing_time)
+    if (.not. event_record%logging) return
+    if (.not. allocated(event_record%event_time)) allocate (event_record%event_time(0), &
+      event_record%event_kind(0), event_record%event_where(0), event_record%event_particle(0))
+    if (size(event_record%event_time) < events) then
+      room = max(events, 2*size(event_record%event_time), 64) - size(event_record%event_time)
+      event_record%event_time = [event_record%event_time, spread(0.0_wp, 1, room)]
+      event_record%event_kind = [event_record%event_kind, spread(0_int32, 1, room)]
+      event_record%event_where = [event_record%event_where, spread(0_int32, 1, room)]
+      event_record%event_particle = [event_record%event_particle, spread(0_int32, 1, room)]
+    end if
+  end subroutine grow_event_record
+
+  !> Adds a crossing, and its event if events are logged.
+  subroutine record_crossing(event_record, time, crossing, particle)
+    type(event_record_type), intent(inout) :: event_record
+    !> Since the window began.
+    real(wp), intent(in) :: time
+    !> `channel1_12` ...
+    integer, intent(in) :: crossing
+    !> Its number, from 1.
+    integer, intent(in) :: particle
+
+    if (event_record%crossings >= event_record%room) call grow_event_record(event_record, &
+      event_record%crossings + 1, 0)
+    event_record%crossings = event_record%crossings + 1
+    event_record%crossing_time(event_record%crossings) = time
+    event_record%crossing(event_record%crossings) = int(crossing, int8)
+    if (event_record%logging) call record_event(event_record, time, event_of(crossing), &
+      way_of(crossing), particle)
+  end subroutine record_crossing
+
+  !> A gate turns back `counted` particles.
+  subroutine record_reversal(event_record, time, gate, counted)
+    type(event_record_type), intent(inout) :: event_record
+    !> Since the window began.
+    real(wp), intent(in) :: time
+    !> That of urn 1 or 2, and how many it turns back.
+    integer, intent(in) :: gate, counted
+
+    if (event_record%logging) call record_event(event_record, time, event_reversal, gate, counted)
+    event_record%reversals(gate) = event_record%reversals(gate) + 1
+    event_record%bounce_backs = event_record%bounce_backs + counted
+  end subroutine record_reversal
+
+  !> Adds an event to the log.
+  subroutine record_event(event_record, time, kind, where, particle)
+    type(event_record_type), intent(inout) :: event_record
+    !> Since the window began.
+    real(wp), intent(in) :: time
+    !> `event_entry` ...; the gate, or 12 or 21; who, or how many.
+    integer, intent(in) :: kind, where, particle
+    integer :: at
+
+    if (event_record%events == size(event_record%event_time)) call grow_event_record(event_record, &
+      0, event_record%events + 1)
+    at = event_record%events + 1
+    event_record%events = at
+    event_record%event_time(at) = time
+    event_record%event_kind(at) = int(kind, int32)
+    event_record%event_where(at) = int(where, int32)
+    event_record%event_particle(at) = int(particle, int32)
+  end subroutine record_event
+
+  !> Puts the events of one instant, `first` to `last`, in the order of the log: crossings
+  !> of channel 1 from urn 1, from urn 2, then the rest, by particle; a reversal after the last of
+  !> those who entered.
+  pure subroutine sort_simultaneous_events(event_record, first, last)
+    type(event_record_type), intent(inout) :: event_record
+    !> Places of the first and the last of them.
+    integer, intent(in) :: first, last
+    integer(int64) :: rank(first:last), mine
+    integer(int32) :: kind, where, particle
+    integer :: at, k
+
+    do at = first, last
+      mine = 2_int64*event_record%event_particle(at)
+      if (event_record%event_kind(at) == event_crossing1) then
+        mine = mine - merge(2_int64, 1_int64, event_record%event_where(at) == 12)*2_int64**40
+      else if (event_record%event_kind(at) == event_reversal) then
+        mine = 1 + 2_int64*maxval(event_record%event_particle(first:last), &
+          mask=event_record%event_kind(first:last) == event_entry &
+          .and. event_record%event_where(first:last) == event_record%event_where(at))
+      end if
+      rank(at) = mine
+    end do
+    do at = first + 1, last
+      mine = rank(at)
+      kind = event_record%event_kind(at)
+      where = event_record%event_where(at)
+      particle = event_record%event_particle(at)
+      do k = at - 1, first, -1
+        if (rank(k) <= mine) exit
+        rank(k + 1) = rank(k)
+        event_record%event_kind(k + 1) = event_record%event_kind(k)
+        event_record%event_where(k + 1) = event_record%event_where(k)
+        event_record%event_particle(k + 1) = event_record%event_particle(k)
+      end do
+      rank(k + 1) = mine
+      event_record%event_kind(k + 1) = kind
+      event_record%event_where(k + 1) = where
+      event_record%event_particle(k + 1) = particle
+    end do
+  end subroutine sort_simultaneous_events
+
+  !> Puts all that a history tells in the order of time, and the events of one instant in that of
+  !> the log.
+  subroutine sort_event_record(event_record)
+    type(event_record_type), intent(inout) :: event_record
+    integer, allocatable :: order(:)
+    integer :: first, last
+
+    associate (n => event_record%crossings)
+      call sort_order_of_times(n, event_record%crossing_time, order)
+      event_record%crossing(:n) = event_record%crossing(order)
+    end associate
+    if (.not. event_record%logging) return
+    associate (n => event_record%events)
+      call sort_order_of_times(n, event_record%event_time, order)
+      event_record%event_kind(:n) = event_record%event_kind(order)
+      event_record%event_where(:n) = event_record%event_where(order)
+      event_record%event_particle(:n) = event_record%event_particle(order)
+      first = 1
+      do last = 1, n
+        if (last < n) then
+          if (event_record%event_time(last + 1) <= event_record%event_time(last)) cycle
+        end if
+        if (last > first) call sort_simultaneous_events(event_record, first, last)
+        first = last + 1
+      end do
+    end associate
+  end subroutine sort_event_record
+
+  !> Puts times in order, and says where each came from.
+  subroutine sort_order_of_times(n, time, order)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: time(:)
+    integer, allocatable, intent(out) :: order(:)
+    integer :: k
+
+    order = [(k, k=1, n)]
+    call put_times_in_order(n, time(:n), order)
+  end subroutine sort_order_of_times
+
+end module battery_event_record

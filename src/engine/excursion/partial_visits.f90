@@ -1,0 +1,100 @@
+!> Visits that the engine `excursion` knows in part.
+!>
+!> Some visits have so many wall hits that they are not computed in one go (`truncated`). Such a
+!> particle has an event of its own, at which the next part is computed. It is due half the part
+!> before its end: so what comes after that end is no sooner than the lookahead.
+module battery_partial_visits
+  use battery_kinds, only: wp, int64
+  use battery_calendar, only: flight_type
+  use battery_flight, only: partial_visit, never
+  use battery_long_visits, only: long_visits_type, keep_beginnings, store_flights
+  use battery_urn, only: urn_type, compute_visits, locate_in_visit
+  use battery_visits, only: visits_type, reserve_visits, truncated
+  implicit none (type, external)
+  private
+  public :: split_off_partial_visits, compute_partial_visits
+
+contains
+
+  !> Takes those who only go on with a visit out of the events that are due.
+  subroutine split_off_partial_visits(number, flight, due_time, particle, events, resumed_count, &
+    resumed_time, resumed)
+    !> How many particles there are.
+    integer, intent(in) :: number
+    type(flight_type), intent(in) :: flight(number)
+    !> Events in the order of time: when each is due.
+    real(wp), intent(inout) :: due_time(:)
+    !> Whose they are, and how many: before, and after.
+    integer, intent(inout) :: particle(:), events
+    !> How many were taken out.
+    integer, intent(out) :: resumed_count
+    !> When these are due.
+    real(wp), allocatable, intent(out) :: resumed_time(:)
+    !> Whose they are.
+    integer, allocatable, intent(out) :: resumed(:)
+    logical :: apart(events)
+
+    apart = flight(particle(:events))%heading == partial_visit
+    resumed_count = count(apart)
+    resumed_time = pack(due_time(:events), apart)
+    resumed = pack(particle(:events), apart)
+    events = events - resumed_count
+    due_time(:events) = pack(due_time(:events + resumed_count), .not. apart)
+    particle(:events) = pack(particle(:events + resumed_count), .not. apart)
+  end subroutine split_off_partial_visits
+
+  !> The next parts of visits to one of the urns; they count from when they were due.
+  subroutine compute_partial_visits(urn, side, number, flight, resumed_count, resumed_time, &
+    resumed, visits, long_visits, computed_hits)
+    type(urn_type), intent(in) :: urn
+    !> 1 or 2.
+    integer, intent(in) :: side, number
+    type(flight_type), intent(inout) :: flight(number)
+    !> As `split_off_partial_visits` gives them, for both urns.
+    integer, intent(in) :: resumed_count, resumed(resumed_count)
+    !> When they are due.
+    real(wp), intent(in) :: resumed_time(resumed_count)
+    !> Out: those of this urn, and when each has its next event.
+    type(visits_type), intent(inout) :: visits
+    !> Learns how each part begins.
+    type(long_visits_type), intent(inout) :: long_visits
+    !> Grows by the wall hits of the parts.
+    integer(int64), intent(inout) :: computed_hits
+    real(wp) :: position(2), velocity(2), rest(resumed_count)
+    integer(int64) :: hits
+    integer :: k, j
+
+    call reserve_visits(visits, resumed_count)
+    do k = 1, resumed_count
+      associate (flown => flight(resumed(k)))
+        if (flown%urn /= side) cycle
+        j = visits%count + 1
+        visits%count = j
+        call locate_in_visit(urn, int(truncated), flown%y, flown%u_axial, flown%u_lateral, 0.0_wp, &
+          position, velocity, hits)
+        visits%particle(j) = resumed(k)
+        visits%urn(j) = side
+        visits%time(j) = resumed_time(k)
+        visits%x(j) = position(1)
+        visits%y(j) = position(2)
+        visits%u_axial(j) = velocity(1)
+        visits%u_lateral(j) = velocity(2)
+        visits%hits(j) = 0.0_wp
+        visits%turned(j) = never
+        rest(j) = flown%time - resumed_time(k)
+      end associate
+    end do
+    associate (v => visits, n => visits%count)
+      if (n == 0) return
+      call compute_visits(urn, v)
+      computed_hits = computed_hits + v%all_hits
+      v%length(:n) = v%length(:n) + rest(:n)
+      v%many_count = n
+      v%many(:n) = [(k, k=1, n)]
+      call keep_beginnings(long_visits, number, flight, v)
+      call store_flights(number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, v%y, &
+        v%u_axial, v%u_lateral, v%through)
+    end associate
+  end subroutine compute_partial_visits
+
+end module battery_partial_visits
