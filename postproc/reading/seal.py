@@ -1,7 +1,7 @@
 """The seal of a results file: its last 512 bytes, with the digest of all bytes before them.
 
-The program writes it (`src/store/checksum_footer.f90`), and it is right if it is the very text that the bytes
-before it ask for. HDF5 passes over it, since it lies behind what HDF5 takes for the end.
+The program writes it (`src/store/checksum_footer.f90`), and it is right if it is the very text that
+the bytes before it ask for. HDF5 passes over it, since it lies behind what HDF5 takes for the end.
 """
 
 from __future__ import annotations
