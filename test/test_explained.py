@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 SOURCES = Path(__file__).resolve().parents[1]
-ROOMS = [f"src/{path.name}" for path in sorted((SOURCES / "src").iterdir()) if path.is_dir()]
-ROOMS.append("app/one_particle")
+LAYERS = [f"src/{path.name}" for path in sorted((SOURCES / "src").iterdir()) if path.is_dir()]
+LAYERS.append("app/one_particle")
 START = re.compile(r"^  (?:\w[\w()=]* )*?(?:subroutine|function) (\w+)\((.*?)\)", re.MULTILINE)
 
 
@@ -64,16 +64,16 @@ def unexplained(path: Path) -> list[str]:
     return [f"{path.relative_to(SOURCES)}: {one}" for one in missing]
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_public_procedures_and_their_arguments_are_explained(room: str) -> None:
-    files = sorted((SOURCES / room).rglob("*.f90"))
+@pytest.mark.parametrize("layer", LAYERS)
+def test_public_procedures_and_their_arguments_are_explained(layer: str) -> None:
+    files = sorted((SOURCES / layer).rglob("*.f90"))
     assert files
     assert [one for path in files for one in unexplained(path)] == []
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_public_types_are_explained(room: str) -> None:
-    for path in sorted((SOURCES / room).rglob("*.f90")):
+@pytest.mark.parametrize("layer", LAYERS)
+def test_public_types_are_explained(layer: str) -> None:
+    for path in sorted((SOURCES / layer).rglob("*.f90")):
         bare = [line for line, note in statements(path.read_text(encoding="utf-8"))
                 if re.match(r"  type\b.*::", line) and not note]
         assert bare == [], path

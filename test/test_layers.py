@@ -1,4 +1,4 @@
-"""The house: no room knows one below it in docs/layers.txt, and no two modules know each other."""
+"""No layer uses one below it in docs/layers.txt, and no two modules use each other."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ USE = re.compile(r"^\s*use\s*(?:,\s*non_intrinsic\s*)?(?:::)?\s*(\w+)", re.MULTI
 UNIT = re.compile(r"^\s*(module|submodule)\s*(?:\((.*)\))?\s*(\w+)\s*$", re.MULTILINE)
 
 
-def order_of(house: str) -> list[str]:
-    """Return the rooms of `src` or `postproc`, as docs/layers.txt lists them."""
+def order_of(tree: str) -> list[str]:
+    """Return the layers of `src` or `postproc`, as docs/layers.txt lists them."""
     text = (ROOT / "docs/layers.txt").read_text(encoding="utf-8")
-    found = re.search(rf"^{house}\n((?:  .*\n)+)", text, re.MULTILINE)
+    found = re.search(rf"^{tree}\n((?:  .*\n)+)", text, re.MULTILINE)
     return [line.split()[0] for line in found[1].splitlines()]
 
 
 def fortran() -> tuple[dict[str, str], dict[str, set[str]]]:
-    """Return the room of each module of src, and the modules that it uses."""
-    rooms, uses = {}, {}
+    """Return the layer of each module of src, and the modules that it uses."""
+    layers, uses = {}, {}
     for path in sorted((ROOT / "src").rglob("*.[fF]90")):
         text = path.read_text(encoding="utf-8").lower()
         for kind, parent, name in UNIT.findall(text):
-            rooms[name] = path.relative_to(ROOT / "src").parts[0]
+            layers[name] = path.relative_to(ROOT / "src").parts[0]
             uses[name] = set(USE.findall(text)) | ({parent.split(":")[0]} if parent else set())
             assert kind == "submodule" or not parent
-    return rooms, {name: {one for one in used if one in rooms} for name, used in uses.items()}
+    return layers, {name: {one for one in used if one in layers} for name, used in uses.items()}
 
 
 def python() -> tuple[dict[str, str], dict[str, set[str]]]:
-    """Return the room of each module of postproc, its tests left out, and what it imports."""
+    """Return the layer of each module of postproc, its tests left out, and what it imports."""
     files = [path.relative_to(ROOT) for path in sorted((ROOT / "postproc").rglob("*.py"))]
     files = [path for path in files if path.parts[1] not in ("tests", "__init__.py")]
     names = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): path for path in files}
-    rooms, uses = {}, {}
+    layers, uses = {}, {}
     for name, path in names.items():
         inner = path.parts[1] if len(path.parts) > 2 else path.stem
-        rooms[name] = inner if inner in order_of("postproc") else "commands"
+        layers[name] = inner if inner in order_of("postproc") else "commands"
         uses[name] = {one for one in imported(path) if one in names}
-    return rooms, uses
+    return layers, uses
 
 
 def imported(path: Path) -> set[str]:
@@ -57,20 +57,20 @@ def imported(path: Path) -> set[str]:
     return found
 
 
-HOUSES = {"src": fortran, "postproc": python}
+TREES = {"src": fortran, "postproc": python}
 
 
-@pytest.mark.parametrize("house", HOUSES)
-def test_no_arrow_points_upwards(house: str) -> None:
-    rooms, uses = HOUSES[house]()
-    order = order_of(house)
-    assert set(rooms.values()) <= set(order)
+@pytest.mark.parametrize("tree", TREES)
+def test_no_arrow_points_upwards(tree: str) -> None:
+    layers, uses = TREES[tree]()
+    order = order_of(tree)
+    assert set(layers.values()) <= set(order)
     arrows = [(name, one) for name, used in uses.items() for one in used]
-    places = {name: order.index(room) for name, room in rooms.items()}
+    places = {name: order.index(layer) for name, layer in layers.items()}
     assert [f"{one} -> {other}" for one, other in arrows if places[other] > places[one]] == []
 
 
-def test_mpi_and_hdf5_have_one_room_each() -> None:
+def test_mpi_and_hdf5_have_one_layer_each() -> None:
     for path in (ROOT / "src").rglob("*.[fF]90"):
         used = set(USE.findall(path.read_text(encoding="utf-8").lower()))
         assert path.stem == "communicator" or not used & {"mpi", "mpi_f08"}, path
@@ -87,9 +87,9 @@ def test_nothing_knows_a_study() -> None:
                 assert not known.search(path.read_text(encoding="utf-8")), path
 
 
-@pytest.mark.parametrize("house", HOUSES)
-def test_no_modules_know_each_other(house: str) -> None:
-    _, uses = HOUSES[house]()
+@pytest.mark.parametrize("tree", TREES)
+def test_no_modules_know_each_other(tree: str) -> None:
+    _, uses = TREES[tree]()
     assert len(uses) > 30
     try:
         TopologicalSorter(uses).prepare()

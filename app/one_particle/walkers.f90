@@ -2,7 +2,7 @@
 !>
 !> Walkers fly exact visits. There are several `copies` of the circuit, with N walkers to each, and
 !> whoever enters a gate does so in a copy drawn by chance. So a walker meets a gate that knows
-!> nothing of its past: the stream of those who come to it is that of all copies thinned out,
+!> nothing of its past: the archive of those who come to it is that of all copies thinned out,
 !> Poisson's in the limit of many, at the rate at which walkers come to gates, with the stays that
 !> are found there. That is the renewal gate, made self-consistent: rate, stays and the numbers in
 !> the urns are the walkers' own, and nobody is lost, since a walker is always somewhere. With a

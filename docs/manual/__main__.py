@@ -75,40 +75,40 @@ def sphinx() -> int:
     return done.returncode
 
 
-def rooms() -> dict[str, dict[str, str]]:
-    """Return the rooms of src and postproc with their meanings (docs/layers.txt)."""
+def layers() -> dict[str, dict[str, str]]:
+    """Return the layers of src and postproc with their meanings (docs/layers.txt)."""
     found: dict[str, dict[str, str]] = {}
-    house = ""
+    tree = ""
     for line in (ROOT / "docs/layers.txt").read_text().splitlines():
         if re.fullmatch(r"\w+", line):
-            house = line
-            found[house] = {}
+            tree = line
+            found[tree] = {}
         elif match := re.match(r"  (\w+) +(.*)", line):
-            found[house][match[1]] = match[2]
+            found[tree][match[1]] = match[2]
     return found
 
 
 def write_api() -> tuple[dict[str, list[str]], list[str]]:
-    """Write the pages of all rooms; return their names, and what is not explained."""
+    """Write the pages of all layers; return their names, and what is not explained."""
     names: dict[str, list[str]] = {"Fortran": [], "Python": []}
     problems = []
-    for room, meaning in rooms()["src"].items():
-        files = sorted((ROOT / "src" / room).rglob("*.[fF]90"))
+    for layer, meaning in layers()["src"].items():
+        files = sorted((ROOT / "src" / layer).rglob("*.[fF]90"))
         modules = [one for path in files if (one := fortran.read_module(path.relative_to(ROOT)))]
         problems += [one for module in modules for one in fortran.unexplained(module)]
-        names["Fortran"].append(f"fortran_{room}")
-        text = fortran.page(room, meaning, modules)
-        (SOURCE / f"fortran_{room}.md").write_text(text, encoding="utf-8")
-    for room, meaning in rooms()["postproc"].items():
-        files = sorted((ROOT / "postproc" / room).rglob("*.py"))
-        files = files or [ROOT / f"postproc/{room}.py"]
-        if room == "commands":
+        names["Fortran"].append(f"fortran_{layer}")
+        text = fortran.page(layer, meaning, modules)
+        (SOURCE / f"fortran_{layer}.md").write_text(text, encoding="utf-8")
+    for layer, meaning in layers()["postproc"].items():
+        files = sorted((ROOT / "postproc" / layer).rglob("*.py"))
+        files = files or [ROOT / f"postproc/{layer}.py"]
+        if layer == "commands":
             files = [path for path in sorted((ROOT / "postproc").glob("*.py"))
-                     if path.stem not in rooms()["postproc"]]
+                     if path.stem not in layers()["postproc"]]
         problems += [one for path in files for one in python.unexplained(path)]
-        names["Python"].append(f"python_{room}")
-        text = python.page(room, meaning, files, ROOT)
-        (SOURCE / f"python_{room}.md").write_text(text, encoding="utf-8")
+        names["Python"].append(f"python_{layer}")
+        text = python.page(layer, meaning, files, ROOT)
+        (SOURCE / f"python_{layer}.md").write_text(text, encoding="utf-8")
     return names, problems
 
 

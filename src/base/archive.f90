@@ -1,13 +1,14 @@
 !> The stream of a state: what a type must keep to go on to the same last bit.
 !>
-!> A type passes its components through a stream once, in one procedure for both ways: into a stream
-!> that is written they are copied, out of one that is read they are taken. So nobody counts places,
-!> and the two ways cannot differ. Every component travels with its name, its kind and its size; at
-!> the head stand the number of the format and the precision of the program. On reading, the first
-!> that does not fit ends it: `problem` says what was expected, and what follows is left as it is.
+!> A type passes its components through an archive once, in one procedure for both ways: into an
+!> archive that is written they are copied, out of one that is read they are taken. So nobody counts
+!> places, and the two ways cannot differ. Every component travels with its name, its kind and its
+!> size; at the head stand the number of the format and the precision of the program. On reading,
+!> the first that does not fit ends it: `problem` says what was expected, and what follows is left
+!> as it is.
 !>
-!> What reads what: a stream is read by a program that passes the same components in the same order.
-!> `format_number` grows when the meaning of a component changes and its name does not.
+!> What reads what: an archive is read by a program that passes the same components in the same
+!> order. `format_number` grows when the meaning of a component changes and its name does not.
 module battery_archive
   use battery_kinds, only: wp, int8, int16, int32, int64
   use battery_fingerprint, only: fingerprint_of
@@ -39,13 +40,13 @@ module battery_archive
     !> Passes a text of any length.
     procedure :: serialize_text
     !> Passes a number, `value`, or an array, `values`, that is as long on reading as it was on
-    !> writing. By the `name` a stream of something else is found out. Arrays of real numbers may
+    !> writing. By the `name` an archive of something else is found out. Arrays of real numbers may
     !> stand in a row, up to five with their names.
     generic :: serialize => serialize_logical, serialize_int32, serialize_int64, serialize_real, &
       serialize_int8s, serialize_int16s, serialize_int32s, serialize_int64s, serialize_reals
     !> Passes an allocatable array, `values`; on reading it becomes as long as what was written. By
-    !> the `name` a stream of something else is found out. Lists of real numbers may stand in a row,
-    !> up to four with their names.
+    !> the `name` an archive of something else is found out. Lists of real numbers may stand in a
+    !> row, up to four with their names.
     generic :: serialize_list => serialize_int32_list, serialize_real_list
     !> Whether something did not fit.
     procedure :: failed
@@ -79,7 +80,7 @@ contains
 
   !> A stream to be read, of words that were written.
   pure type(archive_type) function archive_of(word) result(archive)
-    !> `word(:length)` of the stream that was written.
+    !> `word(:length)` of the archive that was written.
     integer(int64), intent(in) :: word(:)
 
     archive%reading = .true.
@@ -152,8 +153,8 @@ contains
     call move_alloc(more, self%word)
   end subroutine room_for
 
-  !> An item as words, the last of them filled up with zeros: they are put into the stream, or what
-  !> is in the stream is put into them.
+  !> An item as words, the last of them filled up with zeros: they are put into the archive, or what
+  !> is in the archive is put into them.
   pure subroutine serialize_words(self, name, kind, bytes, items, words)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name, kind
@@ -324,7 +325,7 @@ contains
   !> A text of any length and of any bytes.
   pure subroutine serialize_text(self, name, text)
     class(archive_type), intent(inout) :: self
-    !> Of the component: by it a stream of something else is found out.
+    !> Of the component: by it an archive of something else is found out.
     character(len=*), intent(in) :: name
     !> On reading it becomes as long as what was written.
     character(len=:), allocatable, intent(inout) :: text

@@ -1,11 +1,11 @@
-!> What every engine is and offers: start, advance by about one window, tell where particles are.
+!> The base type of all engines: start, advance by about one window, tell where particles are.
 !>
-!> An engine owns the particles, the gates and the clock. It reports what happened in a
-!> `event_record_type`, which the observers read. Here is what all engines have; a kind of engine
-!> adds how particles move.
+!> An engine owns the particles, the gates and the clock. It writes what happened in a window to an
+!> `event_record_type`, which the observers read. Extensions add how particles move.
 !>
-!> **The clock.** Time is counted within a page, a power of two, so that it resolves the same
-!> however long the run has been; at its end all clocks are set back by it, which is exact.
+!> **The clock.** Time counts within an epoch, a power of two, so that it resolves the same however
+!> long the run has been; at the end of an epoch all times are reduced by its length, which is
+!> exact.
 module battery_engine
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
@@ -22,7 +22,7 @@ module battery_engine
     real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
   end type particles_type
 
-  !> What all engines have. A kind of engine extends it by how its particles move.
+  !> What all engines have. An engine extends it by how its particles move.
   type, abstract :: engine_type
     type(table_type) :: table
     !> The gates of urn 1 and urn 2.
@@ -32,40 +32,39 @@ module battery_engine
     !> to 2**32 - 1, of one that draws random numbers.
     real(wp) :: time_step = 0.0_wp
     integer(int64) :: seed = 0
-    !> Time since the page was turned; its length, which `prepare_engine` sets; how often it was
-    !> turned.
+    !> Time since the epoch began; its length, set by `prepare_engine`; number of epochs before.
     real(wp) :: now = 0.0_wp, epoch = 0.0_wp
     integer(int64) :: epochs = 0
-    !> What the clock showed at the start.
+    !> Clock time at the start.
     real(wp) :: clock_start = 0.0_wp
   contains
     procedure, private :: start_with_threshold, start_with_thresholds
-    !> `start(table, threshold, particles, clock)` takes over particles at time `clock`.
+    !> `start(table, threshold, particles, clock)` loads particles at time `clock`.
     generic :: start => start_with_threshold, start_with_thresholds
     procedure, non_overridable :: advance
     procedure, non_overridable :: clock
     procedure, non_overridable :: serialize_state
-    !> What keeps the engine from simulating a table, as words for the user; empty: nothing.
+    !> Why the engine cannot simulate a table, in words for the user; empty: it can.
     procedure :: supports
-    !> Sizes and lengths that follow from `table`, `number` and `time_step`; sets `epoch`.
+    !> Derives sizes and lengths from `table`, `number` and `time_step`; sets `epoch`.
     procedure(prepare_engine_interface), deferred :: prepare_engine
-    !> Takes over the particles, which have been checked. Their arrays may be freed on the way, so
-    !> that large systems fit.
+    !> Loads the particles, which have been checked. May free their arrays on the way, so that large
+    !> systems fit.
     procedure(load_particles_interface), deferred :: load_particles
-    !> Goes on by at most one window and not beyond `duration`; fills `event_record`, sets `now`.
+    !> Advances by at most one window and at most `duration`; fills `event_record`, sets `now`.
     procedure(advance_window_interface), deferred :: advance_window
-    !> Sets all clocks back by the length of the page; an engine with clocks of its own sets those
-    !> back, too.
+    !> Starts a new epoch: reduces all times by its length; extended by engines with times of their
+    !> own.
     procedure :: rebase_clock => rebase_gates_and_clock
-    !> What the engine itself keeps, through a stream.
+    !> Serialises what the engine itself adds.
     procedure(serialize_interface), deferred :: serialize_own_state
     procedure, non_overridable :: particles
     !> x, y, u_x, u_y of one particle now.
     procedure(state_interface), deferred :: state_of
-    !> Wall collisions from the start until now, exactly; may cost a pass over the particles, while
-    !> the running sum of `event_record%collisions` may be ahead of it.
+    !> Exact number of wall collisions from the start until now; may cost a pass over the particles,
+    !> while the running sum of `event_record%collisions` may be ahead of it.
     procedure(count_interface), deferred :: collisions
-    !> How many particles can never leave their urn or channel (periodic orbits).
+    !> Number of particles that can never leave their urn or channel (periodic orbits).
     procedure(count_interface), deferred :: trapped
   end type engine_type
 
@@ -116,7 +115,7 @@ module battery_engine
 
 contains
 
-  !> Both gates have the same threshold.
+  !> Starts with one threshold for both gates.
   subroutine start_with_threshold(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
@@ -128,7 +127,7 @@ contains
     call self%start_with_thresholds(table, [threshold, threshold], particles, clock)
   end subroutine start_with_threshold
 
-  !> Takes over particles.
+  !> Starts with a threshold for each gate: loads the particles.
   subroutine start_with_thresholds(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
@@ -136,7 +135,7 @@ contains
     integer, intent(in) :: threshold(2)
     !> Positions and velocities, which have been checked; freed.
     type(particles_type), intent(inout) :: particles
-    !> What the clock shows, in time units.
+    !> Clock time at the start, in time units.
     real(wp), intent(in) :: clock
 
     call set_up(self, table, threshold, size(particles%x))
@@ -146,7 +145,7 @@ contains
     if (allocated(particles%x)) deallocate (particles%x, particles%y, particles%ux, particles%uy)
   end subroutine start_with_thresholds
 
-  !> An engine of so many particles, of which nothing is known yet.
+  !> Sets table, gates and number; no particle is loaded yet.
   subroutine set_up(self, table, threshold, number)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
@@ -163,19 +162,19 @@ contains
     call self%prepare_engine()
   end subroutine set_up
 
-  !> Goes on by at most one window and not beyond `duration`.
+  !> Advances by at most one window and at most `duration`.
   subroutine advance(self, duration, event_record)
     class(engine_type), intent(inout) :: self
     !> In time units; above 0.
     real(wp), intent(in) :: duration
-    !> What happened.
+    !> What happened in the window.
     type(event_record_type), intent(inout) :: event_record
 
     if (self%now >= self%epoch) call self%rebase_clock()
     call self%advance_window(duration, event_record)
   end subroutine advance
 
-  !> The clock and those of the gates are set back by the length of the page.
+  !> Reduces the clock and the times of the gates by the length of the epoch.
   subroutine rebase_gates_and_clock(self)
     class(engine_type), intent(inout) :: self
     integer :: side
@@ -195,7 +194,7 @@ contains
     time = self%clock_start + (real(self%epochs, wp)*self%epoch + self%now)
   end function clock
 
-  !> What keeps this engine from simulating a table; one that needs more says so.
+  !> Why this engine cannot simulate a table; overridden by engines with further requirements.
   pure function supports(self, table) result(reason)
     class(engine_type), intent(in) :: self
     type(table_type), intent(in) :: table
@@ -205,7 +204,7 @@ contains
     if (self%time_step < 0.0_wp) reason = 'its time_step is below 0'
   end function supports
 
-  !> What every engine needs, in words for the user where a `table` has it not.
+  !> The requirement of every engine that `table` does not meet, in words for the user; or empty.
   pure function unmet_requirement(table) result(reason)
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
@@ -214,11 +213,11 @@ contains
     if (.not. all(table%urn%fits)) reason = 'its openings must be narrower than either urn'
   end function unmet_requirement
 
-  !> All that is needed to go on to the same last bit, into a stream or out of it. What does not fit
-  !> is told by the stream; the engine is of no use then.
+  !> Serialises all that is needed to continue to the same last bit. If the archive does not fit, it
+  !> says so, and the engine must not be used.
   subroutine serialize_state(self, table, threshold, archive)
     class(engine_type), intent(inout) :: self
-    !> What is simulated, in both ways the same: it does not travel.
+    !> What is simulated, the same in both ways: it is not part of the archive.
     type(table_type), intent(in) :: table
     !> Of the gates of urn 1 and 2.
     integer, intent(in) :: threshold(2)
@@ -238,7 +237,7 @@ contains
     if (.not. archive%failed()) call self%serialize_own_state(archive)
   end subroutine serialize_state
 
-  !> Where the particles `first` ... `last` are now, in the frame of the table.
+  !> Positions and velocities of the particles `first` ... `last` now, in the frame of the table.
   subroutine particles(self, first, last, found)
     class(engine_type), intent(in) :: self
     integer, intent(in) :: first, last
@@ -258,7 +257,7 @@ contains
     end do
   end subroutine particles
 
-  !> Room for so many particles.
+  !> Allocates the arrays.
   pure subroutine allocate_particles(particles, number)
     type(particles_type), intent(out) :: particles
     !> How many.

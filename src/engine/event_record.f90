@@ -1,7 +1,6 @@
 !> What happened in one window of an engine: crossings, counts, and the event log.
 !>
-!> Times in a history are counted from the beginning of its window, so they stay sharp however long
-!> the run has been.
+!> Times count from the beginning of the window, so they stay sharp however long the run has been.
 module battery_event_record
   use battery_kinds, only: wp, int8, int32, int64
   use battery_channel, only: gated, ungated
@@ -17,7 +16,7 @@ module battery_event_record
   !> Crossings: of the middle line of channel 1 and of the periodic line, from urn 1 to 2 and back.
   integer, parameter :: channel1_12 = 1, channel1_21 = 2, channel2_12 = 3, channel2_21 = 4
 
-  !> The crossing of the line of each channel by one who comes from each side, (side, channel).
+  !> The crossing of the line of each channel by a particle from each urn, (urn, channel).
   integer, parameter :: crossing_of(2, 2) = reshape([channel1_12, channel1_21, channel2_12, &
     channel2_21], [2, 2])
 
@@ -25,26 +24,26 @@ module battery_event_record
   integer, parameter :: event_entry = 1, event_reversal = 2, event_crossing1 = 3, &
     event_crossing2 = 4
 
-  !> How the log tells of a crossing: its kind, and which way.
+  !> Kind and direction of a crossing in the event log.
   integer, parameter :: event_of(4) = [event_crossing1, event_crossing1, event_crossing2, &
     event_crossing2], way_of(4) = [12, 21, 12, 21]
 
-  !> The history of one window. Arrays may be longer than their counts say.
+  !> What happened in one window. Arrays may be longer than their counts.
   type :: event_record_type
     !> Length of the window.
     real(wp) :: duration = 0.0_wp
-    !> Crossings in the order of time: when (since the window began) and which (`channel1_12` ...).
+    !> Crossings in the order of time: when, and which (`channel1_12` ...).
     integer :: crossings = 0
     !> How many `grow_event_record` has made room for; before, less than anybody asks for.
     integer, private :: room = -1
     real(wp), allocatable :: crossing_time(:)
     integer(int8), allocatable :: crossing(:)
-    !> Wall collisions that became known in the window (see `engine_type%collisions`).
+    !> Wall collisions computed in the window (see `engine_type%collisions`).
     integer(int64) :: collisions = 0
-    !> How often the gate of each urn reversed, and how many particles both turned back.
+    !> Reversals of each gate, and particles turned back by both.
     integer(int64) :: reversals(2) = 0, bounce_backs = 0
-    !> Sum of |N1 - N2| over the states after each wall collision, and how many there were; only
-    !> from engines that see each collision.
+    !> Sum of |N1 - N2| over the states after each wall collision, and their number; only from
+    !> engines that process every collision.
     integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
     !> The event log, if asked for: kind, where (gate, or 12 or 21), particle (or how many).
     logical :: logging = .false.
@@ -64,7 +63,7 @@ contains
     channel = merge(gated, ungated, crossing == channel1_12 .or. crossing == channel1_21)
   end function channel_of
 
-  !> Empties the history and makes room for `crossings` crossings and as many as `events` events.
+  !> Empties the record and makes room for `crossings` crossings and `events` events.
   subroutine reserve_event_record(event_record, crossings, events)
     type(event_record_type), intent(inout) :: event_record
     integer, intent(in) :: crossings, events
@@ -84,7 +83,7 @@ contains
   !> Makes room for that many crossings and events, at least doubling what must grow.
   subroutine grow_event_record(event_record, crossings, events)
     type(event_record_type), intent(inout) :: event_record
-    !> How many must fit in all; events only if they are logged.
+    !> Total number to fit; events only if they are logged.
     integer, intent(in) :: crossings, events
     integer :: room
 
@@ -117,7 +116,7 @@ contains
     real(wp), intent(in) :: time
     !> `channel1_12` ...
     integer, intent(in) :: crossing
-    !> Its number, from 1.
+    !> Particle index, 1 ... N.
     integer, intent(in) :: particle
 
     if (event_record%crossings >= event_record%room) call grow_event_record(event_record, &
@@ -129,12 +128,12 @@ contains
       way_of(crossing), particle)
   end subroutine record_crossing
 
-  !> A gate turns back `counted` particles.
+  !> Adds a reversal of a gate, which turns back `counted` particles.
   subroutine record_reversal(event_record, time, gate, counted)
     type(event_record_type), intent(inout) :: event_record
     !> Since the window began.
     real(wp), intent(in) :: time
-    !> That of urn 1 or 2, and how many it turns back.
+    !> The gate, 1 or 2, and the number of particles.
     integer, intent(in) :: gate, counted
 
     if (event_record%logging) call record_event(event_record, time, event_reversal, gate, counted)
@@ -147,7 +146,7 @@ contains
     type(event_record_type), intent(inout) :: event_record
     !> Since the window began.
     real(wp), intent(in) :: time
-    !> `event_entry` ...; the gate, or 12 or 21; who, or how many.
+    !> `event_entry` ...; the gate, or 12 or 21; the particle, or how many.
     integer, intent(in) :: kind, where, particle
     integer :: at
 
@@ -161,12 +160,11 @@ contains
     event_record%event_particle(at) = int(particle, int32)
   end subroutine record_event
 
-  !> Puts the events of one instant, `first` to `last`, in the order of the log: crossings
-  !> of channel 1 from urn 1, from urn 2, then the rest, by particle; a reversal after the last of
-  !> those who entered.
+  !> Sorts the events of one instant, `first` to `last`, in the order of the log: crossings of
+  !> channel 1 from urn 1, from urn 2, then the rest, by particle; a reversal after the last entry.
   pure subroutine sort_simultaneous_events(event_record, first, last)
     type(event_record_type), intent(inout) :: event_record
-    !> Places of the first and the last of them.
+    !> Their first and last index.
     integer, intent(in) :: first, last
     integer(int64) :: rank(first:last), mine
     integer(int32) :: kind, where, particle
@@ -202,8 +200,7 @@ contains
     end do
   end subroutine sort_simultaneous_events
 
-  !> Puts all that a history tells in the order of time, and the events of one instant in that of
-  !> the log.
+  !> Sorts the record by time, and the events of one instant in the order of the log.
   subroutine sort_event_record(event_record)
     type(event_record_type), intent(inout) :: event_record
     integer, allocatable :: order(:)
@@ -230,7 +227,7 @@ contains
     end associate
   end subroutine sort_event_record
 
-  !> Puts times in order, and says where each came from.
+  !> Sorts times, and returns where each was.
   subroutine sort_order_of_times(n, time, order)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(:)

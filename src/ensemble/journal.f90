@@ -102,7 +102,7 @@ contains
     if (present(rank_files)) rank_files = files
   end subroutine read_plan
 
-  !> What the file `plan` says, through a stream.
+  !> What the file `plan` says, through an archive.
   pure subroutine serialize_plan(namelist, initial_fingerprint, rank_files, archive)
     character(len=:), allocatable, intent(inout) :: namelist
     integer(int64), intent(inout) :: initial_fingerprint
@@ -328,7 +328,7 @@ contains
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
 
-  !> What the file of a state says, through a stream.
+  !> What the file of a state says, through an archive.
   subroutine serialize_state(simulation, setup, cpu_seconds, archive, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup

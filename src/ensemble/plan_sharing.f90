@@ -50,7 +50,7 @@ contains
     plan%base%urn1_number = count(plan%start%x < 0.0_wp)
   end subroutine read_plan_once
 
-  !> What rank 0 has read, through a stream.
+  !> What rank 0 has read, through an archive.
   pure subroutine serialize_input(plan, archive)
     type(plan_type), intent(inout) :: plan
     type(archive_type), intent(inout) :: archive

@@ -136,7 +136,7 @@ contains
     found%task_id = record%owner
   end subroutine from_record
 
-  !> All that a result holds, into a stream or out of it.
+  !> All that a result holds, into an archive or out of it.
   subroutine serialize_result(found, archive)
     type(task_result_type), intent(inout) :: found
     type(archive_type), intent(inout) :: archive

@@ -1,10 +1,10 @@
-!> The pending events of many particles, one each, handed out window by window in the order of time.
+!> The pending events of many particles, one each, in the order of time: a calendar queue.
 !>
-!> A calendar of buckets of equal width covers one page of time; a bucket knows whose events it has,
-!> in no order. Buckets are opened one after the other and their events put in order in `due_time`.
-!> What lies beyond the page waits until the page is turned: then the
-!> clock is set back by the length of the page, a power of two, so that future times stay exact and
-!> resolve the same however long the run has been.
+!> Buckets of equal width cover one epoch; a bucket lists the particles whose events fall into it,
+!> in no order. Buckets are opened one after the other and their events sorted into `due_time`.
+!> Events beyond the epoch wait until the clock is rebased: all times are then reduced by the length
+!> of the epoch, a power of two, so that times stay exact and resolve the same however long the run
+!> has been.
 !>
 !> The flights, one a particle, belong to the caller.
 module battery_calendar
@@ -16,52 +16,52 @@ module battery_calendar
   public :: calendar_type, idle, new_calendar, epoch_for, flight_type, schedule, schedule_all, &
     open_until, next_due, due_before, drop_done, rebase_calendar
 
-  !> A particle between two of its events. The calendar knows `due` only; the rest is its owner's. A
-  !> record fills a line of the cache: with many particles the time is that of reading one line of
-  !> memory a particle.
+  !> A particle between two of its events. The calendar uses `due` only; the engine uses the rest. A
+  !> record fills one cache line: with many particles the cost is that of reading one line a
+  !> particle.
   type :: flight_type
     real(wp) :: due
     !> Heading, and the urn it leaves, 1 or 2.
     integer(int16) :: heading, urn
-    !> Where the visit that follows was foreseen, or 0.
+    !> Slot of the visit that follows, if it was computed ahead; else 0.
     integer(int32) :: lookahead_slot
-    !> When it enters the channel (entered it, for those that are inside), at which height, with
-    !> |u_x| and u_y.
+    !> When it enters the channel (entered it, if it is inside), at which height, with |u_x| and
+    !> u_y.
     real(wp) :: time, y, u_axial, u_lateral
-    !> How long it is in the channel if nothing turns it back, and in the urn before.
+    !> Time through the channel if no gate reverses, and length of the visit before it.
     real(wp) :: through, length
   end type flight_type
 
-  !> One without an event. Not by default, since the program must be able to say where a great array
-  !> is to lie before it is written to.
+  !> A flight without an event. Not by default, since large arrays choose their memory pages before
+  !> they are written to.
   type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int16, 0_int16, 0_int32, 0.0_wp, &
     0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
 
-  !> Events of a block, a power of two. A block is a line of the cache: with few buckets all lines
-  !> that are written to are at hand, however many particles there are.
+  !> Events of a block, a power of two. A block is a cache line: with few buckets all lines being
+  !> written to stay in the cache, however many particles there are.
   integer(int32), parameter :: places = 16
 
-  !> Up to 2**crowd particles a bucket is to hold about ten events; of more particles it holds more.
+  !> With up to 2**crowd particles a bucket holds about ten events; with more particles, more.
   integer, parameter :: crowd = 14
 
-  !> The events of a page of time, from the beginning of which its times count.
+  !> The events of an epoch; times count from its beginning.
   type :: calendar_type
-    !> Length of a page and width of a bucket, powers of two.
+    !> Length of an epoch and width of a bucket, powers of two.
     real(wp) :: epoch = 0.0_wp, width = 0.0_wp, per_width = 0.0_wp
     integer :: buckets = 0
-    !> Whose the events of each bucket are, in blocks: block b has the places from b*places on.
+    !> Particles of each bucket, in blocks: block b has the places from b*places on.
     integer(int32), allocatable :: whose(:)
-    !> The place for the next event of each bucket, or 0: none yet. At the first place of a block
-    !> the last one is full.
+    !> Place for the next event of each bucket, or 0 if it is empty. At the first place of a block
+    !> the previous block is full.
     integer(int32), allocatable :: next_place(:)
-    !> The block of the same bucket that was filled before, or -1; blocks that are free: a stack.
+    !> Previous block of the same bucket, or -1; free blocks, as a stack.
     integer(int32), allocatable :: block_before(:)
     integer :: free_blocks = 0
     integer(int32), allocatable :: free_block(:)
-    !> How many buckets are open; all that is due before `opened_until` is sorted or done.
+    !> Number of open buckets; all events before `opened_until` are sorted or done.
     integer :: opened = 0
     real(wp) :: opened_until = 0.0_wp
-    !> Sorted events: `due_time(:sorted)` and whose they are; room for all particles.
+    !> Sorted events: `due_time(:sorted)` and their particles; room for all particles.
     integer :: sorted = 0
     real(wp), allocatable :: due_time(:)
     integer, allocatable :: particle(:)
@@ -85,7 +85,7 @@ contains
     calendar%width = calendar%epoch/real(calendar%buckets, wp)
     calendar%per_width = 1.0_wp/calendar%width
     allocate (calendar%next_place(calendar%buckets), source=0_int32)
-    ! Each bucket that is not empty has one block that is not full at most.
+    ! Each bucket that is not empty has at most one block that is not full.
     blocks = number/places + min(number, calendar%buckets)
     allocate (calendar%whose(0:places*blocks - 1), calendar%block_before(0:blocks - 1))
     calendar%free_blocks = blocks
@@ -93,7 +93,7 @@ contains
     allocate (calendar%due_time(number), calendar%particle(number))
   end subroutine new_calendar
 
-  !> The length of a page for events that come every `interval` on average.
+  !> Length of an epoch for events that come every `interval` on average.
   elemental function epoch_for(interval) result(epoch)
     real(wp), intent(in) :: interval
     real(wp) :: epoch
@@ -101,7 +101,7 @@ contains
     epoch = power_above(4.0_wp*interval)
   end function epoch_for
 
-  !> Writes down that the event of `particle` is due at `time`.
+  !> Schedules the event of `particle` at `time`.
   pure subroutine schedule(calendar, flight, particle, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)
@@ -112,15 +112,15 @@ contains
     call schedule_all(calendar, 1, [particle], [time])
   end subroutine schedule
 
-  !> Writes down many events at once: of `particle(:count)` at `time(:count)`, which their flights
-  !> have as `due` already; one whose time is huge never comes.
+  !> Schedules the events of `particle(:count)` at `time(:count)`, which their flights have as `due`
+  !> already; one whose time is huge never comes.
   pure subroutine schedule_all(calendar, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
-    !> How many.
+    !> Number of events.
     integer, intent(in) :: count
-    !> Whose, each at most once.
+    !> Particle of each event; no particle twice.
     integer, intent(in) :: particle(count)
-    !> When each is due, on the clock of the page.
+    !> Time of each event, on the clock of the epoch.
     real(wp), intent(in) :: time(count)
     integer :: k
     logical :: some_at_once
@@ -135,7 +135,7 @@ contains
     end do
   end subroutine schedule_all
 
-  !> The part of it that is not due before `opened_until`; tells whether there are others.
+  !> Schedules the events that are not due before `opened_until`; tells whether there are others.
   pure subroutine fill_buckets(count, particle, time, per_width, opened_until, epoch, &
     next_place, whose, block_before, free_blocks, free_block, some_at_once)
     integer, intent(in) :: count, particle(count)
@@ -168,7 +168,7 @@ contains
     end do
   end subroutine fill_buckets
 
-  !> Opens buckets until all that is due before `time` is sorted.
+  !> Opens buckets until all events before `time` are sorted.
   pure subroutine open_until(calendar, flight, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(in) :: flight(:)
@@ -186,7 +186,7 @@ contains
     calendar%opened_until = real(target, wp)*calendar%width
   end subroutine open_until
 
-  !> Empties buckets into the sorted events. All that was sorted before is due earlier.
+  !> Moves the events of some buckets to the sorted events, which are all earlier.
   pure subroutine open_buckets(number, flight, buckets, next_place, whose, block_before, &
     free_blocks, free_block, sorted, due_time, particle)
     integer, intent(in) :: number, buckets
@@ -225,12 +225,12 @@ contains
     end do
   end subroutine open_buckets
 
-  !> When the next event is due; opens buckets as needed; not beyond `horizon`, nor beyond the page.
+  !> Time of the next event; opens buckets as needed; not beyond `horizon`, nor beyond the epoch.
   pure subroutine next_due(calendar, flight, horizon, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(in) :: flight(:)
     real(wp), intent(in) :: horizon
-    !> On the clock of the page; `horizon` or the end of the page if nothing is due before.
+    !> On the clock of the epoch; `horizon` or the end of the epoch if no event is due before.
     real(wp), intent(out) :: time
     integer :: bucket
 
@@ -246,16 +246,16 @@ contains
 
   !> How many of the sorted events are due before `instant`.
   pure function due_before(sorted, due_time, instant) result(due)
-    !> How many there are.
+    !> Number of sorted events.
     integer, intent(in) :: sorted
-    !> When each is due, in order; on the same clock.
+    !> Time of each, ascending; on the same clock.
     real(wp), intent(in) :: due_time(sorted), instant
     integer :: due
 
     due = int(count(due_time < instant, kind=int64))
   end function due_before
 
-  !> The first `done` of the sorted events are over.
+  !> Removes the first `done` of the sorted events.
   pure subroutine drop_done(calendar, done)
     type(calendar_type), intent(inout) :: calendar
     integer, intent(in) :: done
@@ -268,8 +268,8 @@ contains
     calendar%sorted = calendar%sorted - done
   end subroutine drop_done
 
-  !> The page is done: sets all times back by its length and writes down what is due on the next.
-  !> What is over, or waits for no event, is due before the new page.
+  !> Starts a new epoch: reduces all times by its length and schedules the events due in the new
+  !> one. Particles without an event have a time before it.
   pure subroutine rebase_calendar(calendar, flight)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)

@@ -1,30 +1,30 @@
-!> Puts a short list of events into the order of time, and of their numbers at one time.
+!> Sorts short lists of events by time, and by number at one time.
 !>
-!> Which of two times is less cannot be guessed, so the kernel does not ask: the place of each is
-!> how many are earlier, and counting has no branches.
+!> Branch prediction fails on comparisons of random times, so the kernel has none: the place of an
+!> event is the number of earlier ones, and counting has no branches.
 module battery_ordering
   use battery_kinds, only: wp, int64
   implicit none (type, external)
   private
   public :: sort_by_time, insert_sorted
 
-  !> So many times are compared with another at a time.
+  !> Number of times that are compared with another at once.
   integer, parameter :: block = 8
-  !> Longest list that is ordered by counting.
+  !> Longest list that is sorted by counting.
   integer, parameter, public :: longest = 16*block
-  !> Longer lists than `short` are dealt out by time first, to bins for `share` events.
+  !> Lists longer than `short` are first put into bins for about `share` events each.
   integer, parameter, public :: short = 32
   integer, parameter :: share = 10
 
 contains
 
-  !> Puts a list into order: by time, then by number.
+  !> Sorts a list by time, then by number.
   pure subroutine sort_by_time(n, time, number)
-    !> How many.
+    !> Length of the list.
     integer, intent(in) :: n
-    !> In and out, all finite.
+    !> Times, all finite.
     real(wp), intent(inout) :: time(n)
-    !> Whose each is; no two at one time are the same.
+    !> Number of each event; no two at one time are the same.
     integer, intent(inout) :: number(n)
     real(wp) :: least, most
 
@@ -41,12 +41,12 @@ contains
     end if
   end subroutine sort_by_time
 
-  !> The same for many: into bins of equal width, each of which is put in order then.
+  !> Sorts a longer list: into bins of equal width, each of which is sorted then.
   pure subroutine sort_in_bins(n, time, number, least, per_width)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
     integer, intent(inout) :: number(n)
-    !> The earliest of the times, and bins a time unit.
+    !> The earliest time, and bins a time unit.
     real(wp), intent(in) :: least, per_width
     real(wp), allocatable :: was(:)
     integer, allocatable :: whose(:), bin(:), place(:)
@@ -83,7 +83,7 @@ contains
     end do
   end subroutine sort_in_bins
 
-  !> A list no longer than `longest`: the place of each is how many are earlier.
+  !> Sorts a list no longer than `longest`: the place of each is the number of earlier ones.
   pure subroutine order_by_counting(n, time, number)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
@@ -118,8 +118,8 @@ contains
     call insertion_sort(n, time, number)
   end subroutine order_by_counting
 
-  !> How many of the times are before each of eight of `mine`. The eight are named, so that the
-  !> compiler keeps their counts in registers.
+  !> Counts, for each of eight times of `mine`, how many times are earlier. The fixed number lets
+  !> the compiler keep the counts in registers.
   pure subroutine count_earlier(n, time, mine, earlier)
     integer, intent(in) :: n
     real(wp), intent(in) :: time(n), mine(block)
@@ -130,7 +130,7 @@ contains
       earlier(lane) = 0
     end do
     do j = 1, n
-      ! Not unrolled, the lanes become one vector; else the loop about them becomes vectors, slowly.
+      ! Without unrolling, the lanes become one vector; else the outer loop is vectorised, slowly.
 !GCC$ unroll 0
       do lane = 1, block
         earlier(lane) = earlier(lane) + merge(1_int64, 0_int64, time(j) < mine(lane))
@@ -138,7 +138,7 @@ contains
     end do
   end subroutine count_earlier
 
-  !> A list with many at one time.
+  !> Insertion sort, for lists with many events at one time.
   pure subroutine insertion_sort(n, time, number)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
@@ -154,18 +154,18 @@ contains
     end do
   end subroutine insertion_sort
 
-  !> Puts an event in its place among `sorted` ones: by time, then by number.
+  !> Inserts an event into `sorted` ones, by time, then by number.
   pure subroutine insert_sorted(room, time, number, sorted, at, whose)
-    !> More than `sorted`.
+    !> Extent of the arrays, more than `sorted`.
     integer, intent(in) :: room
-    !> When each is due, in order,
+    !> Time of each, ascending,
     real(wp), intent(inout) :: time(room)
-    !> and whose it is.
+    !> and its number.
     integer, intent(inout) :: number(room)
     integer, intent(inout) :: sorted
-    !> When the new one is due, and whose it is.
+    !> Time of the new event, and its number.
     real(wp), intent(in) :: at
-    !> No event of this number is due at that time already.
+    !> No event with this number is due at that time already.
     integer, intent(in) :: whose
     integer :: place
 

@@ -1,8 +1,8 @@
-!> A queue: who is due when; whoever is due first comes out first.
+!> A priority queue of particles by time.
 !>
-!> It is just a list until the first is asked for, since many a queue is emptied before: then
-!> joining it costs no more than writing down. From then on, until it is empty again, it is a binary
-!> heap, in which joining costs O(1) on average. At one time the lower number comes first.
+!> It is an unordered list until its first is asked for, since many queues are emptied before that:
+!> until then adding to it costs one store. From then on, until it is empty again, it is a binary
+!> heap, and adding costs O(1) on average. At one time the lower number comes first.
 module battery_queue
   use battery_kinds, only: wp
   use battery_archive, only: archive_type
@@ -11,11 +11,11 @@ module battery_queue
   public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove, rebase_queue, &
     serialize_queue
 
-  !> Numbers, each with a time; `time` and `who` have room for `room` of them.
+  !> Particles, each with a time; `time` and `who` have room for `room` of them.
   type :: queue_type
-    !> How many are in it, and for how many there is room.
+    !> Number of particles in it, and room.
     integer :: count = 0, room = 0
-    !> When the first of them is due; huge if there is none.
+    !> Time of the first of them; huge if the queue is empty.
     real(wp) :: next = huge(1.0_wp)
     !> Whether `time` and `who` up to `count` are a heap.
     logical :: in_order = .false.
@@ -23,13 +23,13 @@ module battery_queue
     integer, allocatable :: who(:)
   end type queue_type
 
-  !> A list so short is taken out as a whole: telling who is due costs more than putting back the
-  !> others.
+  !> A list no longer than this is taken out as a whole: selecting costs more than putting back the
+  !> rest.
   integer, parameter :: short_list = 256
 
 contains
 
-  !> All leave at once.
+  !> Removes all.
   pure subroutine empty_queue(queue)
     type(queue_type), intent(inout) :: queue
 
@@ -39,7 +39,7 @@ contains
     queue%in_order = .false.
   end subroutine empty_queue
 
-  !> `who` is due at `time`. Short, so that it is compiled in where it is called.
+  !> Adds `who` at `time`. Short, so that it is inlined.
   pure subroutine push(queue, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: time
@@ -53,12 +53,12 @@ contains
     if (queue%in_order) call sift_up_last(queue)
   end subroutine push
 
-  !> Each of `who` is due at its time.
+  !> Adds `count` particles `who`.
   pure subroutine push_all(queue, count, time, who)
     type(queue_type), intent(inout) :: queue
-    !> How many.
+    !> Number of particles.
     integer, intent(in) :: count
-    !> When each is due, in no order.
+    !> Time of each, in no order.
     real(wp), intent(in) :: time(count)
     integer, intent(in) :: who(count)
     integer :: is_before, k
@@ -93,7 +93,7 @@ contains
     end if
   end subroutine grow
 
-  !> The last of a heap finds its place.
+  !> Restores the heap after one was added at its end.
   pure subroutine sift_up_last(queue)
     type(queue_type), intent(inout) :: queue
     real(wp) :: time
@@ -115,7 +115,7 @@ contains
   !> The first leaves the queue, which is not empty.
   pure subroutine pop(queue, who)
     type(queue_type), intent(inout) :: queue
-    !> Who that is.
+    !> Its number.
     integer, intent(out) :: who
 
     call make_heap(queue)
@@ -123,16 +123,16 @@ contains
     call remove_at(queue, 1)
   end subroutine pop
 
-  !> Takes out all who are due before `until`, and others, as it likes: in no order. There is room
-  !> for all that are in the queue.
+  !> Removes all that are due before `until`, and possibly others, in no order. The arrays have room
+  !> for the whole queue.
   pure subroutine pop_due(queue, until, taken, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: until
-    !> How many were taken.
+    !> Number removed.
     integer, intent(out) :: taken
-    !> When each is due,
+    !> Time of each,
     real(wp), intent(inout) :: time(:)
-    !> and who it is.
+    !> and its number.
     integer, intent(inout) :: who(:)
 
     taken = 0
@@ -151,7 +151,7 @@ contains
     end if
   end subroutine pop_due
 
-  !> `who`, who is in the queue and about to be due, leaves it.
+  !> Removes `who`, which is in the queue and among the first.
   pure subroutine remove(queue, who)
     type(queue_type), intent(inout) :: queue
     integer, intent(in) :: who
@@ -165,7 +165,7 @@ contains
     call remove_at(queue, place)
   end subroutine remove
 
-  !> Makes a heap of a list.
+  !> Makes the list a heap.
   pure subroutine make_heap(queue)
     type(queue_type), intent(inout) :: queue
     integer :: at
@@ -177,7 +177,7 @@ contains
     end do
   end subroutine make_heap
 
-  !> Fills the place in the heap with the last.
+  !> Replaces the particle at a place of the heap by the last one.
   pure subroutine remove_at(queue, place)
     type(queue_type), intent(inout) :: queue
     integer, intent(in) :: place
@@ -200,7 +200,7 @@ contains
     queue%next = merge(queue%time(1), huge(1.0_wp), queue%in_order)
   end subroutine remove_at
 
-  !> Puts one into the heap at `place` or below.
+  !> Puts a particle into the heap at `place` or below.
   pure subroutine sift_down(queue, place, time, who)
     type(queue_type), intent(inout) :: queue
     integer, intent(in) :: place
@@ -225,7 +225,7 @@ contains
     queue%who(at) = who
   end subroutine sift_down
 
-  !> Earlier, or at the same time and with the lower number.
+  !> Whether one is earlier than another, or at the same time and has the lower number.
   pure function is_before(time, who, other_time, other_who)
     real(wp), intent(in) :: time, other_time
     integer, intent(in) :: who, other_who
@@ -235,7 +235,7 @@ contains
     if (.not. is_before) is_before = .not. time > other_time .and. who < other_who
   end function is_before
 
-  !> The clock is set back by `shift`.
+  !> Subtracts `shift` from all times.
   pure subroutine rebase_queue(queue, shift)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: shift
@@ -245,7 +245,7 @@ contains
     queue%next = minval(queue%time(:queue%count))
   end subroutine rebase_queue
 
-  !> Through a stream, as it stands.
+  !> Serialises the queue in its present order.
   pure subroutine serialize_queue(queue, archive)
     type(queue_type), intent(inout) :: queue
     type(archive_type), intent(inout) :: archive

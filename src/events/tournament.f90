@@ -1,21 +1,20 @@
-!> The pending events of many particles, one each: who is next?
+!> The pending events of many particles, one each: a winner tree.
 !>
-!> A winner tree. The particles sit at its leaves, from left to right in the order of their numbers;
-!> every node above holds the earlier of its two children; the root, node 1, holds the next event of
-!> all. A new time is played upwards from its leaf against one sibling a level. All siblings are
-!> known from the leaf, so that they are loaded ahead, and what waits from level to level is one
-!> comparison and a selection without a branch. Of events at one time the left one comes first: that
-!> of the particle with the lowest number.
+!> The particles sit at the leaves, from left to right by index; every node holds the earlier of its
+!> two children; the root, node 1, holds the next event of all. A new time is compared upwards from
+!> its leaf with one sibling a level. All siblings are known from the leaf and loaded ahead, so the
+!> dependent work at each level is one comparison and a selection without a branch. Of events at one
+!> time the left one comes first: that of the particle with the lowest index.
 !>
-!> Times are 0 or more. Such numbers are in the same order as the whole numbers that have their
-!> bits, and to let the left one of two equal ones win is to add 1 to the right one.
+!> Times are 0 or more. Such numbers order like the integers with the same bits; adding 1 to the
+!> right one of two equal ones makes the left one win.
 module battery_tournament
   use battery_kinds, only: wp, int32, int64, bits_kind
   implicit none (type, external)
   private
   public :: tournament_type, new_tournament, set_time, time_of, rebase_tournament
 
-  !> Time and particle side by side: one line of the cache holds a match.
+  !> Time and particle side by side: one cache line holds both nodes of a comparison.
   type :: node_type
     real(wp) :: time = huge(1.0_wp)
     integer(int32) :: particle = 0
@@ -24,7 +23,7 @@ module battery_tournament
   !> The events of `number` particles, in 2 `number` - 1 nodes.
   type :: tournament_type
     integer :: number = 0
-    !> Where the first of them sits: the leftmost node of the lowest level.
+    !> Node of the first particle: the leftmost of the lowest level.
     integer :: first = 1
     !> Node 1 is the root: `node(1)%time` and `node(1)%particle` are the next event.
     type(node_type), allocatable :: node(:)
@@ -35,7 +34,7 @@ contains
   !> A tournament of the particles 1 ... size(time) with these times.
   pure subroutine new_tournament(tournament, time)
     type(tournament_type), intent(inout) :: tournament
-    !> When each particle has its event; huge for never.
+    !> Time of each event; huge for never.
     real(wp), intent(in) :: time(:)
     integer :: i, k, n, winner
 
@@ -54,7 +53,7 @@ contains
     end do
   end subroutine new_tournament
 
-  !> The node where a particle sits. Those whom the lowest level has no room for sit above it.
+  !> Node of a particle. Particles for which the lowest level has no room sit one level above.
   elemental function leaf(tournament, particle) result(k)
     type(tournament_type), intent(in) :: tournament
     integer, intent(in) :: particle
@@ -64,7 +63,7 @@ contains
     if (k >= 2*tournament%number) k = k - tournament%number
   end function leaf
 
-  !> The event of `particle` is due at `time`.
+  !> Sets the event of `particle` to `time`.
   pure subroutine set_time(tournament, particle, time)
     type(tournament_type), intent(inout) :: tournament
     integer, intent(in) :: particle
@@ -74,7 +73,7 @@ contains
       int(particle, int32), time)
   end subroutine set_time
 
-  !> The matches from a leaf to the root.
+  !> Updates the nodes from a leaf to the root.
   pure subroutine play_matches(number, node, leaf, particle, time)
     integer, intent(in) :: number, leaf
     type(node_type), intent(inout) :: node(2*number - 1)
@@ -82,7 +81,7 @@ contains
     real(wp), intent(in) :: time
     integer(bits_kind) :: earliest, other, lost
     integer(int32) :: winner, rival
-    !> As long as an address, so that none has to be made longer.
+    !> As long as an address, so that none has to be converted.
     integer(int64) :: k, sibling
 
     earliest = transfer(time, earliest)
@@ -94,7 +93,7 @@ contains
       sibling = ieor(k, 1_int64)
       other = transfer(node(sibling)%time, other)
       rival = node(sibling)%particle
-      ! All bits where the other one is earlier; the right one of two has an odd number.
+      ! All bits set where the other one is earlier; the right one of two has an odd index.
       lost = shifta(other - int(iand(k, 1_int64), bits_kind) - earliest, bit_size(earliest) - 1)
       earliest = earliest + iand(other - earliest, lost)
       winner = ieor(winner, iand(ieor(winner, rival), int(lost, int32)))
@@ -104,7 +103,7 @@ contains
     end do
   end subroutine play_matches
 
-  !> When the event of `particle` is due.
+  !> Time of the event of `particle`.
   elemental function time_of(tournament, particle) result(time)
     type(tournament_type), intent(in) :: tournament
     integer, intent(in) :: particle
@@ -113,7 +112,7 @@ contains
     time = tournament%node(leaf(tournament, particle))%time
   end function time_of
 
-  !> The clock is set back by `shift`. Winners stay winners if the times remain exact, as they do
+  !> Subtracts `shift` from all times. Winners stay winners if the times remain exact, as they do
   !> for a power of two that is not much longer than they are.
   pure subroutine rebase_tournament(tournament, shift)
     type(tournament_type), intent(inout) :: tournament

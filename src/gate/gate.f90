@@ -1,18 +1,20 @@
-!> The threshold gate: who is counted, when it turns, whom it turns, what happens at one instant.
+!> The threshold gate: which particles it counts, when it reverses, which ones it turns back, and
+!> what happens at one instant.
 !>
-!> **The rule** (paper, Sec. II; `physics.md` made exact). A gate counts the particles that are
-!> inside and head for the other gate: from their entry until they cross the middle line. When
-!> entries make the count exceed the threshold, all those counted turn back, the entrants of that
-!> instant too; then nobody is counted. Only an entry can make a gate turn. Particles from the other
-!> gate, and those on their way out, are not counted and not touched.
+!> **The rule** (paper, Sec. II). A gate counts the particles that are inside and head for the other
+!> gate: from their entry until they cross the middle line. When entries make the count exceed the
+!> threshold, all counted particles turn back, those that enter at that instant included; then none
+!> is counted. Only an entry can make a gate reverse. Particles from the other gate, and those on
+!> their way out, are neither counted nor affected.
 !>
 !> **One instant.** Crossings of the middle line come before entries, that of gate 1 first, and all
-!> entries of one gate count before the gate decides: so the order of particles in memory is nowhere
-!> to be seen.
+!> entries of one gate count before the gate decides. So no result depends on the order of particles
+!> in memory.
 !>
-!> Those counted stand in a queue by the time at which they will reach the middle line. Engines ask
-!> the gate at entries and crossings, one by one (`enter_gate`, `must_reverse`, `uncount_first`), or
-!> send a whole stretch of entries through (`admit_entries`); no engine knows the rule.
+!> The counted particles are queued by the time at which they will reach the middle line. Engines
+!> call the gate at entries and crossings, one by one (`enter_gate`, `must_reverse`,
+!> `uncount_first`), or with all entries of a window (`admit_entries`); no engine implements the
+!> rule.
 module battery_gate
   use battery_kinds, only: wp, int64
   use battery_queue, only: queue_type, empty_queue, push, push_all, pop, pop_due, remove, &
@@ -26,33 +28,34 @@ module battery_gate
   public :: gate_crossed_first, uncount_first, uncount_particle, rebase_gate, serialize_gate
   public :: stretch_type, reserve_stretch, admit_entries
 
-  !> The gate of one side: its rule, and whom it counts.
+  !> The gate of one urn: its threshold, and the particles that it counts.
   type :: gate_type
-    !> More than so many turn.
+    !> The gate reverses when it counts more particles than this.
     integer :: threshold = 0
-    !> Whether somebody has entered since the gate last decided.
+    !> Whether a particle has entered since the gate last decided.
     logical :: entered = .false.
-    !> Those counted, by when each will reach the middle line.
+    !> The counted particles, by the time at which each will reach the middle line.
     type(queue_type), private :: counted
   end type gate_type
 
-  !> What a stretch of entries into one gate leads to (`admit_entries`). Arrays may be longer than
-  !> their counts say.
+  !> What the entries into one gate within a window lead to (`admit_entries`). Arrays may be longer
+  !> than their counts.
   type :: stretch_type
-    !> How often the gate turned; after which entry, and how many it turned back.
+    !> Number of reversals; for each, the entry that it follows, and the number of particles turned
+    !> back.
     integer :: reversals = 0
     integer, allocatable :: last_entry(:), reversed(:)
-    !> Work space: those counted before and the entrants, in turn; when each crosses.
+    !> Work space: particles counted before, then those that enter, in order; when each crosses.
     real(wp), allocatable :: time(:)
     integer, allocatable :: who(:)
   end type stretch_type
 
 contains
 
-  !> A gate that counts nobody yet.
+  !> A gate that counts no particle.
   pure subroutine new_gate(gate, threshold)
     type(gate_type), intent(inout) :: gate
-    !> How many it lets head for the other gate at a time, 0 or more.
+    !> Threshold, 0 or more.
     integer, intent(in) :: threshold
 
     gate%threshold = threshold
@@ -60,27 +63,27 @@ contains
     call empty_queue(gate%counted)
   end subroutine new_gate
 
-  !> A particle enters from the urn.
+  !> Counts a particle that enters from the urn.
   pure subroutine enter_gate(gate, crossing_time, particle)
     type(gate_type), intent(inout) :: gate
     !> When it will reach the middle line, on the clock of the engine.
     real(wp), intent(in) :: crossing_time
-    !> Its number, from 1.
+    !> Particle index, 1 ... N.
     integer, intent(in) :: particle
 
     call push(gate%counted, crossing_time, particle)
     gate%entered = .true.
   end subroutine enter_gate
 
-  !> Who has been counted so far was inside from the start and heads for the middle line: that is no
-  !> entry.
+  !> Declares the particles counted so far to have been inside from the start: they have not
+  !> entered, so they cannot make the gate reverse.
   elemental subroutine forget_entries(gate)
     type(gate_type), intent(inout) :: gate
 
     gate%entered = .false.
   end subroutine forget_entries
 
-  !> How many are counted.
+  !> Number of counted particles.
   elemental function number_inside(gate) result(number)
     type(gate_type), intent(in) :: gate
     integer :: number
@@ -88,7 +91,7 @@ contains
     number = gate%counted%count
   end function number_inside
 
-  !> One of those counted.
+  !> A counted particle.
   elemental function counted_particle(gate, place) result(particle)
     type(gate_type), intent(in) :: gate
     !> From 1 to `number_inside`, in no order.
@@ -98,7 +101,7 @@ contains
     particle = gate%counted%who(place)
   end function counted_particle
 
-  !> When the first of those counted reaches the middle line; huge if nobody is counted.
+  !> Time at which the earliest counted particle reaches the middle line; huge if none is counted.
   elemental function next_crossing_time(gate) result(time)
     type(gate_type), intent(in) :: gate
     real(wp) :: time
@@ -106,7 +109,7 @@ contains
     time = gate%counted%next
   end function next_crossing_time
 
-  !> The same for both gates: whoever is first.
+  !> Earliest pending crossing over both gates.
   pure function first_crossing_time(gate) result(time)
     type(gate_type), intent(in) :: gate(2)
     real(wp) :: time
@@ -114,7 +117,7 @@ contains
     time = min(gate(1)%counted%next, gate(2)%counted%next)
   end function first_crossing_time
 
-  !> Whether the gate turns if nobody else enters at this instant.
+  !> Whether the gate reverses if no other particle enters at this instant.
   pure function must_reverse(gate)
     type(gate_type), intent(in) :: gate
     logical :: must_reverse
@@ -122,7 +125,7 @@ contains
     must_reverse = gate%counted%count > most_inside(gate)
   end function must_reverse
 
-  !> So many may be counted at most; one more, and the gate turns.
+  !> Largest count that does not make the gate reverse.
   pure function most_inside(gate) result(most)
     type(gate_type), intent(in) :: gate
     integer :: most
@@ -130,7 +133,7 @@ contains
     most = gate%threshold
   end function most_inside
 
-  !> Whether any gate has something to decide when the instant is over.
+  !> Whether a gate has a decision to make at the end of the instant.
   pure function has_undecided_entries(gate)
     type(gate_type), intent(in) :: gate(2)
     logical :: has_undecided_entries
@@ -138,17 +141,17 @@ contains
     has_undecided_entries = gate(1)%entered .or. gate(2)%entered
   end function has_undecided_entries
 
-  !> The instant is over: whether the gate turns back those counted, all of `counted_particle`.
+  !> At the end of an instant: decides whether the gate reverses.
   pure subroutine decide_reversal(gate, turns)
     type(gate_type), intent(inout) :: gate
-    !> Whether all those counted are to be turned back.
+    !> Whether all counted particles (`counted_particle`) are to be turned back.
     logical, intent(out) :: turns
 
     turns = gate%entered .and. must_reverse(gate)
     gate%entered = .false.
   end subroutine decide_reversal
 
-  !> Which of the two gates is first to have somebody cross the middle line.
+  !> The gate whose earliest crossing of the middle line comes first.
   pure function gate_crossed_first(gate) result(side)
     type(gate_type), intent(in) :: gate(2)
     integer :: side
@@ -156,25 +159,25 @@ contains
     side = merge(1, 2, gate(1)%counted%next <= gate(2)%counted%next)
   end function gate_crossed_first
 
-  !> The first of those counted crosses the middle line.
+  !> Removes the counted particle that crosses the middle line first.
   pure subroutine uncount_first(gate, particle)
     type(gate_type), intent(inout) :: gate
-    !> Who that is; not counted any more.
+    !> Its index.
     integer, intent(out) :: particle
 
     call pop(gate%counted, particle)
   end subroutine uncount_first
 
-  !> This particle, which is counted, crosses the middle line.
+  !> Removes a counted particle, which crosses the middle line.
   pure subroutine uncount_particle(gate, particle)
     type(gate_type), intent(inout) :: gate
-    !> Its number; not counted any more.
+    !> Its index.
     integer, intent(in) :: particle
 
     call remove(gate%counted, particle)
   end subroutine uncount_particle
 
-  !> All those counted have been turned back.
+  !> Removes all counted particles: they have been turned back.
   pure subroutine uncount_all(gate)
     type(gate_type), intent(inout) :: gate
 
@@ -182,10 +185,10 @@ contains
     gate%entered = .false.
   end subroutine uncount_all
 
-  !> Makes room for so many: entries, and those counted before them.
+  !> Makes room for the entries of a window and the particles counted before.
   subroutine reserve_stretch(stretch, number)
     type(stretch_type), intent(inout) :: stretch
-    !> How many there will be at most.
+    !> The largest number of both together.
     integer, intent(in) :: number
     integer :: room
 
@@ -198,30 +201,30 @@ contains
       stretch%who(room))
   end subroutine reserve_stretch
 
-  !> A whole stretch of entries, and all crossings before `until`, which is after the last entry.
-  !> The same as one by one; but those who leave, turned back or across the middle line, are told in
-  !> no order.
+  !> Applies the rule to a batch of entries and to all crossings before `until`, which is after the
+  !> last entry. Same result as one by one, but particles turned back and particles that cross are
+  !> listed in no order.
   pure subroutine admit_entries(gate, stretch, entries, entry_time, crossing_time, entrant, until, &
     leaving, leaver, turned_at, crossed, crosser, crossed_at)
     type(gate_type), intent(inout) :: gate
     type(stretch_type), intent(inout) :: stretch
-    !> How many enter.
+    !> Number of entries.
     integer, intent(in) :: entries
-    !> When each enters, in order, and when it would reach the middle line, which is later; on the
-    !> clock of the engine, as all times here.
+    !> Time of each entry, ascending, and when the particle would reach the middle line, which is
+    !> later; all times on the clock of the engine.
     real(wp), intent(in) :: entry_time(entries), crossing_time(entries)
-    !> Who it is.
+    !> Particle of each entry.
     integer, intent(in) :: entrant(entries)
     real(wp), intent(in) :: until
-    !> So many are in the list; those turned back are added.
+    !> Length of the list of particles turned back; those of this gate are appended.
     integer, intent(inout) :: leaving
-    !> Who was turned back,
+    !> Particles turned back,
     integer, intent(inout), contiguous :: leaver(:)
     !> and when.
     real(wp), intent(inout), contiguous :: turned_at(:)
-    !> So many are in the list; those who cross are added.
+    !> Length of the list of particles that cross; those of this gate are appended.
     integer, intent(inout) :: crossed
-    !> Who crossed,
+    !> Particles that cross,
     integer, intent(inout), contiguous :: crosser(:)
     !> and when.
     real(wp), intent(inout), contiguous :: crossed_at(:)
@@ -242,13 +245,13 @@ contains
     end associate
   end subroutine admit_entries
 
-  !> The rule for a stretch of entries, by counting. Of `held` from before and the entrants in turn,
-  !> `time` is when each will cross; `staying` more cross after `until`. Those who are left inside
-  !> at the end are the first `rest` of `time` and `who`.
+  !> The rule for a batch of entries, by counting. `time` is when each particle will cross, of the
+  !> `held` ones counted before and of those that enter, in order; `staying` more cross after
+  !> `until`. On exit the first `rest` of `time` and `who` are the particles still inside.
   !>
-  !> One entry adds one to the count at most: while `inside` are counted at an entry, the gate
-  !> cannot turn before the (most + 1 - inside)-th after it. So only few are looked at, and of
-  !> those the count is a loop without branches.
+  !> An entry adds at most one to the count: if `inside` are counted at an entry, the gate cannot
+  !> reverse before the (most + 1 - inside)-th entry after it. So few entries are examined, and the
+  !> count at each of these is a loop without branches.
   pure subroutine apply_rule(most, staying, held, entries, entry_time, until, time, who, &
     stayer, reversals, last_entry, reversed, leaving, leaver, turned_at, crossed, crosser, &
     crossed_at, rest)
@@ -276,7 +279,7 @@ contains
         k = k + limit + 1 - inside
         cycle
       end if
-      ! All who enter at this instant count before the gate decides.
+      ! All entries at this instant count before the gate decides.
       do while (k < entries)
         if (entry_time(k + 1) > entry_time(k)) exit
         k = k + 1
@@ -315,7 +318,7 @@ contains
     after = int(count(time > instant, kind=int64))
   end function count_after
 
-  !> The gate turns at this `instant`: who has crossed by then, and who is turned back.
+  !> Splits the particles at a reversal: those that have crossed by then, those turned back.
   pure subroutine split_at_reversal(n, time, who, instant, leaving, leaver, turned_at, crossed, &
     crosser, crossed_at)
     integer, intent(in) :: n
@@ -336,7 +339,7 @@ contains
     end do
   end subroutine split_at_reversal
 
-  !> The clock is set back by `shift`.
+  !> Subtracts `shift` from all times.
   pure subroutine rebase_gate(gate, shift)
     type(gate_type), intent(inout) :: gate
     real(wp), intent(in) :: shift
@@ -344,7 +347,7 @@ contains
     call rebase_queue(gate%counted, shift)
   end subroutine rebase_gate
 
-  !> Who is counted, through a stream; the threshold belongs to what is simulated.
+  !> Serialises the counted particles; the threshold is part of the setup.
   pure subroutine serialize_gate(gate, archive)
     type(gate_type), intent(inout) :: gate
     type(archive_type), intent(inout) :: archive

@@ -1,9 +1,9 @@
 !> What is measured while an engine runs: mass spread, flows, and their course in time.
 !>
-!> An observer reads the history of each window. It follows N1 from crossing to crossing, so time
-!> averages are exact integrals over the windows. Averages count from `begin_measuring` on, the
-!> series from the start.
-!> Source: mass spread eq. (mass), net current eq. (netJ), with its sign: (n12 - n21)/t.
+!> An observer reads the event record of each window. It follows N1 from crossing to crossing, so
+!> time averages are exact integrals over the windows. Averages count from `begin_measuring` on, the
+!> series from the start. Source: mass spread eq. (mass), net current eq. (netJ), with its sign:
+!> (n12 - n21)/t.
 !>
 !> The polarised current counts each crossing from the fuller half to the emptier as 1, each the
 !> other way as -1, and 0 where N1 - N2 is 0 on average over before and after. So a crossing changes
@@ -323,7 +323,7 @@ contains
     polarity_resolved = count(positive(2:) .neqv. positive(:size(positive) - 1)) >= least_changes
   end function polarity_resolved
 
-  !> All that is needed to go on observing to the same last bit, into a stream or out of it.
+  !> All that is needed to go on observing to the same last bit, into an archive or out of it.
   pure subroutine serialize_observer(observer, archive)
     type(observer_type), intent(inout) :: observer
     type(archive_type), intent(inout) :: archive

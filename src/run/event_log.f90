@@ -51,7 +51,7 @@ contains
 
   !> The event log so far.
   subroutine serialize_events(log, archive)
-    !> Of one run; in a stream that is read, it is filled.
+    !> Of one run; in an archive that is read, it is filled.
     type(event_log_type), intent(inout) :: log
     type(archive_type), intent(inout) :: archive
 

@@ -322,8 +322,8 @@ contains
     share = min(share, 1.0_wp)
   end function progress
 
-  !> All that is needed to go on to the same last bit, into a stream or out of it: then for the same
-  !> setup, and what was there before is lost.
+  !> All that is needed to go on to the same last bit, into an archive or out of it: then for the
+  !> same setup, and what was there before is lost.
   subroutine serialize_simulation(simulation, setup, archive, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup

@@ -1,8 +1,8 @@
 !> Files of records that survive a program's sudden end: results of finished tasks, saved states.
 !>
-!> A record is a head, words (a stream, `battery_archive`) and a checksum over all of them. Records
-!> are appended and brought to the disk one by one. On reading, the first record that is cut short
-!> or does not match its checksum ends the file: what stands before it is good.
+!> A record is a head, words (an archive, `battery_archive`) and a checksum over all of them.
+!> Records are appended and brought to the disk one by one. On reading, the first record that is cut
+!> short or does not match its checksum ends the file: what stands before it is good.
 module battery_record_file
   use battery_kinds, only: int64
   use battery_error, only: error_type, fatal_error

@@ -1,10 +1,10 @@
-!> One particle from event to event: what it meets next and when, and what that does to it.
+!> One particle from event to event: what it meets next and when, and its state after that.
 !>
 !> Direct geometry in the coordinates of the table: a line and two straight walls in a channel; in
-!> an urn, what its shape says. Chords, the middle line and the periodic line are met like walls,
-!> but do not reflect. What a particle can meet follows from the chamber it is in and from the
-!> direction in which it moves, never from its distance to a wall: so nothing has to be nudged. It
-!> is put exactly on what it meets.
+!> an urn, what its shape provides. Chords, the middle line and the periodic line are met like
+!> walls, but do not reflect. What a particle can meet follows from its chamber and its direction,
+!> never from its distance to a wall, so no position needs to be nudged: the particle is put exactly
+!> on what it meets.
 module battery_bounce
   use battery_kinds, only: wp, int8
   use battery_table, only: table_type, urn_type, gated, ungated, no_channel, in_urn, in_gate, &
@@ -22,7 +22,7 @@ module battery_bounce
 
 contains
 
-  !> A particle at a place, with a velocity of length 1.
+  !> State of a particle at a position, with a velocity of length 1.
   pure function motion_at(table, x, y, ux, uy) result(motion)
     type(table_type), intent(in) :: table
     !> In the frame of the table; lengths, and components of the velocity.
@@ -33,8 +33,7 @@ contains
       chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
   end function motion_at
 
-  !> The first flight of a particle that was put down; `wait` is the time until it meets what it
-  !> meets first.
+  !> Finds what a particle with a new state meets first, and the time `wait` until then.
   pure subroutine find_first_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -54,7 +53,7 @@ contains
   pure subroutine hit_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
-    !> Time until it meets what it meets next; huge if that is nothing.
+    !> Time until the next event; huge if there is none.
     real(wp), intent(out) :: wait
     real(wp) :: x, ux
 
@@ -77,7 +76,7 @@ contains
 
   !> Reflection from a disc in channel 2.
   pure subroutine hit_scatterer(half_channel, urn, motion, wait)
-    !> That of the side that the particle is on, and its urn.
+    !> Half channel on the side that the particle is on, and its urn.
     type(scattered_half_channel_type), intent(in) :: half_channel
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
@@ -92,8 +91,8 @@ contains
     motion%ux = urn%axis_sign*ux
   end subroutine hit_scatterer
 
-  !> What is met in a channel. A wall met at the same time as a chord is met first: the corner
-  !> belongs to the channel.
+  !> Finds what a particle in a channel meets next. A wall met at the same time as a chord is met
+  !> first: the corner belongs to the channel.
   pure subroutine find_next_wall_in_channel(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -111,7 +110,7 @@ contains
     call find_next_wall_in_strip(table%urn(motion%side), motion, wait)
   end subroutine find_next_wall_in_channel
 
-  !> The same where nothing stands in the channel.
+  !> The same where no disc stands in the channel.
   pure subroutine find_next_wall_in_strip(urn, motion, wait)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
@@ -143,13 +142,13 @@ contains
     end if
   end subroutine find_next_wall_in_strip
 
-  !> Through the chord of an opening, from an urn into a channel or back; over the line of a
-  !> channel, the middle line, or the periodic line from one end of the table to the other; or back
-  !> from a line that is an end wall.
+  !> Moves a particle through the chord of an opening, from an urn into a channel or back; over the
+  !> middle line; over the periodic line, from one end of the table to the other; or back from a
+  !> line that is an end wall.
   pure subroutine pass_line(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
-    !> Time until it meets what it meets next; huge if it meets nothing now.
+    !> Time until the next event; huge if there is none.
     real(wp), intent(out) :: wait
     integer :: side, channel
 
@@ -182,11 +181,11 @@ contains
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine pass_line
 
-  !> A gate turns the particle back; it has been moved to where it is now.
+  !> Reverses a particle that a gate turns back; it has been moved to where it is now.
   pure subroutine reverse_motion(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
-    !> Time until it meets what it meets next.
+    !> Time until the next event.
     real(wp), intent(out) :: wait
 
     motion%ux = -motion%ux
@@ -194,8 +193,8 @@ contains
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine reverse_motion
 
-  !> Whether a particle in channel 1 is on its way to the other gate. Whoever is came from the urn
-  !> and was not turned back.
+  !> Whether a particle in channel 1 heads for the other gate: then it came from its urn and was not
+  !> turned back.
   elemental function heads_for_middle(motion) result(heads)
     type(motion_type), intent(in) :: motion
     logical :: heads
@@ -203,7 +202,7 @@ contains
     heads = motion%chamber == in_gate .and. x_direction(motion%side)*motion%ux < 0.0_wp
   end function heads_for_middle
 
-  !> How long a particle of channel 1 that heads for the middle line takes to it.
+  !> Time that a particle of channel 1 which heads for the middle line takes to it.
   elemental function time_to_middle(motion) result(time)
     type(motion_type), intent(in) :: motion
     real(wp) :: time
@@ -211,8 +210,8 @@ contains
     time = abs(motion%x)/max(abs(motion%ux), slowest)
   end function time_to_middle
 
-  !> Whether a particle can never leave where it is: across a channel, along a wall, or to and fro
-  !> between discs.
+  !> Whether a particle can never leave where it is: across a channel, along a wall, or back and
+  !> forth between discs.
   elemental function is_trapped(table, motion) result(trapped)
     type(table_type), intent(in) :: table
     type(motion_type), intent(in) :: motion
@@ -237,7 +236,7 @@ contains
     channel = merge(gated, ungated, motion%chamber == in_gate)
   end function channel_of
 
-  !> Half its width.
+  !> Half the width of that channel.
   elemental function half_width(urn, motion) result(half)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(in) :: motion
@@ -246,7 +245,7 @@ contains
     half = urn%half_width(channel_of(motion))
   end function half_width
 
-  !> Lest rounding takes a particle of a channel beyond a wall.
+  !> Prevents rounding from moving a particle of a channel beyond a wall.
   pure subroutine keep_between_walls(urn, motion)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion

@@ -1,10 +1,10 @@
-!> A chamber: what a visit is asked of, and in which a particle is alone.
+!> A chamber: the region of the table that a visit takes place in, where a particle is alone.
 !>
-!> An urn of any shape, with the straight half channels before its openings. A visit is a pure
-!> function: in at an opening, at a place, in a direction; out at an opening, at a place, in a
-!> direction, after a time and a number of wall hits. How a shape finds it is its own: the disc by
-!> rotation and by search, others from wall to wall. Here is what all shapes tell of themselves, in
-!> numbers; what they do is asked through `battery_urn`.
+!> A chamber is an urn of any shape with the straight half channels before its openings. A visit is
+!> a pure function from entry (opening, place, direction) to exit (opening, place, direction,
+!> duration, hits). Each shape computes it in its own way: the disc by rotation and search, others
+!> from wall to wall. This module has the numbers that every shape provides; `battery_urn`
+!> dispatches what they do.
 !>
 !> Frame of an urn on either side: the origin lies between the openings, channel 1 at +x, channel 2
 !> at -x (urn 2 is mirrored). Where a channel begins, a chord stands upright across the axis.
@@ -16,31 +16,29 @@ module battery_chamber
   private
   public :: chamber_type, set_openings, mean_visit, cross_channels
 
-  !> What every shape tells of itself; lengths in the unit of the table.
+  !> What every shape provides; lengths in the unit of the table.
   type :: chamber_type
-    !> Of each channel: the distance of its chord from the origin, its width, half of that, and its
-    !> length.
+    !> By channel: distance of its chord from the origin, its width, half its width, its length.
     real(wp), dimension(2) :: chord = 0.0_wp, width = 0.0_wp, half_width = 0.0_wp, length = 0.0_wp
-    !> Whether there is room for the openings; whether it reaches over a channel, beside that.
+    !> Whether the openings fit; whether the urn extends beside or over a channel.
     logical :: fits = .false., overhangs = .false.
-    !> Area, and length of the walls that the openings leave.
+    !> Area, and length of the walls without the openings.
     real(wp) :: area = 0.0_wp, perimeter = 0.0_wp
-    !> Nothing of it is farther from the origin than `reach`. What lies between the chords and no
-    !> farther from the origin than `clear` is inside; 0: the origin is not.
+    !> No point of the urn is farther from the origin than `reach`. Points between the chords and no
+    !> farther from the origin than `clear` are inside; 0: the origin is not.
     real(wp) :: reach = 0.0_wp, clear = 0.0_wp
-    !> A step that is shorter is small beside the urn, and leads through no wall between two of its
-    !> parts.
+    !> A shorter step is small compared with the urn, and crosses no wall between two of its parts.
     real(wp) :: longest_step = 0.0_wp
-    !> No way through the urn is shorter than the depths of its two openings together, which may be
-    !> one and the same.
+    !> No way through the urn is shorter than the sum of the depths of its two openings, which may
+    !> be one and the same.
     real(wp) :: depth(2) = 0.0_wp
-    !> Whether long visits are handed on in parts (`truncated` of `battery_visits`).
+    !> Whether long visits are truncated (`truncated` of `battery_visits`).
     logical :: truncates_visits = .false.
   end type chamber_type
 
 contains
 
-  !> The channels at the openings.
+  !> Sets the channels at the openings.
   pure subroutine set_openings(chamber, channel)
     class(chamber_type), intent(inout) :: chamber
     !> By `gated` and `ungated`.
@@ -51,7 +49,7 @@ contains
     chamber%length = channel%length
   end subroutine set_openings
 
-  !> Mean length of a visit to an urn that is entered evenly through its openings.
+  !> Mean length of a visit to an urn that particles enter uniformly through its openings.
   pure function mean_visit(chamber) result(time)
     class(chamber_type), intent(in) :: chamber
     real(wp) :: time
@@ -59,8 +57,8 @@ contains
     time = pi*chamber%area/(chamber%width(gated) + chamber%width(ungated))
   end function mean_visit
 
-  !> From the entrance of a channel to its exit into the urn: unfolded, a straight channel is one
-  !> fold.
+  !> Moves a batch of visits from the entrance of their channel to its exit into the urn: an
+  !> unfolded channel is crossed in one step, see `fold`.
   subroutine cross_channels(chamber, visits)
     class(chamber_type), intent(in) :: chamber
     type(visits_type), intent(inout) :: visits

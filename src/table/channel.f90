@@ -1,17 +1,17 @@
-!> The channels, and passages through them: unfolded, a particle in a strip flies straight.
+!> Straight channels, and passages through them by unfolding.
 !>
 !> With the strip reflected over and over, the height after a time t is y + u_y t; the number of
-!> strips passed is the number of wall hits, and each reflection turns y and u_y over.
+!> strips passed is the number of wall hits, and each reflection changes the sign of y and u_y.
 module battery_channel
   use battery_kinds, only: wp
   implicit none (type, external)
   private
   public :: channel_type, is_open, fold, gated, ungated, no_channel, facing
 
-  !> The channels: that with the gates, that which closes the circuit, and none of them.
+  !> The channel with the gates, the channel that closes the circuit, and none of them.
   integer, parameter :: gated = 1, ungated = 2, no_channel = 0
 
-  !> The way along x from the middle of an urn to each channel, in the frame of the urn.
+  !> Direction along x from the middle of an urn to each channel, in the frame of the urn.
   real(wp), parameter :: facing(2) = [1.0_wp, -1.0_wp]
 
   !> A channel of the table: lengths.
@@ -22,7 +22,7 @@ module battery_channel
 
 contains
 
-  !> Whether a channel lets anybody through.
+  !> Whether a channel is wider than 0.
   elemental function is_open(channel)
     type(channel_type), intent(in) :: channel
     logical :: is_open
@@ -30,13 +30,13 @@ contains
     is_open = channel%width > 0.0_wp
   end function is_open
 
-  !> Height, sign of the velocity across and wall hits of a particle whose unfolded height is
-  !> `unfolded`, in a channel of width `width` about y = 0.
+  !> Height, sign of the lateral velocity and wall hits of a particle at the height `unfolded` of
+  !> the unfolded plane, in a channel of the given `width` about y = 0.
   elemental subroutine fold(unfolded, width, height, reflected, hits)
     real(wp), intent(in) :: unfolded, width
     !> Height within [-width/2, width/2].
     real(wp), intent(out) :: height
-    !> 1, or -1 if the velocity across the channel has turned over.
+    !> -1 after an odd number of reflections, else 1.
     real(wp), intent(out) :: reflected
     !> Number of wall hits, a whole number.
     real(wp), intent(out) :: hits

@@ -1,4 +1,4 @@
-!> How one particle moves between two events: straight on.
+!> Straight motion of one particle between two events.
 module battery_motion
   use battery_kinds, only: wp, int8, int16
   implicit none (type, external)
@@ -12,22 +12,21 @@ module battery_motion
 
   !> What a particle meets next: nothing at all, the chord where channel 1 or channel 2 begins, the
   !> chord where an urn begins, the line of its channel (the middle line or the periodic one), the
-  !> wall of its channel; from 1 on, a wall of its urn, by the number that it has there.
+  !> wall of its channel; from 1 on, the wall of its urn with that number.
   integer, parameter :: wall_kind = int16
   integer(wall_kind), parameter :: meets_nothing = -5_wall_kind, meets_gate = -4_wall_kind, &
     meets_return = -3_wall_kind, meets_urn = -2_wall_kind, meets_line = -1_wall_kind, &
     meets_channel_wall = 0_wall_kind, meets_wall = 1_wall_kind
 
-  !> A velocity across or along a channel below this is as good as none: a division by it is huge,
-  !> but does not overflow.
+  !> A velocity component below this counts as none: a division by it is huge but does not overflow.
   real(wp), parameter :: slowest = sqrt(tiny(1.0_wp))
 
-  !> Where a particle was at its last event, and how it has been moving since.
+  !> State of a particle at its last event.
   type :: motion_type
     real(wp) :: x = 0.0_wp, y = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
-    !> When that was.
+    !> Time of that event.
     real(wp) :: time = 0.0_wp
-    !> Side and chamber (`in_urn` ...) it is in.
+    !> Side and chamber (`in_urn` ...) that it is in.
     integer(int8) :: side = 0_int8, chamber = 0_int8
     !> What it meets next; some wall, until that is known.
     integer(wall_kind) :: next = meets_wall
@@ -35,10 +34,10 @@ module battery_motion
 
 contains
 
-  !> Moves straight on for a while.
+  !> Moves a particle straight on.
   elemental subroutine move_straight(motion, time)
     type(motion_type), intent(inout) :: motion
-    !> How long.
+    !> Duration.
     real(wp), intent(in) :: time
 
     motion%x = motion%x + motion%ux*time

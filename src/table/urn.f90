@@ -1,8 +1,8 @@
-!> The urns, of any shape: the list of shapes, and what each of them is asked for.
+!> The urns: the list of shapes, and the dispatch to each of them.
 !>
-!> A shape is a type that extends `chamber_type`, and these procedures in the frame of the urn; a
-!> new one is a file, a component of `urn_type`, and a `case` in each procedure here. The shape is
-!> asked for where the work is done, by a number, so that nothing is called through a pointer.
+!> A shape is a type that extends `chamber_type`, with the procedures below in the frame of the urn.
+!> A new shape is a file, a component of `urn_type`, and a `case` in each procedure here. The
+!> dispatch is by an integer, once a batch or once a wall, and never through a pointer.
 module battery_urn
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, no_channel
@@ -27,18 +27,18 @@ module battery_urn
 
   !> An urn of the table: lengths.
   type, extends(chamber_type) :: urn_type
-    !> What it is to be: its shape, the radius of a disc or of a regular polygon, and the corners of
-    !> a polygon, (x, y) in columns.
+    !> What is asked for: shape, radius of a disc or of a regular polygon, corners of a polygon as
+    !> (x, y) in columns.
     integer :: shape = shape_disc
     real(wp) :: radius = 1.0_wp
     real(wp), allocatable :: corner(:, :)
-    !> What follows from that, for its shape.
+    !> What follows from that, by shape.
     type(disc_type) :: disc
     type(polygon_type) :: polygon
     !> Where it is: |x| of its origin, and of the periodic line at the end of this side's half of
-    !> channel 2; |x| where each channel begins; the way along x that its own x axis points.
+    !> channel 2; |x| where each channel begins; sign of its own x axis along that of the table.
     real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, begins(2) = 0.0_wp, axis_sign = 1.0_wp
-    !> Shortest flight that a clock can tell from none.
+    !> Shortest flight that a clock can resolve.
     real(wp) :: shortest = 0.0_wp
   end type urn_type
 
@@ -48,7 +48,7 @@ module battery_urn
 
 contains
 
-  !> A disc. A constructor of the type itself would want all components that have no default.
+  !> A disc. The default constructor would require all components without a default.
   elemental function urn_of_radius(radius) result(urn)
     !> A length.
     real(wp), intent(in) :: radius
@@ -57,9 +57,9 @@ contains
     urn%radius = radius
   end function urn_of_radius
 
-  !> Finds out all that follows from shape and channels.
+  !> Derives all that follows from shape and channels.
   pure subroutine derive_shape(urn, channel)
-    !> Its shape is known.
+    !> Its shape is set.
     type(urn_type), intent(inout) :: urn
     !> By `gated` and `ungated`.
     type(channel_type), intent(in) :: channel(2)
@@ -87,7 +87,7 @@ contains
       > 0.0_wp)
   end function are_mirror_images
 
-  !> Whether a point that is in no channel is inside, or no farther than `tolerance` outside.
+  !> Whether a point that is in no channel is inside, or at most `tolerance` outside.
   elemental function contains_point(urn, x, y, tolerance) result(inside)
     type(urn_type), intent(in) :: urn
     !> In the frame of the urn, lengths.
@@ -102,8 +102,8 @@ contains
     end select
   end function contains_point
 
-  !> A point of the table from two numbers `across` and `up` uniform in [0, 1]; uniform in the urn
-  !> where `inside`.
+  !> A trial point in the frame of the table, from two numbers `across` and `up` uniform in [0, 1]:
+  !> uniform in the urn if `inside`.
   pure subroutine try_random_point(urn, across, up, x, y, inside)
     type(urn_type), intent(in) :: urn
     real(wp), intent(in) :: across, up
@@ -120,7 +120,7 @@ contains
     x = urn%axis_sign*(x - urn%centre)
   end subroutine try_random_point
 
-  !> Whole visits of a batch: what they need and what they yield is told at `visits_type`.
+  !> Computes all visits of a batch; input and output are explained at `visits_type`.
   subroutine compute_visits(urn, visits)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
@@ -133,13 +133,13 @@ contains
     end select
   end subroutine compute_visits
 
-  !> The first impact of a particle that is in the urn, also if an opening is there: what
-  !> `locate_in_visit` wants to know of one that never leaves.
+  !> The first impact of a particle in the urn, also if an opening is there, as `locate_in_visit`
+  !> expects it of a particle that never leaves.
   pure subroutine first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     type(urn_type), intent(in) :: urn
-    !> Place and velocity in the frame of the urn: lengths, and a vector of length 1.
+    !> Position and velocity in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
-    !> What `visits_type` has as y, `u_axial` and `u_lateral` then; the time until then.
+    !> y, `u_axial` and `u_lateral` of `visits_type` at that impact; the time until then.
     real(wp), intent(out) :: at, u_axial, u_lateral, wait
     !> Wall hits that `locate_in_visit` does not count from there on.
     integer(int64), intent(out) :: before
@@ -152,16 +152,16 @@ contains
     end select
   end subroutine first_impact
 
-  !> Where a particle is some time after it was somewhere in the urn; it has not left.
+  !> Position of a particle a time `elapsed` after it was in the urn, which it has not left.
   pure subroutine locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     !> Where it was: lengths, and a vector of length 1, in the frame of the urn.
     real(wp), intent(in) :: x, y, ux, uy
-    !> The time since then.
+    !> Time since then.
     real(wp), intent(in) :: elapsed
     !> x and y of each.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Of walls since then.
+    !> Wall hits since then.
     integer(int64), intent(out) :: hits
     real(wp) :: at, u_axial, u_lateral, wait
     integer(int64) :: before
@@ -172,19 +172,19 @@ contains
     hits = hits + before
   end subroutine locate_after
 
-  !> Where a particle is at a time from what is known of an impact, or of the end of its visit.
+  !> Position of a particle at a time relative to an impact, or to the end of its visit.
   pure subroutine locate_in_visit(urn, channel, y, u_axial, u_lateral, since, position, velocity, &
     hits)
     type(urn_type), intent(in) :: urn
-    !> The channel it leaves through then; `no_channel` or `truncated`.
+    !> The channel through which the visit ends; `no_channel` or `truncated`.
     integer, intent(in) :: channel
     !> Height, |u_x| and u_y there, or what `visits_type` has instead.
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> The time since then; below 0: until then. Who leaves has not left yet.
+    !> Time since then; below 0: until then. The particle has not left.
     real(wp), intent(in) :: since
     !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Of walls since then; below 0: so many are still to come.
+    !> Wall hits since then; below 0: hits that are still to come.
     integer(int64), intent(out) :: hits
 
     select case (urn%shape)
@@ -196,12 +196,12 @@ contains
     end select
   end subroutine locate_in_visit
 
-  !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
+  !> What a particle inside, or at an opening, meets first (`next`), and the time `wait` until then.
   pure subroutine find_next_wall(urn, from, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
     !> The channel on whose chord it is, or `no_channel`.
     integer, intent(in) :: from
-    !> Place and velocity in the frame of the urn.
+    !> Position and velocity in the frame of the urn.
     real(wp), intent(in) :: x, y, ux, uy
     integer(wall_kind), intent(out) :: next
     real(wp), intent(out) :: wait
@@ -214,10 +214,11 @@ contains
     end select
   end subroutine find_next_wall
 
-  !> Reflection from the wall `next`; then what is met `next`, after the time `wait`.
+  !> Reflects a particle at the wall `next`; finds what it meets `next`, and the time `wait` until
+  !> then.
   pure subroutine reflect_at_wall(urn, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
-    !> Place and velocity in the frame of the urn.
+    !> Position and velocity in the frame of the urn.
     real(wp), intent(inout) :: x, y, ux, uy
     integer(wall_kind), intent(inout) :: next
     real(wp), intent(out) :: wait
@@ -230,11 +231,10 @@ contains
     end select
   end subroutine reflect_at_wall
 
-  !> Mirrors a particle in the wall that it is beyond, and reflects its velocity there, if it
-  !> `was_beyond` one.
+  !> If a particle `was_beyond` a wall, mirrors its position in the wall and reflects its velocity.
   pure subroutine reflect_overshoot(urn, x, y, ux, uy, was_beyond)
     type(urn_type), intent(in) :: urn
-    !> Place and velocity in the frame of the urn.
+    !> Position and velocity in the frame of the urn.
     real(wp), intent(inout) :: x, y, ux, uy
     logical, intent(out) :: was_beyond
 

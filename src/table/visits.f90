@@ -1,4 +1,4 @@
-!> A batch of visits to the urns: structure of arrays, and room for them.
+!> A batch of visits to the urns, as a structure of arrays.
 module battery_visits
   use battery_kinds, only: wp, int64
   use battery_channel, only: gated, none => no_channel
@@ -7,59 +7,59 @@ module battery_visits
   public :: visits_type, reserve_visits, split_visits_by_urn, together, no_channel, truncated, &
     many_hits
 
-  !> Particles that the kernels treat together.
+  !> Number of particles that the kernels process together.
   integer, parameter :: together = 4
 
-  !> In place of a channel: a particle that never leaves.
+  !> In place of a channel: the particle never leaves.
   integer(int64), parameter :: no_channel = none
 
-  !> In place of a channel: a visit of which only a part is known yet. What is told of it is that of
-  !> a particle that never leaves, at the end of the part; `through` is half the part's length.
+  !> In place of a channel: the visit is truncated. Its description is that of a particle that never
+  !> leaves, at the end of the part; `through` is half the length of the part.
   integer(int64), parameter :: truncated = -1
 
-  !> Whole visits with fewer wall hits in the urn than this are nowhere on the list of those with
+  !> Visits that end with fewer wall hits in the urn than this are never on the list of those with
   !> many.
   real(wp), parameter :: many_hits = 112.0_wp
 
-  !> A batch of visits, one entry a particle; arrays have room for whole groups of `together`.
+  !> A batch of visits; arrays are padded to whole groups of `together`.
   type :: visits_type
     integer :: count = 0
-    !> How many there is room for; before there is any, less than anybody asks for.
+    !> Visits that the arrays can hold; below 0 before they are allocated.
     integer, private :: room = -1
-    !> Who, and in which urn (1 or 2) the visit is.
+    !> Particle of each visit, and its urn (1 or 2).
     integer, allocatable :: particle(:), urn(:)
-    !> In: when the particle entered the channel it comes from. Out of `cross_channels`: when it
-    !> enters the urn.
+    !> In: time of entry into the channel before the urn. Out of `cross_channels`: time of entry
+    !> into the urn.
     real(wp), allocatable :: time(:)
-    !> When a gate turned it back in that channel; huge if none did. How long it has been in it.
+    !> When a gate turned the particle back in that channel, or huge; time spent in that channel.
     real(wp), allocatable :: turned(:), passage(:)
-    !> In: the channel it comes from; out of `cross`: that which it goes to, or `no_channel`.
+    !> In: that channel. Out of `compute_visits`: the next channel, or `no_channel`.
     integer(int64), allocatable :: channel(:)
-    !> Out of `cross`: how long it would be in that channel, from end to end.
+    !> Out of `compute_visits`: time through that channel, from end to end.
     real(wp), allocatable :: through(:)
-    !> Position in the local frame. In: y at the channel's entrance; out of `cross_channels` at the
-    !> chord where the urn begins; out of `cross` on the chord where the urn ends.
+    !> Position in the frame of the urn. In: y at the channel's entrance; out of `cross_channels`,
+    !> on the chord where the urn begins; out of `compute_visits`, on the chord where it ends.
     real(wp), allocatable :: x(:), y(:)
-    !> Velocity. In: |u_x| and u_y in the channel; out of `cross_channels` in the local frame; out
-    !> of `cross` again |u_x| and u_y in the channel that is entered. For a particle that never
-    !> leaves: cosine and sine of the incidence, and y is the angle of an impact.
+    !> Velocity. In: |u_x| and u_y in the channel; out of `cross_channels`, in the frame of the urn;
+    !> out of `compute_visits`, |u_x| and u_y in the next channel. For a particle that never leaves:
+    !> cosine and sine of the incidence, and y is the angle of an impact.
     real(wp), allocatable :: u_axial(:), u_lateral(:)
-    !> Out of `cross`: length of the way through the urn; for one that never leaves, until the
-    !> impact at angle y, before which it had `impacts` of them.
+    !> Out of `compute_visits`: length of the way through the urn; for a particle that never leaves,
+    !> until the impact at angle y, which follows `impacts` others.
     real(wp), allocatable :: length(:)
     !> Wall hits in the channel and in the urn, whole numbers.
     real(wp), allocatable :: hits(:)
-    !> Out of `cross`: the sum of them.
+    !> Out of `compute_visits`: their sum.
     integer(int64) :: all_hits = 0
-    !> Out of `cross`: how many visits have at least `many_hits` hits in the urn, never end, or are
-    !> known in part only, and which of the batch they are. Others may be among them.
+    !> Out of `compute_visits`: number of visits that have at least `many_hits` hits in the urn,
+    !> never end, or are truncated, and their indices. Other visits may be among them.
     integer :: many_count = 0
     integer, allocatable :: many(:)
-    !> Work space of the kernel: impact, rotation, steps, and whose they are.
+    !> Work space of the kernel: impact, rotation, steps, and the visit that they belong to.
     real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)
     integer, allocatable :: slot(:)
-    !> Cosine and sine of the incidence, impact in the opening, impacts before it; a particle that
-    !> never leaves has -1 less the impacts after which that was found out.
+    !> Cosine and sine of the incidence, impact in the opening, number of impacts before it; for a
+    !> particle that never leaves, -1 minus the number of impacts after which that was found.
     real(wp), allocatable :: c(:), s(:), hit_x(:), hit_y(:), impacts(:)
     !> Length until the first impact.
     real(wp), allocatable :: first(:)
@@ -67,7 +67,7 @@ module battery_visits
 
 contains
 
-  !> Makes room for `room` visits and empties the batch.
+  !> Empties the batch and makes room for `room` visits.
   subroutine reserve_visits(visits, room)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: room
@@ -92,15 +92,15 @@ contains
       visits%s(n), visits%hit_x(n), visits%hit_y(n), visits%impacts(n), visits%first(n), &
       source=0.5_wp)
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), visits%many(n), source=0)
-    ! Who fills up the last group comes from a channel that is always open.
+    ! Padding lanes of the last group: particles from channel 1, which is never closed.
     allocate (visits%channel(n), source=int(gated, int64))
   end subroutine make_room
 
-  !> Those in urn 2 become a batch of their own: who, through which channel, and when turned back.
+  !> Moves the visits to urn 2 into a batch of their own: particle, channel and time of reversal.
   subroutine split_visits_by_urn(visits, other)
-    !> Before: all; after: those in urn 1.
+    !> In: all visits; out: those to urn 1.
     type(visits_type), intent(inout) :: visits
-    !> Those in urn 2.
+    !> Out: those to urn 2.
     type(visits_type), intent(inout) :: other
     logical :: second(visits%count)
     integer :: n, kept

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-#: The rooms whose lines are changed.
-ROOMS = ("table", "gate", "events", "engine", "observe")
+#: The layers whose lines are changed.
+LAYERS = ("table", "gate", "events", "engine", "observe")
 
 #: What may stand in place of what; words are whole words of code, outside of texts and comments.
 SWAPS = [
@@ -57,7 +57,7 @@ class Mutation:
 
 def sources() -> list[Path]:
     """List the files whose lines are changed."""
-    return [path for room in ROOMS for path in sorted((ROOT / "src" / room).rglob("*.f90"))]
+    return [path for layer in LAYERS for path in sorted((ROOT / "src" / layer).rglob("*.f90"))]
 
 
 def code_of(line: str) -> str:

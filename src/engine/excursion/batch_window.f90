@@ -1,4 +1,5 @@
-!> The events of one window of the engine `excursion`: who enters which gate, who crosses a line.
+!> A window with many events of the engine `excursion`, processed as arrays: partitioned by gate and
+!> line, passed through each gate at once (`admit_entries`), crossings sorted afterwards.
 module battery_batch_window
   use battery_kinds, only: wp, int8
   use battery_table, only: gated, ungated
@@ -13,23 +14,24 @@ module battery_batch_window
   public :: window_type, reserve_batch_window, partition_events, sort_crossings, &
     decode_crossing_order, record_crossings, record_logged_events
 
-  !> Where events are dealt out to: the gates of urn 1 and 2, and the periodic line.
+  !> Parts that events are assigned to: gate 1, gate 2, and the periodic line.
   integer, parameter, public :: periodic_line = 3
 
-  !> Bits of a ticket that tell who crosses: more than 2e8 particles cannot be asked for.
+  !> Bits of a `crossing_order` that hold the particle: no plan has more than 2e8 particles.
   integer, parameter :: particle_bits = 28
 
-  !> What happens in a window, dealt out.
+  !> The events of a window by part. Arrays are longer than their counts.
   type :: window_type
-    !> How many were dealt out to each; when each is due, when it would cross the middle line, whose
-    !> it is: (place, gate 1, gate 2, periodic line).
+    !> Number of events of each part; as (event, part): when each is due, when the particle would
+    !> reach the middle line, and which particle it is.
     integer :: partition_count(3) = 0
     real(wp), allocatable :: due(:, :), middle(:, :)
     integer, allocatable :: particle(:, :)
-    !> What the entries into each gate led to.
+    !> What the entries into each gate lead to.
     type(stretch_type) :: stretch(2)
-    !> Crossings of all lines: when, and the ticket that says who crosses which. A gate knows of one
-    !> line only: it tells who, which is a ticket of gate 1, until `sort_crossings`.
+    !> Crossings of all lines: when, and a sort key that encodes line and particle
+    !> (`crossing_order_of`). The gates write the bare particle here, until `sort_crossings` encodes
+    !> the line.
     integer :: crossings = 0
     real(wp), allocatable :: crossing_time(:)
     integer, allocatable :: crossing_order(:)
@@ -37,12 +39,12 @@ module battery_batch_window
 
 contains
 
-  !> Makes room for so many events, and for those that gates count.
+  !> Makes room for that many events and counted particles.
   subroutine reserve_batch_window(window, events, counted)
     type(window_type), intent(inout) :: window
-    !> How many there will be.
+    !> Events of the window.
     integer, intent(in) :: events
-    !> By gate 1 and by gate 2.
+    !> Particles counted by gate 1 and by gate 2.
     integer, intent(in) :: counted(2)
     integer :: side, room
 
@@ -61,25 +63,25 @@ contains
       window%crossing_time(room), window%crossing_order(room))
   end subroutine reserve_batch_window
 
-  !> Deals out the events that are due: those who enter a gate are inside from now on. Without
-  !> branches: with many particles each flight is a line of memory, and many of them are to be on
-  !> their way at a time.
+  !> Assigns the due events to gates and line; particles that enter a gate are inside from now on.
+  !> The loop has no branches: with many particles each flight is a cache miss, and many must be
+  !> under way at a time.
   pure subroutine partition_events(number, flight, events, due_time, who, room, partition_count, &
     due, middle, particle)
-    !> How many particles and events there are.
+    !> Number of particles; number of events.
     integer, intent(in) :: number, events
     type(flight_type), intent(inout) :: flight(number)
-    !> Events in the order of time: when each is due,
+    !> Time of each event, ascending.
     real(wp), intent(in) :: due_time(events)
-    !> and whose it is.
+    !> Particle of each event.
     integer, intent(in) :: who(events)
-    !> As in `window_type`, where `partition_count`, `due`, `middle` and `particle` are explained.
+    !> Leading extent of the arrays, which are explained at `window_type`.
     integer, intent(in) :: room
-    !> How many went where.
+    !> Number of events of each part.
     integer, intent(out) :: partition_count(3)
-    !> When each is due, and when it is at the middle line.
+    !> When each event is due, and when its particle would reach the middle line.
     real(wp), intent(inout) :: due(room, 3), middle(room, 3)
-    !> Who it is.
+    !> Its particle.
     integer, intent(inout) :: particle(room, 3)
     integer :: k, i, place, line
     logical :: enters
@@ -98,11 +100,11 @@ contains
     end do
   end subroutine partition_events
 
-  !> Puts the crossings of all lines into order: by time, at one time those of gate 1, of gate 2, of
-  !> the periodic line, then by number. The first are those who crossed from the gates.
+  !> Sorts the crossings of all lines: by time, at one time gate 1, gate 2, periodic line, then by
+  !> particle. On entry those from the gates stand first, gate 1 before gate 2.
   pure subroutine sort_crossings(window, from_gate1, from_gate2)
     type(window_type), intent(inout) :: window
-    !> How many crossed from each gate.
+    !> Crossings of the middle line from each gate.
     integer, intent(in) :: from_gate1, from_gate2
     integer :: crossed, returned
 
@@ -117,48 +119,48 @@ contains
     call sort_by_time(window%crossings, window%crossing_time, window%crossing_order)
   end subroutine sort_crossings
 
-  !> A crossing in one number, which is read without a branch: nobody can guess which line is next.
-  !> At one time the lesser number comes first. For gate 1 it is the particle's.
+  !> Encodes a crossing in one integer, which is decoded without a branch. At one time the lesser
+  !> integer comes first. For gate 1 it is the particle itself.
   elemental function crossing_order_of(line, particle) result(crossing_order)
-    !> Gate 1 or 2, or `periodic_line`; who crosses.
+    !> Gate 1 or 2, or `periodic_line`; the particle that crosses.
     integer, intent(in) :: line, particle
     integer :: crossing_order
 
     crossing_order = shiftl(line - 1, particle_bits) + particle
   end function crossing_order_of
 
-  !> The other way round: the line of a ticket.
+  !> Decodes the line of a crossing.
   elemental function line_of_crossing(crossing_order) result(line)
-    !> As `crossing_order_of` gives it.
+    !> As encoded by `crossing_order_of`.
     integer, intent(in) :: crossing_order
     integer :: line
 
     line = 1 + shiftr(crossing_order, particle_bits)
   end function line_of_crossing
 
-  !> Who crosses which line, from which side.
+  !> Decodes a crossing: its particle, the urn that it comes from, and the channel.
   pure subroutine decode_crossing_order(number, flight, crossing_order, particle, urn, channel)
-    !> Of all particles.
+    !> Number of particles, and their flights.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
-    !> As in `window_type`.
+    !> As encoded by `crossing_order_of`.
     integer, intent(in) :: crossing_order
-    !> Who; the urn it comes from, and the channel.
+    !> Particle, urn it comes from (1 or 2), and channel.
     integer, intent(out) :: particle, urn, channel
 
     particle = ibits(crossing_order, 0, particle_bits)
     channel = merge(ungated, gated, line_of_crossing(crossing_order) == periodic_line)
-    ! Whoever has crossed from a gate is told to be in its urn until it is sent on.
+    ! A flight keeps the urn it left until the next flight is stored.
     urn = flight(particle)%urn
   end subroutine decode_crossing_order
 
-  !> Tells a history of the crossings; there is room for them.
+  !> Copies the crossings to the event record, which has room for them.
   pure subroutine record_crossings(window, number, flight, began, event_record)
     type(window_type), intent(in) :: window
-    !> Of all particles.
+    !> Number of particles, and their flights.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
-    !> When the window began.
+    !> Start of the window.
     real(wp), intent(in) :: began
     type(event_record_type), intent(inout) :: event_record
     integer :: k, particle, from, channel
@@ -171,18 +173,18 @@ contains
     event_record%crossings = window%crossings
   end subroutine record_crossings
 
-  !> Tells a history what happened, with the event log.
+  !> Writes all events of the window to the event record, with the event log.
   subroutine record_logged_events(window, number, flight, began, events, due_time, who, &
     event_record)
     type(window_type), intent(in) :: window
-    !> Of all particles, and of the events.
+    !> Number of particles, number of events, and the flights.
     integer, intent(in) :: number, events
     type(flight_type), intent(in) :: flight(number)
-    !> When the window began.
+    !> Start of the window.
     real(wp), intent(in) :: began
-    !> As they were dealt out: when each is due,
+    !> Time of each event, as given to `partition_events`.
     real(wp), intent(in) :: due_time(events)
-    !> and whose it is.
+    !> Particle of each event.
     integer, intent(in) :: who(events)
     type(event_record_type), intent(inout) :: event_record
     integer :: k, next, urn, entered(2), reversed(2)
@@ -191,7 +193,7 @@ contains
     entered = 0
     reversed = 0
     do k = 1, events
-      ! Of the same instant, crossings of the middle line come first.
+      ! At one time, crossings of the middle line come before other events.
       do while (next <= window%crossings)
         if (window%crossing_time(next) > due_time(k)) exit
         if (window%crossing_time(next) >= due_time(k) &

@@ -1,13 +1,15 @@
-!> The engine `excursion`: one event a gate entry or crossing, whole visits to the urns in batches.
+!> The engine `excursion`: event-driven simulation with whole visits to the urns as its unit of
+!> work.
 !>
-!> Particles feel each other through the counts of the two gates only. So the events that need a
-!> common order are few: a particle enters a gate, crosses the middle of channel 1, or crosses the
-!> periodic line. After any of them its next entry or periodic crossing is at least
-!> `shortest_excursion` away. A window that long is walked through in the order of time; all
-!> particles that go back to an urn are gathered, and their visits are computed in one batch.
+!> Particles interact through the counts of the two gates only, so few events need a common order:
+!> entries into a gate, crossings of the middle line of channel 1, crossings of the periodic line.
+!> After any of them the next entry or periodic crossing of that particle is at least
+!> `shortest_excursion` away: the lookahead. A window no longer than that is processed in two steps:
+!> its events in the order of time (`run_batch_window`, `run_serial_window`), then, in one batch,
+!> the visits to the urns that these events begin.
 !>
-!> What is known of a particle (`flight_type`) is how it will enter its next channel; where it is
-!> until then follows by going back from there, or forwards from where a long visit began.
+!> The state of a particle (`flight_type`) is how it will enter its next channel. Its position
+!> before then is found backwards from there, or forwards from the start of a long visit.
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: gated, ungated, side_at, are_mirror_images, mean_visit, &
@@ -37,50 +39,54 @@ module battery_excursion
   private
   public :: excursion_type
 
-  !> How many particles are taken over at a time at the start.
+  !> Particles loaded in one batch at the start.
   integer, parameter :: start_chunk = 4096
 
-  !> The engine: a flight for each particle, and the calendar of their events.
+  !> The engine: one flight a particle, and the calendar of their events.
   type, extends(engine_type) :: excursion_type
     private
-    !> Most events of one window; the visits of a window should fit into the cache.
+    !> Largest expected number of events in a window; the visits of a window should fit into the
+    !> cache.
     integer, public :: batch = 1024
     type(flight_type), allocatable :: flight(:)
-    !> Where each is along x in the frame of the table, if any is parked in a channel: for ever.
+    !> x of each particle in the frame of the table, for those parked in a channel; allocated if
+    !> there are any.
     real(wp), allocatable :: parked_x(:)
     type(calendar_type) :: calendar
-    !> The events of a window.
+    !> Work space of a window that is processed as a batch.
     type(window_type) :: events
-    !> The visits to the urn of each side. Urns that are alike share the first batch; the second has
-    !> those foreseen then, if it pays to look ahead.
+    !> Visits by urn. Urns that are mirror images share the first batch; the second then holds the
+    !> visits that `battery_lookahead` computed, if that pays.
     type(visits_type) :: visits(2)
     integer :: batches = 1
     logical, public :: looks_ahead = .false.
-    !> Whether discs stand in channel 2, and what is known of visits then.
+    !> Whether discs stand in channel 2; the visits of such a table.
     logical :: scattered = .false.
     type(sides_type) :: sides
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
-    !> How many visits are known in part; those that are gone on with now, when and who.
+    !> Number of partial visits; those that are continued in this window: how many, when each is due
+    !> and which particle.
     integer :: partial_count = 0, resumed_count = 0
     real(wp), allocatable :: resumed_time(:)
     integer, allocatable :: resumed(:)
     type(visits_type) :: partial_visits
-    !> How those began that are long; where discs stand in channel 2 `sides` knows that of all.
+    !> Start of each long visit; where discs stand in channel 2 `sides` holds the start of every
+    !> visit.
     type(long_visits_type) :: long_visits
-    !> Wall hits of all visits and passages computed so far, those still to come included, and what
-    !> histories have told of them.
+    !> Wall hits of all visits and passages computed so far, future ones included, and those that
+    !> event records have reported.
     integer(int64) :: computed_hits = 0, reported_hits = 0
   contains
     procedure :: prepare_engine, load_particles, advance_window, rebase_clock, &
       serialize_own_state, state_of, collisions, trapped
   end type excursion_type
 
-  !> Where discs stand in channel 2 a window has no more hits of one particle in a narrow gap,
-  !> unless it were shorter than this share of the longest.
+  !> With discs in channel 2 a window is at most so long that a particle in the narrowest gap has
+  !> this many hits, but no shorter than this share of the lookahead.
   real(wp), parameter :: window_hits = 1.0e6_wp, least_window = 1.0e-3_wp
 
-  ! What it tells of itself, and how its state is kept: `excursion_state.f90`.
+  ! Observation of the state, and its serialisation: `excursion_state.f90`.
   interface
     module function state_of(self, i) result(state)
       implicit none (type, external)
@@ -108,7 +114,7 @@ module battery_excursion
     end subroutine serialize_own_state
   end interface
 
-  ! Where discs stand in channel 2: `excursion_scattered.f90`.
+  ! Tables with discs in channel 2: `excursion_scattered.f90`.
   interface
     module subroutine load_particles_scattered(self, particles)
       implicit none (type, external)
@@ -119,7 +125,7 @@ module battery_excursion
     module subroutine compute_scattered_visits(self, began, ends, event_record)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
-      !> The window.
+      !> Start and end of the window.
       real(wp), intent(in) :: began, ends
       type(event_record_type), intent(inout) :: event_record
     end subroutine compute_scattered_visits
@@ -127,7 +133,7 @@ module battery_excursion
 
 contains
 
-  !> Sizes and lengths that follow from the table and the number of particles.
+  !> Derives sizes and lengths from the table and the number of particles.
   subroutine prepare_engine(self)
     class(excursion_type), intent(inout) :: self
 
@@ -153,7 +159,7 @@ contains
     self%epoch = epoch_for(self%interval)
   end subroutine prepare_engine
 
-  !> Takes over the particles, and writes down their first events.
+  !> Loads the particles and schedules their first events.
   subroutine load_particles(self, particles)
     class(excursion_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -172,7 +178,7 @@ contains
     end do
   end subroutine load_particles
 
-  !> First those in the urns, then those in the channels.
+  !> Loads the particles in the urns first, then those in the channels.
   subroutine load_particles_straight(self, particles)
     type(excursion_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -207,7 +213,8 @@ contains
     end do
   end subroutine load_particles_straight
 
-  !> Puts the next event of a particle into the calendar, or, inside a gate, lets that count it.
+  !> Puts the next event of particle `i` into the calendar. A particle inside a gate has none: its
+  !> gate counts it.
   subroutine schedule_next_event(self, i)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -228,7 +235,7 @@ contains
     end associate
   end subroutine schedule_next_event
 
-  !> Visits of a batch: from the urn's entrance to its exit.
+  !> Computes the visits of batch `b`, from entrance to exit of the urn.
   subroutine compute_urn_visits(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
@@ -239,7 +246,7 @@ contains
     end associate
   end subroutine compute_urn_visits
 
-  !> Writes down how the particles of a batch go on.
+  !> Stores the next flight of each particle of batch `b`.
   subroutine store_batch_flights(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
@@ -254,7 +261,8 @@ contains
     end associate
   end subroutine store_batch_flights
 
-  !> One window of at most the time `duration`: its events, then the visits that they begin.
+  !> Advances by one window of at most `duration`: processes its events, then computes the visits
+  !> that they begin.
   subroutine advance_window(self, duration, event_record)
     class(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -296,7 +304,7 @@ contains
     self%reported_hits = self%computed_hits
   end subroutine advance_window
 
-  !> The visits of a window.
+  !> Computes the visits that the events of a window began.
   subroutine compute_straight_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: b
@@ -320,7 +328,7 @@ contains
     end do
   end subroutine compute_straight_visits
 
-  !> Goes on with visits of which a part is known.
+  !> Computes the next part of each partial visit that is due.
   subroutine continue_partial_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: side
@@ -336,7 +344,7 @@ contains
     end do
   end subroutine continue_partial_visits
 
-  !> Sets back the calendar, the flights and the clock.
+  !> Shifts calendar, flights, visit starts and clock back by one epoch.
   subroutine rebase_clock(self)
     class(excursion_type), intent(inout) :: self
 
@@ -348,9 +356,9 @@ contains
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> All events before `ends`, the first `events` of the sorted ones and the crossings of the middle
-  !> line; gathers the visits that they begin. The gates do not meet: what the entries into one lead
-  !> to has nothing to do with the other.
+  !> Processes the first `events` sorted events and all middle-line crossings before `ends`, as
+  !> arrays: partitions them by gate, applies the rule of each gate, sorts the crossings, and adds
+  !> the visits that begin to the batch. The gates are independent within a window.
   subroutine run_batch_window(self, began, ends, events, event_record)
     class(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: began, ends
@@ -387,7 +395,7 @@ contains
     end associate
   end subroutine run_batch_window
 
-  !> Puts those who have crossed a line into the batch: they go straight to the urn beyond.
+  !> Adds a straight visit, to the urn beyond the line, for each particle that has crossed one.
   pure subroutine add_crossing_visits(self, crossings, crossing_order)
     class(excursion_type), intent(inout) :: self
     integer, intent(in) :: crossings

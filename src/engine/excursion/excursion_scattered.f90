@@ -1,4 +1,4 @@
-!> How the engine `excursion` lives where discs stand in channel 2 (`battery_scattered_sides`).
+!> Windows of the engine `excursion` on tables with discs in channel 2 (`battery_scattered_sides`).
 submodule (battery_excursion) battery_excursion_scattered
   use battery_table, only: in_urn, in_gate, in_return, chamber_at
   use battery_motion, only: motion_type
@@ -9,7 +9,7 @@ submodule (battery_excursion) battery_excursion_scattered
 
 contains
 
-  !> First those in the urns and in channel 2, then those in channel 1.
+  !> Loads the particles; those in channel 1 get a flight, all others a visit.
   module procedure load_particles_scattered
     integer :: first, last, i, side
 
@@ -43,7 +43,7 @@ contains
     end do
   end procedure load_particles_scattered
 
-  !> A particle begins a visit, after so many wall `hits` in a channel.
+  !> Starts a visit of particle `i`, after `hits` wall hits in a channel.
   subroutine begin_side_visit(self, i, visit_start, hits)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -54,7 +54,7 @@ contains
     call add_side_visit(self%sides, i, visit_start, hits)
   end subroutine begin_side_visit
 
-  !> Those of the batch of visits, as they come out of `cross_channels`, begin new ones.
+  !> Starts a visit for each particle of the batch, as `cross_channels` leaves it.
   subroutine begin_side_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: j, chamber
@@ -70,7 +70,7 @@ contains
     end associate
   end subroutine begin_side_visits
 
-  !> Those whose visits were too long for one part, and are due now: they stand where it ended.
+  !> Moves the start of each truncated visit that is due to where the visit was truncated.
   subroutine resume_truncated_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: j, i
@@ -86,8 +86,9 @@ contains
     end do
   end subroutine resume_truncated_visits
 
-  !> The visits of a window, on and on until none ends within it but at a gate: who crosses the line
-  !> begins another one. The gates need not know, for nobody gets to one so soon.
+  !> Computes the visits of a window until none ends within it but at a gate: a particle that
+  !> crosses the line starts another one. The gates need not be asked, since no particle reaches one
+  !> so soon.
   module procedure compute_scattered_visits
     integer :: j, i, again, later, first
     integer, allocatable :: whose(:)
@@ -129,13 +130,13 @@ contains
     if (event_record%crossings > first) call sort_event_record(event_record)
   end procedure compute_scattered_visits
 
-  !> Visit j of the batch ended at the line, or was too long for one part, within the window: the
-  !> next one becomes number `again` + 1 of the batch.
+  !> Visit `j` of the batch ended at the line, or was truncated, within the window: the next visit
+  !> of its particle becomes number `again` + 1 of the batch.
   subroutine continue_within_window(self, j, again, began, event_record)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: j
     integer, intent(inout) :: again
-    !> When the window began.
+    !> Start of the window.
     real(wp), intent(in) :: began
     type(event_record_type), intent(inout) :: event_record
     type(motion_type) :: visit_start

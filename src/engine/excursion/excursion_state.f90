@@ -1,4 +1,4 @@
-!> What the engine `excursion` tells of itself, and how its state is kept.
+!> Observation and serialisation of the state of the engine `excursion`.
 submodule (battery_excursion) battery_excursion_state
   use battery_scattered_sides, only: locate_by_replay, serialize_visit_starts
   use battery_flight, only: locate_particle, locate_parked_particle
@@ -16,8 +16,8 @@ contains
     call locate_now(self, i, state, hits)
   end procedure state_of
 
-  !> The same, from the nearer end of its visit, and by how many wall hits `computed_hits` is short
-  !> for it.
+  !> The same, from the nearer end of its visit; and the `hits` to be added to `computed_hits` for
+  !> it.
   subroutine locate_now(self, i, state, hits)
     type(excursion_type), intent(in) :: self
     integer, intent(in) :: i
@@ -42,7 +42,7 @@ contains
     end associate
   end subroutine locate_now
 
-  !> Wall hits from the start until now: those known, put right for where each is.
+  !> Exact wall hits from the start until now: the computed ones, corrected for each particle.
   module procedure collisions
     real(wp) :: state(4)
     integer(int64) :: hits
@@ -55,7 +55,7 @@ contains
     end do
   end procedure collisions
 
-  !> How many are parked, or come back to the same state among discs.
+  !> Particles that are parked, or that repeat a path among discs for ever.
   module procedure trapped
     real(wp) :: state(4)
     integer(int64) :: hits
@@ -77,11 +77,11 @@ contains
     end do
   end procedure trapped
 
-  !> The flights and counts, through a stream; the calendar follows from the flights.
+  !> Serialises flights and counts; the calendar follows from the flights.
   module procedure serialize_own_state
     integer :: i
 
-    ! In a state x of who is parked in a channel stands with `u_axial`.
+    ! In a saved state, x of a particle parked in a channel is stored in place of `u_axial`.
     if (allocated(self%parked_x) .and. .not. archive%reading) then
       where (self%flight%heading == parked_in_channel) self%flight%u_axial = self%parked_x
     end if

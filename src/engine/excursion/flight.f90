@@ -1,7 +1,7 @@
-!> What the engine `excursion` knows of a particle between two of its events.
+!> The state of a particle of the engine `excursion` between two of its events.
 !>
-!> A flight says how a particle will enter its next channel, or entered the one it is in. Where it
-!> is until then follows by going back from there; only of long visits more is kept
+!> A flight says how the particle will enter its next channel, or entered the one it is in. Earlier
+!> positions are found backwards from there; for long visits the start is stored as well
 !> (`battery_long_visits`).
 module battery_flight
   use battery_kinds, only: wp, int16, int64
@@ -15,39 +15,42 @@ module battery_flight
     middle_time, never
   public :: to_gate, to_return, counted_in_gate, parked_in_urn, parked_in_channel, partial_visit
 
-  !> Headings: into a gate, into channel 2; inside a gate and counted; nowhere. `parked_in_urn`: the
-  !> flight holds the time of an impact, and what `visits_type` tells of it. `parked_in_channel`:
-  !> time, y and u_y; x is kept elsewhere. `partial_visit`: as `parked_in_urn`, but for a while
-  !> only.
+  !> Headings:
+  !> - `to_gate`, `to_return`: the next event is the entry into a gate, or the crossing of the
+  !>   periodic line.
+  !> - `counted_in_gate`: inside a gate, counted by it.
+  !> - `parked_in_urn`: never leaves; the flight holds one impact, as `visits_type` describes it.
+  !> - `parked_in_channel`: never leaves; time, y and u_y hold, x is stored elsewhere.
+  !> - `partial_visit`: as `parked_in_urn`, until the next part of the visit is computed.
   integer(int16), parameter :: to_gate = 1, to_return = 2, counted_in_gate = 3, parked_in_urn = 4, &
     parked_in_channel = 5, partial_visit = 6
 
-  !> When a particle is turned back that nothing turns back.
+  !> Time of reversal of a particle that no gate turns back.
   real(wp), parameter :: never = 0.25_wp*huge(1.0_wp)
 
 contains
 
-  !> When a particle that enters a gate is to cross the middle of channel 1. Nobody does so before
-  !> having entered, however short the channel.
+  !> Time at which a particle that enters a gate reaches the middle line of channel 1: always after
+  !> the entry, however short the channel.
   elemental function middle_time(enters, through) result(time)
-    !> When it enters, from 0 up, and how long it would be in the channel.
+    !> Time of the entry, 0 or more; time that the particle takes through the whole channel.
     real(wp), intent(in) :: enters, through
     real(wp) :: time
 
     time = max(enters + 0.5_wp*through, enters*(1.0_wp + 2.0_wp*epsilon(1.0_wp)))
   end function middle_time
 
-  !> Takes what a batch needs to know of its particles from their flights.
+  !> Copies what a batch of visits needs from the flights of its particles.
   pure subroutine load_flights(number, flight, n, particle, turned, passage, time, y, u_axial, &
     u_lateral)
-    !> How many particles there are, and how many are in the batch.
+    !> Number of particles; size of the batch.
     integer, intent(in) :: number, n
     type(flight_type), intent(in) :: flight(number)
-    !> Who is in the batch.
+    !> Particle of each visit.
     integer, intent(in) :: particle(n)
-    !> When a gate turned each back, or `never`.
+    !> Time at which a gate turned the particle back, or `never`.
     real(wp), intent(in) :: turned(n)
-    !> How long each has been in the channel, and how it entered that.
+    !> Time spent in the channel; time, height and velocity at its entrance.
     real(wp), intent(out) :: passage(n), time(n), y(n), u_axial(n), u_lateral(n)
     integer :: j, i
 
@@ -61,17 +64,17 @@ contains
     end do
   end subroutine load_flights
 
-  !> Where a particle is now that is not parked, in the local frame of its urn, and by how many wall
-  !> hits `computed_hits` is short for it (negative: so many are still to come). In an urn: going
-  !> back from where it leaves.
+  !> Position and velocity at the time `now` of a particle that is not parked, in the frame of its
+  !> urn, traced backwards from the end of its visit; and the `hits` to be added to `computed_hits`
+  !> for it (negative: hits that are computed but still to come).
   pure subroutine locate_particle(urn, flight, now, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
-    !> The time, on the clock of the flight.
+    !> On the clock of the flight.
     real(wp), intent(in) :: now
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Whole number of either sign.
+    !> A whole number of either sign.
     integer(int64), intent(out) :: hits
     real(wp) :: elapsed, reflected, passed
     integer :: channel
@@ -93,15 +96,15 @@ contains
     end if
   end subroutine locate_particle
 
-  !> From where a visit began back into the channel before it, if it is to begin only after the time
-  !> `before`.
+  !> Moves a particle back from the start of its visit into the channel before it, if the visit
+  !> starts only after the time `before`.
   pure subroutine trace_back_into_channel(urn, before, position, velocity, hits)
     type(urn_type), intent(in) :: urn
-    !> 0 or less: the visit has begun.
+    !> 0 or less: the visit has started.
     real(wp), intent(in) :: before
-    !> In the frame of the urn: in, where the visit begins; out, now.
+    !> In the frame of the urn: at the start of the visit in, now out.
     real(wp), intent(inout) :: position(2), velocity(2)
-    !> Loses those on the walls of the channel that are still to come.
+    !> Reduced by the hits in the channel that are still to come.
     integer(int64), intent(inout) :: hits
     real(wp) :: reflected, passed, height
     integer :: from
@@ -109,7 +112,7 @@ contains
     if (before <= 0.0_wp) return
     from = merge(gated, ungated, position(1) > 0.0_wp)
     call fold(position(2) - velocity(2)*before, urn%width(from), height, reflected, passed)
-    ! It is in this urn's half of the channel, even if it is so slow that rounding moves it far.
+    ! However slow it is, it stays in this urn's half of the channel.
     position(1) = facing(from)*(urn%chord(from) + min(abs(velocity(1))*before, &
       0.5_wp*urn%length(from)))
     position(2) = height
@@ -117,15 +120,15 @@ contains
     hits = hits - int(passed, int64)
   end subroutine trace_back_into_channel
 
-  !> The same for one that is parked in a channel, in the frame of the table.
+  !> Position and velocity of a particle that is parked in a channel, in the frame of the table.
   pure subroutine locate_parked_particle(urn, flight, x, now, state, hits)
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
-    !> Where it is along the channel; the time, on the clock of the flight.
+    !> Its x, which never changes; the time, on the clock of the flight.
     real(wp), intent(in) :: x, now
     !> x, y, u_x, u_y.
     real(wp), intent(out) :: state(4)
-    !> Since it was parked.
+    !> Wall hits since it was parked.
     integer(int64), intent(out) :: hits
     real(wp) :: height, reflected, passed
     integer :: channel

@@ -1,5 +1,5 @@
-!> How a particle starts in the engine `excursion`: from a position and a velocity to a flight, or
-!> to a visit that will be one.
+!> The initial state of a particle of the engine `excursion`: its position and velocity become a
+!> flight, or a visit that ends in one.
 module battery_initial_flight
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64
@@ -15,10 +15,10 @@ module battery_initial_flight
 
 contains
 
-  !> Flights in large pages of memory, before anything is written to them.
+  !> Allocates the flights, in large memory pages: before they are written to.
   subroutine allocate_flights(flight, number)
     type(flight_type), allocatable, target, intent(out) :: flight(:)
-    !> How many particles there are.
+    !> Number of particles.
     integer, intent(in) :: number
 
     allocate (flight(number))
@@ -26,16 +26,17 @@ contains
     flight = idle
   end subroutine allocate_flights
 
-  !> Particle `i` at (x, y) with velocity (ux, uy) in the table's frame. One in a channel that heads
-  !> for its far end is dated back to where it would have entered: its flight is written; `hits`
-  !> loses the wall hits it did not have. One in an urn, or on its way back to it, is added to the
-  !> visits. Those in the channels are left out, or only they are taken.
+  !> Loads particle `i` at (x, y) with velocity (ux, uy) in the frame of the table. If it is in a
+  !> channel and heads for the far end, its flight is dated back to the entrance of the channel, and
+  !> `hits` is reduced by the wall hits that it did not have. If it is in an urn, or on its way back
+  !> to one, a visit is added. Each call takes either particles in channels or particles in urns,
+  !> and ignores the others.
   subroutine make_initial_flight(table, i, x, y, ux, uy, from_channels, flight, visits, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
-    !> Place, lengths, and velocity, of length 1.
+    !> Position, a length, and velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
-    !> Whether those in the channels are taken, or those in the urns.
+    !> Whether particles in channels are taken; else those in urns.
     logical, intent(in) :: from_channels
     type(flight_type), intent(inout) :: flight
     !> Visits to the urn of its side.
@@ -67,7 +68,7 @@ contains
         visits%turned(at) = never
         visits%y(at) = y
         visits%u_lateral(at) = uy
-        ! In an urn in the frame of that, in a channel as `cross_channels` wants it.
+        ! In an urn: in the frame of the urn. In a channel: as `cross_channels` expects it.
         visits%hits(at) = 0.0_wp
         visits%x(at) = urn%centre - abs(x)
         visits%passage(at) = passage%time
@@ -78,15 +79,15 @@ contains
     end if
   end subroutine make_initial_flight
 
-  !> What the flight of a particle would have been before its first visit, which
-  !> `make_initial_flight` has added to the visits: it has just entered the channel where it was, or
-  !> it is about to have its first impact in the urn.
+  !> Flight of a particle before its first visit, which `make_initial_flight` has added: it has just
+  !> entered the channel where it was, or is about to have its first impact in the urn. That is the
+  !> stored start of a long visit.
   subroutine date_back_flight(table, x, y, ux, uy, flight, hits)
     type(table_type), intent(in) :: table
-    !> Where it was, lengths, and its velocity, of length 1, in the frame of the table.
+    !> Its initial position, a length, and velocity, of length 1, in the frame of the table.
     real(wp), intent(in) :: x, y, ux, uy
     type(flight_type), intent(inout) :: flight
-    !> Wall hits of the visit; from that impact on, if there is one.
+    !> Wall hits of the visit; out: from the first impact on, if it was in an urn.
     real(wp), intent(inout) :: hits
     type(passage_type) :: passage
     integer(int64) :: before

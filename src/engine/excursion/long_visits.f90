@@ -1,13 +1,14 @@
-!> Visits of the engine `excursion` become flights; of the long ones it is kept how they began.
+!> Stores the flights that visits of the engine `excursion` end in, and the start of each long
+!> visit.
 !>
-!> A flight tells how a visit ends, and going back from there costs digits: a rounding error for
-!> each unit of length, of which a visit may have 1e13. So of a visit that is long, that never ends,
-!> or of which only a part is known, it is kept how it began; while it is nearer to its beginning
-!> than to its end, a particle is located forwards from there.
+!> A flight holds the end of a visit. Tracing back from there costs digits: a rounding error for
+!> each unit of length, and a visit may be 1e13 long. So the start of a visit is stored if the visit
+!> is long, never ends, or is known in part only; while a particle is nearer to the start of its
+!> visit than to its end, it is located forwards from the start.
 !>
-!> What is kept is what the flight was before: a few words are copied, nothing is computed. An entry
-!> is of use as long as the flight of its particle says that its visit is long; what is of no use
-!> any more is thrown out where there is no room for more.
+!> An entry is a copy of the previous flight: a few words are copied, nothing is computed. It is
+!> valid as long as the flight of its particle belongs to a long visit; invalid ones are dropped
+!> when there is no room for new ones.
 module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_calendar, only: flight_type
@@ -22,16 +23,16 @@ module battery_long_visits
   public :: long_visits_type, new_long_visits, is_long_visit, keep_beginnings, &
     store_flights, is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
 
-  !> A visit is long from so many times the reach of its urn on: going back through half of it costs
-  !> no more than some 1e-13. One with fewer than `many_hits` hits has at most that many chords and
-  !> one, of twice the reach: it is not long.
+  !> A visit is long from this many times the reach of its urn on: tracing back through half of a
+  !> shorter one costs no more than some 1e-13. A visit with fewer than `many_hits` hits has at most
+  !> one chord more than that, each of at most twice the reach, and so is never long.
   real(wp), parameter :: long = 256.0_wp
 
-  !> How a visit began: a line of the cache.
+  !> The start of a visit, in one cache line.
   type :: entry_type
-    !> As the flight had it. Heading `counted_in_gate` or `to_return`: how the particle entered the
-    !> channel before the urn. `partial_visit`: when it had an impact in the urn, with what
-    !> `visits_type` tells of one that never leaves.
+    !> As in the previous flight. Heading `counted_in_gate` or `to_return`: how the particle entered
+    !> the channel before the urn. `partial_visit`: an impact in the urn, described as `visits_type`
+    !> describes one of a particle that never leaves.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
     !> When a gate turned it back in the channel, or `never`.
     real(wp) :: turned = never
@@ -41,26 +42,26 @@ module battery_long_visits
     integer(int16) :: heading = 0
   end type entry_type
 
-  !> The entries, and which is whose.
+  !> The entries, and the index from particles to entries.
   type :: long_visits_type
-    !> Longer visits are long.
+    !> Visits longer than this are long.
     real(wp) :: least = huge(1.0_wp)
     !> How many particles and entries there are, and how many there is room for.
     integer, private :: number = 0, count = 0, room = 0
     type(entry_type), allocatable, private :: entry(:)
-    !> Where the entry of each particle is, or 0; not allocated before there is one.
+    !> Entry of each particle, or 0; not allocated before there is an entry.
     integer(int32), allocatable, private :: place(:)
   end type long_visits_type
 
 contains
 
-  !> Of so many particles no visit is known.
+  !> Sets up an empty store.
   pure subroutine new_long_visits(visits, number, reach)
     !> Empty.
     type(long_visits_type), intent(out) :: visits
-    !> How many.
+    !> Number of particles.
     integer, intent(in) :: number
-    !> Of the urns, a length.
+    !> Largest reach of the urns, a length.
     real(wp), intent(in) :: reach
 
     visits%number = number
@@ -68,20 +69,20 @@ contains
     allocate (visits%entry(0))
   end subroutine new_long_visits
 
-  !> Whether a visit is long, as it comes out of `cross`.
+  !> Whether a visit is long, from what `compute_visits` yields.
   elemental function is_long_visit(least, channel, length) result(yes)
     !> Of `long_visits_type`.
     real(wp), intent(in) :: least
-    !> Where it leads to.
+    !> Channel that the particle goes to, `no_channel` or `truncated`.
     integer(int64), intent(in) :: channel
-    !> How long it is.
+    !> Length of the visit.
     real(wp), intent(in) :: length
     logical :: yes
 
     yes = length > least .or. channel < gated
   end function is_long_visit
 
-  !> Whether the visit that a flight tells of is long.
+  !> Whether the visit before this flight is long.
   elemental function has_long_visit(visits, flight) result(yes)
     type(long_visits_type), intent(in) :: visits
     type(flight_type), intent(in) :: flight
@@ -99,13 +100,14 @@ contains
 
   !> Keeps how the long visits of a batch began, before `store_flights` writes their flights.
   pure subroutine keep_beginnings(visits, number, flight, batch)
-    !> Learns how they began.
+    !> Updated with the starts of the long visits of the batch.
     type(long_visits_type), intent(inout) :: visits
-    !> How many particles there are.
+    !> Number of particles.
     integer, intent(in) :: number
-    !> As they still are.
+    !> Flights before those of the batch are stored.
     type(flight_type), intent(in) :: flight(number)
-    !> As it comes out of `cross`; `turned` says when a gate turned each back before, or `never`.
+    !> Visits of the batch, computed; `turned` is the time at which a gate turned a particle back
+    !> before, or `never`.
     type(visits_type), intent(in) :: batch
     integer :: i, j, k
 
@@ -120,20 +122,20 @@ contains
     end do
   end subroutine keep_beginnings
 
-  !> Writes down how each particle of a batch goes on; its `time` becomes that of its next event.
+  !> Stores the next flight of each particle of a batch; `time` becomes the time of the next event.
   pure subroutine store_flights(number, flight, n, particle, urn, channel, time, length, y, &
     u_axial, u_lateral, through)
-    !> How many particles there are, and how many are in the batch.
+    !> Number of particles; size of the batch.
     integer, intent(in) :: number, n
     type(flight_type), intent(inout) :: flight(number)
-    !> Who is in the batch, and in which urn (1 or 2).
+    !> Particle of each visit, and its urn (1 or 2).
     integer, intent(in) :: particle(n), urn(n)
-    !> The channel each goes to, or `no_channel`.
+    !> Channel that the particle goes to, or `no_channel`.
     integer(int64), intent(in) :: channel(n)
-    !> Way through the urn, a length; height, |u_x| and u_y at its end; time in the channel beyond,
-    !> from end to end. For `no_channel` as in `visits_type`.
+    !> Length of the visit; height, |u_x| and u_y at its end; time in the next channel, from end to
+    !> end. For `no_channel` as in `visits_type`.
     real(wp), intent(in) :: length(n), y(n), u_axial(n), u_lateral(n), through(n)
-    !> In: when each visit begins. Out: huge if there is no event.
+    !> In: start of the visit. Out: next event; huge if there is none.
     real(wp), intent(inout) :: time(n)
     integer :: j, i
     real(wp) :: leaves
@@ -154,7 +156,7 @@ contains
         flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
         time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
         if (channel(j) == truncated) then
-          ! Before its end, lest what comes then is due within the lookahead.
+          ! Before its end, so that what follows is due no sooner than the lookahead.
           flight(i)%heading = partial_visit
           time(j) = leaves - through(j)
         end if
@@ -163,12 +165,12 @@ contains
     end do
   end subroutine store_flights
 
-  !> Keeps how a long visit began, before its flight is written; there is room for it.
+  !> Stores the start of a long visit before its flight is overwritten; there is room for it.
   pure subroutine store_visit_start(visits, particle, flight, turned, hits)
     type(long_visits_type), intent(inout) :: visits
-    !> Who.
+    !> Its particle.
     integer, intent(in) :: particle
-    !> As it still is.
+    !> The previous flight.
     type(flight_type), intent(in) :: flight
     !> When a gate turned it back before, or `never`; wall hits, those in the channel before too.
     real(wp), intent(in) :: turned, hits
@@ -193,17 +195,17 @@ contains
     end associate
   end subroutine store_visit_start
 
-  !> Throws out what is of no use any more; if that leaves it half full, there will be more room.
+  !> Drops invalid entries; enlarges the store if it is still half full.
   pure subroutine grow_entries(visits, flight, more)
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
-    !> How many entries there is to be room for.
+    !> Number of entries to be added.
     integer, intent(in) :: more
     type(entry_type), allocatable :: entry(:)
 
     call drop_finished_entries(visits, flight)
     if (2*(visits%count + more) <= size(visits%entry)) return
-    ! Nobody has two.
+    ! No particle has two entries.
     allocate (entry(min(max(64, 2*(visits%count + more)), visits%number + more)))
     entry(:visits%count) = visits%entry(:visits%count)
     call move_alloc(entry, visits%entry)
@@ -211,7 +213,7 @@ contains
     if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
   end subroutine grow_entries
 
-  !> Throws out the entries of visits that are over.
+  !> Drops the entries of visits that are over.
   pure subroutine drop_finished_entries(visits, flight)
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
@@ -229,13 +231,13 @@ contains
     visits%count = kept
   end subroutine drop_finished_entries
 
-  !> Whether a particle is to be located forwards: there is an entry, and the end of its visit is
-  !> farther than the beginning.
+  !> Whether a particle is to be located forwards: it has an entry, and the start of its visit is
+  !> nearer than the end.
   pure function is_nearer_start(visits, flight, now) result(yes)
-    !> All that are known.
+    !> The store.
     type(long_visits_type), intent(in) :: visits
     type(flight_type), intent(in) :: flight
-    !> The time, on the clock of the flight.
+    !> On the clock of the flight.
     real(wp), intent(in) :: now
     logical :: yes
 
@@ -243,18 +245,19 @@ contains
     if (yes .and. flight%heading /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
   end function is_nearer_start
 
-  !> Where a particle is now that is located forwards, as `locate_particle` tells it.
+  !> Position and velocity of a particle at the time `now`, forwards from the start of its visit;
+  !> `hits` as in `locate_particle`.
   pure subroutine locate_from_start(visits, urn, particle, now, position, velocity, hits)
-    !> All that are known.
+    !> The store.
     type(long_visits_type), intent(in) :: visits
     type(urn_type), intent(in) :: urn
-    !> Who.
+    !> Its index.
     integer, intent(in) :: particle
-    !> The time, on the clock of the flight.
+    !> On the clock of the flight.
     real(wp), intent(in) :: now
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Whole number of either sign.
+    !> A whole number of either sign.
     integer(int64), intent(out) :: hits
     real(wp) :: passage, reflected, passed, begins, x, y, ux, uy
     integer :: from
@@ -285,11 +288,11 @@ contains
     end associate
   end subroutine locate_from_start
 
-  !> Sets all times back by the length of a page.
+  !> Shifts all times back by one epoch.
   pure subroutine rebase_long_visits(visits, epoch)
-    !> All that are known.
+    !> The store.
     type(long_visits_type), intent(inout) :: visits
-    !> How long.
+    !> Its length.
     real(wp), intent(in) :: epoch
 
     associate (entry => visits%entry(:visits%count))
@@ -298,9 +301,9 @@ contains
     end associate
   end subroutine rebase_long_visits
 
-  !> The entries that are of use, through a stream.
+  !> Serialises the valid entries.
   pure subroutine serialize_long_visits(visits, flight, archive)
-    !> All that are known; those that are over are thrown out.
+    !> The store; invalid entries are dropped.
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     type(archive_type), intent(inout) :: archive

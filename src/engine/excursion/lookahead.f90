@@ -1,9 +1,9 @@
 !> Visits that the engine `excursion` computes before they begin.
 !>
-!> With few particles, or tiny openings, a window has one visit, which would have to wait for itself
-!> all the way. But who goes straight through its channel meets nobody: its visit follows from its
-!> flight. So those of the next events are computed together, as if no gate were to turn; of those
-!> that a gate does turn back the visit is computed again.
+!> With few particles or tiny openings a window has one visit, too few to fill the vector lanes. A
+!> particle that is not turned back in its channel meets no other, so its visit follows from its
+!> flight. The visits of the next events are therefore computed together, as if no gate reversed;
+!> the visit of a particle that a gate does turn back is computed again.
 module battery_lookahead
   use battery_kinds, only: wp, int32, int64
   use battery_calendar, only: flight_type
@@ -16,38 +16,39 @@ module battery_lookahead
   private
   public :: lookahead_pays, take_computed_visits
 
-  !> So many visits are computed at a time at most, but for those that begin.
+  !> Visits computed ahead in one batch, besides those that begin now.
   integer, parameter :: most_lookahead_visits = 16
-  !> Windows have less than so many events on average where looking ahead pays.
+  !> Lookahead pays where a window has fewer events than this on average.
   real(wp), parameter :: most_events = 0.5_wp
 
 contains
 
-  !> Whether it pays to look ahead.
+  !> Whether it pays to compute visits ahead.
   pure function lookahead_pays(events, threshold)
-    !> How many events a window has on average.
+    !> Mean number of events in a window.
     real(wp), intent(in) :: events
-    !> Of both gates: one that turns everybody leaves nothing to be foreseen.
+    !> Thresholds of both gates: behind one of 0 nobody goes straight.
     integer, intent(in) :: threshold(2)
     logical :: lookahead_pays
 
     lookahead_pays = events < most_events .and. all(threshold > 0)
   end function lookahead_pays
 
-  !> Visits that begin: those foreseen, or computed now, with those that will begin next.
+  !> Fills in the visits that begin: takes those that were computed ahead, else computes them
+  !> together with those of the next events.
   subroutine take_computed_visits(urn, number, flight, coming, next, visits, ahead, computed_hits)
     type(urn_type), intent(in) :: urn
-    !> How many particles there are, and how many events come next.
+    !> Number of particles; number of pending events in order.
     integer, intent(in) :: number, coming
     type(flight_type), intent(inout) :: flight(number)
-    !> Whose the next events are.
+    !> Their particles.
     integer, intent(in) :: next(coming)
-    !> In: who, where to and when turned back, as `run_serial_window` leaves it. Out: as out of
-    !> `compute_visits`.
+    !> In: particle, channel and time of reversal, as `run_serial_window` leaves them. Out: as
+    !> `compute_visits` leaves them.
     type(visits_type), intent(inout) :: visits
-    !> Those foreseen.
+    !> Visits computed ahead.
     type(visits_type), intent(inout) :: ahead
-    !> Grows by the wall hits of the visits.
+    !> Increased by the wall hits of the visits.
     integer(int64), intent(inout) :: computed_hits
     integer :: j, at
 
@@ -75,7 +76,8 @@ contains
 
   contains
 
-    !> Whoever was foreseen says where; that may have been overwritten.
+    !> The flight holds the slot of its visit among those computed ahead; the slot may have been
+    !> reused since.
     pure function is_computed(i)
       integer, intent(in) :: i
       logical :: is_computed
@@ -86,7 +88,7 @@ contains
 
   end subroutine take_computed_visits
 
-  !> Computes the visits that begin, and those that will begin if the next go straight.
+  !> Computes the visits that begin, and those that will begin if the next particles go straight.
   subroutine compute_lookahead_visits(urn, number, flight, coming, next, visits, ahead)
     type(urn_type), intent(in) :: urn
     integer, intent(in) :: number, coming, next(coming)

@@ -1,8 +1,8 @@
-!> Visits that the engine `excursion` knows in part.
+!> Visits that the engine `excursion` computes in parts.
 !>
-!> Some visits have so many wall hits that they are not computed in one go (`truncated`). Such a
-!> particle has an event of its own, at which the next part is computed. It is due half the part
-!> before its end: so what comes after that end is no sooner than the lookahead.
+!> A visit with very many wall hits is truncated (`truncated` of `battery_visits`). Its particle
+!> then has an event at which the next part is computed. The event is due half a part before the end
+!> of the part, so that whatever follows that end is no sooner than the lookahead.
 module battery_partial_visits
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type
@@ -16,21 +16,21 @@ module battery_partial_visits
 
 contains
 
-  !> Takes those who only go on with a visit out of the events that are due.
+  !> Removes the events of partial visits from those that are due.
   subroutine split_off_partial_visits(number, flight, due_time, particle, events, resumed_count, &
     resumed_time, resumed)
-    !> How many particles there are.
+    !> Number of particles.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
-    !> Events in the order of time: when each is due.
+    !> Times of the events, ascending.
     real(wp), intent(inout) :: due_time(:)
-    !> Whose they are, and how many: before, and after.
+    !> Their particles, and their number: before, and after.
     integer, intent(inout) :: particle(:), events
-    !> How many were taken out.
+    !> Number of events removed.
     integer, intent(out) :: resumed_count
     !> When these are due.
     real(wp), allocatable, intent(out) :: resumed_time(:)
-    !> Whose they are.
+    !> Their particles.
     integer, allocatable, intent(out) :: resumed(:)
     logical :: apart(events)
 
@@ -43,22 +43,22 @@ contains
     particle(:events) = pack(particle(:events + resumed_count), .not. apart)
   end subroutine split_off_partial_visits
 
-  !> The next parts of visits to one of the urns; they count from when they were due.
+  !> Computes the next part of each visit to one urn, starting from when it was due.
   subroutine compute_partial_visits(urn, side, number, flight, resumed_count, resumed_time, &
     resumed, visits, long_visits, computed_hits)
     type(urn_type), intent(in) :: urn
-    !> 1 or 2.
+    !> The urn, 1 or 2; number of particles.
     integer, intent(in) :: side, number
     type(flight_type), intent(inout) :: flight(number)
-    !> As `split_off_partial_visits` gives them, for both urns.
+    !> Particles of both urns, from `split_off_partial_visits`.
     integer, intent(in) :: resumed_count, resumed(resumed_count)
-    !> When they are due.
+    !> When each is due.
     real(wp), intent(in) :: resumed_time(resumed_count)
-    !> Out: those of this urn, and when each has its next event.
+    !> Out: the visits of this urn, with the time of the next event of each particle.
     type(visits_type), intent(inout) :: visits
-    !> Learns how each part begins.
+    !> Updated with the start of each part.
     type(long_visits_type), intent(inout) :: long_visits
-    !> Grows by the wall hits of the parts.
+    !> Increased by the wall hits of the parts.
     integer(int64), intent(inout) :: computed_hits
     real(wp) :: position(2), velocity(2), rest(resumed_count)
     integer(int64) :: hits

@@ -1,14 +1,15 @@
-!> What the engine `excursion` does where discs stand in channel 2.
+!> Visits of the engine `excursion` on tables with discs in channel 2.
 !>
-!> There a particle may come back to its own urn, or cross the counted line to and fro. So a side of
-!> the table is one chamber with two openings: the gate, and the line. A visit begins at either, or
-!> wherever a particle was, and goes through the urn and its half of channel 2 by turns until it
-!> ends at either. A flight to channel 2 ends at the line: its `through` is 0. A visit of too many
-!> hits ends in the channel or in the urn (`partial_visit`) and is gone on with.
+!> There a particle may come back to its own urn, or cross the counted line to and fro. So each side
+!> of the table is one chamber with two openings: the gate and the line. A visit starts at either,
+!> or wherever a particle is at the start of the run, and alternates between the urn and its half of
+!> channel 2 until it ends at either. A flight to channel 2 ends at the line: its `through` is 0. A
+!> visit with too many hits is truncated in the channel or in the urn (`partial_visit`) and
+!> continued later.
 !>
-!> Paths among discs part so fast that going back along them leads elsewhere. So it is kept how each
-!> visit began, in the frame of the urn or in that of its half of channel 2 (`battery_scatterers`);
-!> where a particle is within it is found by flying it once more.
+!> Paths among discs diverge so fast that tracing them back leads elsewhere. So the start of each
+!> visit is stored, in the frame of the urn or in that of its half of channel 2
+!> (`battery_scatterers`), and a particle is located by computing its visit once more from there.
 module battery_scattered_sides
   use battery_kinds, only: wp, int8, int16, int32, int64
   use battery_calendar, only: flight_type
@@ -26,27 +27,27 @@ module battery_scattered_sides
     compute_side_visits, store_side_flights
   public :: locate_by_replay, serialize_visit_starts
 
-  !> Heading of a particle of which nothing is known yet.
+  !> Heading of a visit that has not ended.
   integer(int16), parameter :: undetermined = 0
 
-  !> How a visit goes on that is being flown.
+  !> A visit while it is computed.
   type :: side_visit_type
     integer :: particle = 0
-    !> Where it has come to; what it ends with, and the wall hits until then.
+    !> State it has reached; heading that it ends with, and wall hits so far.
     type(motion_type) :: now
     integer(int16) :: heading = undetermined
     integer(int64) :: hits = 0
-    !> As in `flight_type`, of one that has ended.
+    !> As in `flight_type`, once it has ended.
     real(wp) :: y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
   end type side_visit_type
 
-  !> How the present visit of each particle began, and those that are being flown.
+  !> Start of the present visit of each particle, and the batch of visits that are computed.
   type :: sides_type
     type(motion_type), allocatable :: visit_start(:)
     integer :: count = 0
     type(side_visit_type), allocatable :: side_visit(:)
-    !> Work space: who has not ended; those in an urn; those in a half of channel 2, which of the
-    !> travels they are, and their wall hits.
+    !> Work space: visits that have not ended; the batch in an urn; positions in the batch, motions
+    !> and wall hits of those in a half of channel 2.
     integer, allocatable, private :: open(:), place(:)
     type(visits_type), private :: visits
     type(motion_type), allocatable, private :: motions(:)
@@ -55,29 +56,29 @@ module battery_scattered_sides
 
 contains
 
-  !> Room for so many particles, none of which is known.
+  !> Allocates the store; no visit is known.
   pure subroutine new_sides(sides, number)
     type(sides_type), intent(out) :: sides
-    !> How many.
+    !> Number of particles.
     integer, intent(in) :: number
 
     allocate (sides%visit_start(number), sides%side_visit(0))
   end subroutine new_sides
 
-  !> How a visit begins.
+  !> The start of a visit.
   elemental function visit_start_at(time, side, chamber, x, y, ux, uy) result(visit_start)
-    !> When, on the clock of the page.
+    !> On the clock of the epoch.
     real(wp), intent(in) :: time
     !> Side of the table; `in_urn` or `in_return`.
     integer, intent(in) :: side, chamber
-    !> Place and velocity in the frame of that chamber: lengths, and a vector of length 1.
+    !> Position and velocity in the frame of that chamber: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     type(motion_type) :: visit_start
 
     visit_start = motion_type(x, y, ux, uy, time, int(side, int8), int(chamber, int8))
   end function visit_start_at
 
-  !> Makes room for `room` visits and empties the batch.
+  !> Empties the batch and makes room for `room` visits.
   pure subroutine reserve_side_visits(sides, room)
     type(sides_type), intent(inout) :: sides
     integer, intent(in) :: room
@@ -91,12 +92,12 @@ contains
     allocate (sides%side_visit(n), sides%open(n), sides%place(n), sides%motions(n), sides%hits(n))
   end subroutine reserve_side_visits
 
-  !> One more visit; there is room for it.
+  !> Adds a visit to the batch; there is room for it.
   pure subroutine add_side_visit(sides, particle, visit_start, hits)
     type(sides_type), intent(inout) :: sides
-    !> Who.
+    !> Its particle.
     integer, intent(in) :: particle
-    !> How it begins.
+    !> Its start.
     type(motion_type), intent(in) :: visit_start
     !> Wall hits in the channel before.
     integer(int64), intent(in) :: hits
@@ -105,11 +106,12 @@ contains
     sides%side_visit(sides%count) = side_visit_type(particle=particle, now=visit_start, hits=hits)
   end subroutine add_side_visit
 
-  !> Flies all visits of the batch to their ends, but not beyond the time `limit`.
+  !> Computes all visits of the batch to their ends, but not beyond the time `limit`.
   subroutine compute_side_visits(sides, table, limit)
     type(sides_type), intent(inout) :: sides
     type(table_type), intent(in) :: table
-    !> On the clock of the page; who has not ended then is there with the heading `undetermined`.
+    !> On the clock of the epoch; a visit that has not ended by then stops there with the heading
+    !> `undetermined`.
     real(wp), intent(in) :: limit
     integer :: side, j, open, kept
 
@@ -127,7 +129,7 @@ contains
       end do
       open = kept
       if (open == 0) exit
-      ! Urns that are alike share a batch.
+      ! Mirror-image urns share a batch.
       if (are_mirror_images(table%urn)) then
         call cross_urn_of_side(sides, table, 1, 2, open, limit)
       else
@@ -140,13 +142,13 @@ contains
     end do
   end subroutine compute_side_visits
 
-  !> Those who are in the urn of a side, to its openings.
+  !> Moves all visits that are in an urn to its openings.
   subroutine cross_urn_of_side(sides, table, first, last, open, limit)
     type(sides_type), intent(inout) :: sides
     type(table_type), intent(in) :: table
-    !> Sides.
+    !> First and last side.
     integer, intent(in) :: first, last
-    !> How many visits have not ended.
+    !> Number of visits that have not ended.
     integer, intent(in) :: open
     real(wp), intent(in) :: limit
     integer :: j, k
@@ -174,11 +176,11 @@ contains
     end associate
   end subroutine cross_urn_of_side
 
-  !> What becomes of a visit at the end of its way through an urn.
+  !> Continues or ends a visit at the end of its way through an urn.
   subroutine end_urn_passage(table, v, k, limit, at)
     type(table_type), intent(in) :: table
     type(visits_type), intent(in) :: v
-    !> Its place in the batch.
+    !> Its index in the batch.
     integer, intent(in) :: k
     real(wp), intent(in) :: limit
     type(side_visit_type), intent(inout) :: at
@@ -189,8 +191,8 @@ contains
     leaves = at%now%time + v%length(k)
     at%hits = at%hits + int(v%hits(k), int64)
     stays = v%channel(k) /= gated .and. v%channel(k) /= ungated
-    ! A long visit is gone on with from half its part, so that what comes after is no sooner than
-    ! the lookahead.
+    ! A truncated visit is continued from half a part before its end, so that what follows is no
+    ! sooner than the lookahead.
     goes_on_now = v%channel(k) == truncated .and. leaves < limit
     if (goes_on_now .or. (limit < huge(1.0_wp) .and. (stays .or. leaves > limit))) then
       after = merge(-v%through(k), limit - leaves, goes_on_now)
@@ -220,12 +222,12 @@ contains
     end if
   end subroutine end_urn_passage
 
-  !> Those who are in a half of channel 2, to its ends.
+  !> Moves all visits that are in one half of channel 2 to its ends.
   subroutine cross_half_of_side(sides, table, side, open, limit)
     type(sides_type), intent(inout) :: sides
     type(table_type), intent(in) :: table
     integer, intent(in) :: side
-    !> How many visits have not ended, but for those that just have.
+    !> Number of visits that had not ended before `cross_urn_of_side`.
     integer, intent(in) :: open
     real(wp), intent(in) :: limit
     integer :: j, k, n
@@ -249,10 +251,10 @@ contains
     end do
   end subroutine cross_half_of_side
 
-  !> What becomes of a visit at the end of its way through a half of channel 2.
+  !> Continues or ends a visit at the end of its way through a half of channel 2.
   pure subroutine end_half_passage(table, motion, hits, limit, at)
     type(table_type), intent(in) :: table
-    !> What it has come to, and the wall hits on the way.
+    !> State at that end, and the wall hits on the way.
     type(motion_type), intent(in) :: motion
     integer(int64), intent(in) :: hits
     real(wp), intent(in) :: limit
@@ -277,11 +279,11 @@ contains
     end associate
   end subroutine end_half_passage
 
-  !> Writes down how the particles of a batch go on.
+  !> Stores the flights that the visits of the batch end in.
   pure subroutine store_side_flights(sides, flight, computed_hits)
     type(sides_type), intent(in) :: sides
     type(flight_type), intent(inout) :: flight(:)
-    !> Grows by the wall hits of the visits.
+    !> Increased by the wall hits of the visits.
     integer(int64), intent(inout) :: computed_hits
     integer :: j
 
@@ -301,14 +303,14 @@ contains
     end do
   end subroutine store_side_flights
 
-  !> Where a particle is now within its visit, or in the gate before that, in the frame of the
-  !> table, and by how many wall hits `computed_hits` is short for it (negative: so many are still
-  !> to come).
+  !> State at the time `now` of a particle within its visit, or in the gate before it, in the frame
+  !> of the table; and the `hits` to be added to `computed_hits` for it (negative: hits that are
+  !> computed but still to come).
   subroutine locate_by_replay(table, visit_start, now, state, hits)
     type(table_type), intent(in) :: table
-    !> How its visit began.
+    !> Start of its visit.
     type(motion_type), intent(in) :: visit_start
-    !> The time, on the clock of the page.
+    !> On the clock of the epoch.
     real(wp), intent(in) :: now
     !> x, y, u_x, u_y.
     real(wp), intent(out) :: state(4)
@@ -340,10 +342,10 @@ contains
     end associate
   end subroutine locate_by_replay
 
-  !> How the visits of all began, through a stream.
+  !> Serialises the starts of all visits.
   subroutine serialize_visit_starts(sides, side, archive)
     type(sides_type), intent(inout) :: sides
-    !> On which side of the table each is.
+    !> Side of the table that each particle is on.
     integer(int16), intent(in) :: side(:)
     type(archive_type), intent(inout) :: archive
     integer(int32) :: chamber(size(side))

@@ -1,5 +1,5 @@
-!> A window of few events of the engine `excursion`, one after the other: then making lists of them,
-!> as `battery_batch_window` does, costs more than it saves.
+!> A window with few events of the engine `excursion`, processed one by one: the arrays of
+!> `battery_batch_window` would cost more than they save.
 module battery_serial_window
   use battery_kinds, only: wp, int64
   use battery_table, only: gated, ungated
@@ -14,26 +14,27 @@ module battery_serial_window
   private
   public :: run_serial_window
 
-  !> Windows of up to so many events are walked through so.
+  !> Windows with at most this many events are processed one by one.
   integer, parameter, public :: longest_serial_window = 8
 
 contains
 
-  !> All events before `ends`, and the crossings of the middle line; adds the visits they begin.
+  !> Processes the first `events` events and all middle-line crossings before `ends`; adds the
+  !> visits that they begin.
   subroutine run_serial_window(gate, beyond, flight, calendar, events, began, ends, visits, &
     event_record, end_wall_hits)
     type(gate_type), intent(inout) :: gate(2)
-    !> Where one is that has crossed a line from each side.
+    !> Urn on the far side of a line, by the urn that a particle comes from.
     integer, intent(in) :: beyond(2)
     type(flight_type), intent(inout) :: flight(:)
     type(calendar_type), intent(in) :: calendar
-    !> So many of its sorted events.
+    !> How many of its sorted events belong to the window.
     integer, intent(in) :: events
-    !> The window.
+    !> Start and end of the window.
     real(wp), intent(in) :: began, ends
     type(visits_type), intent(inout) :: visits
     type(event_record_type), intent(inout) :: event_record
-    !> Grows by the hits of the end wall of a single urn.
+    !> Increased by hits on the end wall of a single urn.
     integer(int64), intent(inout) :: end_wall_hits
     real(wp) :: now
     integer :: at, i, urn
@@ -63,7 +64,7 @@ contains
     end do
   end subroutine run_serial_window
 
-  !> Whether another particle enters the same gate at the very same time as the event `at`.
+  !> Whether another particle enters the same gate at exactly the time of the event `at`.
   pure function more_enter_now(events, calendar, flight, at) result(more)
     integer, intent(in) :: events, at
     type(calendar_type), intent(in) :: calendar
@@ -80,7 +81,8 @@ contains
     end do
   end function more_enter_now
 
-  !> A gate reverses: all counted go back to their urn, as long as they have been in the channel.
+  !> Reverses a gate: adds a visit, back to its urn, for every counted particle. The way out takes
+  !> as long as the way in.
   subroutine reverse_gate(gate, urn, time, began, visits, event_record)
     type(gate_type), intent(inout) :: gate
     integer, intent(in) :: urn
@@ -97,7 +99,8 @@ contains
     call uncount_all(gate)
   end subroutine reverse_gate
 
-  !> The next particle of channel 1 crosses its middle line, or hits the end wall there.
+  !> Takes the earliest pending crossing of the middle line, or hit of the end wall there, and adds
+  !> the visit that follows.
   subroutine cross_middle_line(gate, beyond, began, visits, event_record, end_wall_hits)
     type(gate_type), intent(inout) :: gate(2)
     integer, intent(in) :: beyond(2)
@@ -116,7 +119,7 @@ contains
     call add_visit(visits, i, beyond(urn), gated)
   end subroutine cross_middle_line
 
-  !> Puts a particle into the batch: it goes straight to `urn` through `channel`.
+  !> Adds a visit to `urn`, straight through `channel`, to the batch.
   pure subroutine add_visit(visits, i, urn, channel)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: i, urn, channel

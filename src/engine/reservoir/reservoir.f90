@@ -58,7 +58,7 @@ module battery_reservoir
     type(queue_type) :: returning
     type(draws_type) :: draws
     !> Longest window, mean time between ticks of a member, half lengths of the channels, and a time
-    !> that any clock within a page can tell from none.
+    !> that any clock within an epoch can tell from none.
     real(wp) :: window = 0.0_wp, mean_stay = 0.0_wp, half_length(2) = 0.0_wp, shortest = 0.0_wp
     !> Whether the urns differ; the share of its ticks that one in each urn heeds; hits per time in
     !> each urn, and the greater of the two rates.
@@ -66,7 +66,7 @@ module battery_reservoir
     real(wp) :: tick_share(2) = 1.0_wp, urn_rate(2) = 0.0_wp, hit_rate = 0.0_wp
     !> Wall hits, as if all that move had been in the urn of more hits all the time but for the
     !> passages before their present stay, and all passages would be whole: never less than there
-    !> were. What is left over of those that are not whole; what histories have told of them.
+    !> were. What is left over of those that are not whole; what event records have told of them.
     integer(int64) :: computed_hits = 0, reported_hits = 0
     real(wp) :: fraction = 0.0_wp
     !> How many move on, that is, are not parked.
@@ -376,7 +376,7 @@ contains
     total = self%number - self%moving
   end function trapped
 
-  !> The stays, those that tick, the numbers drawn ahead and the counts, through a stream.
+  !> The stays, those that tick, the numbers drawn ahead and the counts, through an archive.
   subroutine serialize_own_state(self, archive)
     class(reservoir_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

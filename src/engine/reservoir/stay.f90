@@ -292,7 +292,7 @@ contains
     place(3:) = [cos(angle), sin(angle)]
   end function drawn_in_urn
 
-  !> The stays, and when each has `entered` its urn, through a stream.
+  !> The stays, and when each has `entered` its urn, through an archive.
   subroutine serialize_stays(table, stay, entered, parked_x, archive)
     type(table_type), intent(in) :: table
     type(stay_type), intent(inout) :: stay(:)
@@ -322,7 +322,7 @@ contains
     end where
   end subroutine serialize_stays
 
-  !> The numbers drawn ahead, and the generator, through a stream.
+  !> The numbers drawn ahead, and the generator, through an archive.
   pure subroutine serialize_draws(draws, archive)
     type(draws_type), intent(inout) :: draws
     type(archive_type), intent(inout) :: archive

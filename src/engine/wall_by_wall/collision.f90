@@ -171,7 +171,7 @@ contains
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> The counts, the motions and when each has its event, through a stream.
+  !> The counts, the motions and when each has its event, through an archive.
   subroutine serialize_own_state(self, archive)
     class(collision_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

@@ -284,7 +284,7 @@ contains
     end do
   end subroutine renew_all
 
-  !> The counts and the rows, as they stand, through a stream.
+  !> The counts and the rows, as they stand, through an archive.
   subroutine serialize_own_state(self, archive)
     class(synchronous_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

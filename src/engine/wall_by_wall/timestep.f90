@@ -317,7 +317,7 @@ contains
     self%near_wall(i) = wait <= self%time_step
   end subroutine store_motion
 
-  !> The counts and the particles, through a stream.
+  !> The counts and the particles, through an archive.
   subroutine serialize_own_state(self, archive)
     class(timestep_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

@@ -1,8 +1,8 @@
 !> What the engines have in common in which a particle has an event at every wall.
 !>
 !> Such an engine knows when events happen; here is what they do to the gates, to the counts and to
-!> the history. It hands over the particle that has an event (`process_event`), goes on until no
-!> other event is due at that same instant, and only then are the gates asked whether they turn
+!> the event record. It hands over the particle that has an event (`process_event`), goes on until
+!> no other event is due at that same instant, and only then are the gates asked whether they turn
 !> (`end_instant`). Whatever the order in which the events of the instant came, that decides as the
 !> rule of `battery_gate` does.
 module battery_wall_by_wall
@@ -288,7 +288,7 @@ contains
     end do
   end function trapped
 
-  !> The counts, through a stream.
+  !> The counts, through an archive.
   subroutine serialize_counts(self, archive)
     class(wall_by_wall_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
