@@ -46,7 +46,7 @@ module battery_walkers
     !> How each walker will enter its next gate, or entered the one that counts it: when (huge: it
     !> never does), at which height, |u_x| and u_y, the time from end to end of the channel; and of
     !> which urn the gate is.
-    real(wp), allocatable :: time(:), y(:), along(:), across(:), through(:)
+    real(wp), allocatable :: time(:), y(:), u_axial(:), u_lateral(:), through(:)
     integer, allocatable :: urn(:)
     !> Visits by chamber (urns that are alike share one), those under way and those to follow.
     type(visits_type) :: visits(2, 2)
@@ -269,10 +269,10 @@ contains
   end subroutine leave_gate
 
   !> Adds to a batch one who entered a channel at `time`, so, and is in it for `passage`.
-  pure subroutine send(v, i, urn, channel, time, passage, y, along, across)
+  pure subroutine send(v, i, urn, channel, time, passage, y, u_axial, u_lateral)
     type(visits_type), intent(inout) :: v
     integer, intent(in) :: i, urn, channel
-    real(wp), intent(in) :: time, passage, y, along, across
+    real(wp), intent(in) :: time, passage, y, u_axial, u_lateral
 
     v%count = v%count + 1
     v%particle(v%count) = i
@@ -281,8 +281,8 @@ contains
     v%time(v%count) = time
     v%passage(v%count) = passage
     v%y(v%count) = y
-    v%u_axial(v%count) = along
-    v%u_lateral(v%count) = across
+    v%u_axial(v%count) = u_axial
+    v%u_lateral(v%count) = u_lateral
   end subroutine send
 
   !> All visits under way, and those that follow through channel 2, until everyone heads for a gate.
