@@ -181,7 +181,7 @@ class Fences:
             return self._module(words[2:], folder)
         if name in KNOWN or name == "python3":
             paths = [one for one in words[1:] if "/" in one]
-        elif (folder / name).exists():
+        elif (folder / name).exists() or not self._make([name]):
             paths = words[1:]
         else:
             return [f"there is no {name}"]
@@ -195,7 +195,7 @@ class Fences:
     def _make(self, words: list[str]) -> list[str]:
         makefile = (self.root / "Makefile").read_text()
         return [f"make has no {one}" for one in words
-                if "=" not in one and not re.search(rf"^{one}:", makefile, re.MULTILINE)]
+                if "=" not in one and not re.search(rf"^{re.escape(one)}:", makefile, re.MULTILINE)]
 
     def _module(self, words: list[str], folder: Path) -> list[str]:
         """Ask a module, or what it calls a subcommand, for its help: it must know the options."""
