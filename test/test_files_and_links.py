@@ -293,7 +293,7 @@ def test_names_that_nobody_means_are_refused(tmp_path: Path, key: str, name: str
 def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a run killed with some results and states, and the undisturbed results beside it."""
     folder = tmp_path_factory.mktemp("stopped")
-    write(folder, run={"collisions": 12_000_000}, limits={"checkpoint_minutes": 0.00005})
+    write(folder, run={"collisions": 50_000_000}, limits={"checkpoint_minutes": 0.0001})
     assert run("--quiet", "case.nml", folder=folder).returncode == 0
     (folder / "out.h5").rename(folder / "calm.h5")
     process = start("--quiet", "case.nml", folder=folder)

@@ -83,12 +83,12 @@ def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:
 
 def test_run_under_way_grows(tmp_path: Path) -> None:
     """A run that is stopped in the middle of tasks goes on with a larger namelist."""
-    longer = {"duration": 130_000}
+    longer = {"duration": 400_000}
     folder = tmp_path / "grown"
     write(folder, run=longer)
     process = start("case.nml", folder=folder)
     assert wait_for((folder / "out.h5.tasks/rank_0").exists, process)
-    time.sleep(0.03)
+    time.sleep(0.1)
     process.send_signal(signal.SIGTERM)
     assert finish(process).returncode == 3
     assert list((folder / "out.h5.tasks").glob("task_*"))
@@ -300,7 +300,7 @@ def test_there_is_no_room_for_replicas_that_nobody_asks_for(
     """Series and states are as large as those that are there, and read as if all had been kept."""
     kept = {"series_interval": 0.5, "snapshot_times": "0, 20", "final_state": ".true."}
     sizes = []
-    for allowed in (50, 1000):
+    for allowed in (50, 4000):
         folder = tmp_path / str(allowed)
         asked = {"chi_replica_error": 0.02, "largest_replicas": allowed}
         for error in (0.02, more) if more else (0.02,):

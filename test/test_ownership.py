@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
 #: So long that it is still at work when it is stopped or killed; or soon over.
-LONG, SHORT = 100_000_000_000, 4_000_000
+LONG, SHORT = 100_000_000_000, 20_000_000
 OWNER_ELSEWHERE = "elsewhere 4711 2026-11-21 12:00:00.000"
 
 

@@ -156,7 +156,7 @@ def test_tables_have_every_rung_and_average(tmp_path: Path) -> None:
     tables(Study(tmp_path), kept["rows"], kept["averages"])
     with (tmp_path / "rungs.csv").open() as file:
         rows = {row["rung"]: row for row in csv.DictReader(file)}
-    assert list(rows) == [line["name"] for line in kept["rows"]]
+    assert list(rows) == [ladder.label(line["name"]) for line in kept["rows"]]
     assert rows["timestep 0.01"]["transition T (bias)"] == "none from 14 to 18"
     assert "+-" in rows["excursion"]["chi, T = 7 (bias)"]
     assert len((tmp_path / "averages.csv").read_text().splitlines()) == 1 + len(kept["averages"])
