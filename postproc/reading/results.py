@@ -436,12 +436,26 @@ class Results:
             raise InputError(f"{self.path}: has {times.size} snapshots, there is no such one")
         self._check_task(point, replica)
         index %= times.size
-        self._need("snapshots", ("x", "y", "ux", "uy"))
-        group, count = self._file["snapshots"], int(self._file["number"][point])
-        state = [group[name][point, replica, index][:count] for name in ("x", "y", "ux", "uy")]
-        if not np.isfinite(state[0]).all():
-            raise InputError(f"{self.path}: the snapshot at time {times[index]:g} was not reached")
-        return Snapshot(float(times[index]), *(np.asarray(part, float) for part in state))
+        return self._snapshots(point, replica, slice(index, index + 1))[0]
+
+    def snapshots(self, point: int, replica: int) -> list[Snapshot]:
+        """Return all snapshots of a task; of a file with thousands, much sooner than one by one."""
+        self._check_task(point, replica)
+        return self._snapshots(point, replica, slice(None))
+
+    def _snapshots(self, point: int, replica: int, part: slice) -> list[Snapshot]:
+        names = ("x", "y", "ux", "uy")
+        self._need("snapshots", names)
+        times = self.snapshot_times()[part]
+        count = int(self._file["number"][point])
+        states = np.array(
+            [self._file[f"snapshots/{name}"][point, replica, part, :count] for name in names], float
+        )
+        reached = np.isfinite(states[0]).all(axis=1)
+        if not reached.all():
+            first = times[~reached][0]
+            raise InputError(f"{self.path}: the snapshot at time {first:g} was not reached")
+        return [Snapshot(float(time), *states[:, k]) for k, time in enumerate(times)]
 
     def events(self) -> dict[str, NDArray[np.float64]]:
         """Return the event log (time, kind, where, particle), empty if there is none."""
