@@ -118,11 +118,11 @@ contains
   end subroutine write_row
 
   !> Half of the distance from least to greatest, in per cent of the median, up to what is shown.
-  pure function percents(three) result(half)
+  pure function percents(three) result(percent)
     real(dp), intent(in) :: three(3)
-    real(dp) :: half
+    real(dp) :: percent
 
-    half = min(50.0_dp*(three(3) - three(1))/three(2), 99.9_dp)
+    percent = min(50.0_dp*(three(3) - three(1))/three(2), 99.9_dp)
   end function percents
 
   !> Least, median and greatest.

@@ -26,8 +26,8 @@ contains
     began = wall_seconds()
     call open_communicator(communicator)
     start_seconds = wall_seconds() - began
-    call one_round(communicator, items, communicator%size > 1, aside)
-    call one_round(communicator, items, .false., together)
+    call measure_round(communicator, items, communicator%size > 1, aside)
+    call measure_round(communicator, items, .false., together)
     if (communicator%rank == 0) then
       write (unit, '(a, i0, a, i0, a, f0.3, a)') '{"ranks": ', communicator%size, ', "tasks": ', &
         items, ', "start_seconds": ', start_seconds, ','
@@ -49,7 +49,7 @@ contains
   end subroutine bench_task_queue
 
   !> Tasks a second of all ranks together; mean and longest time of one operation, in seconds.
-  subroutine one_round(communicator, items, rank0_computes, found)
+  subroutine measure_round(communicator, items, rank0_computes, found)
     type(communicator_type), intent(in) :: communicator
     integer, intent(in) :: items
     logical, intent(in) :: rank0_computes
@@ -105,6 +105,6 @@ contains
       end do
     end subroutine drive_until_done
 
-  end subroutine one_round
+  end subroutine measure_round
 
 end module battery_bench_task_queue

@@ -10,8 +10,9 @@ module battery_probe
   use battery_engines, only: new_engine
   implicit none (type, external)
   private
-  public :: argument, real_argument, integer_argument, given, precision_name, paper_table, started
-  public :: run_for, list, say, stop_at, now_seconds
+  public :: argument, real_argument, integer_argument, rounded_to_bits, precision_name, &
+    paper_table, start_engine
+  public :: run_for, json_list, print_json_line, stop_at, now_seconds
 
 contains
 
@@ -49,14 +50,14 @@ contains
   end function integer_argument
 
   !> A length as a number of so many bits: the same in each precision that has them.
-  elemental function given(length, bits) result(rounded)
+  elemental function rounded_to_bits(length, bits) result(rounded)
     real(wp), intent(in) :: length
     integer, intent(in) :: bits
     real(wp) :: rounded
 
     rounded = real(real(length, dp), wp)
     if (bits < 24) rounded = real(real(length, real32), wp)
-  end function given
+  end function rounded_to_bits
 
   function precision_name() result(name)
     character(len=:), allocatable :: name
@@ -73,7 +74,7 @@ contains
   end function paper_table
 
   !> An engine started from a copy of the particles.
-  subroutine started(name, table, threshold, particles, step, engine, clock)
+  subroutine start_engine(name, table, threshold, particles, step, engine, clock)
     character(len=*), intent(in) :: name
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold
@@ -93,7 +94,7 @@ contains
     began = 0.0_wp
     if (present(clock)) began = clock
     call engine%start(table, threshold, given, began)
-  end subroutine started
+  end subroutine start_engine
 
   !> Goes on for `duration`; `event_record` is that of the last window.
   subroutine run_for(engine, duration, event_record)
@@ -110,7 +111,7 @@ contains
   end subroutine run_for
 
   !> Numbers as a JSON list.
-  function list(numbers) result(text)
+  function json_list(numbers) result(text)
     real(wp), intent(in) :: numbers(:)
     character(len=:), allocatable :: text, buffer
     character(len=48) :: word
@@ -125,29 +126,29 @@ contains
     do k = 1, size(numbers)
       write (word, layout) numbers(k)
       if (.not. abs(numbers(k)) <= huge(1.0_wp)) word = 'null'
-      if (k > 1) call put(',')
-      call put(trim(adjustl(word)))
+      if (k > 1) call append_text(',')
+      call append_text(trim(adjustl(word)))
     end do
-    call put(']')
+    call append_text(']')
     text = buffer(:at)
 
   contains
 
-    subroutine put(part)
+    subroutine append_text(part)
       character(len=*), intent(in) :: part
 
       buffer(at + 1:at + len(part)) = part
       at = at + len(part)
-    end subroutine put
+    end subroutine append_text
 
-  end function list
+  end function json_list
 
-  subroutine say(text)
+  subroutine print_json_line(text)
     character(len=*), intent(in) :: text
 
     write (output_unit, '(a)') text
     flush (output_unit)
-  end subroutine say
+  end subroutine print_json_line
 
   subroutine stop_at(message)
     character(len=*), intent(in) :: message

@@ -7,8 +7,8 @@ module battery_probe_events
   use battery_engine, only: engine_type, particles_type
   use battery_event_record, only: event_record_type
   use battery_initial_state, only: read_particles
-  use battery_probe, only: argument, real_argument, integer_argument, precision_name, started, &
-    list, say, stop_at
+  use battery_probe, only: argument, real_argument, integer_argument, precision_name, &
+    start_engine, json_list, print_json_line, stop_at
   implicit none (type, external)
   private
   public :: events_main
@@ -33,7 +33,7 @@ contains
       real_argument(5), real_argument(6), real_argument(7), real_argument(8), real_argument(9))
     call read_particles(argument(10), table, int(integer_argument(11)), particles, error)
     if (allocated(error)) call stop_at(error%message)
-    call started(argument(2), table, int(integer_argument(12)), particles, real_argument(3), &
+    call start_engine(argument(2), table, int(integer_argument(12)), particles, real_argument(3), &
       engine, real_argument(13))
     duration = real_argument(14)
     event_record%logging = .true.
@@ -49,12 +49,12 @@ contains
       elapsed = elapsed + event_record%duration
     end do
     call engine%particles(1, engine%number, found)
-    call say('{"precision": "'//precision_name()//'", "engine": "'//argument(2)//'", "trapped": ' &
-      //to_text(engine%trapped())//', "hits": '//to_text(engine%collisions())//', "time": ' &
-      //list(time)//', "kind": '//list(real(what(1, :), wp))//', "where": ' &
-      //list(real(what(2, :), wp))//', "particle": '//list(real(what(3, :), wp))//', "x": ' &
-      //list(found%x)//', "y": '//list(found%y)//', "ux": '//list(found%ux)//', "uy": ' &
-      //list(found%uy)//'}')
+    call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//argument(2) &
+      //'", "trapped": '//to_text(engine%trapped())//', "hits": '//to_text(engine%collisions()) &
+      //', "time": '//json_list(time)//', "kind": '//json_list(real(what(1, :), wp)) &
+      //', "where": '//json_list(real(what(2, :), wp))//', "particle": '//json_list(real(what(3, &
+      :), wp))//', "x": '//json_list(found%x)//', "y": '//json_list(found%y)//', "ux": ' &
+      //json_list(found%ux)//', "uy": '//json_list(found%uy)//'}')
   end subroutine events_main
 
 end module battery_probe_events

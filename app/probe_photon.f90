@@ -18,7 +18,7 @@ contains
 
   !> `photon ENGINE`: precision, hits, distance, its error.
   subroutine photon_main()
-    real(wp), parameter :: answer = 0.99526291944335416089031180942672_wp
+    real(wp), parameter :: published = 0.99526291944335416089031180942672_wp
     class(engine_type), allocatable :: engine
     type(error_type), allocatable :: error
     type(particles_type) :: photon
@@ -43,7 +43,7 @@ contains
     call engine%particles(1, 1, photon)
     distance = hypot(photon%x(1) - sign(table%urn(1)%periodic_line, photon%x(1)), photon%y(1))
     print '(a, 1x, i0, 1x, f0.32, 1x, es9.1)', precision_name(), engine%collisions(), distance, &
-      abs(distance - answer)
+      abs(distance - published)
   end subroutine photon_main
 
   !> A channel of width 6 and length 8 with mirrors where the photon could come to, and all lengths

@@ -13,7 +13,7 @@ module battery_probe_polygon
   use battery_polygon_walls, only: surely_next_side, reflect_from_side
   use battery_table, only: table_type, new_table, shape_circuit, urn_type
   use battery_urn, only: shape_polygon
-  use battery_probe, only: given, stop_at
+  use battery_probe, only: rounded_to_bits, stop_at
   implicit none (type, external)
   private
   public :: polygon_table, polygon_conditions, polygon_tolerance, least_room_beside_corners
@@ -40,7 +40,7 @@ contains
     if (status /= 0 .or. size(numbers) < 6 .or. modulo(size(numbers), 2) /= 0) &
       call stop_at('the urn is disc, or corners x1,y1,x2,y2,...')
     urn%shape = shape_polygon
-    urn%corner = reshape(given(numbers, bits), [2, size(numbers)/2])
+    urn%corner = reshape(rounded_to_bits(numbers, bits), [2, size(numbers)/2])
     table = new_table(shape_circuit, [urn, urn], [channel_type(width(gated), 1.0_wp), &
       channel_type(width(ungated), 1.0_wp)])
     if (.not. table%urn(1)%fits) call stop_at('where the axis leaves the urn it must be '// &
@@ -85,7 +85,7 @@ contains
       length = length + wait
       room = min(room, nearest_corner(polygon, place, next)/((length + polygon%reach) &
         *(1.0_wp + 2.0_wp*hits)))
-      if (abs(next(2)) < polygon%open_half(side)) return
+      if (abs(next(2)) < polygon%half_opening(side)) return
       place = next
       call reflect_from_side(polygon, side, place(1), place(2), velocity(1), velocity(2))
     end do

@@ -10,9 +10,9 @@ module battery_probe_stability
   use battery_event_record, only: event_record_type, event_entry
   use battery_engine, only: particles_type
   use battery_clocks, only: wall_seconds
-  use battery_probe, only: argument, real_argument, integer_argument, paper_table, started
-  use battery_probe_case, only: case_type, live, tell, crossings, alone, first_event, scattered, &
-    engine_name, step, most_seconds
+  use battery_probe, only: argument, real_argument, integer_argument, paper_table, start_engine
+  use battery_probe_case, only: case_type, run_case, print_case, crossings, one_particle_at, &
+    first_event_time, random_in_discs, engine_name, step, most_seconds
   implicit none (type, external)
   private
   public :: stability_main
@@ -49,9 +49,9 @@ contains
     centre = table%urn(1)%centre
     do k = 3, 12
       angle = 10.0_wp**(-k)
-      call live(one, 'whispering', angle, table, 10, alone(centre, 1.0_wp, &
+      call run_case(one, 'whispering', angle, table, 10, one_particle_at(centre, 1.0_wp, &
         -cos(angle), -sin(angle)), 3.0_wp, 0.5_wp/angle)
-      call tell(one, first_event(one))
+      call print_case(one, first_event_time(one))
     end do
   end subroutine whispering
 
@@ -62,7 +62,7 @@ contains
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: corner(2), from(2), off, worst
-    integer :: k, shot, side, wrong
+    integer :: k, shot, direction, wrong
     logical :: entered
 
     if (engine_name == 'reservoir') return
@@ -75,26 +75,26 @@ contains
       do k = 4, 60
         off = 0.5_wp**k
         if (k == 60) off = 0.0_wp
-        do side = -1, 1, 2
-          call live(one, 'corner', off, table, 10, alone(from(1), from(2), corner(1) - from(1), &
-            corner(2) + side*off - from(2)), 1.5_wp, 10.0_wp)
+        do direction = -1, 1, 2
+          call run_case(one, 'corner', off, table, 10, one_particle_at(from(1), from(2), corner(1) &
+            - from(1), corner(2) + direction*off - from(2)), 1.5_wp, 10.0_wp)
           entered = .false.
           if (one%events > 0) entered = one%kind(1) == event_entry
-          if (k < 60 .and. (entered .neqv. side < 0)) then
+          if (k < 60 .and. (entered .neqv. direction < 0)) then
             wrong = wrong + 1
             worst = max(worst, off)
           end if
-          if (k == 60 .and. shot == 10 .and. side == 1) then
+          if (k == 60 .and. shot == 10 .and. direction == 1) then
             one%name = 'corner exactly'
-            call tell(one, merge(1.0_wp, 0.0_wp, entered))
+            call print_case(one, merge(1.0_wp, 0.0_wp, entered))
           end if
         end do
       end do
     end do
     one%name = 'corner shots on the wrong side'
-    call tell(one, real(wrong, wp))
+    call print_case(one, real(wrong, wp))
     one%name = 'corner farthest wrong shot'
-    call tell(one, worst)
+    call print_case(one, worst)
   end subroutine corners
 
   !> Round and round through both channels: height after 100 time units.
@@ -111,9 +111,9 @@ contains
     do k = 3, 16
       slope = 10.0_wp**(-k)
       if (k == 16) slope = 0.0_wp
-      call live(one, 'along the axis', slope, table, 10, alone(centre, 0.0_wp, 1.0_wp, &
-        slope), 100.0_wp, 10.0_wp)
-      call tell(one, one%particles%y(1))
+      call run_case(one, 'along the axis', slope, table, 10, one_particle_at(centre, 0.0_wp, &
+        1.0_wp, slope), 100.0_wp, 10.0_wp)
+      call print_case(one, one%particles%y(1))
     end do
   end subroutine along_the_axis
 
@@ -130,9 +130,9 @@ contains
       if (k == 16) drift = 0.0_wp
       exact = 100.0_wp
       if (drift > 0.0_wp) exact = 0.25_wp*sqrt(1.0_wp + drift**2)/drift
-      call live(one, 'across a channel', drift, table, 10, alone(-0.25_wp, 0.0_wp, drift, 1.0_wp), &
-        1.001_wp*exact, 4.0_wp)
-      call tell(one, first_event(one)/exact - 1.0_wp)
+      call run_case(one, 'across a channel', drift, table, 10, one_particle_at(-0.25_wp, 0.0_wp, &
+        drift, 1.0_wp), 1.001_wp*exact, 4.0_wp)
+      call print_case(one, first_event_time(one)/exact - 1.0_wp)
     end do
   end subroutine across_a_channel
 
@@ -145,12 +145,12 @@ contains
     if (engine_name == 'reservoir') return
     table = paper_table(0.3_wp, 0.01_wp)
     centre = table%urn(1)%centre
-    call live(one, 'upright diameter', 0.0_wp, table, 10, alone(centre, 0.0_wp, 0.0_wp, &
-      1.0_wp), 2000.0_wp, 10.0_wp)
-    call tell(one, abs(one%particles%x(1) - centre))
-    call live(one, 'slanted diameter', 1.0_wp, table, 10, alone(centre, 0.0_wp, 0.6_wp, &
-      0.8_wp), 2000.0_wp, 10.0_wp)
-    call tell(one, abs(0.8_wp*(one%particles%x(1) - centre) - 0.6_wp*one%particles%y(1)))
+    call run_case(one, 'upright diameter', 0.0_wp, table, 10, one_particle_at(centre, 0.0_wp, &
+      0.0_wp, 1.0_wp), 2000.0_wp, 10.0_wp)
+    call print_case(one, abs(one%particles%x(1) - centre))
+    call run_case(one, 'slanted diameter', 1.0_wp, table, 10, one_particle_at(centre, 0.0_wp, &
+      0.6_wp, 0.8_wp), 2000.0_wp, 10.0_wp)
+    call print_case(one, abs(0.8_wp*(one%particles%x(1) - centre) - 0.6_wp*one%particles%y(1)))
   end subroutine diameter
 
   !> Four particles enter gate 2 at one time, two by two exactly; T = 0, 1, 2 and 3. In how many of
@@ -174,7 +174,8 @@ contains
         if (count(order == 4) /= 1) cycle
         particles = particles_type(spread(1.0_wp, 1, 4), heights(order), spread(-1.0_wp, 1, 4), &
           spread(0.0_wp, 1, 4))
-        call live(one, 'ties', real(threshold, wp), table, threshold, particles, 1.75_wp, 10.0_wp)
+        call run_case(one, 'ties', real(threshold, wp), table, threshold, particles, 1.75_wp, &
+          10.0_wp)
         if (untried) then
           first = one
           first_order = order
@@ -182,7 +183,7 @@ contains
         untried = .false.
         if (.not. same_fates(one, order, first, first_order)) differ = differ + 1
       end do
-      call tell(one, real(differ, wp))
+      call print_case(one, real(differ, wp))
     end do
   end subroutine ties
 
@@ -230,10 +231,10 @@ contains
     integer :: first
 
     table = paper_table(width1, width2)
-    particles = scattered(table, number)
+    particles = random_in_discs(table, number)
     first = count(particles%x < 0.0_wp)
-    call live(one, name, 0.0_wp, table, threshold, particles, 300.0_wp, 2.0_wp*number)
-    call tell(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
+    call run_case(one, name, 0.0_wp, table, threshold, particles, 300.0_wp, 2.0_wp*number)
+    call print_case(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
       - one%crossings(2)), wp))
   end subroutine extreme
 
@@ -246,14 +247,15 @@ contains
     real(wp) :: apart
 
     table = paper_table(0.3_wp, 0.01_wp)
-    particles = scattered(table, 50)
+    particles = random_in_discs(table, 50)
     ! Both to the end, or there is nothing to compare.
     most_seconds = 60.0_dp*most_seconds
-    call live(early, 'clock at 1e12', 0.0_wp, table, 3, particles, 50.0_wp, 100.0_wp)
-    call live(late, 'clock at 1e12', 1.0e12_wp, table, 3, particles, 50.0_wp, 100.0_wp, 1.0e12_wp)
+    call run_case(early, 'clock at 1e12', 0.0_wp, table, 3, particles, 50.0_wp, 100.0_wp)
+    call run_case(late, 'clock at 1e12', 1.0e12_wp, table, 3, particles, 50.0_wp, 100.0_wp, &
+      1.0e12_wp)
     apart = -1.0_wp
     if (early%events == late%events) apart = maxval(abs(early%time - late%time))
-    call tell(late, apart)
+    call print_case(late, apart)
     most_seconds = most_seconds/60.0_dp
   end subroutine late_clock
 
@@ -265,31 +267,31 @@ contains
     type(table_type) :: table
     type(particles_type) :: particles
     type(event_record_type) :: event_record
-    integer(int64) :: known
+    integer(int64) :: collisions_so_far
     real(dp) :: began
     integer :: first
 
     table = paper_table(0.3_wp, 0.01_wp)
-    particles = scattered(table, 1000)
+    particles = random_in_discs(table, 1000)
     first = count(particles%x < 0.0_wp)
     one%name = 'long run'
     one%parameter = real(collisions, wp)
     one%table = table
     one%number = 1000
-    call started(engine_name, table, 7, particles, step, one%engine)
-    known = 0
+    call start_engine(engine_name, table, 7, particles, step, one%engine)
+    collisions_so_far = 0
     began = wall_seconds()
-    do while (known < collisions)
+    do while (collisions_so_far < collisions)
       call one%engine%advance(huge(1.0_wp), event_record)
-      known = known + event_record%collisions
+      collisions_so_far = collisions_so_far + event_record%collisions
       one%reached = one%reached + event_record%duration
       one%crossings = one%crossings + [crossings(event_record, 1), crossings(event_record, 0)]
     end do
     one%seconds = wall_seconds() - began
     call one%engine%particles(1, 1000, one%particles)
-    call tell(one, beyond(table, one%particles))
+    call print_case(one, beyond(table, one%particles))
     one%name = 'long run, count of half 1'
-    call tell(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
+    call print_case(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
       - one%crossings(2)), wp))
   end subroutine long_run
 

@@ -9,7 +9,7 @@ module battery_probe_trajectory
   use battery_event_record, only: event_record_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    started, run_for, list, say, stop_at, now_seconds
+    start_engine, run_for, json_list, print_json_line, stop_at, now_seconds
   implicit none (type, external)
   private
   public :: trajectory_main, reversal_main
@@ -49,7 +49,7 @@ contains
 
     call read_case(one, 7)
     one%threshold = int(integer_argument(6))
-    call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+    call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
     event_record%logging = .true.
     allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
     elapsed = 0.0_wp
@@ -58,23 +58,23 @@ contains
       began = now_seconds()
       do while (one%times(k) - elapsed > 4.0_wp*epsilon(1.0_wp)*one%times(k))
         call engine%advance(one%times(k) - elapsed, event_record)
-        call append(log, event_record, elapsed)
+        call append_events(log, event_record, elapsed)
         elapsed = elapsed + event_record%duration
       end do
       spent = spent + (now_seconds() - began)
       call engine%particles(1, engine%number, found)
-      call say('{"time": '//to_text(real(one%times(k), dp))//', "x": '//list(found%x)//', "y": ' &
-        //list(found%y)//'}')
+      call print_json_line('{"time": '//to_text(real(one%times(k), dp))//', "x": ' &
+        //json_list(found%x)//', "y": '//json_list(found%y)//'}')
     end do
     spent = spent/(elapsed*engine%number)
-    if (spent*elapsed*engine%number < least_seconds) spent = cost(one)
-    call say('{"precision": "'//precision_name()//'", "engine": "'//one%engine//'", "step": ' &
-      //to_text(real(one%step, dp))//', "threshold": '//to_text(one%threshold) &
+    if (spent*elapsed*engine%number < least_seconds) spent = seconds_per_particle_time(one)
+    call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//one%engine &
+      //'", "step": '//to_text(real(one%step, dp))//', "threshold": '//to_text(one%threshold) &
       //', "seconds_per_particle_time": '//to_text(spent)//', "trapped": ' &
       //to_text(engine%trapped())//'}')
-    call say('{"event_time": '//list(log%time)//', "kind": '//list(real(log%kind, wp)) &
-      //', "where": '//list(real(log%where, wp))//', "particle": '//list(real(log%particle, wp)) &
-      //'}')
+    call print_json_line('{"event_time": '//json_list(log%time)//', "kind": ' &
+      //json_list(real(log%kind, wp))//', "where": '//json_list(real(log%where, wp)) &
+      //', "particle": '//json_list(real(log%particle, wp))//'}')
   end subroutine trajectory_main
 
   !> `reversal ENGINE STEP FILE NUMBER TIME ...`: for each time, the distance of each particle of
@@ -89,17 +89,17 @@ contains
     call read_case(one, 6)
     one%threshold = size(one%particles%x)
     do k = 1, size(one%times)
-      call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+      call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
       call run_for(engine, one%times(k), event_record)
       call engine%particles(1, engine%number, found)
       found%ux = -found%ux
       found%uy = -found%uy
-      call started(one%engine, one%table, one%threshold, found, one%step, engine)
+      call start_engine(one%engine, one%table, one%threshold, found, one%step, engine)
       call run_for(engine, one%times(k), event_record)
       call engine%particles(1, engine%number, found)
-      call say('{"precision": "'//precision_name()//'", "engine": "'//one%engine//'", "time": ' &
-        //to_text(real(one%times(k), dp))//', "error": '//list(hypot(found%x - one%particles%x, &
-        found%y - one%particles%y))//'}')
+      call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//one%engine &
+        //'", "time": '//to_text(real(one%times(k), dp))//', "error": '//json_list(hypot(found%x &
+        - one%particles%x, found%y - one%particles%y))//'}')
     end do
   end subroutine reversal_main
 
@@ -119,7 +119,7 @@ contains
   end subroutine read_case
 
   !> Processor seconds per particle and time unit.
-  function cost(one) result(seconds)
+  function seconds_per_particle_time(one) result(seconds)
     type(case_type), intent(in) :: one
     real(dp) :: seconds
     class(engine_type), allocatable :: engine
@@ -129,7 +129,7 @@ contains
     spent = 0.0_dp
     time = 0.0_dp
     do
-      call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+      call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
       began = now_seconds()
       call run_for(engine, one%times(size(one%times)), event_record)
       spent = spent + (now_seconds() - began)
@@ -137,9 +137,9 @@ contains
       if (spent > least_seconds) exit
     end do
     seconds = spent/(time*size(one%particles%x))
-  end function cost
+  end function seconds_per_particle_time
 
-  subroutine append(log, event_record, since)
+  subroutine append_events(log, event_record, since)
     type(log_type), intent(inout) :: log
     type(event_record_type), intent(in) :: event_record
     real(wp), intent(in) :: since
@@ -151,6 +151,6 @@ contains
     log%kind = [log%kind, int(event_record%event_kind(:n))]
     log%where = [log%where, int(event_record%event_where(:n))]
     log%particle = [log%particle, int(event_record%event_particle(:n))]
-  end subroutine append
+  end subroutine append_events
 
 end module battery_probe_trajectory

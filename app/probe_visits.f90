@@ -16,8 +16,8 @@ module battery_probe_visits
   use battery_random, only: hashed_uniform
   use battery_urn, only: compute_visits, shape_polygon
   use battery_visits, only: visits_type, reserve_visits
-  use battery_probe, only: argument, real_argument, integer_argument, given, precision_name, &
-    paper_table, say, stop_at, now_seconds
+  use battery_probe, only: argument, real_argument, integer_argument, rounded_to_bits, &
+    precision_name, paper_table, print_json_line, stop_at, now_seconds
   use battery_probe_polygon, only: polygon_table, polygon_conditions, polygon_tolerance, &
     least_room_beside_corners
   implicit none (type, external)
@@ -62,7 +62,7 @@ contains
     logical :: comparing
 
     bits = int(integer_argument(6))
-    width = [given(real_argument(3), bits), given(real_argument(4), bits)]
+    width = [rounded_to_bits(real_argument(3), bits), rounded_to_bits(real_argument(4), bits)]
     if (argument(2) == 'disc') then
       table = paper_table(width(1), width(2))
     else
@@ -79,21 +79,21 @@ contains
       n = int(min(int(chunk, int64), count - first))
       allocate (mine(numbers, n), other(numbers, n))
       began = now_seconds()
-      call visit(table, first, n, bits, mine)
+      call compute_drawn_visits(table, first, n, bits, mine)
       spent = spent + (now_seconds() - began)
       write (file) mine
       if (comparing) then
         read (other_file) other
-        call compare(table, first, bits, unit_error, mine, other, finding)
+        call compare_visits(table, first, bits, unit_error, mine, other, finding)
       end if
       deallocate (mine, other)
     end do
     close (file)
-    call tell(finding, count, bits, table, spent, comparing)
+    call print_finding(finding, count, bits, table, spent, comparing)
   end subroutine visits_main
 
   !> The visits `first` + 1 ... `first` + n.
-  subroutine visit(table, first, n, bits, found)
+  subroutine compute_drawn_visits(table, first, n, bits, found)
     type(table_type), intent(in) :: table
     integer(int64), intent(in) :: first
     integer, intent(in) :: n, bits
@@ -109,18 +109,18 @@ contains
       visits%time(j) = 0.0_wp
       visits%passage(j) = 0.0_wp
       visits%hits(j) = 0.0_wp
-      call way_in(table, first + j, bits, visits%channel(j), visits%x(j), visits%y(j), &
+      call draw_entrance(table, first + j, bits, visits%channel(j), visits%x(j), visits%y(j), &
         visits%u_axial(j), visits%u_lateral(j))
     end do
     call compute_visits(table%urn(1), visits)
     do j = 1, n
-      found(:, j) = real([opening(visits%channel(j)), visits%y(j), &
+      found(:, j) = real([opening_sign(visits%channel(j)), visits%y(j), &
         visits%u_axial(j), visits%u_lateral(j), visits%length(j), visits%hits(j)], dp)
     end do
-  end subroutine visit
+  end subroutine compute_drawn_visits
 
   !> How visit number `k` begins, in the frame of the urn.
-  subroutine way_in(table, k, bits, channel, x, y, ux, uy)
+  subroutine draw_entrance(table, k, bits, channel, x, y, ux, uy)
     type(table_type), intent(in) :: table
     integer(int64), intent(in) :: k
     integer, intent(in) :: bits
@@ -130,35 +130,35 @@ contains
 
     width1 = table%channel(1)%width
     width2 = table%channel(2)%width
-    place = (width1 + width2)*drawn(k, 1_int64, bits)
-    sine = 2.0_wp*drawn(k, 2_int64, bits) - 1.0_wp
+    place = (width1 + width2)*drawn_number(k, 1_int64, bits)
+    sine = 2.0_wp*drawn_number(k, 2_int64, bits) - 1.0_wp
     channel = merge(gated, ungated, place < width1)
     y = merge(place - 0.5_wp*width1, place - width1 - 0.5_wp*width2, place < width1)
     x = merge(table%urn(1)%chord(1), -table%urn(1)%chord(2), place < width1)
     ux = merge(-1.0_wp, 1.0_wp, place < width1)*sqrt((1.0_wp - sine)*(1.0_wp + sine))
     uy = sine
-  end subroutine way_in
+  end subroutine draw_entrance
 
   !> What the file says of where a visit ended.
-  elemental function opening(channel) result(sign)
+  elemental function opening_sign(channel) result(sign)
     integer(int64), intent(in) :: channel
     real(wp) :: sign
 
     sign = merge(1.0_wp, -1.0_wp, channel == gated)
     if (channel /= gated .and. channel /= ungated) sign = 0.0_wp
-  end function opening
+  end function opening_sign
 
   !> A number in (0, 1) of so many bits: the same in each precision that has them.
-  elemental function drawn(visit, what, bits) result(number)
+  elemental function drawn_number(visit, what, bits) result(number)
     integer(int64), intent(in) :: visit, what
     integer, intent(in) :: bits
     real(wp) :: number
 
     number = (aint(hashed_uniform(visit, what)*2.0_wp**bits) + 0.5_wp)*0.5_wp**bits
-  end function drawn
+  end function drawn_number
 
   !> How far `other` is from `mine`, the reference.
-  subroutine compare(table, first, bits, unit_error, mine, other, finding)
+  subroutine compare_visits(table, first, bits, unit_error, mine, other, finding)
     type(table_type), intent(in) :: table
     !> The number of the visit before them; bits of their ways in.
     integer(int64), intent(in) :: first
@@ -199,7 +199,7 @@ contains
         end if
       end if
     end do
-  end subroutine compare
+  end subroutine compare_visits
 
   !> Condition of the place, the direction and the length of a visit.
   function conditions(table, visit) result(k)
@@ -238,7 +238,7 @@ contains
     integer(int64) :: channel
 
     if (table%urn(1)%shape == shape_polygon) then
-      call way_in(table, number, bits, channel, x, y, ux, uy)
+      call draw_entrance(table, number, bits, channel, x, y, ux, uy)
       room = least_room_beside_corners(table%urn(1)%polygon, x, y, ux, uy, nint(mine(6)))
       return
     end if
@@ -249,7 +249,7 @@ contains
       - abs(first(2)))/k(1)
   end function least_room
 
-  subroutine tell(finding, count, bits, table, spent, comparing)
+  subroutine print_finding(finding, count, bits, table, spent, comparing)
     type(finding_type), intent(in) :: finding
     integer(int64), intent(in) :: count
     integer, intent(in) :: bits
@@ -278,7 +278,7 @@ contains
       end do
       text = text//']'
     end if
-    call say(text//'}')
-  end subroutine tell
+    call print_json_line(text//'}')
+  end subroutine print_finding
 
 end module battery_probe_visits

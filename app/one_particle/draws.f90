@@ -4,7 +4,7 @@ module battery_draws
   use battery_random, only: random_type, new_random, draw_uniform
   implicit none (type, external)
   private
-  public :: draws_type, new_draws, next
+  public :: draws_type, new_draws, next_uniform
 
   !> So many are drawn at a time.
   integer, parameter :: drawn_together = 4096
@@ -29,7 +29,7 @@ contains
   end function new_draws
 
   !> A number uniform in (0, 1).
-  function next(draws) result(number)
+  function next_uniform(draws) result(number)
     type(draws_type), intent(inout) :: draws
     real(wp) :: number
 
@@ -39,6 +39,6 @@ contains
     end if
     draws%used = draws%used + 1
     number = draws%number(draws%used)
-  end function next
+  end function next_uniform
 
 end module battery_draws

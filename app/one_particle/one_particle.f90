@@ -18,8 +18,8 @@ program one_particle
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit
   use battery_engine, only: particles_type
   use battery_initial_state, only: random_particles
-  use battery_walkers, only: walkers_type, new_walkers, walk_until
-  use battery_tally, only: entry_rate, crossing_rate, turned_rate, half2_mean, fuller_mean, &
+  use battery_walkers, only: walkers_type, new_walkers, advance_walkers
+  use battery_tally, only: entry_rate, crossing_rate, reversed_rate, half2_mean, fuller_mean, &
     polarised_current
   implicit none (type, external)
   integer :: number, threshold(2), copies, status
@@ -33,9 +33,9 @@ program one_particle
     read (input_unit, *, iostat=status) number, threshold, radius, width1, length1, width2, &
       length2, share, copies, transient, duration, seed, well_mixed
     if (status /= 0) exit
-    call live()
+    call run_walkers()
     write (output_unit, '(11es24.16)') half2_mean(walkers%tally), crossing_rate(walkers%tally), &
-      entry_rate(walkers%tally), turned_rate(walkers%tally), fuller_mean(walkers%tally, number), &
+      entry_rate(walkers%tally), reversed_rate(walkers%tally), fuller_mean(walkers%tally, number), &
       polarised_current(walkers%tally, number)
     flush (output_unit)
   end do
@@ -43,7 +43,7 @@ program one_particle
 contains
 
   !> One batch of walkers, from the start to the end.
-  subroutine live()
+  subroutine run_walkers()
     type(table_type) :: table
     type(particles_type) :: particles
     type(error_type), allocatable :: error
@@ -55,7 +55,7 @@ contains
     if (allocated(error)) error stop error%message
     call new_walkers(walkers, table, threshold, copies, particles, seed, well_mixed, transient, &
       transient + duration)
-    call walk_until(walkers, transient + duration)
-  end subroutine live
+    call advance_walkers(walkers, transient + duration)
+  end subroutine run_walkers
 
 end program one_particle

@@ -6,8 +6,8 @@ module battery_tally
   use battery_table, only: ungated
   implicit none (type, external)
   private
-  public :: tally_type, new_tally, add_entry, add_turned, add_crossing
-  public :: entry_rate, turned_rate, crossing_rate, half2_mean, fuller_mean, polarised_current
+  public :: tally_type, new_tally, add_entry, add_reversed, add_crossing
+  public :: entry_rate, reversed_rate, crossing_rate, half2_mean, fuller_mean, polarised_current
 
   !> Length of a block of time, about.
   real(wp), parameter :: about = 100.0_wp
@@ -19,7 +19,7 @@ module battery_tally
     real(wp) :: from = 0.0_wp, to = 0.0_wp
     integer :: copies = 1
     !> Entries and turned back by gate, crossings by (side they come from, channel).
-    integer(int64) :: entries(2) = 0, turned(2) = 0, crossings(2, 2) = 0
+    integer(int64) :: entries(2) = 0, reversed(2) = 0, crossings(2, 2) = 0
     !> Integral of the number in half 2.
     real(wp) :: half2_sum = 0.0_wp
     !> How many start in half 2, and how long a block is.
@@ -54,32 +54,32 @@ contains
   end function new_tally
 
   !> One enters the gate of an urn.
-  pure subroutine add_entry(tally, side, time)
+  pure subroutine add_entry(tally, urn, time)
     type(tally_type), intent(inout) :: tally
     !> 1 or 2.
-    integer, intent(in) :: side
+    integer, intent(in) :: urn
     !> Since the start.
     real(wp), intent(in) :: time
 
-    if (seen(tally, time)) tally%entries(side) = tally%entries(side) + 1
+    if (is_measured(tally, time)) tally%entries(urn) = tally%entries(urn) + 1
   end subroutine add_entry
 
   !> The gate of an urn turns back so many.
-  pure subroutine add_turned(tally, side, time, number)
+  pure subroutine add_reversed(tally, urn, time, number)
     type(tally_type), intent(inout) :: tally
     !> 1 or 2; how many.
-    integer, intent(in) :: side, number
+    integer, intent(in) :: urn, number
     !> Since the start.
     real(wp), intent(in) :: time
 
-    if (seen(tally, time)) tally%turned(side) = tally%turned(side) + number
-  end subroutine add_turned
+    if (is_measured(tally, time)) tally%reversed(urn) = tally%reversed(urn) + number
+  end subroutine add_reversed
 
   !> One crosses the line of a channel.
-  pure subroutine add_crossing(tally, side, channel, time)
+  pure subroutine add_crossing(tally, urn, channel, time)
     type(tally_type), intent(inout) :: tally
     !> The side it comes from, 1 or 2; `gated` or `ungated`.
-    integer, intent(in) :: side, channel
+    integer, intent(in) :: urn, channel
     !> Since the start; it may lie ahead.
     real(wp), intent(in) :: time
     real(wp) :: at, rest
@@ -87,25 +87,25 @@ contains
 
     at = min(max(time, tally%from), tally%to)
     rest = tally%to - at
-    tally%half2_sum = tally%half2_sum + merge(rest, -rest, side == 1)
-    gain = merge(1, -1, side == 1)
+    tally%half2_sum = tally%half2_sum + merge(rest, -rest, urn == 1)
+    gain = merge(1, -1, urn == 1)
     k = min(int((at - tally%from)/tally%block) + 1, size(tally%change))
     tally%change(k) = tally%change(k) + gain
     rest = tally%from + real(k, wp)*tally%block - at
     tally%changed(k) = tally%changed(k) + real(gain, wp)*rest
-    if (.not. seen(tally, time)) return
-    tally%crossings(side, channel) = tally%crossings(side, channel) + 1
+    if (.not. is_measured(tally, time)) return
+    tally%crossings(urn, channel) = tally%crossings(urn, channel) + 1
     if (channel == ungated) tally%returned(k) = tally%returned(k) - gain
   end subroutine add_crossing
 
   !> Whether what happens then is measured.
-  pure function seen(tally, time)
+  pure function is_measured(tally, time)
     type(tally_type), intent(in) :: tally
     real(wp), intent(in) :: time
-    logical :: seen
+    logical :: is_measured
 
-    seen = time > tally%from .and. time <= tally%to
-  end function seen
+    is_measured = time > tally%from .and. time <= tally%to
+  end function is_measured
 
   !> Entries into the gate of each urn, per unit time and copy.
   pure function entry_rate(tally) result(rate)
@@ -116,12 +116,12 @@ contains
   end function entry_rate
 
   !> Walkers that each gate turned back, per unit time and copy.
-  pure function turned_rate(tally) result(rate)
+  pure function reversed_rate(tally) result(rate)
     type(tally_type), intent(in) :: tally
     real(wp) :: rate(2)
 
-    rate = real(tally%turned, wp)/measured_time(tally)
-  end function turned_rate
+    rate = real(tally%reversed, wp)/measured_time(tally)
+  end function reversed_rate
 
   !> Crossings by (side they come from, channel), per unit time and copy.
   pure function crossing_rate(tally) result(rate)

@@ -17,7 +17,7 @@
 !> entries, and its length, beyond the shortest way between gates, is exponential about the mean.
 module battery_walkers
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: table_type, gated, ungated, side_at, x_direction, are_mirror_images, &
+  use battery_table, only: table_type, gated, ungated, urn_at, x_direction, are_mirror_images, &
     mean_visit, shortest_excursion
   use battery_engine, only: particles_type
   use battery_chamber, only: cross_channels
@@ -25,11 +25,11 @@ module battery_walkers
   use battery_visits, only: visits_type, reserve_visits, no_channel
   use battery_gate, only: gate_type, new_gate, enter_gate, must_reverse, uncount_first, &
     uncount_all, number_inside, counted_particle, next_crossing_time
-  use battery_tally, only: tally_type, new_tally, add_entry, add_turned, add_crossing
-  use battery_draws, only: draws_type, new_draws, next
+  use battery_tally, only: tally_type, new_tally, add_entry, add_reversed, add_crossing
+  use battery_draws, only: draws_type, new_draws, next_uniform
   implicit none (type, external)
   private
-  public :: walkers_type, new_walkers, walk_until
+  public :: walkers_type, new_walkers, advance_walkers
 
   !> Walkers that enter gates in one window, at most about.
   integer, parameter :: batch = 4096
@@ -77,7 +77,7 @@ contains
     logical, intent(in) :: well_mixed
     !> What is measured happens after `from`, up to `to`: times since the start.
     real(wp), intent(in) :: from, to
-    integer :: number, side, copy
+    integer :: number, urn, copy
 
     number = size(particles%x)
     walkers%table = table
@@ -87,10 +87,10 @@ contains
     walkers%chambers = merge(1, 2, are_mirror_images(table%urn))
     walkers%shortest = shortest_excursion(table)
     allocate (walkers%gate(copies, 2))
-    do side = 1, 2
-      walkers%mean(side) = mean_visit(table%urn(side))
+    do urn = 1, 2
+      walkers%mean(urn) = mean_visit(table%urn(urn))
       do copy = 1, copies
-        call new_gate(walkers%gate(copy, side), threshold(side))
+        call new_gate(walkers%gate(copy, urn), threshold(urn))
       end do
     end do
     walkers%window = min(walkers%shortest, real(batch, wp)*minval(walkers%mean)/real(number, wp))
@@ -99,60 +99,60 @@ contains
       walkers%u_lateral(number), walkers%through(number), source=0.0_wp)
     allocate (walkers%urn(number), walkers%who(number), source=0)
     allocate (walkers%first(2*copies + 1), source=0)
-    call start(walkers, particles)
+    call begin_first_visits(walkers, particles)
   end subroutine new_walkers
 
   !> The first visits, from within the urns.
-  subroutine start(walkers, particles)
+  subroutine begin_first_visits(walkers, particles)
     type(walkers_type), intent(inout) :: walkers
     type(particles_type), intent(in) :: particles
-    integer :: i, side
+    integer :: i, urn
 
-    call reserve(walkers, 1, size(particles%x))
+    call reserve_batch(walkers, 1, size(particles%x))
     do i = 1, size(particles%x)
-      side = side_at(walkers%table, particles%x(i))
-      associate (v => walkers%visits(min(side, walkers%chambers), 1))
+      urn = urn_at(walkers%table, particles%x(i))
+      associate (v => walkers%visits(min(urn, walkers%chambers), 1))
         v%count = v%count + 1
         v%particle(v%count) = i
-        v%urn(v%count) = side
+        v%urn(v%count) = urn
         v%time(v%count) = 0.0_wp
         v%hits(v%count) = 0.0_wp
-        v%x(v%count) = walkers%table%urn(side)%centre - abs(particles%x(i))
+        v%x(v%count) = walkers%table%urn(urn)%centre - abs(particles%x(i))
         v%y(v%count) = particles%y(i)
-        v%u_axial(v%count) = -x_direction(side)*particles%ux(i)
+        v%u_axial(v%count) = -x_direction(urn)*particles%ux(i)
         v%u_lateral(v%count) = particles%uy(i)
       end associate
     end do
     walkers%under_way = 1
-    call finish(walkers)
-    call fly(walkers)
-  end subroutine start
+    call compute_visits_under_way(walkers)
+    call complete_visits(walkers)
+  end subroutine begin_first_visits
 
   !> Goes on until a time since the start.
-  subroutine walk_until(walkers, time)
+  subroutine advance_walkers(walkers, time)
     type(walkers_type), intent(inout) :: walkers
     !> Later than where they are, or nothing happens.
     real(wp), intent(in) :: time
     real(wp) :: ends
-    integer :: side, copy, bucket
+    integer :: urn, copy, bucket
 
     do while (walkers%now < time)
       ends = min(time, walkers%now + walkers%window)
       call find_entrants(walkers, ends)
       ! At most those who enter and those who are in the gates begin a visit.
-      call reserve(walkers, walkers%under_way, walkers%first(2*walkers%copies + 1) &
+      call reserve_batch(walkers, walkers%under_way, walkers%first(2*walkers%copies + 1) &
         + sum(number_inside(walkers%gate)))
-      do side = 1, 2
+      do urn = 1, 2
         do copy = 1, walkers%copies
-          bucket = (side - 1)*walkers%copies + copy
-          call pass_gate(walkers, side, copy, walkers%who(walkers%first(bucket) &
+          bucket = (urn - 1)*walkers%copies + copy
+          call run_gate(walkers, urn, copy, walkers%who(walkers%first(bucket) &
             + 1:walkers%first(bucket + 1)), ends)
         end do
       end do
       walkers%now = ends
-      call fly(walkers)
+      call complete_visits(walkers)
     end do
-  end subroutine walk_until
+  end subroutine advance_walkers
 
   !> Those who enter a gate before `ends`, in the copies that chance gives them: the places of a
   !> gate in `who` follow `first`.
@@ -171,7 +171,8 @@ contains
     walkers%first = 0
     do k = 1, found
       bucket(k) = (walkers%urn(due(k)) - 1)*walkers%copies + 1
-      if (walkers%copies > 1) bucket(k) = bucket(k) + int(next(walkers%draws)*walkers%copies)
+      if (walkers%copies > 1) bucket(k) = bucket(k) &
+        + int(next_uniform(walkers%draws)*walkers%copies)
       walkers%first(bucket(k) + 1) = walkers%first(bucket(k) + 1) + 1
     end do
     do k = 2, size(walkers%first)
@@ -187,30 +188,30 @@ contains
   end subroutine find_entrants
 
   !> One copy of a gate until `ends`: who enters, in the order of time, who crosses, who turns back.
-  subroutine pass_gate(walkers, side, copy, who, ends)
+  subroutine run_gate(walkers, urn, copy, who, ends)
     type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: side, copy
+    integer, intent(in) :: urn, copy
     integer, intent(inout) :: who(:)
     real(wp), intent(in) :: ends
     real(wp) :: time
     integer :: k
 
     call sort_by_time(who, walkers%time)
-    associate (gate => walkers%gate(copy, side))
+    associate (gate => walkers%gate(copy, urn))
       do k = 1, size(who)
         time = walkers%time(who(k))
         do while (next_crossing_time(gate) <= time)
-          call cross_middle(walkers, side, gate)
+          call cross_middle_line(walkers, urn, gate)
         end do
         call enter_gate(gate, time + 0.5_wp*walkers%through(who(k)), who(k))
-        call add_entry(walkers%tally, side, time)
-        if (must_reverse(gate)) call turn(walkers, side, gate, time)
+        call add_entry(walkers%tally, urn, time)
+        if (must_reverse(gate)) call reverse_gate(walkers, urn, gate, time)
       end do
       do while (next_crossing_time(gate) < ends)
-        call cross_middle(walkers, side, gate)
+        call cross_middle_line(walkers, urn, gate)
       end do
     end associate
-  end subroutine pass_gate
+  end subroutine run_gate
 
   !> Puts those who enter a gate into the order of time: few, so by insertion.
   pure subroutine sort_by_time(who, time)
@@ -229,47 +230,47 @@ contains
   end subroutine sort_by_time
 
   !> The first of those counted goes on to the other urn.
-  subroutine cross_middle(walkers, side, gate)
+  subroutine cross_middle_line(walkers, urn, gate)
     type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: side
+    integer, intent(in) :: urn
     type(gate_type), intent(inout) :: gate
     integer :: i
 
     call uncount_first(gate, i)
-    call add_crossing(walkers%tally, side, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
-    call leave_gate(walkers, i, walkers%table%beyond(side), walkers%through(i))
-  end subroutine cross_middle
+    call add_crossing(walkers%tally, urn, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
+    call begin_visit_from_gate(walkers, i, walkers%table%beyond(urn), walkers%through(i))
+  end subroutine cross_middle_line
 
   !> A gate turns all those counted back: each is as long on its way out as it was on its way in.
-  subroutine turn(walkers, side, gate, time)
+  subroutine reverse_gate(walkers, urn, gate, time)
     type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: side
+    integer, intent(in) :: urn
     type(gate_type), intent(inout) :: gate
     real(wp), intent(in) :: time
     integer :: k
 
     do k = 1, number_inside(gate)
       associate (i => counted_particle(gate, k))
-        call leave_gate(walkers, i, side, 2.0_wp*(time - walkers%time(i)))
+        call begin_visit_from_gate(walkers, i, urn, 2.0_wp*(time - walkers%time(i)))
       end associate
     end do
-    call add_turned(walkers%tally, side, time, number_inside(gate))
+    call add_reversed(walkers%tally, urn, time, number_inside(gate))
     call uncount_all(gate)
-  end subroutine turn
+  end subroutine reverse_gate
 
   !> Out of channel 1 into an urn, `passage` after it entered the channel.
-  pure subroutine leave_gate(walkers, i, urn, passage)
+  pure subroutine begin_visit_from_gate(walkers, i, urn, passage)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: i, urn
     real(wp), intent(in) :: passage
 
-    call send(walkers%visits(min(urn, walkers%chambers), walkers%under_way), i, urn, gated, &
+    call add_visit(walkers%visits(min(urn, walkers%chambers), walkers%under_way), i, urn, gated, &
       walkers%time(i), passage, walkers%y(i), walkers%u_axial(i), walkers%u_lateral(i))
     walkers%time(i) = huge(1.0_wp)
-  end subroutine leave_gate
+  end subroutine begin_visit_from_gate
 
   !> Adds to a batch one who entered a channel at `time`, so, and is in it for `passage`.
-  pure subroutine send(v, i, urn, channel, time, passage, y, u_axial, u_lateral)
+  pure subroutine add_visit(v, i, urn, channel, time, passage, y, u_axial, u_lateral)
     type(visits_type), intent(inout) :: v
     integer, intent(in) :: i, urn, channel
     real(wp), intent(in) :: time, passage, y, u_axial, u_lateral
@@ -283,10 +284,10 @@ contains
     v%y(v%count) = y
     v%u_axial(v%count) = u_axial
     v%u_lateral(v%count) = u_lateral
-  end subroutine send
+  end subroutine add_visit
 
   !> All visits under way, and those that follow through channel 2, until everyone heads for a gate.
-  subroutine fly(walkers)
+  subroutine complete_visits(walkers)
     type(walkers_type), intent(inout) :: walkers
     integer :: chamber
 
@@ -296,55 +297,56 @@ contains
           if (v%count > 0) call cross_channels(walkers%table%urn(chamber), v)
         end associate
       end do
-      call finish(walkers)
+      call compute_visits_under_way(walkers)
     end do
-  end subroutine fly
+  end subroutine complete_visits
 
   !> From where the visits under way begin in the urns to the next channel; those who leave through
   !> channel 2 are under way then.
-  subroutine finish(walkers)
+  subroutine compute_visits_under_way(walkers)
     type(walkers_type), intent(inout) :: walkers
     integer :: chamber
 
-    call reserve(walkers, 3 - walkers%under_way, sum(walkers%visits(:, walkers%under_way)%count))
+    call reserve_batch(walkers, 3 - walkers%under_way, sum(walkers%visits(:, &
+      walkers%under_way)%count))
     do chamber = 1, walkers%chambers
       associate (v => walkers%visits(chamber, walkers%under_way))
         if (v%count == 0) cycle
         if (walkers%well_mixed) then
-          call forget(walkers, v)
+          call draw_visit_ends(walkers, v)
         else
           call compute_visits(walkers%table%urn(chamber), v)
         end if
-        call land(walkers, v)
+        call store_entries(walkers, v)
       end associate
     end do
     walkers%visits(:, walkers%under_way)%count = 0
     walkers%under_way = 3 - walkers%under_way
-  end subroutine finish
+  end subroutine compute_visits_under_way
 
   !> Ends of visits drawn from the measure of entries in place of their own: the opening by its
   !> width, the height even, the direction by the cosine law.
-  subroutine forget(walkers, v)
+  subroutine draw_visit_ends(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(inout) :: v
     integer :: j, channel
 
     associate (width => walkers%table%channel%width, length => walkers%table%channel%length)
       do j = 1, v%count
-        channel = merge(gated, ungated, next(walkers%draws)*sum(width) < width(gated))
+        channel = merge(gated, ungated, next_uniform(walkers%draws)*sum(width) < width(gated))
         v%channel(j) = channel
-        v%y(j) = (next(walkers%draws) - 0.5_wp)*width(channel)
-        v%u_lateral(j) = 2.0_wp*next(walkers%draws) - 1.0_wp
+        v%y(j) = (next_uniform(walkers%draws) - 0.5_wp)*width(channel)
+        v%u_lateral(j) = 2.0_wp*next_uniform(walkers%draws) - 1.0_wp
         v%u_axial(j) = sqrt((1.0_wp - v%u_lateral(j))*(1.0_wp + v%u_lateral(j)))
         v%through(j) = length(channel)/v%u_axial(j)
-        v%length(j) = walkers%shortest - log(next(walkers%draws))*max(walkers%mean(v%urn(j)) &
-          - walkers%shortest, 0.0_wp)
+        v%length(j) = walkers%shortest &
+          - log(next_uniform(walkers%draws))*max(walkers%mean(v%urn(j)) - walkers%shortest, 0.0_wp)
       end do
     end associate
-  end subroutine forget
+  end subroutine draw_visit_ends
 
   !> Writes down how each of a batch enters its next gate, or sends it through channel 2.
-  subroutine land(walkers, v)
+  subroutine store_entries(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(in) :: v
     integer :: j, i, urn, beyond
@@ -367,13 +369,13 @@ contains
       end if
       call add_crossing(walkers%tally, urn, ungated, leaves + 0.5_wp*v%through(j))
       beyond = walkers%table%beyond(urn)
-      call send(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%under_way), i, beyond, &
-        ungated, leaves, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
+      call add_visit(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%under_way), i, &
+        beyond, ungated, leaves, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
     end do
-  end subroutine land
+  end subroutine store_entries
 
   !> Room for so many visits in each chamber.
-  subroutine reserve(walkers, which, room)
+  subroutine reserve_batch(walkers, which, room)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: which, room
     integer :: chamber
@@ -381,6 +383,6 @@ contains
     do chamber = 1, walkers%chambers
       call reserve_visits(walkers%visits(chamber, which), room)
     end do
-  end subroutine reserve
+  end subroutine reserve_batch
 
 end module battery_walkers

@@ -150,12 +150,12 @@ contains
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold(2), number
-    integer :: side
+    integer :: urn
 
     self%table = table
     self%number = number
-    do side = 1, 2
-      call new_gate(self%gate(side), threshold(side))
+    do urn = 1, 2
+      call new_gate(self%gate(urn), threshold(urn))
     end do
     self%now = 0.0_wp
     self%epochs = 0
@@ -177,10 +177,10 @@ contains
   !> Reduces the clock and the times of the gates by the length of the epoch.
   subroutine rebase_gates_and_clock(self)
     class(engine_type), intent(inout) :: self
-    integer :: side
+    integer :: urn
 
-    do side = 1, 2
-      call rebase_gate(self%gate(side), self%epoch)
+    do urn = 1, 2
+      call rebase_gate(self%gate(urn), self%epoch)
     end do
     self%now = self%now - self%epoch
     self%epochs = self%epochs + 1
@@ -222,7 +222,7 @@ contains
     !> Of the gates of urn 1 and 2.
     integer, intent(in) :: threshold(2)
     type(archive_type), intent(inout) :: archive
-    integer :: number, side
+    integer :: number, urn
 
     number = self%number
     call archive%serialize('number', number)
@@ -231,8 +231,8 @@ contains
     call archive%serialize('now', self%now)
     call archive%serialize('pages', self%epochs)
     call archive%serialize('clock_start', self%clock_start)
-    do side = 1, 2
-      call serialize_gate(self%gate(side), archive)
+    do urn = 1, 2
+      call serialize_gate(self%gate(urn), archive)
     end do
     if (.not. archive%failed()) call self%serialize_own_state(archive)
   end subroutine serialize_state

@@ -8,7 +8,7 @@ module battery_queue
   use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove, rebase_queue, &
+  public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, rebase_queue, &
     serialize_queue
 
   !> Particles, each with a time; `time` and `who` have room for `room` of them.
@@ -33,7 +33,7 @@ contains
   pure subroutine empty_queue(queue)
     type(queue_type), intent(inout) :: queue
 
-    if (queue%room == 0) call grow(queue)
+    if (queue%room == 0) call grow_queue(queue)
     queue%count = 0
     queue%next = huge(1.0_wp)
     queue%in_order = .false.
@@ -45,7 +45,7 @@ contains
     real(wp), intent(in) :: time
     integer, intent(in) :: who
 
-    if (queue%count == queue%room) call grow(queue)
+    if (queue%count == queue%room) call grow_queue(queue)
     queue%count = queue%count + 1
     queue%next = min(queue%next, time)
     queue%time(queue%count) = time
@@ -72,7 +72,7 @@ contains
     end if
     is_before = queue%count
     do while (queue%room < is_before + count)
-      call grow(queue)
+      call grow_queue(queue)
     end do
     queue%time(is_before + 1:is_before + count) = time
     queue%who(is_before + 1:is_before + count) = who
@@ -80,7 +80,7 @@ contains
     queue%next = min(queue%next, minval(time))
   end subroutine push_all
 
-  pure subroutine grow(queue)
+  pure subroutine grow_queue(queue)
     type(queue_type), intent(inout) :: queue
 
     if (queue%room == 0) then
@@ -91,7 +91,7 @@ contains
       queue%who = [queue%who, queue%who]
       queue%room = size(queue%time)
     end if
-  end subroutine grow
+  end subroutine grow_queue
 
   !> Restores the heap after one was added at its end.
   pure subroutine sift_up_last(queue)
@@ -125,34 +125,34 @@ contains
 
   !> Removes all that are due before `until`, and possibly others, in no order. The arrays have room
   !> for the whole queue.
-  pure subroutine pop_due(queue, until, taken, time, who)
+  pure subroutine pop_due(queue, until, removed, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: until
     !> Number removed.
-    integer, intent(out) :: taken
+    integer, intent(out) :: removed
     !> Time of each,
     real(wp), intent(inout) :: time(:)
     !> and its number.
     integer, intent(inout) :: who(:)
 
-    taken = 0
+    removed = 0
     if (queue%count == 0) return
     if (queue%count <= short_list) then
-      taken = queue%count
-      time(:taken) = queue%time(:taken)
-      who(:taken) = queue%who(:taken)
+      removed = queue%count
+      time(:removed) = queue%time(:removed)
+      who(:removed) = queue%who(:removed)
       call empty_queue(queue)
     else
       do while (queue%next < until)
-        taken = taken + 1
-        time(taken) = queue%next
-        call pop(queue, who(taken))
+        removed = removed + 1
+        time(removed) = queue%next
+        call pop(queue, who(removed))
       end do
     end if
   end subroutine pop_due
 
   !> Removes `who`, which is in the queue and among the first.
-  pure subroutine remove(queue, who)
+  pure subroutine remove_particle(queue, who)
     type(queue_type), intent(inout) :: queue
     integer, intent(in) :: who
     integer :: place
@@ -163,7 +163,7 @@ contains
       place = place + 1
     end do
     call remove_at(queue, place)
-  end subroutine remove
+  end subroutine remove_particle
 
   !> Makes the list a heap.
   pure subroutine make_heap(queue)
@@ -254,7 +254,7 @@ contains
     call archive%serialize('in_order', queue%in_order)
     if (archive%failed()) return
     do while (queue%room < max(queue%count, 1))
-      call grow(queue)
+      call grow_queue(queue)
     end do
     call archive%serialize('time', queue%time(:queue%count))
     call archive%serialize('who', queue%who(:queue%count))

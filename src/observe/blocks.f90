@@ -49,15 +49,15 @@ contains
     type(blocks_type), intent(inout) :: blocks
     !> In the unit of the quantity.
     real(wp), intent(in) :: average
-    integer :: half
+    integer :: half_count
 
     blocks%count = blocks%count + 1
     blocks%average(blocks%count) = average
     if (blocks%count < most_blocks) return
-    half = most_blocks/2
-    blocks%average(:half) = 0.5_wp*(blocks%average(1:most_blocks:2) &
+    half_count = most_blocks/2
+    blocks%average(:half_count) = 0.5_wp*(blocks%average(1:most_blocks:2) &
       + blocks%average(2:most_blocks:2))
-    blocks%count = half
+    blocks%count = half_count
     blocks%length = 2.0_wp*blocks%length
   end subroutine add_block
 

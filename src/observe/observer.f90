@@ -116,7 +116,7 @@ contains
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
     if (series_interval > 0.0_wp) then
       observer%series_left = series_interval
-      call write_entry(observer)
+      call add_series_entry(observer)
     end if
   end function new_observer
 
@@ -136,7 +136,7 @@ contains
     real(wp), intent(in) :: rounding
 
     if (observer%series_interval > 0.0_wp .and. observer%series_left <= rounding) &
-      call write_entry(observer)
+      call add_series_entry(observer)
   end subroutine end_series
 
   !> Takes in one window.
@@ -193,7 +193,7 @@ contains
       end if
       if (observer%series_interval > 0.0_wp) then
         observer%series_left = observer%series_left - step
-        if (observer%series_left <= 0.0_wp) call write_entry(observer)
+        if (observer%series_left <= 0.0_wp) call add_series_entry(observer)
       end if
       rest = rest - step
       if (rest <= 0.0_wp) exit
@@ -224,7 +224,7 @@ contains
     observer%block_left = observer%blocks(of_chi)%length
   end subroutine end_block
 
-  pure subroutine write_entry(observer)
+  pure subroutine add_series_entry(observer)
     type(observer_type), intent(inout) :: observer
 
     if (observer%entries == size(observer%series_urn1_number)) call lengthen_series(observer)
@@ -235,7 +235,7 @@ contains
     observer%series_flow(:, observer%entries) = &
       real(observer%series_crossings, wp)/observer%series_interval
     observer%series_crossings = 0
-  end subroutine write_entry
+  end subroutine add_series_entry
 
   !> Makes the series twice as long, if there is memory for it.
   pure subroutine lengthen_series(observer)
@@ -293,26 +293,26 @@ contains
     !> `of_chi` ...
     integer, intent(in) :: which
     real(dp) :: error
-    logical :: told
+    logical :: is_reliable
 
     associate (o => observer)
-      told = o%time/least_relaxations >= o%relaxation
+      is_reliable = o%time/least_relaxations >= o%relaxation
       if (which /= of_chi .and. o%two_halves .and. o%circuit_closed) &
-        told = told .and. .not. circulates(o%reversals - o%transient_reversals)
+        is_reliable = is_reliable .and. .not. may_circulate(o%reversals - o%transient_reversals)
       if ((which == of_current1 .or. which == of_current2) .and. o%two_halves) &
-        told = told .and. polarity_resolved(o%blocks(of_difference))
+        is_reliable = is_reliable .and. polarity_resolved(o%blocks(of_difference))
       error = unknown_real()
-      if (told) error = standard_error(o%blocks(which))
+      if (is_reliable) error = standard_error(o%blocks(which))
     end associate
   end function error_of
 
   !> Whether particles may have circulated for as long as the run, from the reversals of both gates.
-  pure logical function circulates(reversals)
+  pure logical function may_circulate(reversals)
     integer(int64), intent(in) :: reversals(2)
 
-    circulates = minval(reversals) < least_reversals .and. &
+    may_circulate = minval(reversals) < least_reversals .and. &
       maxval(reversals) > unlike*max(minval(reversals), unlike)
-  end function circulates
+  end function may_circulate
 
   !> Whether blocks of N1 - N2 changed their sign many times.
   pure logical function polarity_resolved(blocks)

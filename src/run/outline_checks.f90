@@ -4,8 +4,8 @@ module battery_outline_checks
   use battery_kinds, only: wp
   use battery_bounds, only: finest, greatest_radius
   use battery_channel, only: facing, is_open
-  use battery_corners, only: enclosed_area, turned_round, next_of, distance_to_side, sides_meet, &
-    side_distance, axis_side
+  use battery_corners, only: enclosed_area, reversed_corners, next_of, distance_to_side, &
+    sides_meet, side_distance, axis_side
   use battery_polygon, only: upright
   use battery_plan, only: plan_type, point_type, refuse, is_scanned, corners_of
   use battery_text, only: to_text
@@ -124,7 +124,7 @@ contains
       plan%outline(urn)%was_clockwise = enclosed_area(corner) < 0.0_wp
     end associate
     if (plan%outline(urn)%was_clockwise) &
-      plan%outline(urn)%corner = turned_round(plan%outline(urn)%corner)
+      plan%outline(urn)%corner = reversed_corners(plan%outline(urn)%corner)
     call check_axis(plan, urn)
   end subroutine check_outline
 

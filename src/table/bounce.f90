@@ -8,7 +8,7 @@
 module battery_bounce
   use battery_kinds, only: wp, int8
   use battery_table, only: table_type, urn_type, gated, ungated, no_channel, in_urn, in_gate, &
-    in_return, side_at, chamber_at, x_direction
+    in_return, urn_at, chamber_at, x_direction
   use battery_channel, only: facing
   use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
     meets_urn, meets_line, meets_channel_wall
@@ -29,7 +29,7 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     type(motion_type) :: motion
 
-    motion = motion_type(x=x, y=y, ux=ux, uy=uy, side=int(side_at(table, x), int8), &
+    motion = motion_type(x=x, y=y, ux=ux, uy=uy, urn=int(urn_at(table, x), int8), &
       chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
   end function motion_at
 
@@ -39,7 +39,7 @@ contains
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
-    associate (urn => table%urn(motion%side))
+    associate (urn => table%urn(motion%urn))
       if (motion%chamber /= in_urn) then
         call find_next_wall_in_channel(table, motion, wait)
       else
@@ -57,7 +57,7 @@ contains
     real(wp), intent(out) :: wait
     real(wp) :: x, ux
 
-    associate (urn => table%urn(motion%side))
+    associate (urn => table%urn(motion%urn))
       if (motion%chamber == in_urn) then
         x = urn%centre + urn%axis_sign*motion%x
         ux = urn%axis_sign*motion%ux
@@ -65,17 +65,17 @@ contains
         motion%x = urn%axis_sign*(x - urn%centre)
         motion%ux = urn%axis_sign*ux
       else if (motion%next == meets_channel_wall) then
-        motion%y = sign(half_width(urn, motion), motion%uy)
+        motion%y = sign(half_width_at(urn, motion), motion%uy)
         motion%uy = -motion%uy
         call find_next_wall_in_channel(table, motion, wait)
       else
-        call hit_scatterer(table%scattered(motion%side), urn, motion, wait)
+        call reflect_at_scatterer(table%half_channel2(motion%urn), urn, motion, wait)
       end if
     end associate
   end subroutine hit_wall
 
   !> Reflection from a disc in channel 2.
-  pure subroutine hit_scatterer(half_channel, urn, motion, wait)
+  pure subroutine reflect_at_scatterer(half_channel, urn, motion, wait)
     !> Half channel on the side that the particle is on, and its urn.
     type(scattered_half_channel_type), intent(in) :: half_channel
     type(urn_type), intent(in) :: urn
@@ -89,7 +89,7 @@ contains
     call next_wall_in_half_channel(half_channel, x, motion%y, ux, motion%uy, motion%next, wait)
     motion%x = urn%axis_sign*(x - urn%periodic_line)
     motion%ux = urn%axis_sign*ux
-  end subroutine hit_scatterer
+  end subroutine reflect_at_scatterer
 
   !> Finds what a particle in a channel meets next. A wall met at the same time as a chord is met
   !> first: the corner belongs to the channel.
@@ -99,7 +99,7 @@ contains
     real(wp), intent(out) :: wait
 
     if (motion%chamber == in_return) then
-      associate (urn => table%urn(motion%side), half_channel => table%scattered(motion%side))
+      associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
         if (half_channel%count > 0) then
           call next_wall_in_half_channel(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
             motion%y, urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
@@ -107,7 +107,7 @@ contains
         end if
       end associate
     end if
-    call find_next_wall_in_strip(table%urn(motion%side), motion, wait)
+    call find_next_wall_in_strip(table%urn(motion%urn), motion, wait)
   end subroutine find_next_wall_in_channel
 
   !> The same where no disc stands in the channel.
@@ -117,24 +117,24 @@ contains
     real(wp), intent(out) :: wait
     real(wp) :: out, depth, distance, to_wall
 
-    out = x_direction(motion%side)
+    out = x_direction(motion%urn)
     depth = out*motion%x
     motion%next = meets_line
     if (motion%chamber == in_gate) then
       distance = depth
       if (out*motion%ux >= 0.0_wp) then
-        distance = urn%begins(gated) - depth
+        distance = urn%channel_start(gated) - depth
         motion%next = meets_urn
       end if
     else
       distance = urn%periodic_line - depth
       if (out*motion%ux <= 0.0_wp) then
-        distance = depth - urn%begins(ungated)
+        distance = depth - urn%channel_start(ungated)
         motion%next = meets_urn
       end if
     end if
     wait = max(distance, 0.0_wp)/max(abs(motion%ux), slowest)
-    to_wall = max(half_width(urn, motion) - sign(1.0_wp, motion%uy)*motion%y, 0.0_wp) &
+    to_wall = max(half_width_at(urn, motion) - sign(1.0_wp, motion%uy)*motion%y, 0.0_wp) &
       /max(abs(motion%uy), slowest)
     if (to_wall <= wait) then
       wait = to_wall
@@ -150,34 +150,35 @@ contains
     type(motion_type), intent(inout) :: motion
     !> Time until the next event; huge if there is none.
     real(wp), intent(out) :: wait
-    integer :: side, channel
+    integer :: urn_index, channel
 
-    side = motion%side
+    urn_index = motion%urn
     select case (motion%next)
     case (meets_gate, meets_return)
       motion%chamber = int(merge(in_gate, in_return, motion%next == meets_gate), int8)
-      motion%x = x_direction(side)*table%urn(side)%begins(channel_of(motion))
+      motion%x = x_direction(urn_index)*table%urn(urn_index)%channel_start(channel_of(motion))
     case (meets_urn)
       channel = channel_of(motion)
-      call keep_between_walls(table%urn(side), motion)
-      motion%x = x_direction(side)*table%urn(side)%begins(channel)
+      call keep_between_walls(table%urn(urn_index), motion)
+      motion%x = x_direction(urn_index)*table%urn(urn_index)%channel_start(channel)
       motion%chamber = int(in_urn, int8)
-      associate (urn => table%urn(side))
+      associate (urn => table%urn(urn_index))
         call find_next_wall(urn, channel, facing(channel)*urn%chord(channel), motion%y, &
           urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
       end associate
       return
     case (meets_line)
-      if (table%beyond(side) == side) motion%ux = -motion%ux
-      side = table%beyond(side)
-      motion%side = int(side, int8)
+      if (table%beyond(urn_index) == urn_index) motion%ux = -motion%ux
+      urn_index = table%beyond(urn_index)
+      motion%urn = int(urn_index, int8)
       motion%x = 0.0_wp
-      if (motion%chamber == in_return) motion%x = x_direction(side)*table%urn(side)%periodic_line
+      if (motion%chamber == in_return) motion%x = &
+        x_direction(urn_index)*table%urn(urn_index)%periodic_line
     case default
       wait = huge(1.0_wp)
       return
     end select
-    call keep_between_walls(table%urn(side), motion)
+    call keep_between_walls(table%urn(urn_index), motion)
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine pass_line
 
@@ -189,7 +190,7 @@ contains
     real(wp), intent(out) :: wait
 
     motion%ux = -motion%ux
-    call keep_between_walls(table%urn(motion%side), motion)
+    call keep_between_walls(table%urn(motion%urn), motion)
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine reverse_motion
 
@@ -199,7 +200,7 @@ contains
     type(motion_type), intent(in) :: motion
     logical :: heads
 
-    heads = motion%chamber == in_gate .and. x_direction(motion%side)*motion%ux < 0.0_wp
+    heads = motion%chamber == in_gate .and. x_direction(motion%urn)*motion%ux < 0.0_wp
   end function heads_for_middle
 
   !> Time that a particle of channel 1 which heads for the middle line takes to it.
@@ -217,7 +218,7 @@ contains
     type(motion_type), intent(in) :: motion
     logical :: trapped
 
-    associate (urn => table%urn(motion%side), half_channel => table%scattered(motion%side))
+    associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
       if (half_channel%count > 0 .and. motion%chamber == in_return) then
         call detect_periodic_path(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
           motion%y, urn%axis_sign*motion%ux, motion%uy, trapped)
@@ -237,20 +238,20 @@ contains
   end function channel_of
 
   !> Half the width of that channel.
-  elemental function half_width(urn, motion) result(half)
+  elemental function half_width_at(urn, motion) result(half_width)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(in) :: motion
-    real(wp) :: half
+    real(wp) :: half_width
 
-    half = urn%half_width(channel_of(motion))
-  end function half_width
+    half_width = urn%half_width(channel_of(motion))
+  end function half_width_at
 
   !> Prevents rounding from moving a particle of a channel beyond a wall.
   pure subroutine keep_between_walls(urn, motion)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
 
-    motion%y = sign(min(abs(motion%y), half_width(urn, motion)), motion%y)
+    motion%y = sign(min(abs(motion%y), half_width_at(urn, motion)), motion%y)
   end subroutine keep_between_walls
 
 end module battery_bounce

@@ -11,7 +11,7 @@
 module battery_chamber
   use battery_kinds, only: wp, int64, pi
   use battery_channel, only: channel_type, gated, ungated, fold
-  use battery_visits, only: visits_type, together
+  use battery_visits, only: visits_type, group_size
   implicit none (type, external)
   private
   public :: chamber_type, set_openings, mean_visit, cross_channels
@@ -63,9 +63,9 @@ contains
     class(chamber_type), intent(in) :: chamber
     type(visits_type), intent(inout) :: visits
 
-    call cross_straight_channels(together*((visits%count + together - 1)/together), visits%time, &
-      visits%passage, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
-      visits%hits)
+    call cross_straight_channels(group_size*((visits%count + group_size - 1)/group_size), &
+      visits%time, visits%passage, visits%channel, visits%x, visits%y, visits%u_axial, &
+      visits%u_lateral, visits%hits)
 
   contains
 

@@ -6,8 +6,8 @@ module battery_corners
   use battery_kinds, only: wp, pi
   implicit none (type, external)
   private
-  public :: most_corners, regular_corners, enclosed_area, directions_stay, turned_round, next_of, &
-    distance_to_side, sides_meet, side_distance, axis_side
+  public :: most_corners, regular_corners, enclosed_area, directions_stay, reversed_corners, &
+    next_of, distance_to_side, sides_meet, side_distance, axis_side
 
   !> Most corners of a polygon.
   integer, parameter :: most_corners = 1000
@@ -22,19 +22,19 @@ contains
     real(wp), intent(in) :: radius
     real(wp) :: corner(2, sides)
     real(wp) :: angle
-    integer :: k, half
+    integer :: k, half_count
 
     ! Half of them, upwards on the right and back on the left; each is the mirror image of another.
-    half = sides/2
-    do k = 1, (half + 1)/2
+    half_count = sides/2
+    do k = 1, (half_count + 1)/2
       angle = pi*real(2*k - 1, wp)/real(sides, wp)
       corner(:, k) = radius*[cos(angle), sin(angle)]
-      if (2*k - 1 == half) corner(1, k) = 0.0_wp
+      if (2*k - 1 == half_count) corner(1, k) = 0.0_wp
     end do
-    do k = 1, half/2
-      corner(:, half + 1 - k) = [-corner(1, k), corner(2, k)]
+    do k = 1, half_count/2
+      corner(:, half_count + 1 - k) = [-corner(1, k), corner(2, k)]
     end do
-    do k = 1, half
+    do k = 1, half_count
       corner(:, sides + 1 - k) = [corner(1, k), -corner(2, k)]
     end do
     ! The side on the right goes from the last corner to the first.
@@ -80,14 +80,14 @@ contains
   end function directions_stay
 
   !> The same polygon, its corners the other way round; the first stays the first.
-  pure function turned_round(corner) result(turned)
+  pure function reversed_corners(corner) result(reversed)
     !> (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
-    real(wp) :: turned(size(corner, 1), size(corner, 2))
+    real(wp) :: reversed(size(corner, 1), size(corner, 2))
 
-    turned = corner(:, size(corner, 2):1:-1)
-    turned = cshift(turned, -1, dim=2)
-  end function turned_round
+    reversed = corner(:, size(corner, 2):1:-1)
+    reversed = cshift(reversed, -1, dim=2)
+  end function reversed_corners
 
   !> The corner after a corner.
   elemental function next_of(k, count) result(next)

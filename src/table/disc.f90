@@ -27,17 +27,17 @@ module battery_disc
   real(wp), parameter, public :: grazing_cosine = 1.0e-3_wp
 
   !> With fewer expected particles leaving per impact than this, stepping does not pay.
-  real(wp), parameter :: march_worthwhile = 0.01_wp
+  real(wp), parameter :: least_exit_share = 0.01_wp
 
   !> What a visit to a disc needs to know.
   type, extends(chamber_type) :: disc_type
     !> Radius, and 1 over its square.
     real(wp) :: radius = 1.0_wp, curvature2 = 1.0_wp
     !> Half widths of the openings in units of the radius, and half their angles.
-    real(wp) :: half(2) = 0.0_wp
+    real(wp) :: half_opening(2) = 0.0_wp
     integer(angle_kind) :: angle(2) = 0
     !> Whether stepping from impact to impact pays.
-    logical :: step_first = .true.
+    logical :: stepping_pays = .true.
   end type disc_type
 
 contains
@@ -56,13 +56,13 @@ contains
     call set_openings(disc, channel)
     disc%radius = radius
     disc%curvature2 = 1.0_wp/radius**2
-    disc%half = disc%half_width/radius
+    disc%half_opening = disc%half_width/radius
     disc%fits = all(disc%width < 2.0_wp*radius)
     ! Factored, so that it stays exact as the width goes to the diameter.
     disc%chord = sqrt((radius - disc%half_width)*(radius + disc%half_width))
-    angle = asin(disc%half)
+    angle = asin(disc%half_opening)
     disc%angle = to_turn(angle)
-    disc%step_first = sum(disc%half) > march_worthwhile*pi
+    disc%stepping_pays = sum(disc%half_opening) > least_exit_share*pi
     disc%area = pi*radius**2 - segment_area(gated) - segment_area(ungated)
     disc%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(gated) - 2.0_wp*angle(ungated))
     disc%reach = radius
@@ -138,16 +138,16 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     !> Cosine and sine; left as they are where they have their digits.
     real(wp), intent(inout) :: cosine, sine
-    real(wp) :: px, py, half, room, c
+    real(wp) :: px, py, half_opening, room, c
 
     px = x/disc%radius
     py = y/disc%radius
-    half = merge(disc%half(gated), disc%half(ungated), px > 0.0_wp)
+    half_opening = merge(disc%half_opening(gated), disc%half_opening(ungated), px > 0.0_wp)
     ! On a chord the depth is known without the cancellation.
     if (abs(x - merge(disc%chord(gated), -disc%chord(ungated), px > 0.0_wp)) > 0.0_wp) then
       room = (1.0_wp - abs(py))*(1.0_wp + abs(py)) - px**2
     else
-      room = (half - abs(py))*(half + abs(py))
+      room = (half_opening - abs(py))*(half_opening + abs(py))
     end if
     c = sqrt(max(room, 0.0_wp) + (px*ux + py*uy)**2)
     if (.not. c < grazing_cosine) return
@@ -189,7 +189,7 @@ contains
     real(wp), intent(in) :: y, u_axial, u_lateral, before
     real(wp), intent(out) :: position(2), velocity(2)
     integer(int64), intent(out) :: hits
-    real(wp) :: x, ux, s, c, ahead, turn, rest
+    real(wp) :: x, ux, s, c, ahead, rotation, rest
     complex(wp) :: impact, incidence
 
     x = merge(disc%chord(gated), -disc%chord(ungated), channel == gated)
@@ -208,9 +208,9 @@ contains
     ! Within its chord even where the length is so great that rounding is longer than a chord.
     rest = before + ahead - 2.0_wp*disc%radius*c*real(hits, wp)
     rest = min(max(rest, 0.0_wp), 2.0_wp*disc%radius*c)
-    turn = atan2(2.0_wp*s*c, (s - c)*(s + c))
-    turn = -modulo(real(hits, wp)*turn, 2.0_wp*pi)
-    impact = impact*cmplx(cos(turn), sin(turn), wp)
+    rotation = atan2(2.0_wp*s*c, (s - c)*(s + c))
+    rotation = -modulo(real(hits, wp)*rotation, 2.0_wp*pi)
+    impact = impact*cmplx(cos(rotation), sin(rotation), wp)
     impact = impact/abs(impact)
     velocity = [real(incidence*impact, wp), aimag(incidence*impact)]
     position = disc%radius*[real(impact, wp), aimag(impact)] - rest*velocity
@@ -223,7 +223,7 @@ contains
     real(wp), intent(in) :: elapsed, angle, cosine, sine
     real(wp), intent(out) :: position(2), velocity(2)
     integer(int64), intent(out) :: hits
-    real(wp) :: step, turned, rest
+    real(wp) :: step, impact_angle, rest
     complex(wp) :: impact
 
     step = 2.0_wp*disc%radius*cosine
@@ -231,13 +231,13 @@ contains
     ! Not before the impact before, whose chord leads to this one: rounding may have it otherwise.
     if (step > 0.0_wp) hits = max(floor(elapsed/step, int64), -1_int64)
     rest = elapsed - real(hits, wp)*step
-    turned = angle + modulo(real(hits, wp)*2.0_wp*atan2(cosine, sine), 2.0_wp*pi)
+    impact_angle = angle + modulo(real(hits, wp)*2.0_wp*atan2(cosine, sine), 2.0_wp*pi)
     if (.not. step > 0.0_wp) then
       ! A chord without length: the particle glides along the wall.
-      turned = angle + sine*rest/disc%radius
+      impact_angle = angle + sine*rest/disc%radius
       rest = 0.0_wp
     end if
-    impact = cmplx(cos(turned), sin(turned), wp)
+    impact = cmplx(cos(impact_angle), sin(impact_angle), wp)
     velocity = [real(impact*cmplx(-cosine, sine, wp), wp), aimag(impact*cmplx(-cosine, sine, wp))]
     position = disc%radius*[real(impact, wp), aimag(impact)] + rest*velocity
     hits = hits + 1

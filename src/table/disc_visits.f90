@@ -1,6 +1,6 @@
 !> Whole visits to a disc, in batches.
 !>
-!> The kernel `step_impacts` steps `together` particles at once, `march_steps` impacts without a
+!> The kernel `step_impacts` steps `group_size` particles at once, `march_steps` impacts without a
 !> test that branches: who has found an opening stands still. Between two marches the particles that
 !> still bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are
 !> tiny, are sent to `find_opening`, which needs O(log) operations for any number of impacts.
@@ -10,12 +10,12 @@ module battery_disc_visits
   use battery_disc, only: disc_type, sharp_incidence, grazing_cosine
   use battery_rotation, only: turn_of, unit_vector, full_turn
   use battery_opening_search, only: find_opening
-  use battery_visits, only: visits_type, together, no_channel, many_hits
+  use battery_visits, only: visits_type, group_size, no_channel, many_hits
   implicit none (type, external)
   private
   public :: compute_disc_visits
 
-  !> Impacts that the kernel steps `together` particles without closing ranks.
+  !> Impacts that the kernel steps `group_size` particles without closing ranks.
   integer, parameter :: march_steps = 8
   !> After so many marches a particle is searched for instead.
   integer, parameter :: march_rounds = nint(many_hits)/march_steps - 2
@@ -32,7 +32,7 @@ contains
     integer :: n, n_active, j, active, round
     logical :: grazing
 
-    n = together*((visits%count + together - 1)/together)
+    n = group_size*((visits%count + group_size - 1)/group_size)
     visits%all_hits = 0
     visits%many_count = 0
     if (n == 0) return
@@ -41,19 +41,20 @@ contains
       visits%steps, visits%first, grazing)
     if (grazing) call sharpen_grazing(disc, visits)
     active = visits%count
-    call count_up(active, visits%slot)
-    if (disc%step_first) then
+    call number_slots(active, visits%slot)
+    if (disc%stepping_pays) then
       visits%px(active + 1:n) = 1.0_wp
       visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
-        n_active = together*((active + together - 1)/together)
-        call step_impacts(disc%half(gated), disc%half(ungated), n_active, visits%px, visits%py, &
-          visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call step_impacts(disc%half(gated), disc%half(ungated), &
-          n_active, visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        call compact_active(disc%half(gated), disc%half(ungated), active, visits%slot, visits%px, &
-          visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, &
-          visits%impacts)
+        n_active = group_size*((active + group_size - 1)/group_size)
+        call step_impacts(disc%half_opening(gated), disc%half_opening(ungated), n_active, &
+          visits%px, visits%py, visits%zx, visits%zy, visits%steps)
+        if (round <= early_rounds) call step_impacts(disc%half_opening(gated), &
+          disc%half_opening(ungated), n_active, visits%px, visits%py, visits%zx, visits%zy, &
+          visits%steps)
+        call compact_active(disc%half_opening(gated), disc%half_opening(ungated), active, &
+          visits%slot, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, &
+          visits%hit_y, visits%impacts)
         if (active == 0) exit
       end do
     end if
@@ -79,7 +80,7 @@ contains
   end subroutine compute_disc_visits
 
   !> 1, 2, ...
-  pure subroutine count_up(n, slot)
+  pure subroutine number_slots(n, slot)
     integer, intent(in) :: n
     integer, intent(out) :: slot(n)
     integer :: j
@@ -87,7 +88,7 @@ contains
     do j = 1, n
       slot(j) = j
     end do
-  end subroutine count_up
+  end subroutine number_slots
 
   !> Whether all visits ended in an opening with a velocity that leads out.
   pure function all_left(n, u_axial, impacts)
@@ -103,20 +104,20 @@ contains
     all_left = left == n
   end function all_left
 
-  !> Adds the impacts to the wall hits, and all of them up: `together` sums, which make vectors.
+  !> Adds the impacts to the wall hits, and all of them up: `group_size` sums, which make vectors.
   pure subroutine sum_hits(n, count, hits, impacts, all_hits)
     integer, intent(in) :: n, count
     real(wp), intent(inout) :: hits(n)
     real(wp), intent(in) :: impacts(n)
     integer(int64), intent(out) :: all_hits
-    real(wp) :: total(together)
+    real(wp) :: total(group_size)
     integer :: j, lane
 
     hits = hits + impacts
     hits(count + 1:) = 0.0_wp
     total = 0.0_wp
-    do j = 1, n, together
-      do lane = 1, together
+    do j = 1, n, group_size
+      do lane = 1, group_size
         total(lane) = total(lane) + hits(j + lane - 1)
       end do
     end do
@@ -180,8 +181,8 @@ contains
   !> impacts are computed first, as if nothing were open, then the first that lies in an opening is
   !> chosen, from the last backwards: so no step waits for a comparison. No branches: the loop over
   !> the particles is the one that becomes vector instructions.
-  pure subroutine step_impacts(half1, half2, n, px, py, zx, zy, steps)
-    real(wp), intent(in) :: half1, half2
+  pure subroutine step_impacts(half_opening1, half_opening2, n, px, py, zx, zy, steps)
+    real(wp), intent(in) :: half_opening1, half_opening2
     integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), steps(n)
     real(wp), intent(in) :: zx(n), zy(n)
@@ -190,8 +191,8 @@ contains
     integer :: j
 
     ! Copies in registers: a load behind a pointer would have to stay conditional, with a branch.
-    h1 = half1
-    h2 = half2
+    h1 = half_opening1
+    h2 = half_opening2
     ! Written out, since the compiler makes no vectors of a loop in this loop.
     do j = 1, n
       x0 = px(j)
@@ -234,21 +235,22 @@ contains
   end subroutine rotate_impact
 
   !> If the impact (x, y), before which there were `before`, lies in an opening, it is the first.
-  elemental subroutine choose_impact(half1, half2, before, x, y, first_x, first_y, taken)
-    real(wp), intent(in) :: half1, half2, before, x, y
+  elemental subroutine choose_impact(half_opening1, half_opening2, before, x, y, first_x, first_y, &
+    taken)
+    real(wp), intent(in) :: half_opening1, half_opening2, before, x, y
     real(wp), intent(inout) :: first_x, first_y, taken
     logical :: open
 
-    open = abs(y) < merge(half1, half2, x > 0.0_wp)
+    open = abs(y) < merge(half_opening1, half_opening2, x > 0.0_wp)
     first_x = merge(x, first_x, open)
     first_y = merge(y, first_y, open)
     taken = merge(before, taken, open)
   end subroutine choose_impact
 
   !> Writes down where every particle stands and keeps those that still bounce, without branches.
-  pure subroutine compact_active(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &
-    impacts)
-    real(wp), intent(in) :: half1, half2
+  pure subroutine compact_active(half_opening1, half_opening2, active, slot, px, py, zx, zy, &
+    steps, hit_x, hit_y, impacts)
+    real(wp), intent(in) :: half_opening1, half_opening2
     integer, intent(inout) :: active
     integer, intent(inout) :: slot(*)
     real(wp), intent(inout) :: px(*), py(*), zx(*), zy(*), steps(*)
@@ -256,8 +258,8 @@ contains
     integer :: j, kept, mine
     real(wp) :: x, y, taken, h1, h2
 
-    h1 = half1
-    h2 = half2
+    h1 = half_opening1
+    h2 = half_opening2
     kept = 0
     do j = 1, active
       x = px(j)
@@ -277,7 +279,7 @@ contains
     end do
     active = kept
     ! Whoever fills up the last group stands in an opening.
-    do j = kept + 1, kept + together - 1
+    do j = kept + 1, kept + group_size - 1
       px(j) = 1.0_wp
       py(j) = 0.0_wp
     end do
@@ -318,13 +320,13 @@ contains
     real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
     integer(int64), intent(out) :: channel(n)
     real(wp), intent(out) :: x(n), y(n), u_axial(n), u_lateral(n), length(n), through(n)
-    real(wp) :: norm, qx, qy, ux, uy, back, half, chord, side, height, forward
-    real(wp) :: radius, half1, half2, chord1, chord2, length1, length2
+    real(wp) :: norm, qx, qy, ux, uy, back, half_opening, chord, direction, height, forward
+    real(wp) :: radius, half_opening1, half_opening2, chord1, chord2, length1, length2
     integer :: j
 
     radius = disc%radius
-    half1 = disc%half(gated)
-    half2 = disc%half(ungated)
+    half_opening1 = disc%half_opening(gated)
+    half_opening2 = disc%half_opening(ungated)
     chord1 = disc%chord(gated)
     chord2 = disc%chord(ungated)
     length1 = disc%length(gated)
@@ -333,20 +335,20 @@ contains
       norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
       qx = hit_x(j)*norm
       qy = hit_y(j)*norm
-      side = merge(1.0_wp, -1.0_wp, qx > 0.0_wp)
-      half = merge(half1, half2, qx > 0.0_wp)
+      direction = merge(1.0_wp, -1.0_wp, qx > 0.0_wp)
+      half_opening = merge(half_opening1, half_opening2, qx > 0.0_wp)
       chord = merge(chord1, chord2, qx > 0.0_wp)
-      ux = (c(j)*qx - s(j)*qy)*side
+      ux = (c(j)*qx - s(j)*qy)*direction
       uy = c(j)*qy + s(j)*qx
       forward = merge(ux, 1.0_wp, ux > 0.0_wp)
       ! This is |qx| r - chord over u_x, without the cancellation that tiny openings would suffer.
-      back = (half - abs(qy))*(half + abs(qy))*radius**2 &
+      back = (half_opening - abs(qy))*(half_opening + abs(qy))*radius**2 &
         /((abs(qx)*radius + chord)*forward)
       through(j) = merge(length1, length2, qx > 0.0_wp)/forward
       channel(j) = merge(int(gated, int64), int(ungated, int64), qx > 0.0_wp)
-      x(j) = side*chord
+      x(j) = direction*chord
       height = radius*qy - back*uy
-      y(j) = sign(min(abs(height), half*radius), height)
+      y(j) = sign(min(abs(height), half_opening*radius), height)
       u_axial(j) = ux
       u_lateral(j) = uy
       length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back

@@ -27,7 +27,7 @@ module battery_motion
     !> Time of that event.
     real(wp) :: time = 0.0_wp
     !> Side and chamber (`in_urn` ...) that it is in.
-    integer(int8) :: side = 0_int8, chamber = 0_int8
+    integer(int8) :: urn = 0_int8, chamber = 0_int8
     !> What it meets next; some wall, until that is known.
     integer(wall_kind) :: next = meets_wall
   end type motion_type

@@ -68,18 +68,18 @@ contains
   contains
 
     !> The open arc `middle` +- `half`.
-    pure subroutine enter_arc(half, middle, steps, landing, found)
-      integer(angle_kind), intent(in) :: half, middle
+    pure subroutine enter_arc(half_angle, middle, steps, landing, found)
+      integer(angle_kind), intent(in) :: half_angle, middle
       integer(angle_kind), intent(out) :: steps, landing
       logical, intent(out) :: found
 
       found = .false.
       steps = 0
       landing = 0
-      if (half == 0) return
-      call first_entry(modulo(start - middle + half - 1, full_turn), step, 2*half - 2, steps, &
-        landing, found)
-      landing = landing - half + 1
+      if (half_angle == 0) return
+      call first_entry(modulo(start - middle + half_angle - 1, full_turn), step, 2*half_angle - 2, &
+        steps, landing, found)
+      landing = landing - half_angle + 1
     end subroutine enter_arc
 
   end subroutine search_each

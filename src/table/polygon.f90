@@ -10,7 +10,7 @@ module battery_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, gated, ungated, facing, is_open
   use battery_chamber, only: chamber_type, set_openings
-  use battery_corners, only: enclosed_area, turned_round, next_of, distance_to_side, &
+  use battery_corners, only: enclosed_area, reversed_corners, next_of, distance_to_side, &
     side_distance, axis_side
   implicit none (type, external)
   private
@@ -29,12 +29,12 @@ module battery_polygon
     real(wp), allocatable :: x(:), y(:)
     !> Outward normal of each side, of length 1, its distance from the origin along that, its
     !> length, and how far round the polygon it begins.
-    real(wp), allocatable :: normal_x(:), normal_y(:), offset(:), length_of(:), begins(:)
+    real(wp), allocatable :: normal_x(:), normal_y(:), offset(:), length_of(:), arc_start(:)
     !> Half the width of the opening in a side; -1: it has none.
-    real(wp), allocatable :: open_half(:)
+    real(wp), allocatable :: half_opening(:)
     !> The sides with the openings, and how far it is round the polygon.
     integer :: side(2) = 0
-    real(wp) :: round = 0.0_wp
+    real(wp) :: outline_length = 0.0_wp
     !> Whether no way meets more than one side.
     logical :: convex = .false.
     !> Lengths below this may be rounding.
@@ -56,7 +56,7 @@ contains
 
     n = size(corners, 2)
     corner = corners
-    if (enclosed_area(corner) < 0.0_wp) corner = turned_round(corner)
+    if (enclosed_area(corner) < 0.0_wp) corner = reversed_corners(corner)
     call set_openings(polygon, channel)
     polygon%sides = n
     polygon%side = [axis_side(corner, 1.0_wp), axis_side(corner, -1.0_wp)]
@@ -95,18 +95,18 @@ contains
     polygon%normal_x = along_y/polygon%length_of
     polygon%normal_y = -along_x/polygon%length_of
     polygon%offset = polygon%normal_x*polygon%x(:n) + polygon%normal_y*polygon%y(:n)
-    allocate (polygon%begins(n), polygon%open_half(n))
-    polygon%open_half = -1.0_wp
-    polygon%round = 0.0_wp
+    allocate (polygon%arc_start(n), polygon%half_opening(n))
+    polygon%half_opening = -1.0_wp
+    polygon%outline_length = 0.0_wp
     polygon%convex = .true.
     do k = 1, n
-      polygon%begins(k) = polygon%round
-      polygon%round = polygon%round + polygon%length_of(k)
+      polygon%arc_start(k) = polygon%outline_length
+      polygon%outline_length = polygon%outline_length + polygon%length_of(k)
       polygon%convex = polygon%convex .and. along_x(k)*along_y(next_of(k, n)) &
         - along_y(k)*along_x(next_of(k, n)) >= 0.0_wp
     end do
     polygon%area = enclosed_area(reshape([polygon%x(:n), polygon%y(:n)], [2, n], order=[2, 1]))
-    polygon%perimeter = polygon%round - sum(polygon%width)
+    polygon%perimeter = polygon%outline_length - sum(polygon%width)
     polygon%truncates_visits = .true.
     polygon%overhangs = maxval(polygon%x) > polygon%chord(gated) .or. &
       maxval(-polygon%x) > polygon%chord(ungated)
@@ -125,7 +125,7 @@ contains
     polygon%clear = 0.0_wp
     if (is_in_polygon(polygon, 0.0_wp, 0.0_wp, 0.0_wp)) &
       polygon%clear = distance_to_walls(polygon, 0.0_wp, 0.0_wp)
-    polygon%longest_step = 2.0_wp*polygon%area/polygon%round
+    polygon%longest_step = 2.0_wp*polygon%area/polygon%outline_length
     if (polygon%convex) return
     do k = 1, n
       do j = k + 2, n
@@ -163,7 +163,7 @@ contains
         polygon%fits = .false.
         cycle
       end if
-      polygon%open_half(k) = polygon%half_width(channel)
+      polygon%half_opening(k) = polygon%half_width(channel)
       if (abs(polygon%normal_y(k)) > 0.0_wp .or. min(abs(polygon%y(k)), abs(polygon%y(k + 1))) &
         <= polygon%half_width(channel)) polygon%fits = .false.
       a = [polygon%x(k), polygon%half_width(channel)]

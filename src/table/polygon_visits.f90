@@ -13,7 +13,7 @@ module battery_polygon_visits
   use battery_polygon, only: polygon_type, nearest_side
   use battery_polygon_walls, only: state_type, state_on, has_returned, surely_next_side, &
     reflect_from_side, longest_period
-  use battery_visits, only: visits_type, together, no_channel, truncated, many_hits
+  use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
   public :: compute_polygon_visits
@@ -39,12 +39,12 @@ contains
 
     visits%many_count = 0
     active = visits%count
-    n = together*((active + together - 1)/together)
+    n = group_size*((active + group_size - 1)/group_size)
     call load_visits(n, visits%x, visits%y, visits%u_axial, visits%u_lateral, visits%px, &
       visits%py, visits%zx, visits%zy, visits%steps, visits%first, visits%c, visits%slot)
     do round = 1, most_marches
       if (active == 0) exit
-      n = together*((active + together - 1)/together)
+      n = group_size*((active + group_size - 1)/group_size)
       ! Who fills up the last group has left.
       visits%c(active + 1:n) = 0.0_wp
       call step_hits(polygon, n, visits%px, visits%py, visits%zx, visits%zy, visits%steps, &
@@ -86,25 +86,26 @@ contains
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
     !> 1, or 0: it has left.
     real(wp), intent(inout) :: flies(n)
-    real(wp), dimension(lanes) :: normal_x, normal_y, offset, open_half
+    real(wp), dimension(lanes) :: normal_x, normal_y, offset, half_opening
     real(wp) :: corner(2, 0:at_once*((polygon%sides + at_once - 1)/at_once))
-    real(wp) :: side(4, size(corner, 2) - 1), half(2)
+    real(wp) :: side(4, size(corner, 2) - 1), half_openings(2)
     integer :: first, last, count, hit
 
     call list_sides(polygon, size(side, 2), corner, side)
-    half = merge(polygon%half_width, -1.0_wp, polygon%side > 0)
+    half_openings = merge(polygon%half_width, -1.0_wp, polygon%side > 0)
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
       do hit = 1, march_hits
         if (polygon%convex) then
-          call find_only_side(size(side, 2), corner, side, half(gated), half(ungated), count, &
-            px(first), py(first), ux(first), uy(first), normal_x, normal_y, offset, open_half)
+          call find_only_side(size(side, 2), corner, side, half_openings(gated), &
+            half_openings(ungated), count, px(first), py(first), ux(first), uy(first), normal_x, &
+            normal_y, offset, half_opening)
         else
           call find_nearest_side(polygon%sides, corner, side, polygon%sharp, count, px(first), &
-            py(first), ux(first), uy(first), normal_x, normal_y, offset, open_half)
+            py(first), ux(first), uy(first), normal_x, normal_y, offset, half_opening)
         end if
-        call reflect_visits(count, normal_x, normal_y, offset, open_half, px(first), py(first), &
+        call reflect_visits(count, normal_x, normal_y, offset, half_opening, px(first), py(first), &
           ux(first), uy(first), hits(first), length(first), flies(first))
       end do
       call normalise_speeds(count, ux(first), uy(first))
@@ -125,26 +126,26 @@ contains
     do k = 1, polygon%sides
       corner(:, k) = [polygon%x(k + 1), polygon%y(k + 1)]
       side(:, k) = [polygon%normal_x(k), polygon%normal_y(k), polygon%offset(k), &
-        polygon%open_half(k)]
+        polygon%half_opening(k)]
     end do
   end subroutine list_sides
 
   !> The side that each of a block meets, where that is the only one that a way leads out of; if
   !> rounding hides it, none, with a normal of no length. Written out for `at_once` sides, with the
   !> particles in registers. Products with 1 or 0: of a choice the compiler makes a branch.
-  pure subroutine find_only_side(sides, corner, side, half1, half2, n, px, py, ux, uy, normal_x, &
-    normal_y, offset, open_half)
+  pure subroutine find_only_side(sides, corner, side, half_opening1, half_opening2, n, px, py, ux, &
+    uy, normal_x, normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
     !> As `list_sides` makes them; half of the openings on the right and on the left.
-    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), half1, half2
+    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), half_opening1, half_opening2
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
-    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     real(wp) :: before(lanes), ahead(lanes), c(2, at_once), s(4, at_once)
     real(wp) :: was, first, second, third, met1, met2, met3
     integer :: k, j
 
     call begin_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
-      open_half, before, ahead)
+      half_opening, before, ahead)
     do k = 1, sides, at_once
       c = corner(:, k:k + at_once - 1)
       s = side(:, k:k + at_once - 1)
@@ -168,25 +169,25 @@ contains
       normal_x(j) = met1*normal_x(j)
       normal_y(j) = met1*normal_y(j)
       ! No other sides stand upright.
-      open_half(j) = merge(merge(half1, half2, ux(j) > 0.0_wp), -1.0_wp, .not. abs(normal_y(j)) &
-        > 0.0_wp)
+      half_opening(j) = merge(merge(half_opening1, half_opening2, ux(j) > 0.0_wp), -1.0_wp, .not. &
+        abs(normal_y(j)) > 0.0_wp)
     end do
   end subroutine find_only_side
 
   !> The same where a way may lead out more than once: the nearest.
   pure subroutine find_nearest_side(sides, corner, side, sharp, n, px, py, ux, uy, normal_x, &
-    normal_y, offset, open_half)
+    normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
     !> As `list_sides` makes them; what may be rounding.
     real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), sharp
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
-    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     real(wp) :: before(lanes), ahead(lanes), soonest(lanes)
-    real(wp) :: was, after, x, y, nx, ny, distance, half, outward, time, met, kept, least, far
+    real(wp) :: was, after, x, y, nx, ny, distance, opening, outward, time, met, kept, least, far
     integer :: k, j
 
     call begin_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
-      open_half, before, ahead)
+      half_opening, before, ahead)
     far = 1.0_wp/slowest
     soonest(:n) = far
     least = -sharp
@@ -196,7 +197,7 @@ contains
       nx = side(1, k)
       ny = side(2, k)
       distance = side(3, k)
-      half = side(4, k)
+      opening = side(4, k)
       do j = 1, n
         was = before(j)
         after = ux(j)*y - uy(j)*x - ahead(j)
@@ -208,7 +209,7 @@ contains
         normal_x(j) = met*nx + kept*normal_x(j)
         normal_y(j) = met*ny + kept*normal_y(j)
         offset(j) = met*distance + kept*offset(j)
-        open_half(j) = met*half + kept*open_half(j)
+        half_opening(j) = met*opening + kept*half_opening(j)
         soonest(j) = min(met*time + kept*far, soonest(j))
         before(j) = after
       end do
@@ -216,13 +217,13 @@ contains
   end subroutine find_nearest_side
 
   !> Before any side has been looked at.
-  pure subroutine begin_search(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, open_half, &
+  pure subroutine begin_search(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, half_opening, &
     before, ahead)
     integer, intent(in) :: n
     !> The first corner.
     real(wp), intent(in) :: x, y
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
-    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     !> On which side of the way that corner lies, and what that takes of all corners.
     real(wp), intent(out) :: before(n), ahead(n)
     integer :: j
@@ -233,18 +234,18 @@ contains
       normal_x(j) = 0.0_wp
       normal_y(j) = 0.0_wp
       offset(j) = 0.0_wp
-      open_half(j) = -1.0_wp
+      half_opening(j) = -1.0_wp
     end do
   end subroutine begin_search
 
   !> Moves each of a block to the side that it meets, and turns it there, unless that lets it out.
   !> Who meets none stays where it is.
-  pure subroutine reflect_visits(n, normal_x, normal_y, offset, open_half, px, py, ux, uy, hits, &
-    length, flies)
+  pure subroutine reflect_visits(n, normal_x, normal_y, offset, half_opening, px, py, ux, uy, &
+    hits, length, flies)
     integer, intent(in) :: n
-    real(wp), intent(in) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    real(wp), intent(in) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), flies(n)
-    real(wp) :: outward, wait, moves, out, turns, turn
+    real(wp) :: outward, wait, moves, out, bounces, kick
     integer :: j
 
     do j = 1, n
@@ -256,13 +257,13 @@ contains
       length(j) = length(j) + wait
       px(j) = px(j) + ux(j)*wait
       py(j) = py(j) + uy(j)*wait
-      out = merge(moves, 0.0_wp, abs(py(j)) < open_half(j))
+      out = merge(moves, 0.0_wp, abs(py(j)) < half_opening(j))
       flies(j) = flies(j) - out
-      turns = moves - out
-      hits(j) = hits(j) + turns
-      turn = 2.0_wp*turns*outward
-      ux(j) = ux(j) - turn*normal_x(j)
-      uy(j) = uy(j) - turn*normal_y(j)
+      bounces = moves - out
+      hits(j) = hits(j) + bounces
+      kick = 2.0_wp*bounces*outward
+      ux(j) = ux(j) - kick*normal_x(j)
+      uy(j) = uy(j) - kick*normal_y(j)
     end do
   end subroutine reflect_visits
 
@@ -364,7 +365,7 @@ contains
         x = x + ux*wait
         y = y + uy*wait
         length = length + wait
-        if (abs(y) < polygon%open_half(side)) then
+        if (abs(y) < polygon%half_opening(side)) then
           call store_exit(polygon, visits, j)
           return
         end if
@@ -394,7 +395,7 @@ contains
 
     mine = visits%slot(j)
     visits%channel(mine) = channel
-    visits%y(mine) = state%round
+    visits%y(mine) = state%arc_length
     visits%u_axial(mine) = state%ux
     visits%u_lateral(mine) = state%uy
     visits%length(mine) = visits%first(j)

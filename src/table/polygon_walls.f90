@@ -27,7 +27,7 @@ module battery_polygon_walls
 
   !> Right after a hit: how far round the polygon, and the velocity.
   type :: state_type
-    real(wp) :: round = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
+    real(wp) :: arc_length = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
   end type state_type
 
 contains
@@ -146,7 +146,7 @@ contains
     if (side == 0) then
       next = meets_nothing
       wait = huge(1.0_wp)
-    else if (abs(y + uy*wait) < polygon%open_half(side)) then
+    else if (abs(y + uy*wait) < polygon%half_opening(side)) then
       next = merge(meets_gate, meets_return, side == polygon%side(gated))
     else
       next = int(side, wall_kind)
@@ -250,25 +250,25 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     type(state_type) :: state
 
-    state = state_type(polygon%begins(side) + along_side(polygon, side, x, y), ux, uy)
+    state = state_type(polygon%arc_start(side) + along_side(polygon, side, x, y), ux, uy)
     ! At its end it is still this side.
-    if (side < polygon%sides) state%round = min(state%round, &
-      nearest(polygon%begins(side + 1), -1.0_wp))
+    if (side < polygon%sides) state%arc_length = min(state%arc_length, &
+      nearest(polygon%arc_start(side + 1), -1.0_wp))
   end function state_on
 
   !> The side and the place of a state.
-  pure subroutine place_of(polygon, round, side, x, y)
+  pure subroutine locate_on_outline(polygon, arc_length, side, x, y)
     type(polygon_type), intent(in) :: polygon
-    real(wp), intent(in) :: round
+    real(wp), intent(in) :: arc_length
     integer, intent(out) :: side
     real(wp), intent(out) :: x, y
     real(wp) :: along
 
-    side = max(count(polygon%begins <= round), 1)
-    along = min(round - polygon%begins(side), polygon%length_of(side))
+    side = max(count(polygon%arc_start <= arc_length), 1)
+    along = min(arc_length - polygon%arc_start(side), polygon%length_of(side))
     x = polygon%x(side) - along*polygon%normal_y(side)
     y = polygon%y(side) + along*polygon%normal_x(side)
-  end subroutine place_of
+  end subroutine locate_on_outline
 
   !> Whether a state is the same as one `before`, but for rounding.
   pure function has_returned(polygon, state, before) result(same)
@@ -277,7 +277,7 @@ contains
     logical :: same
 
     same = max(abs(state%ux - before%ux), abs(state%uy - before%uy), &
-      abs(state%round - before%round)/polygon%round) <= same_state
+      abs(state%arc_length - before%arc_length)/polygon%outline_length) <= same_state
   end function has_returned
 
   !> Straight on from side to side for the time `rest`, or until an opening is met. There it stays,
@@ -311,13 +311,13 @@ contains
   end subroutine continue_flight
 
   !> The first impact of a particle that is in the polygon, also if an opening is there.
-  pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, round, u_axial, u_lateral, wait, &
-    before)
+  pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, arc_length, u_axial, u_lateral, &
+    wait, before)
     type(polygon_type), intent(in) :: polygon
     !> Place and velocity in the frame of the polygon: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     !> The state after it; the time until then.
-    real(wp), intent(out) :: round, u_axial, u_lateral, wait
+    real(wp), intent(out) :: arc_length, u_axial, u_lateral, wait
     !> Wall hits that `locate_in_polygon` does not count from there on: this one.
     integer(int64), intent(out) :: before
     type(state_type) :: state
@@ -340,7 +340,7 @@ contains
       wait = 0.0_wp
       state = state_on(polygon, nearest_side(polygon, x, y), x, y, u_axial, u_lateral)
     end if
-    round = state%round
+    arc_length = state%arc_length
   end subroutine first_impact_in_polygon
 
   !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
@@ -371,7 +371,7 @@ contains
       position = [facing(channel)*polygon%chord(channel), y]
       velocity = [facing(channel)*u_axial, u_lateral]
     else
-      call place_of(polygon, y, side, position(1), position(2))
+      call locate_on_outline(polygon, y, side, position(1), position(2))
       velocity = [u_axial, u_lateral]
     end if
     if (leaves .or. since < 0.0_wp) then
@@ -408,7 +408,7 @@ contains
 
     ux = state%ux
     uy = state%uy
-    call place_of(polygon, state%round, side, x, y)
+    call locate_on_outline(polygon, state%arc_length, side, x, y)
     period = 0.0_wp
     do hits = 1, longest_period
       call next_wall_from(polygon, side, x, y, ux, uy, next, wait)

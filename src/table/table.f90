@@ -25,7 +25,7 @@ module battery_table
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
   public :: gated, ungated, no_channel, outside, in_urn, in_gate, in_return
-  public :: side_at, chamber_at, x_direction, is_open, are_mirror_images, passage_type, passage_at
+  public :: urn_at, chamber_at, x_direction, is_open, are_mirror_images, passage_type, passage_at
   public :: area, perimeter, half_length, mean_visit, shortest_excursion, try_random_point, &
     longest_run
   public :: is_scattered, relaxation_time
@@ -51,7 +51,7 @@ module battery_table
     !> Fixed discs in channel 2: (z, y, radius) of each, z along the channel from urn 2 over the
     !> line at 0 to urn 1; and each half of the channel with them, by side.
     real(wp), allocatable :: scatterers(:, :)
-    type(scattered_half_channel_type) :: scattered(2)
+    type(scattered_half_channel_type) :: half_channel2(2)
     !> A power of two, at least four times the longest flight from wall to wall.
     real(wp) :: epoch = 0.0_wp
   end type table_type
@@ -59,7 +59,7 @@ module battery_table
   !> Where a particle stands on its way through a channel.
   type :: passage_type
     !> Side and chamber that it is in; the channel, or `no_channel`: then nothing else is known.
-    integer :: side = 0, chamber = outside, channel = no_channel
+    integer :: urn = 0, chamber = outside, channel = no_channel
     !> Whether it is too slow to get anywhere, and if not, whether it goes to the line of the
     !> channel or to its urn.
     logical :: endless = .false., inward = .false.
@@ -103,7 +103,7 @@ contains
     !> (z, y, radius) of each disc in channel 2; absent: there are none.
     real(wp), intent(in), optional :: scatterers(:, :)
     type(table_type) :: table
-    integer :: side
+    integer :: urn_index
 
     table%channel = channel
     allocate (table%scatterers(3, 0))
@@ -113,18 +113,18 @@ contains
       table%beyond = [1, 2]
       table%channel(ungated)%width = 0.0_wp
     end if
-    do side = 1, 2
-      table%urn(side) = urn(min(side, table%sides))
-      call derive_shape(table%urn(side), table%channel)
-      associate (here => table%urn(side))
-        here%axis_sign = -x_direction(side)
+    do urn_index = 1, 2
+      table%urn(urn_index) = urn(min(urn_index, table%sides))
+      call derive_shape(table%urn(urn_index), table%channel)
+      associate (here => table%urn(urn_index))
+        here%axis_sign = -x_direction(urn_index)
         here%centre = 0.5_wp*channel(gated)%length + here%chord(gated)
-        here%begins = [0.5_wp*channel(gated)%length, here%centre + here%chord(ungated)]
-        here%periodic_line = here%begins(ungated) + 0.5_wp*channel(ungated)%length
+        here%channel_start = [0.5_wp*channel(gated)%length, here%centre + here%chord(ungated)]
+        here%periodic_line = here%channel_start(ungated) + 0.5_wp*channel(ungated)%length
       end associate
       if (size(table%scatterers) > 0 .and. is_open(table%channel(ungated))) &
-        table%scattered(side) = new_scattered_half_channel(channel(ungated), table%scatterers, &
-        -x_direction(side))
+        table%half_channel2(urn_index) = new_scattered_half_channel(channel(ungated), &
+        table%scatterers, -x_direction(urn_index))
     end do
     table%epoch = power_above(4.0_wp*max(2.0_wp*maxval(table%urn%reach), &
       maxval(hypot(table%channel%length, table%channel%width), mask=is_open(table%channel))))
@@ -135,29 +135,29 @@ contains
   pure logical function is_scattered(table)
     type(table_type), intent(in) :: table
 
-    is_scattered = table%scattered(1)%count > 0
+    is_scattered = table%half_channel2(1)%count > 0
   end function is_scattered
 
   !> Area |Q| of the whole table, open channels included.
   pure function area(table) result(total)
     type(table_type), intent(in) :: table
-    real(wp) :: total, taken, added
+    real(wp) :: total, covered, added
 
     total = sum(table%urn(:table%sides)%area) + sum(0.5_wp*real(table%sides, wp) &
       *table%channel%length*table%channel%width)
-    call measure_scatterers(table%channel(ungated), table%scatterers, taken, added)
-    if (is_scattered(table)) total = total - taken
+    call measure_scatterers(table%channel(ungated), table%scatterers, covered, added)
+    if (is_scattered(table)) total = total - covered
   end function area
 
   !> Length |dQ| of all walls, the end wall of the single urn included.
   pure function perimeter(table) result(length)
     type(table_type), intent(in) :: table
-    real(wp) :: length, taken, added
+    real(wp) :: length, covered, added
 
     length = sum(table%urn(:table%sides)%perimeter) + real(table%sides, wp) &
       *sum(table%channel%length, mask=is_open(table%channel))
     if (table%beyond(1) == 1) length = length + table%channel(gated)%width
-    call measure_scatterers(table%channel(ungated), table%scatterers, taken, added)
+    call measure_scatterers(table%channel(ungated), table%scatterers, covered, added)
     if (is_scattered(table)) length = length + added
   end function perimeter
 
@@ -205,25 +205,25 @@ contains
   !> has an upright side and so has the other), and no discs stand in channel 2.
   pure logical function keeps_directions(table)
     type(table_type), intent(in) :: table
-    integer :: side
+    integer :: urn
 
     keeps_directions = .not. is_scattered(table)
-    do side = 1, table%sides
+    do urn = 1, table%sides
       if (.not. keeps_directions) return
-      keeps_directions = table%urn(side)%shape == shape_polygon
-      if (keeps_directions) keeps_directions = directions_stay(table%urn(side)%corner)
+      keeps_directions = table%urn(urn)%shape == shape_polygon
+      if (keeps_directions) keeps_directions = directions_stay(table%urn(urn)%corner)
     end do
   end function keeps_directions
 
   !> The side of a point; the middle line belongs to side 2, if there is one.
-  elemental function side_at(table, x) result(side)
+  elemental function urn_at(table, x) result(urn)
     type(table_type), intent(in) :: table
     !> In the frame of the table, a length.
     real(wp), intent(in) :: x
-    integer :: side
+    integer :: urn
 
-    side = merge(1, table%sides, x < 0.0_wp)
-  end function side_at
+    urn = merge(1, table%sides, x < 0.0_wp)
+  end function urn_at
 
   !> Chamber that holds the point (x, y); a point on a chord belongs to the channel. `tolerance` is
   !> how far beyond a wall a point may lie.
@@ -234,20 +234,20 @@ contains
     integer :: chamber
 
     chamber = outside
-    associate (urn => table%urn(side_at(table, x)))
-      if (abs(x) <= urn%begins(gated)) then
+    associate (urn => table%urn(urn_at(table, x)))
+      if (abs(x) <= urn%channel_start(gated)) then
         if (abs(y) <= urn%half_width(gated) + tolerance) chamber = in_gate
       else if (is_open(table%channel(ungated)) .and. abs(x) - urn%centre >= urn%chord(ungated)) then
         if (abs(y) <= urn%half_width(ungated) + tolerance .and. &
           abs(x) <= urn%periodic_line + tolerance) chamber = in_return
-        if (is_in_scatterer(table%scattered(side_at(table, x)), urn%periodic_line - abs(x), y, &
+        if (is_in_scatterer(table%half_channel2(urn_at(table, x)), urn%periodic_line - abs(x), y, &
           tolerance)) chamber = outside
       else if (contains_point(urn, urn%centre - abs(x), y, tolerance)) then
         chamber = in_urn
       end if
       if (urn%overhangs .and. chamber /= in_urn) then
         ! Beside a channel, or beyond its end, there may be urn.
-        if (abs(y) > urn%half_width(merge(gated, ungated, abs(x) <= urn%begins(gated))) &
+        if (abs(y) > urn%half_width(merge(gated, ungated, abs(x) <= urn%channel_start(gated))) &
           .and. contains_point(urn, urn%centre - abs(x), y, 0.0_wp)) chamber = in_urn
         if (chamber == outside .and. contains_point(urn, urn%centre - abs(x), y, tolerance)) &
           chamber = in_urn
@@ -267,16 +267,16 @@ contains
     real(wp), parameter :: most_hits = 4.0e18_wp
     real(wp) :: depth, outward
 
-    passage%side = side_at(table, x)
+    passage%urn = urn_at(table, x)
     passage%chamber = chamber_at(table, x, y, huge(1.0_wp))
     if (passage%chamber == in_urn) return
     passage%channel = merge(ungated, gated, passage%chamber == in_return)
-    associate (urn => table%urn(passage%side), channel => table%channel(passage%channel))
+    associate (urn => table%urn(passage%urn), channel => table%channel(passage%channel))
       passage%endless = .not. abs(ux)*min(longest_run*urn%reach, most_hits*channel%width) &
         > channel%length
       if (passage%endless) return
       ! How far it is beyond the chord, and how fast it goes on from there.
-      depth = urn%begins(gated) - abs(x)
+      depth = urn%channel_start(gated) - abs(x)
       if (passage%channel == ungated) depth = abs(x) - urn%centre - urn%chord(ungated)
       outward = facing(passage%channel)*urn%axis_sign*ux
       passage%time = -depth/outward

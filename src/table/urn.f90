@@ -37,7 +37,8 @@ module battery_urn
     type(polygon_type) :: polygon
     !> Where it is: |x| of its origin, and of the periodic line at the end of this side's half of
     !> channel 2; |x| where each channel begins; sign of its own x axis along that of the table.
-    real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, begins(2) = 0.0_wp, axis_sign = 1.0_wp
+    real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, channel_start(2) = 0.0_wp, axis_sign = &
+      1.0_wp
     !> Shortest flight that a clock can resolve.
     real(wp) :: shortest = 0.0_wp
   end type urn_type

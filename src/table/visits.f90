@@ -4,11 +4,11 @@ module battery_visits
   use battery_channel, only: gated, none => no_channel
   implicit none (type, external)
   private
-  public :: visits_type, reserve_visits, split_visits_by_urn, together, no_channel, truncated, &
+  public :: visits_type, reserve_visits, split_visits_by_urn, group_size, no_channel, truncated, &
     many_hits
 
   !> Number of particles that the kernels process together.
-  integer, parameter :: together = 4
+  integer, parameter :: group_size = 4
 
   !> In place of a channel: the particle never leaves.
   integer(int64), parameter :: no_channel = none
@@ -21,7 +21,7 @@ module battery_visits
   !> many.
   real(wp), parameter :: many_hits = 112.0_wp
 
-  !> A batch of visits; arrays are padded to whole groups of `together`.
+  !> A batch of visits; arrays are padded to whole groups of `group_size`.
   type :: visits_type
     integer :: count = 0
     !> Visits that the arrays can hold; below 0 before they are allocated.
@@ -83,7 +83,7 @@ contains
     integer, intent(in) :: room
     integer :: n
 
-    n = together*((max(room, 64) + max(room, 64)/2)/together + 1)
+    n = group_size*((max(room, 64) + max(room, 64)/2)/group_size + 1)
     visits = visits_type()
     visits%room = n
     allocate (visits%time(n), visits%passage(n), visits%turned(n), visits%through(n), visits%x(n), &

@@ -46,10 +46,10 @@ contains
     integer, intent(in) :: events
     !> Particles counted by gate 1 and by gate 2.
     integer, intent(in) :: counted(2)
-    integer :: side, room
+    integer :: urn, room
 
-    do side = 1, 2
-      call reserve_stretch(window%stretch(side), events + counted(side))
+    do urn = 1, 2
+      call reserve_stretch(window%stretch(urn), events + counted(urn))
     end do
     window%crossings = 0
     room = events + sum(counted)
@@ -89,9 +89,9 @@ contains
     partition_count = 0
     do k = 1, events
       i = who(k)
-      enters = flight(i)%heading == to_gate
+      enters = flight(i)%next_event == to_gate
       line = merge(int(flight(i)%urn), periodic_line, enters)
-      flight(i)%heading = merge(counted_in_gate, flight(i)%heading, enters)
+      flight(i)%next_event = merge(counted_in_gate, flight(i)%next_event, enters)
       place = partition_count(line) + 1
       partition_count(line) = place
       due(place, line) = due_time(k)
@@ -200,7 +200,7 @@ contains
           .and. line_of_crossing(window%crossing_order(next)) == periodic_line) exit
         call record_next_crossing()
       end do
-      if (flight(who(k))%heading /= counted_in_gate) then
+      if (flight(who(k))%next_event /= counted_in_gate) then
         call record_next_crossing()
         cycle
       end if

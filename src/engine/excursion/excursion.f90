@@ -12,7 +12,7 @@
 !> before then is found backwards from there, or forwards from the start of a long visit.
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: gated, ungated, side_at, are_mirror_images, mean_visit, &
+  use battery_table, only: gated, ungated, urn_at, are_mirror_images, mean_visit, &
     shortest_excursion, is_scattered
   use battery_flight, only: load_flights, never, to_gate, to_return, counted_in_gate, &
     parked_in_urn, parked_in_channel, partial_visit
@@ -21,7 +21,7 @@ module battery_excursion
     keep_beginnings, store_flights, rebase_long_visits
   use battery_serial_window, only: run_serial_window, longest_serial_window
   use battery_lookahead, only: lookahead_pays, take_computed_visits
-  use battery_scattered_sides, only: sides_type, new_sides
+  use battery_scatterer_visits, only: scatterer_visits_type, new_scatterer_visits
   use battery_chamber, only: cross_channels
   use battery_scatterers, only: narrowest_gap
   use battery_urn, only: compute_visits
@@ -30,8 +30,9 @@ module battery_excursion
   use battery_gate, only: enter_gate, admit_entries, number_inside, first_crossing_time
   use battery_batch_window, only: window_type, reserve_batch_window, partition_events, &
     sort_crossings, decode_crossing_order, record_logged_events, record_crossings
-  use battery_calendar, only: calendar_type, flight_type, new_calendar, epoch_for, &
-    schedule, schedule_all, open_until, next_due, due_before, drop_done, rebase_calendar
+  use battery_calendar, only: calendar_type, flight_type, new_calendar, epoch_for, schedule_event, &
+    schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
+    rebase_calendar
   use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type, reserve_event_record
   use battery_archive, only: archive_type
@@ -62,7 +63,7 @@ module battery_excursion
     logical, public :: looks_ahead = .false.
     !> Whether discs stand in channel 2; the visits of such a table.
     logical :: scattered = .false.
-    type(sides_type) :: sides
+    type(scatterer_visits_type) :: scatterer_visits
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> Number of partial visits; those that are continued in this window: how many, when each is due
@@ -71,8 +72,8 @@ module battery_excursion
     real(wp), allocatable :: resumed_time(:)
     integer, allocatable :: resumed(:)
     type(visits_type) :: partial_visits
-    !> Start of each long visit; where discs stand in channel 2 `sides` holds the start of every
-    !> visit.
+    !> Start of each long visit; where discs stand in channel 2 `scatterer_visits` holds the start
+    !> of every visit.
     type(long_visits_type) :: long_visits
     !> Wall hits of all visits and passages computed so far, future ones included, and those that
     !> event records have reported.
@@ -144,7 +145,7 @@ contains
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
     self%scattered = is_scattered(self%table)
     if (self%scattered) then
-      call new_sides(self%sides, self%number)
+      call new_scatterer_visits(self%scatterer_visits, self%number)
       self%window = min(self%window, max(least_window*self%lookahead, window_hits &
         *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
     end if
@@ -170,7 +171,7 @@ contains
     else
       call load_particles_straight(self, particles)
     end if
-    if (any(self%flight%heading == parked_in_channel)) self%parked_x = particles%x
+    if (any(self%flight%next_event == parked_in_channel)) self%parked_x = particles%x
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
@@ -192,7 +193,7 @@ contains
           call reserve_visits(self%visits(b), start_chunk)
         end do
         do i = first, min(first + start_chunk - 1, self%number)
-          b = min(side_at(self%table, particles%x(i)), self%batches)
+          b = min(urn_at(self%table, particles%x(i)), self%batches)
           call make_initial_flight(self%table, i, particles%x(i), particles%y(i), particles%ux(i), &
             particles%uy(i), from_channels, self%flight(i), self%visits(b), self%computed_hits)
         end do
@@ -220,13 +221,13 @@ contains
     integer, intent(in) :: i
 
     associate (flight => self%flight(i))
-      select case (flight%heading)
+      select case (flight%next_event)
       case (to_gate)
-        call schedule(self%calendar, self%flight, i, flight%time)
+        call schedule_event(self%calendar, self%flight, i, flight%time)
       case (to_return)
-        call schedule(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
+        call schedule_event(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
       case (partial_visit)
-        call schedule(self%calendar, self%flight, i, flight%time - flight%through)
+        call schedule_event(self%calendar, self%flight, i, flight%time - flight%through)
       case (counted_in_gate)
         call enter_gate(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
       case default
@@ -272,10 +273,10 @@ contains
 
     began = self%now
     limit = min(self%now + duration, self%epoch)
-    call next_due(self%calendar, self%flight, min(limit, first_crossing_time(self%gate)), due)
+    call next_due_time(self%calendar, self%flight, min(limit, first_crossing_time(self%gate)), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
-    call open_until(self%calendar, self%flight, ends)
-    due_now = due_before(self%calendar%sorted, self%calendar%due_time, ends)
+    call open_buckets_until(self%calendar, self%flight, ends)
+    due_now = count_due_before(self%calendar%sorted, self%calendar%due_time, ends)
     done = due_now
     self%resumed_count = 0
     if (self%partial_count > 0 .or. self%scattered) call split_off_partial_visits(self%number, &
@@ -291,7 +292,7 @@ contains
       call reserve_batch_window(self%events, done, counted)
       call run_batch_window(self, began, ends, done, event_record)
     end if
-    call drop_done(self%calendar, due_now)
+    call drop_done_events(self%calendar, due_now)
     if (self%scattered) then
       call compute_scattered_visits(self, began, ends, event_record)
     else
@@ -323,7 +324,7 @@ contains
           call compute_urn_visits(self, b)
         end if
         call store_batch_flights(self, b)
-        call schedule_all(self%calendar, v%count, v%particle, v%time)
+        call schedule_events(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
   end subroutine compute_straight_visits
@@ -331,15 +332,15 @@ contains
   !> Computes the next part of each partial visit that is due.
   subroutine continue_partial_visits(self)
     type(excursion_type), intent(inout) :: self
-    integer :: side
+    integer :: urn
 
-    do side = 1, 2
+    do urn = 1, 2
       associate (v => self%partial_visits)
-        call compute_partial_visits(self%table%urn(side), side, self%number, self%flight, &
+        call compute_partial_visits(self%table%urn(urn), urn, self%number, self%flight, &
           self%resumed_count, self%resumed_time, self%resumed, v, self%long_visits, &
           self%computed_hits)
         self%partial_count = self%partial_count - v%count + count(v%channel(:v%count) == truncated)
-        call schedule_all(self%calendar, v%count, v%particle, v%time)
+        call schedule_events(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
   end subroutine continue_partial_visits
@@ -350,7 +351,8 @@ contains
 
     call rebase_calendar(self%calendar, self%flight)
     if (self%looks_ahead) self%visits(2)%count = 0
-    if (self%scattered) self%sides%visit_start%time = self%sides%visit_start%time - self%epoch
+    if (self%scattered) self%scatterer_visits%visit_start%time = &
+      self%scatterer_visits%visit_start%time - self%epoch
     self%flight%time = self%flight%time - self%epoch
     call rebase_long_visits(self%long_visits, self%epoch)
     call rebase_gates_and_clock(self)

@@ -1,6 +1,6 @@
 !> Observation and serialisation of the state of the engine `excursion`.
 submodule (battery_excursion) battery_excursion_state
-  use battery_scattered_sides, only: locate_by_replay, serialize_visit_starts
+  use battery_scatterer_visits, only: locate_by_replay, serialize_visit_starts
   use battery_flight, only: locate_particle, locate_parked_particle
   use battery_long_visits, only: is_nearer_start, locate_from_start, serialize_long_visits
   use battery_scatterers, only: detect_periodic_path
@@ -25,11 +25,12 @@ contains
     integer(int64), intent(out) :: hits
 
     associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
-      if (flight%heading == parked_in_channel) then
+      if (flight%next_event == parked_in_channel) then
         call locate_parked_particle(urn, flight, self%parked_x(i), self%now, state, hits)
-      else if (self%scattered .and. flight%heading /= counted_in_gate &
-        .and. (flight%heading /= to_gate .or. self%now < flight%time)) then
-        call locate_by_replay(self%table, self%sides%visit_start(i), self%now, state, hits)
+      else if (self%scattered .and. flight%next_event /= counted_in_gate &
+        .and. (flight%next_event /= to_gate .or. self%now < flight%time)) then
+        call locate_by_replay(self%table, self%scatterer_visits%visit_start(i), self%now, state, &
+          hits)
       else
         if (is_nearer_start(self%long_visits, flight, self%now)) then
           call locate_from_start(self%long_visits, urn, i, self%now, state(:2), state(3:), hits)
@@ -62,15 +63,15 @@ contains
     logical :: yes
     integer :: i
 
-    total = count(self%flight%heading == parked_in_urn .or. self%flight%heading == &
+    total = count(self%flight%next_event == parked_in_urn .or. self%flight%next_event == &
       parked_in_channel)
     if (.not. self%scattered) return
     do i = 1, self%number
-      if (self%flight(i)%heading /= partial_visit) cycle
+      if (self%flight(i)%next_event /= partial_visit) cycle
       call locate_now(self, i, state, hits)
       if (chamber_at(self%table, state(1), state(2), huge(1.0_wp)) /= in_return) cycle
       associate (urn => self%table%urn(self%flight(i)%urn))
-        call detect_periodic_path(self%table%scattered(self%flight(i)%urn), urn%periodic_line &
+        call detect_periodic_path(self%table%half_channel2(self%flight(i)%urn), urn%periodic_line &
           + urn%axis_sign*state(1), state(2), urn%axis_sign*state(3), state(4), yes)
       end associate
       if (yes) total = total + 1
@@ -83,30 +84,30 @@ contains
 
     ! In a saved state, x of a particle parked in a channel is stored in place of `u_axial`.
     if (allocated(self%parked_x) .and. .not. archive%reading) then
-      where (self%flight%heading == parked_in_channel) self%flight%u_axial = self%parked_x
+      where (self%flight%next_event == parked_in_channel) self%flight%u_axial = self%parked_x
     end if
     call archive%serialize('known_hits', self%computed_hits)
     call archive%serialize('told_hits', self%reported_hits)
-    call archive%serialize('heading', self%flight%heading)
+    call archive%serialize('heading', self%flight%next_event)
     call archive%serialize('urn', self%flight%urn)
     call archive%serialize('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
     call archive%serialize('along', self%flight%u_axial, 'across', self%flight%u_lateral, &
       'length', self%flight%length, 'through', self%flight%through)
-    if (any(self%flight%heading == parked_in_channel)) then
+    if (any(self%flight%next_event == parked_in_channel)) then
       self%parked_x = self%flight%u_axial
-      where (self%flight%heading == parked_in_channel) self%flight%u_axial = 0.0_wp
+      where (self%flight%next_event == parked_in_channel) self%flight%u_axial = 0.0_wp
     end if
     if (self%scattered) then
-      call serialize_visit_starts(self%sides, self%flight%urn, archive)
+      call serialize_visit_starts(self%scatterer_visits, self%flight%urn, archive)
     else
       call serialize_long_visits(self%long_visits, self%flight, archive)
     end if
     if (.not. archive%reading .or. archive%failed()) return
-    self%partial_count = merge(0, count(self%flight%heading == partial_visit), self%scattered)
+    self%partial_count = merge(0, count(self%flight%next_event == partial_visit), self%scattered)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
-      if (any(self%flight(i)%heading == [to_gate, to_return, partial_visit])) &
-        call schedule(self%calendar, self%flight, i, self%flight(i)%due)
+      if (any(self%flight(i)%next_event == [to_gate, to_return, partial_visit])) &
+        call schedule_event(self%calendar, self%flight, i, self%flight(i)%due)
     end do
   end procedure serialize_own_state
 

@@ -80,8 +80,8 @@ contains
     integer :: channel
 
     elapsed = now - flight%time
-    channel = merge(ungated, gated, flight%heading == to_return)
-    if (flight%heading == partial_visit) channel = no_channel
+    channel = merge(ungated, gated, flight%next_event == to_return)
+    if (flight%next_event == partial_visit) channel = no_channel
     if (channel /= no_channel .and. elapsed >= 0.0_wp) then
       call fold(flight%y + flight%u_lateral*elapsed, urn%width(channel), position(2), reflected, &
         passed)

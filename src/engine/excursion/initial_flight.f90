@@ -4,7 +4,7 @@ module battery_initial_flight
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64
   use battery_table, only: table_type, passage_type, passage_at, gated, no_channel
-  use battery_calendar, only: flight_type, idle
+  use battery_calendar, only: flight_type, idle_flight
   use battery_memory, only: prefer_large_pages
   use battery_flight, only: to_return, counted_in_gate, parked_in_channel, partial_visit, never
   use battery_urn, only: first_impact
@@ -23,7 +23,7 @@ contains
 
     allocate (flight(number))
     call prefer_large_pages(c_loc(flight), int(number, c_size_t)*storage_size(flight)/8)
-    flight = idle
+    flight = idle_flight
   end subroutine allocate_flights
 
   !> Loads particle `i` at (x, y) with velocity (ux, uy) in the frame of the table. If it is in a
@@ -46,14 +46,14 @@ contains
 
     passage = passage_at(table, x, y, ux, uy)
     if (from_channels .eqv. passage%channel == no_channel) return
-    if (from_channels) flight%urn = int(passage%side, int16)
+    if (from_channels) flight%urn = int(passage%urn, int16)
     if (passage%endless) then
-      flight%heading = parked_in_channel
+      flight%next_event = parked_in_channel
       flight%y = y
       flight%u_axial = abs(ux)
       flight%u_lateral = uy
     else if (passage%inward) then
-      flight%heading = merge(counted_in_gate, to_return, passage%channel == gated)
+      flight%next_event = merge(counted_in_gate, to_return, passage%channel == gated)
       flight%time = passage%time
       flight%y = passage%height
       flight%u_axial = abs(ux)
@@ -61,9 +61,9 @@ contains
       flight%u_lateral = passage%reflected*uy
       hits = hits - int(passage%hits, int64)
     else
-      associate (urn => table%urn(passage%side), at => visits%count + 1)
+      associate (urn => table%urn(passage%urn), at => visits%count + 1)
         visits%particle(at) = i
-        visits%urn(at) = passage%side
+        visits%urn(at) = passage%urn
         visits%time(at) = 0.0_wp
         visits%turned(at) = never
         visits%y(at) = y
@@ -94,14 +94,14 @@ contains
 
     passage = passage_at(table, x, y, ux, uy)
     if (passage%channel == no_channel) then
-      associate (urn => table%urn(passage%side))
+      associate (urn => table%urn(passage%urn))
         call first_impact(urn, urn%centre - abs(x), y, urn%axis_sign*ux, uy, flight%y, &
           flight%u_axial, flight%u_lateral, flight%time, before)
       end associate
-      flight%heading = partial_visit
+      flight%next_event = partial_visit
       hits = hits - real(before, wp)
     else
-      flight%heading = merge(counted_in_gate, to_return, passage%channel == gated)
+      flight%next_event = merge(counted_in_gate, to_return, passage%channel == gated)
       flight%time = 0.0_wp
       flight%y = y
       flight%u_axial = abs(ux)

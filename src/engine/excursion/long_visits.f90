@@ -39,7 +39,7 @@ module battery_long_visits
     !> Wall hits in that channel and of the whole visit; after an impact, those since then.
     real(wp) :: hits = 0.0_wp
     integer(int32) :: particle = 0
-    integer(int16) :: heading = 0
+    integer(int16) :: next_event = 0
   end type entry_type
 
   !> The entries, and the index from particles to entries.
@@ -88,7 +88,7 @@ contains
     type(flight_type), intent(in) :: flight
     logical :: yes
 
-    select case (flight%heading)
+    select case (flight%next_event)
     case (parked_in_urn, partial_visit)
       yes = .true.
     case (to_gate, to_return)
@@ -150,14 +150,14 @@ contains
       flight(i)%u_lateral = u_lateral(j)
       flight(i)%through = through(j)
       flight(i)%urn = int(urn(j), int16)
-      flight(i)%heading = to_gate
+      flight(i)%next_event = to_gate
       time(j) = leaves
       if (channel(j) /= gated) then
-        flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
+        flight(i)%next_event = merge(to_return, parked_in_urn, channel(j) == ungated)
         time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
         if (channel(j) == truncated) then
           ! Before its end, so that what follows is due no sooner than the lookahead.
-          flight(i)%heading = partial_visit
+          flight(i)%next_event = partial_visit
           time(j) = leaves - through(j)
         end if
       end if
@@ -191,7 +191,7 @@ contains
       entry%through = flight%through
       entry%turned = turned
       entry%hits = hits
-      entry%heading = flight%heading
+      entry%next_event = flight%next_event
     end associate
   end subroutine store_visit_start
 
@@ -242,7 +242,7 @@ contains
     logical :: yes
 
     yes = has_long_visit(visits, flight)
-    if (yes .and. flight%heading /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
+    if (yes .and. flight%next_event /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
   end function is_nearer_start
 
   !> Position and velocity of a particle at the time `now`, forwards from the start of its visit;
@@ -263,11 +263,11 @@ contains
     integer :: from
 
     associate (entry => visits%entry(visits%place(particle)))
-      if (entry%heading == partial_visit) then
+      if (entry%next_event == partial_visit) then
         call locate_in_visit(urn, no_channel, entry%y, entry%u_axial, entry%u_lateral, now &
           - entry%time, position, velocity, hits)
       else
-        from = merge(ungated, gated, entry%heading == to_return)
+        from = merge(ungated, gated, entry%next_event == to_return)
         passage = merge(2.0_wp*(entry%turned - entry%time), entry%through, entry%turned < never)
         begins = entry%time + passage
         x = facing(from)*urn%chord(from)
@@ -322,7 +322,7 @@ contains
       visits%place(particle) = [(int(at, int32), at=1, size(particle))]
     end if
     associate (entry => visits%entry(:visits%count))
-      call archive%serialize('long_heading', entry%heading)
+      call archive%serialize('long_heading', entry%next_event)
       call archive%serialize('long_time', entry%time, 'long_y', entry%y, 'long_along', &
         entry%u_axial, 'long_across', entry%u_lateral, 'long_through', entry%through)
       call archive%serialize('long_turned', entry%turned, 'long_hits', entry%hits)

@@ -104,7 +104,7 @@ contains
     ahead%turned(:n) = visits%turned(:n)
     do k = 1, min(coming, most_lookahead_visits)
       ahead%particle(n + k) = next(k)
-      ahead%channel(n + k) = merge(gated, ungated, flight(next(k))%heading == to_gate)
+      ahead%channel(n + k) = merge(gated, ungated, flight(next(k))%next_event == to_gate)
       ahead%turned(n + k) = never
     end do
     n = n + min(coming, most_lookahead_visits)

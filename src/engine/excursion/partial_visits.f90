@@ -34,7 +34,7 @@ contains
     integer, allocatable, intent(out) :: resumed(:)
     logical :: apart(events)
 
-    apart = flight(particle(:events))%heading == partial_visit
+    apart = flight(particle(:events))%next_event == partial_visit
     resumed_count = count(apart)
     resumed_time = pack(due_time(:events), apart)
     resumed = pack(particle(:events), apart)
@@ -44,11 +44,11 @@ contains
   end subroutine split_off_partial_visits
 
   !> Computes the next part of each visit to one urn, starting from when it was due.
-  subroutine compute_partial_visits(urn, side, number, flight, resumed_count, resumed_time, &
+  subroutine compute_partial_visits(urn, urn_index, number, flight, resumed_count, resumed_time, &
     resumed, visits, long_visits, computed_hits)
     type(urn_type), intent(in) :: urn
     !> The urn, 1 or 2; number of particles.
-    integer, intent(in) :: side, number
+    integer, intent(in) :: urn_index, number
     type(flight_type), intent(inout) :: flight(number)
     !> Particles of both urns, from `split_off_partial_visits`.
     integer, intent(in) :: resumed_count, resumed(resumed_count)
@@ -67,13 +67,13 @@ contains
     call reserve_visits(visits, resumed_count)
     do k = 1, resumed_count
       associate (flown => flight(resumed(k)))
-        if (flown%urn /= side) cycle
+        if (flown%urn /= urn_index) cycle
         j = visits%count + 1
         visits%count = j
         call locate_in_visit(urn, int(truncated), flown%y, flown%u_axial, flown%u_lateral, 0.0_wp, &
           position, velocity, hits)
         visits%particle(j) = resumed(k)
-        visits%urn(j) = side
+        visits%urn(j) = urn_index
         visits%time(j) = resumed_time(k)
         visits%x(j) = position(1)
         visits%y(j) = position(2)

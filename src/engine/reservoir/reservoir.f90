@@ -23,7 +23,7 @@ module battery_reservoir
   use battery_powers, only: power_above
   use battery_table, only: table_type, gated, ungated, are_mirror_images, mean_visit, is_scattered
   use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, &
-    make_initial_stay, hits_to_come, locate_stay, locate_parked_stay, sum_outside_urns, &
+    make_initial_stay, remaining_channel_hits, locate_stay, locate_parked_stay, sum_outside_urns, &
     serialize_stays, serialize_draws, is_parked, from_gate, from_return, counted_in_gate, to_return
   use battery_random, only: new_random
   use battery_queue, only: queue_type, empty_queue, push, pop, rebase_queue, serialize_queue
@@ -128,7 +128,7 @@ contains
       call make_initial_stay(self%table, particles%x(i), particles%y(i), particles%ux(i), &
         particles%uy(i), self%stay(i), self%entered(i))
       associate (stay => self%stay(i))
-        select case (stay%heading)
+        select case (stay%phase)
         case (counted_in_gate)
           call enter_gate(self%gate(stay%urn), stay%time + self%half_length(gated)/stay%u_axial, i)
         case (to_return)
@@ -138,7 +138,7 @@ contains
         case default
           continue
         end select
-        self%computed_hits = self%computed_hits + hits_to_come(self%table, stay)
+        self%computed_hits = self%computed_hits + remaining_channel_hits(self%table, stay)
         ! The time in the channel before the start is no time of this run.
         if (.not. is_parked(stay)) self%fraction = self%fraction - self%hit_rate*stay%time
       end associate
@@ -203,7 +203,8 @@ contains
       at = min(1 + int(place), self%members)
       if (self%entered(self%member(at)) <= time) then
         leaves = .true.
-        if (self%uneven) call thin(self, self%member(at), place - real(at - 1, wp), time, leaves)
+        if (self%uneven) call thin_tick(self, self%member(at), place - real(at - 1, wp), time, &
+          leaves)
         if (leaves) call leave_urn(self, at, time, began, event_record)
       end if
       call schedule_tick(self, time)
@@ -212,7 +213,7 @@ contains
 
   !> Urns that differ: whether particle i heeds a tick, by a number `chance` uniform in (0, 1). If
   !> it does, what was hit less than in the other urn is taken off.
-  pure subroutine thin(self, i, chance, time, is_kept)
+  pure subroutine thin_tick(self, i, chance, time, is_kept)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: i
     real(wp), intent(in) :: chance, time
@@ -223,7 +224,7 @@ contains
     is_kept = chance <= self%tick_share(urn)
     if (is_kept) self%fraction = self%fraction &
       - (self%hit_rate - self%urn_rate(urn))*(time - self%entered(i))
-  end subroutine thin
+  end subroutine thin_tick
 
   !> Member `at` leaves its urn at `time`, into one of the channels.
   subroutine leave_urn(self, at, time, began, event_record)
@@ -248,7 +249,7 @@ contains
       stay%u_lateral = self%draws%u_lateral(k)
       stay%hits = self%draws%hits(k)
       urn = stay%urn
-      stay%heading = int(merge(counted_in_gate, to_return, self%draws%channel(k) == gated), int32)
+      stay%phase = int(merge(counted_in_gate, to_return, self%draws%channel(k) == gated), int32)
     end associate
     self%member(at) = self%member(self%members)
     self%members = self%members - 1
@@ -300,7 +301,7 @@ contains
       self%fraction = self%fraction + (hits - self%stay(i)%hits)
       self%stay(i)%hits = hits
       self%entered(i) = 2.0_wp*time - self%stay(i)%time
-      self%stay(i)%heading = from_gate
+      self%stay(i)%phase = from_gate
       call start_ticking(self, i)
     end do
     call uncount_all(self%gate(urn))
@@ -326,7 +327,7 @@ contains
     if (self%table%beyond(urn) == urn) self%computed_hits = self%computed_hits + 1
     associate (stay => self%stay(i))
       stay%urn = int(self%table%beyond(urn), int32)
-      stay%heading = int(merge(from_gate, from_return, channel == gated), int32)
+      stay%phase = int(merge(from_gate, from_return, channel == gated), int32)
       self%entered(i) = stay%time + 2.0_wp*self%half_length(channel)/stay%u_axial
     end associate
     call start_ticking(self, i)

@@ -9,8 +9,8 @@ module battery_stay
   implicit none (type, external)
   private
   public :: stay_type, draws_type, block_length, draw_ticks, draw_exits, make_initial_stay, &
-    locate_stay, locate_parked_stay, is_parked, hits_to_come, sum_outside_urns, serialize_stays, &
-    serialize_draws
+    locate_stay, locate_parked_stay, is_parked, remaining_channel_hits, sum_outside_urns, &
+    serialize_stays, serialize_draws
   public :: from_gate, from_return, counted_in_gate, to_return
 
   !> Random numbers are drawn so many at a time.
@@ -28,7 +28,7 @@ module battery_stay
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp
     !> Wall hits of the whole way through the channel it is in.
     real(wp) :: hits = 0.0_wp
-    integer(int32) :: heading = from_gate
+    integer(int32) :: phase = from_gate
     !> Urn it is in or goes to, or leaves.
     integer(int32) :: urn = 0
   end type stay_type
@@ -103,24 +103,24 @@ contains
 
     passage = passage_at(table, x, y, ux, uy)
     entered = 0.0_wp
-    stay = stay_type(y=y, u_axial=abs(ux), u_lateral=uy, urn=int(passage%side, int32))
+    stay = stay_type(y=y, u_axial=abs(ux), u_lateral=uy, urn=int(passage%urn, int32))
     if (passage%endless) then
-      stay%heading = int(merge(parked_in_gate, parked_in_return, passage%channel == gated), int32)
+      stay%phase = int(merge(parked_in_gate, parked_in_return, passage%channel == gated), int32)
     else if (passage%inward) then
       stay%time = passage%time
       stay%y = passage%height
       stay%u_lateral = passage%reflected*uy
-      stay%heading = int(merge(counted_in_gate, to_return, passage%channel == gated), int32)
-      stay%hits = real(passed_walls(table, stay, table%channel(passage%channel)%length/abs(ux)), wp)
+      stay%phase = int(merge(counted_in_gate, to_return, passage%channel == gated), int32)
+      stay%hits = real(channel_hits(table, stay, table%channel(passage%channel)%length/abs(ux)), wp)
     else if (passage%channel /= no_channel) then
-      stay%heading = int(merge(from_gate, from_return, passage%channel == gated), int32)
+      stay%phase = int(merge(from_gate, from_return, passage%channel == gated), int32)
       entered = passage%time
-      stay%hits = real(passed_walls(table, stay, entered), wp)
+      stay%hits = real(channel_hits(table, stay, entered), wp)
     end if
   end subroutine make_initial_stay
 
   !> Wall hits in its channel in the time `passage` after it entered that.
-  elemental function passed_walls(table, stay, passage) result(hits)
+  elemental function channel_hits(table, stay, passage) result(hits)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     real(wp), intent(in) :: passage
@@ -129,7 +129,7 @@ contains
     hits = 0
     if (passage > 0.0_wp) hits = int(abs(stay%y + stay%u_lateral*passage)/width_of(table, stay) &
       + 0.5_wp, int64)
-  end function passed_walls
+  end function channel_hits
 
   !> Width of the channel it is or was last in.
   elemental function width_of(table, stay) result(width)
@@ -137,7 +137,7 @@ contains
     type(stay_type), intent(in) :: stay
     real(wp) :: width
 
-    width = table%channel(merge(gated, ungated, any(stay%heading == [from_gate, counted_in_gate, &
+    width = table%channel(merge(gated, ungated, any(stay%phase == [from_gate, counted_in_gate, &
       parked_in_gate])))%width
   end function width_of
 
@@ -146,17 +146,17 @@ contains
     type(stay_type), intent(in) :: stay
     logical :: is_parked
 
-    is_parked = any(stay%heading == [parked_in_gate, parked_in_return])
+    is_parked = any(stay%phase == [parked_in_gate, parked_in_return])
   end function is_parked
 
   !> Wall hits of the passage of a particle after the time 0.
-  elemental function hits_to_come(table, stay) result(hits)
+  elemental function remaining_channel_hits(table, stay) result(hits)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     integer(int64) :: hits
 
-    hits = int(stay%hits, int64) - passed_walls(table, stay, -stay%time)
-  end function hits_to_come
+    hits = int(stay%hits, int64) - channel_hits(table, stay, -stay%time)
+  end function remaining_channel_hits
 
   !> What all have done but for being in an urn.
   pure subroutine sum_outside_urns(table, stay, entered, now, rate, outside, passed)
@@ -178,13 +178,13 @@ contains
     do i = 1, size(stay)
       associate (its => stay(i))
         if (is_parked(its)) then
-          passed = passed + passed_walls(table, its, now - its%time)
-        else if (any(its%heading == [counted_in_gate, to_return])) then
+          passed = passed + channel_hits(table, its, now - its%time)
+        else if (any(its%phase == [counted_in_gate, to_return])) then
           outside = outside + (now - its%time)
-          passed = passed + passed_walls(table, its, now - its%time) - int(its%hits, int64)
+          passed = passed + channel_hits(table, its, now - its%time) - int(its%hits, int64)
         else
           outside = outside + (min(entered(i), now) - its%time)
-          if (now < entered(i)) passed = passed + passed_walls(table, its, now - its%time) &
+          if (now < entered(i)) passed = passed + channel_hits(table, its, now - its%time) &
             - int(its%hits, int64)
         end if
       end associate
@@ -201,7 +201,7 @@ contains
 
     time = 0.0_wp
     do i = 1, size(stay)
-      if (all(stay(i)%heading /= [from_gate, from_return])) cycle
+      if (all(stay(i)%phase /= [from_gate, from_return])) cycle
       time = time + (1.0_wp - rate(stay(i)%urn))*max(now - entered(i), 0.0_wp)
     end do
   end function missed_time
@@ -233,18 +233,18 @@ contains
     real(wp) :: place(4)
     real(wp) :: gone, left, begins
 
-    begins = table%urn(stay%urn)%begins(ungated)
+    begins = table%urn(stay%urn)%channel_start(ungated)
     gone = stay%u_axial*(now - stay%time)
     left = stay%u_axial*(entered - now)
-    select case (stay%heading)
+    select case (stay%phase)
     case (counted_in_gate)
       place = in_channel(0.5_wp*table%channel(gated)%length - gone, -1.0_wp)
     case (to_return)
       place = in_channel(begins + gone, 1.0_wp)
     case default
       if (now >= entered) then
-        place = drawn_in_urn(table, stay%urn, key, count)
-      else if (stay%heading == from_gate) then
+        place = draw_point_in_urn(table, stay%urn, key, count)
+      else if (stay%phase == from_gate) then
         place = in_channel(0.5_wp*table%channel(gated)%length - left, 1.0_wp)
       else
         place = in_channel(begins + left, -1.0_wp)
@@ -271,26 +271,26 @@ contains
   end function locate_stay
 
   !> Uniform in an urn, as if that lay at x > 0, with a direction.
-  pure function drawn_in_urn(table, side, key, count) result(place)
+  pure function draw_point_in_urn(table, urn, key, count) result(place)
     type(table_type), intent(in) :: table
-    integer(int32), intent(in) :: side
+    integer(int32), intent(in) :: urn
     integer(int64), intent(in) :: key, count
     real(wp) :: place(4)
-    integer(int64) :: turn
+    integer(int64) :: counter
     real(wp) :: angle
     logical :: inside
 
-    turn = ishft(count, 20)
+    counter = ishft(count, 20)
     do
-      call try_random_point(table%urn(side), 1.0_wp - hashed_uniform(key, turn), &
-        hashed_uniform(key, turn + 1), place(1), place(2), inside)
-      turn = turn + 2
+      call try_random_point(table%urn(urn), 1.0_wp - hashed_uniform(key, counter), &
+        hashed_uniform(key, counter + 1), place(1), place(2), inside)
+      counter = counter + 2
       if (inside) exit
     end do
-    place(1) = x_direction(side)*place(1)
-    angle = 2.0_wp*pi*hashed_uniform(key, turn)
+    place(1) = x_direction(urn)*place(1)
+    angle = 2.0_wp*pi*hashed_uniform(key, counter)
     place(3:) = [cos(angle), sin(angle)]
-  end function drawn_in_urn
+  end function draw_point_in_urn
 
   !> The stays, and when each has `entered` its urn, through an archive.
   subroutine serialize_stays(table, stay, entered, parked_x, archive)
@@ -305,19 +305,19 @@ contains
     if (allocated(parked_x) .and. .not. archive%reading) then
       where (is_parked(stay))
         stay%u_axial = parked_x
-        stay%heading = parked_in_gate
+        stay%phase = parked_in_gate
       end where
     end if
     call archive%serialize('time', stay%time, 'y', stay%y, 'along', stay%u_axial, 'across', &
       stay%u_lateral, 'entered', entered)
     call archive%serialize('hits', stay%hits)
-    call archive%serialize('heading', stay%heading)
+    call archive%serialize('heading', stay%phase)
     call archive%serialize('urn', stay%urn)
     if (.not. any(is_parked(stay))) return
     parked_x = stay%u_axial
     where (is_parked(stay))
       stay%u_axial = 0.0_wp
-      stay%heading = int(merge(parked_in_gate, parked_in_return, abs(parked_x) &
+      stay%phase = int(merge(parked_in_gate, parked_in_return, abs(parked_x) &
         <= 0.5_wp*table%channel(gated)%length), int32)
     end where
   end subroutine serialize_stays

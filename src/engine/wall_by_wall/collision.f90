@@ -9,10 +9,10 @@ module battery_collision
   use battery_table, only: table_type
   use battery_motion, only: motion_type, move_straight, meets_channel_wall, meets_nothing
   use battery_bounce, only: hit_wall, reverse_motion
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, load_motions, &
+  use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, load_motions, &
     serialize_counts, process_event, end_instant, count_hits, longest_window, end_of_window, &
     window_events, most_hits
-  use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, &
+  use battery_tournament, only: tournament_type, new_tournament, set_event_time, event_time_of, &
     rebase_tournament
   use battery_engine, only: particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type
@@ -40,7 +40,7 @@ contains
   subroutine prepare_engine(self)
     class(collision_type), intent(inout) :: self
 
-    call prepare_walls(self)
+    call reset_counts(self)
     self%window = longest_window(self, window_events)
     if (allocated(self%motion)) deallocate (self%motion)
     if (allocated(self%due)) deallocate (self%due)
@@ -91,7 +91,7 @@ contains
         call move_straight(self%motion(i), self%now - self%motion(i)%time)
         self%motion(i)%time = self%now
         call process_event(self, event_record, i, self%motion(i), wait)
-        call set_time(self%tournament, i, self%now + wait)
+        call set_event_time(self%tournament, i, self%now + wait)
       end do
       call end_instant(self, first, event_record)
     end do
@@ -119,7 +119,7 @@ contains
       call move_straight(motion(i), time - motion(i)%time)
       call hit_wall(table, motion(i), wait)
       motion(i)%time = time
-      call set_time(tournament, i, time + wait)
+      call set_event_time(tournament, i, time + wait)
       hits = hits + 1
     end do
   end subroutine process_collisions_until
@@ -133,7 +133,7 @@ contains
     call move_straight(self%motion(i), self%now - self%motion(i)%time)
     self%motion(i)%time = self%now
     call reverse_motion(self%table, self%motion(i), wait)
-    call set_time(self%tournament, i, self%now + wait)
+    call set_event_time(self%tournament, i, self%now + wait)
   end subroutine reverse_particle
 
   !> Particle `i`, flown on from its last event until now, if it meets anything at all.
@@ -158,7 +158,7 @@ contains
     if (allocated(self%due)) then
       self%due(i) = self%now + wait
     else
-      call set_time(self%tournament, i, self%now + wait)
+      call set_event_time(self%tournament, i, self%now + wait)
     end if
   end subroutine store_motion
 
@@ -180,10 +180,10 @@ contains
     call serialize_counts(self, archive)
     call archive%serialize('x', self%motion%x, 'y', self%motion%y, 'ux', self%motion%ux, &
       'uy', self%motion%uy, 'time', self%motion%time)
-    call archive%serialize('side', self%motion%side)
+    call archive%serialize('side', self%motion%urn)
     call archive%serialize('chamber', self%motion%chamber)
     call archive%serialize('next', self%motion%next)
-    if (.not. archive%reading) self%due = [(time_of(self%tournament, i), i=1, self%number)]
+    if (.not. archive%reading) self%due = [(event_time_of(self%tournament, i), i=1, self%number)]
     call archive%serialize('due', self%due)
     call begin_tournament(self)
   end subroutine serialize_own_state

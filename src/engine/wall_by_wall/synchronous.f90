@@ -15,7 +15,7 @@
 module battery_synchronous
   use battery_kinds, only: wp, int8, int64
   use battery_motion, only: motion_type, meets_nothing, wall_kind
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, load_motions, &
+  use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, load_motions, &
     serialize_counts, process_event, end_instant, longest_window, end_of_window, window_events, &
     most_hits
   use battery_engine, only: particles_type
@@ -44,7 +44,7 @@ module battery_synchronous
     !> meets nothing stands still and has a huge time left.
     real(wp), allocatable :: field(:)
     integer :: begins = 1, rows = 0
-    integer(int8), allocatable :: side(:), chamber(:)
+    integer(int8), allocatable :: urn(:), chamber(:)
     integer(wall_kind), allocatable :: next(:)
     !> Whether the next pass goes backwards.
     logical :: backwards = .false.
@@ -64,19 +64,19 @@ contains
     class(synchronous_type), intent(inout) :: self
     integer :: number, bytes, i
 
-    call prepare_walls(self)
+    call reset_counts(self)
     number = self%number
     self%rows = (number + row_length - 1)/row_length
     bytes = storage_size(1.0_wp)/8
     self%window = longest_window(self, min(window_events, window_moves/real(number, wp)))
-    if (allocated(self%field)) deallocate (self%field, self%side, self%chamber, self%next, &
+    if (allocated(self%field)) deallocate (self%field, self%urn, self%chamber, self%next, &
       self%parked_ux, self%parked_uy)
     allocate (self%field(row_length*in_left*self%rows + line_bytes/bytes - 1), source=0.0_wp)
     self%begins = 1 + bytes_to_next_line(self%field)/bytes
     do i = 1, row_length*self%rows
       self%field(field_index(self, i, in_left)) = huge(1.0_wp)
     end do
-    allocate (self%side(number), self%chamber(number), source=1_int8)
+    allocate (self%urn(number), self%chamber(number), source=1_int8)
     allocate (self%next(number), source=meets_nothing)
     allocate (self%parked_ux(number), self%parked_uy(number), source=0.0_wp)
   end subroutine prepare_engine
@@ -97,7 +97,7 @@ contains
     type(particles_type), intent(inout) :: particles
 
     call load_motions(self, particles)
-    call move_all_by(self, 0.0_wp)
+    call move_all_particles(self, 0.0_wp)
   end subroutine load_particles
 
   !> All from event to event, not beyond `duration`.
@@ -109,35 +109,35 @@ contains
 
     ends = end_of_window(self, duration)
     do
-      wait = earliest(self%least)
+      wait = least_of_lanes(self%least)
       if (self%now + wait >= ends) exit
       if (event_record%collisions_seen >= most_hits) then
         ends = self%now
         exit
       end if
-      call move_all_by(self, wait)
+      call move_all_particles(self, wait)
       self%now = self%now + wait
       self%since = self%now - self%began
       call process_instant(self, event_record)
     end do
     ! Not by more than what is left, lest the event lie in the past by rounding.
     wait = min(wait, ends - self%now)
-    call move_all_by(self, wait)
+    call move_all_particles(self, wait)
     self%now = ends
     self%since = ends - self%began
   end subroutine process_window
 
   !> Moves everyone by `time`.
-  subroutine move_all_by(self, time)
+  subroutine move_all_particles(self, time)
     type(synchronous_type), intent(inout) :: self
     real(wp), intent(in) :: time
 
-    call move_all(self%rows, self%backwards, time, self%field(self%begins), self%least)
+    call move_rows(self%rows, self%backwards, time, self%field(self%begins), self%least)
     self%backwards = .not. self%backwards
-  end subroutine move_all_by
+  end subroutine move_all_particles
 
   !> The pass itself. `least` is the least time left in each lane.
-  pure subroutine move_all(rows, backwards, time, field, least)
+  pure subroutine move_rows(rows, backwards, time, field, least)
     integer, intent(in) :: rows
     logical, intent(in) :: backwards
     real(wp), intent(in) :: time
@@ -157,23 +157,23 @@ contains
         least(lane) = merge(left, least(lane), left < least(lane))
       end do
     end do
-  end subroutine move_all
+  end subroutine move_rows
 
   !> The least of all lanes, by halves, which the processor does side by side.
-  pure function earliest(least) result(time)
+  pure function least_of_lanes(least) result(time)
     real(wp), intent(in) :: least(row_length)
     real(wp) :: time
-    real(wp) :: half(row_length)
+    real(wp) :: lowest(row_length)
     integer :: width
 
-    half = least
+    lowest = least
     width = row_length
     do while (width > 1)
       width = width/2
-      half(:width) = min(half(:width), half(width + 1:2*width))
+      lowest(:width) = min(lowest(:width), lowest(width + 1:2*width))
     end do
-    time = half(1)
-  end function earliest
+    time = lowest(1)
+  end function least_of_lanes
 
   !> Everything that is due now, then what the gates decide.
   subroutine process_instant(self, event_record)
@@ -192,11 +192,11 @@ contains
       motion = self%motion_now(i)
       call process_event(self, event_record, i, motion, wait)
       call self%store_motion(i, motion, wait)
-      call renew_lane(self%rows, modulo(i - 1, row_length) + 1, self%field(self%begins), &
+      call update_lane_minimum(self%rows, modulo(i - 1, row_length) + 1, self%field(self%begins), &
         self%least)
     end do
     call end_instant(self, first, event_record)
-    if (any(event_record%reversals > reversals)) call renew_all(self%rows, &
+    if (any(event_record%reversals > reversals)) call update_all_minima(self%rows, &
       self%field(self%begins), self%least)
   end subroutine process_instant
 
@@ -229,7 +229,7 @@ contains
     motion%y = self%field(field_index(self, i, in_y))
     motion%ux = self%field(field_index(self, i, in_ux)) + self%parked_ux(i)
     motion%uy = self%field(field_index(self, i, in_uy)) + self%parked_uy(i)
-    motion%side = self%side(i)
+    motion%urn = self%urn(i)
     motion%chamber = self%chamber(i)
     motion%next = self%next(i)
   end function motion_now
@@ -248,7 +248,7 @@ contains
     do which = in_x, in_left
       self%field(field_index(self, i, which)) = own(which)
     end do
-    self%side(i) = motion%side
+    self%urn(i) = motion%urn
     self%chamber(i) = motion%chamber
     self%next(i) = motion%next
     if (motion%next /= meets_nothing) return
@@ -257,7 +257,7 @@ contains
   end subroutine store_motion
 
   !> The least time left in one lane.
-  pure subroutine renew_lane(rows, lane, field, least)
+  pure subroutine update_lane_minimum(rows, lane, field, least)
     integer, intent(in) :: rows, lane
     real(wp), intent(in) :: field(row_length, in_left, rows)
     real(wp), intent(inout) :: least(row_length)
@@ -269,10 +269,10 @@ contains
       time = merge(field(lane, in_left, row), time, field(lane, in_left, row) < time)
     end do
     least(lane) = time
-  end subroutine renew_lane
+  end subroutine update_lane_minimum
 
   !> The least time left in each lane.
-  pure subroutine renew_all(rows, field, least)
+  pure subroutine update_all_minima(rows, field, least)
     integer, intent(in) :: rows
     real(wp), intent(in) :: field(row_length, in_left, rows)
     real(wp), intent(out) :: least(row_length)
@@ -282,7 +282,7 @@ contains
     do row = 1, rows
       least = min(least, field(:, in_left, row))
     end do
-  end subroutine renew_all
+  end subroutine update_all_minima
 
   !> The counts and the rows, as they stand, through an archive.
   subroutine serialize_own_state(self, archive)
@@ -297,7 +297,7 @@ contains
         call archive%serialize('field', self%field(first:first + row_length - 1))
       end do
     end do
-    call archive%serialize('side', self%side)
+    call archive%serialize('side', self%urn)
     call archive%serialize('chamber', self%chamber)
     call archive%serialize('next', self%next)
     call archive%serialize('kept_ux', self%parked_ux, 'kept_uy', self%parked_uy, 'least', &

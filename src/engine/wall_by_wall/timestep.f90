@@ -26,7 +26,7 @@ module battery_timestep
   use battery_channel, only: fold, facing, is_open
   use battery_motion, only: motion_type
   use battery_urn, only: contains_point, reflect_overshoot
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, serialize_counts, end_instant, &
+  use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, end_instant, &
     count_hits, record_gate_entry, record_line_crossing, window_reaches
   use battery_engine, only: unmet_requirement
   use battery_event_record, only: event_record_type
@@ -48,7 +48,7 @@ module battery_timestep
     !> Times that a particle went round a corner through the wall, as far as that could be seen.
     integer(int64), public :: slips = 0
     real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
-    integer(int8), allocatable :: side(:), chamber(:)
+    integer(int8), allocatable :: urn(:), chamber(:)
     !> Who is not well inside an urn.
     logical, allocatable :: near_wall(:)
     !> Steps in a window.
@@ -83,15 +83,15 @@ contains
     class(timestep_type), intent(inout) :: self
     integer :: number
 
-    call prepare_walls(self)
+    call reset_counts(self)
     number = self%number
     self%steps = int(max(1.0_wp, min(window_moves/real(number, wp), &
       window_reaches*maxval(self%table%urn%reach)/self%time_step)))
     self%slips = 0
-    if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%side, self%chamber, &
+    if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%urn, self%chamber, &
       self%near_wall)
     allocate (self%x(number), self%y(number), self%ux(number), self%uy(number))
-    allocate (self%side(number), self%chamber(number), self%near_wall(number))
+    allocate (self%urn(number), self%chamber(number), self%near_wall(number))
   end subroutine prepare_engine
 
   !> Some steps, within the time `duration`.
@@ -100,17 +100,17 @@ contains
     type(event_record_type), intent(inout) :: event_record
     real(wp), intent(in) :: duration
     real(wp) :: step
-    integer :: turn
+    integer :: step_number
 
     self%since = 0.0_wp
-    do turn = 1, self%steps
+    do step_number = 1, self%steps
       if (self%began + self%since >= self%epoch) exit
       step = self%time_step
       if (duration - self%since < (1.0_wp + stretch)*step) step = max(duration - self%since, 0.0_wp)
-      if (turn > 1 .and. .not. step > 0.0_wp) exit
+      if (step_number > 1 .and. .not. step > 0.0_wp) exit
       self%since = self%since + step
       self%now = self%began + self%since
-      call move_all(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
+      call move_particles(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
         self%chamber, self%near_wall)
       if (.not. are_mirror_images(self%table%urn)) call mark_near_walls_of_urn2(self)
       call process_step_end(self, event_record)
@@ -118,7 +118,7 @@ contains
   end subroutine process_window
 
   !> Straight on by `step`; who may have met something is busy.
-  pure subroutine move_all(urn, number, step, x, y, ux, uy, chamber, near_wall)
+  pure subroutine move_particles(urn, number, step, x, y, ux, uy, chamber, near_wall)
     !> Of side 1; what is busy on the other side is right if the urns are alike.
     type(urn_type), intent(in) :: urn
     integer, intent(in) :: number
@@ -142,7 +142,7 @@ contains
     do i = 1, number
       near_wall(i) = near_wall(i) .or. chamber(i) /= in_urn
     end do
-  end subroutine move_all
+  end subroutine move_particles
 
   !> Whether one at (x, y) in the frame of its urn may have met a wall or a chord of that.
   elemental function is_near(x, y, clear2, chord1, chord2) result(near)
@@ -159,7 +159,7 @@ contains
 
     associate (urn => self%table%urn(2))
       do i = 1, self%number
-        if (self%side(i) == 2 .and. self%chamber(i) == in_urn) self%near_wall(i) = &
+        if (self%urn(i) == 2 .and. self%chamber(i) == in_urn) self%near_wall(i) = &
           is_near(urn%centre - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), &
           urn%chord(ungated))
       end do
@@ -192,7 +192,7 @@ contains
     real(wp) :: x, ux
     logical :: was_beyond
 
-    associate (urn => self%table%urn(self%side(i)), y => self%y(i))
+    associate (urn => self%table%urn(self%urn(i)), y => self%y(i))
       x = urn%centre + urn%axis_sign*self%x(i)
       ux = urn%axis_sign*self%ux(i)
       if (x >= urn%chord(gated) .and. ux > 0.0_wp .and. abs(y) < urn%half_width(gated)) then
@@ -231,14 +231,14 @@ contains
     integer :: channel
     logical :: inward
 
-    out = x_direction(self%side(i))
+    out = x_direction(self%urn(i))
     channel = merge(gated, ungated, self%chamber(i) == in_gate)
     ! On its way to the far end: such a particle cannot leave.
     inward = facing(channel)*out*self%ux(i) < 0.0_wp
-    associate (urn => self%table%urn(self%side(i)), x => self%x(i))
+    associate (urn => self%table%urn(self%urn(i)), x => self%x(i))
       half_width = urn%half_width(channel)
       ! How far it is beyond the chord, and short of the line.
-      depth = facing(channel)*(urn%begins(channel) - out*x)
+      depth = facing(channel)*(urn%channel_start(channel) - out*x)
       ahead = merge(out*x, urn%periodic_line - out*x, channel == gated)
       if (.not. inward .and. depth < 0.0_wp .and. contains_point(urn, urn%centre - out*x, &
         self%y(i), 0.0_wp)) then
@@ -278,9 +278,9 @@ contains
     type(event_record_type), intent(inout) :: event_record
     integer :: from
 
-    from = self%side(i)
-    self%side(i) = int(self%table%beyond(from), int8)
-    if (self%side(i) == from) then
+    from = self%urn(i)
+    self%urn(i) = int(self%table%beyond(from), int8)
+    if (self%urn(i) == from) then
       self%x(i) = -self%x(i)
       self%ux(i) = -self%ux(i)
     else if (self%chamber(i) == in_return) then
@@ -297,7 +297,7 @@ contains
     type(motion_type) :: motion
 
     motion = motion_type(x=self%x(i), y=self%y(i), ux=self%ux(i), uy=self%uy(i), &
-      side=self%side(i), chamber=self%chamber(i))
+      urn=self%urn(i), chamber=self%chamber(i))
   end function motion_now
 
   !> Particle `i` as it is now; the time `wait` until its next event says whether it is busy.
@@ -311,7 +311,7 @@ contains
     self%y(i) = motion%y
     self%ux(i) = motion%ux
     self%uy(i) = motion%uy
-    self%side(i) = motion%side
+    self%urn(i) = motion%urn
     self%chamber(i) = motion%chamber
     ! For the walls that it meets, the end of each step is looked at.
     self%near_wall(i) = wait <= self%time_step
@@ -325,7 +325,7 @@ contains
     call serialize_counts(self, archive)
     call archive%serialize('slips', self%slips)
     call archive%serialize('x', self%x, 'y', self%y, 'ux', self%ux, 'uy', self%uy)
-    call archive%serialize('side', self%side)
+    call archive%serialize('side', self%urn)
     call archive%serialize('chamber', self%chamber)
   end subroutine serialize_own_state
 

@@ -19,7 +19,7 @@ module battery_wall_by_wall
   use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: wall_by_wall_type, prepare_walls, load_motions, serialize_counts, process_event, &
+  public :: wall_by_wall_type, reset_counts, load_motions, serialize_counts, process_event, &
     end_instant, count_hits, record_gate_entry, record_line_crossing, longest_window, end_of_window
 
   !> A window is at most so many times the reach of the larger urn long, and has about so many
@@ -84,13 +84,13 @@ module battery_wall_by_wall
 contains
 
   !> What follows from the table.
-  subroutine prepare_walls(self)
+  subroutine reset_counts(self)
     class(wall_by_wall_type), intent(inout) :: self
 
     self%epoch = self%table%epoch
     self%difference = 0
     self%hits = 0
-  end subroutine prepare_walls
+  end subroutine reset_counts
 
   !> As long as a window of so many events may be.
   pure function longest_window(self, events) result(window)
@@ -140,8 +140,8 @@ contains
       motion = motion_at(self%table, particles%x(i), particles%y(i), particles%ux(i), &
         particles%uy(i))
       call find_first_wall(self%table, motion, wait)
-      self%difference = self%difference + merge(1, -1, motion%side == 1)
-      if (heads_for_middle(motion)) call enter_gate(self%gate(motion%side), self%now &
+      self%difference = self%difference + merge(1, -1, motion%urn == 1)
+      if (heads_for_middle(motion)) call enter_gate(self%gate(motion%urn), self%now &
         + time_to_middle(motion), i)
       call self%store_motion(i, motion, wait)
     end do
@@ -156,9 +156,9 @@ contains
     integer, intent(in) :: particle
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
-    integer :: side, chamber, met
+    integer :: urn, chamber, met
 
-    side = motion%side
+    urn = motion%urn
     chamber = motion%chamber
     met = motion%next
     if (met >= meets_channel_wall) then
@@ -167,7 +167,7 @@ contains
     else
       call pass_line(self%table, motion, wait)
       if (met == meets_gate) call record_gate_entry(self, event_record, particle, motion)
-      if (met == meets_line) call record_line_crossing(self, event_record, particle, side, chamber)
+      if (met == meets_line) call record_line_crossing(self, event_record, particle, urn, chamber)
     end if
   end subroutine process_event
 
@@ -179,28 +179,28 @@ contains
     integer, intent(in) :: particle
     type(motion_type), intent(in) :: motion
 
-    call enter_gate(self%gate(motion%side), self%now + time_to_middle(motion), particle)
+    call enter_gate(self%gate(motion%urn), self%now + time_to_middle(motion), particle)
     if (event_record%logging) call record_event(event_record, self%since, event_entry, &
-      int(motion%side), particle)
+      int(motion%urn), particle)
   end subroutine record_gate_entry
 
-  !> A particle has come to the line of its channel, from `chamber` of `side`.
-  subroutine record_line_crossing(self, event_record, particle, side, chamber)
+  !> A particle has come to the line of its channel, from `chamber` of `urn`.
+  subroutine record_line_crossing(self, event_record, particle, urn, chamber)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
     !> Its number; side 1 or 2; `in_gate` or `in_return`.
-    integer, intent(in) :: particle, side, chamber
+    integer, intent(in) :: particle, urn, chamber
 
     if (chamber == in_gate) then
-      call uncount_particle(self%gate(side), particle)
-      call record_crossing(event_record, self%since, crossing_of(side, gated), particle)
+      call uncount_particle(self%gate(urn), particle)
+      call record_crossing(event_record, self%since, crossing_of(urn, gated), particle)
     else
-      call record_crossing(event_record, self%since, crossing_of(side, ungated), particle)
+      call record_crossing(event_record, self%since, crossing_of(urn, ungated), particle)
     end if
-    if (self%table%beyond(side) == side) then
+    if (self%table%beyond(urn) == urn) then
       call count_hits(self, event_record, 1_int64)
     else
-      self%difference = self%difference + merge(-2, 2, side == 1)
+      self%difference = self%difference + merge(-2, 2, urn == 1)
     end if
   end subroutine record_line_crossing
 
@@ -222,28 +222,28 @@ contains
     integer, intent(in) :: first
     type(event_record_type), intent(inout) :: event_record
 
-    if (has_undecided_entries(self%gate)) call let_gates_decide(self, event_record)
+    if (has_undecided_entries(self%gate)) call decide_reversals(self, event_record)
     if (event_record%events > first) call sort_simultaneous_events(event_record, first, &
       event_record%events)
   end subroutine end_instant
 
   !> Where a gate turns, all those counted in it turn back.
-  subroutine let_gates_decide(self, event_record)
+  subroutine decide_reversals(self, event_record)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
-    integer :: side, place
-    logical :: turns
+    integer :: urn, place
+    logical :: reverses
 
-    do side = 1, 2
-      call decide_reversal(self%gate(side), turns)
-      if (.not. turns) cycle
-      call record_reversal(event_record, self%since, side, number_inside(self%gate(side)))
-      do place = 1, number_inside(self%gate(side))
-        call self%reverse_particle(counted_particle(self%gate(side), place))
+    do urn = 1, 2
+      call decide_reversal(self%gate(urn), reverses)
+      if (.not. reverses) cycle
+      call record_reversal(event_record, self%since, urn, number_inside(self%gate(urn)))
+      do place = 1, number_inside(self%gate(urn))
+        call self%reverse_particle(counted_particle(self%gate(urn), place))
       end do
-      call uncount_all(self%gate(side))
+      call uncount_all(self%gate(urn))
     end do
-  end subroutine let_gates_decide
+  end subroutine decide_reversals
 
   !> Turns particle `i` of a gate back.
   subroutine reverse_particle(self, i)

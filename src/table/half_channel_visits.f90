@@ -3,7 +3,7 @@
 !> `lanes` particles fly side by side, each alone, one flight of each at a time, without branches. A
 !> lane whose particle has come to the line or to the urn takes the next one of the batch. So the
 !> result of a particle does not depend on who else is in its batch.
-module battery_scattered_visits
+module battery_half_channel_visits
   use battery_kinds, only: wp, int64
   use battery_motion, only: motion_type, wall_kind, slowest, meets_nothing, meets_urn, meets_line, &
     meets_channel_wall
@@ -27,9 +27,9 @@ module battery_scattered_visits
 contains
 
   !> All visits of a batch, of which there are `count`.
-  subroutine compute_half_channel_visits(half, limit, count, motion, hits)
+  subroutine compute_half_channel_visits(half_channel, limit, count, motion, hits)
     !> That of all of them.
-    type(scattered_half_channel_type), intent(in) :: half
+    type(scattered_half_channel_type), intent(in) :: half_channel
     !> Nobody is flown beyond this time.
     real(wp), intent(in) :: limit
     integer, intent(in) :: count
@@ -48,16 +48,16 @@ contains
       call load_lane(lane)
     end do
     do while (flying > 0)
-      call find_strip_end(half%length, half%half_width, now%x, now%y, now%ux, now%uy, now%met, &
-        now%delay)
-      call find_nearest_disc(half%count, half%x, half%y, half%radius, now%x, now%y, now%ux, &
+      call find_strip_end(half_channel%length, half_channel%half_width, now%x, now%y, now%ux, &
         now%uy, now%met, now%delay)
+      call find_nearest_disc(half_channel%count, half_channel%x, half_channel%y, &
+        half_channel%radius, now%x, now%y, now%ux, now%uy, now%met, now%delay)
       call advance_lanes(now%until, now%x, now%y, now%ux, now%uy, now%met, now%delay, now%time, &
         now%hits)
-      call look_up_discs(half%count, half%x, half%y, half%radius, now%met, now%met_x, now%met_y, &
-        now%met_radius)
-      call reflect_lanes(half%half_width, now%met_x, now%met_y, now%met_radius, now%x, now%y, &
-        now%ux, now%uy, now%met)
+      call look_up_discs(half_channel%count, half_channel%x, half_channel%y, half_channel%radius, &
+        now%met, now%met_x, now%met_y, now%met_radius)
+      call reflect_lanes(half_channel%half_width, now%met_x, now%met_y, now%met_radius, now%x, &
+        now%y, now%ux, now%uy, now%met)
       do lane = 1, lanes
         if (now%who(lane) == 0) cycle
         if (now%met(lane) >= real(meets_channel_wall, wp) .and. now%hits(lane) < longest_part) cycle
@@ -74,7 +74,7 @@ contains
 
       associate (j => now%who(lane))
         motion(j) = motion_type(now%x(lane), now%y(lane), now%ux(lane), now%uy(lane), &
-          motion(j)%time + now%time(lane), motion(j)%side, motion(j)%chamber, &
+          motion(j)%time + now%time(lane), motion(j)%urn, motion(j)%chamber, &
           nint(now%met(lane), wall_kind))
         hits(j) = int(now%hits(lane), int64)
       end associate
@@ -247,4 +247,4 @@ contains
     end do
   end subroutine reflect_lanes
 
-end module battery_scattered_visits
+end module battery_half_channel_visits
