@@ -6,7 +6,7 @@ module battery_bench_rows
   implicit none (type, external)
   private
   public :: case_type, rate_type, cost_of_collision, cost_of_visit, cost_of_time, write_title, &
-    write_row, begin_json, write_json_row, end_json, processor, peak_memory
+    write_row, begin_json, write_json_row, end_json, processor_name, peak_memory
 
   type :: case_type
     character(len=12) :: engine = 'excursion'
@@ -36,7 +36,7 @@ contains
     integer, intent(in) :: file
 
     write (file, '(a)') '{"version": "'//program_version//'", "commit": "'//git_commit()//'",', &
-      ' "compiler": "'//compiler_version()//'", "processor": "'//processor()//'", "rows": ['
+      ' "compiler": "'//compiler_version()//'", "processor": "'//processor_name()//'", "rows": ['
   end subroutine begin_json
 
   subroutine end_json(file)
@@ -99,34 +99,34 @@ contains
 
     name = one%engine
     if (one%sides > 0) write (name, '(i0, a)') one%sides, ' sides'
-    collisions = spread_of(rates%collisions)
-    visits = spread_of(rates%visits)
-    time = spread_of(1.0e9_dp/rates%particle_time)
+    collisions = least_median_greatest(rates%collisions)
+    visits = least_median_greatest(rates%visits)
+    time = least_median_greatest(1.0e9_dp/rates%particle_time)
     select case (cost)
     case (cost_of_collision)
-      ratio = spread_of(reference%collisions/rates%collisions)
+      ratio = least_median_greatest(reference%collisions/rates%collisions)
     case (cost_of_visit)
-      ratio = spread_of(reference%visits/rates%visits)
+      ratio = least_median_greatest(reference%visits/rates%visits)
     case default
-      ratio = spread_of(reference%particle_time/rates%particle_time)
+      ratio = least_median_greatest(reference%particle_time/rates%particle_time)
     end select
     write (unit, '(a11, i8, i7, 2es8.1, es10.2, a, f4.1, a, es10.2, es11.3, f10.2, a, f4.1, a)') &
       name, one%number, one%threshold, one%width1, one%width2, collisions(2), &
-      ' +-', percents(collisions), '%', visits(2), &
-      time(2), ratio(2), ' +-', percents(ratio), '%'
+      ' +-', half_spread_percent(collisions), '%', visits(2), &
+      time(2), ratio(2), ' +-', half_spread_percent(ratio), '%'
     flush (unit)
   end subroutine write_row
 
   !> Half of the distance from least to greatest, in per cent of the median, up to what is shown.
-  pure function percents(three) result(percent)
+  pure function half_spread_percent(three) result(percent)
     real(dp), intent(in) :: three(3)
     real(dp) :: percent
 
     percent = min(50.0_dp*(three(3) - three(1))/three(2), 99.9_dp)
-  end function percents
+  end function half_spread_percent
 
   !> Least, median and greatest.
-  pure function spread_of(values) result(three)
+  pure function least_median_greatest(values) result(three)
     real(dp), intent(in) :: values(:)
     real(dp) :: three(3)
     real(dp) :: sorted(size(values))
@@ -142,16 +142,16 @@ contains
       sorted(at) = values(k)
     end do
     three = [sorted(1), sorted((size(values) + 1)/2), sorted(size(values))]
-  end function spread_of
+  end function least_median_greatest
 
   !> Name, family and model of the processor, as Linux gives them: names are often those of many.
-  function processor() result(name)
+  function processor_name() result(name)
     character(len=:), allocatable :: name
     character(len=*), parameter :: file = '/proc/cpuinfo'
 
-    name = line_of(file, 'model name')//', family '//line_of(file, 'cpu family')//' model '// &
-      line_of(file, 'model'//achar(9))
-  end function processor
+    name = value_of_line(file, 'model name')//', family '//value_of_line(file, 'cpu family') &
+      //' model '//value_of_line(file, 'model'//achar(9))
+  end function processor_name
 
   !> Most memory this process had, in kB, as Linux gives it; 0 if it does not.
   function peak_memory() result(kilobytes)
@@ -159,14 +159,14 @@ contains
     character(len=:), allocatable :: text
     integer :: status
 
-    text = line_of('/proc/self/status', 'VmHWM')
+    text = value_of_line('/proc/self/status', 'VmHWM')
     kilobytes = 0
     read (text, *, iostat=status) kilobytes
     if (status /= 0) kilobytes = 0
   end function peak_memory
 
   !> What stands after the colon in the line of a file that begins with `key`.
-  function line_of(file, key) result(value)
+  function value_of_line(file, key) result(value)
     character(len=*), intent(in) :: file, key
     character(len=:), allocatable :: value
     character(len=512) :: line
@@ -183,6 +183,6 @@ contains
       exit
     end do
     close (unit)
-  end function line_of
+  end function value_of_line
 
 end module battery_bench_rows

@@ -14,7 +14,7 @@ module battery_bench
   use battery_bench_task_queue, only: bench_task_queue
   use battery_bench_visits, only: entrances_type, draw_entrances, measure_visits
   use battery_bench_rows, only: case_type, rate_type, cost_of_collision, cost_of_visit, &
-    cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor, &
+    cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor_name, &
     peak_memory
   implicit none (type, external)
   private
@@ -50,7 +50,7 @@ contains
     case ('board')
       call bench_task_queue(unit, task_count())
     case ('', '--json')
-      call run_all_tables(unit, json_name())
+      call run_all_tables(unit, json_file_name())
     case default
       write (unit, '(a)') 'usage: bench [--json FILE]', &
         '       bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS', &
@@ -72,13 +72,13 @@ contains
     if (status /= 0 .or. items < 1) error stop 'bench board: TASKS is a whole number from 1 up'
   end function task_count
 
-  function json_name() result(name)
+  function json_file_name() result(name)
     character(len=:), allocatable :: name
     character(len=256) :: word
 
     call get_command_argument(2, word)
     name = trim(word)
-  end function json_name
+  end function json_file_name
 
   !> One case, once: for instruction counters, or for the memory that it takes.
   subroutine run_single(unit, memory)
@@ -123,7 +123,7 @@ contains
       urn%corner = regular_corners(one%sides, 1.0_wp)
     end if
     associate (table => new_table(shape_circuit, [urn, urn], [channel_type(one%width1, 1.0_wp), &
-      channel_type(one%width2, 1.0_wp)], lattice(one%scatterers)))
+      channel_type(one%width2, 1.0_wp)], disc_lattice(one%scatterers)))
       if (one%engine == visits_alone) then
         call draw_entrances(runner%entrances, table)
         return
@@ -138,7 +138,7 @@ contains
   end subroutine start_case
 
   !> Discs of radius 0.025 in two rows by turns, as in `namelists/lorentz.nml`.
-  pure function lattice(scatterers) result(discs)
+  pure function disc_lattice(scatterers) result(discs)
     !> How many of them; even.
     integer, intent(in) :: scatterers
     real(wp) :: discs(3, scatterers)
@@ -149,7 +149,7 @@ contains
       discs(:, k) = [-0.45_wp + 0.1_wp*column, -0.1125_wp + 0.075_wp*modulo(column, 2) &
         + 0.15_wp*modulo(k - 1, 2), 0.025_wp]
     end do
-  end function lattice
+  end function disc_lattice
 
   subroutine warm_up_case(one, runner)
     type(case_type), intent(in) :: one
@@ -235,7 +235,7 @@ contains
       if (status /= 0) error stop 'bench: cannot write '//json
       call begin_json(file)
     end if
-    write (unit, '(a)') 'processor: '//processor(), 'compiler:  '//compiler_version(), &
+    write (unit, '(a)') 'processor: '//processor_name(), 'compiler:  '//compiler_version(), &
       'Medians of rounds in which the rows of a table run in turn; +- half of least to most.'
     flush (unit)
     call run_table(unit, file, 'engines', 'Engines, N = 1000, T = 7, w = 0.3, w'' = 0.01', &

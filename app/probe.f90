@@ -12,7 +12,7 @@ module battery_probe
   private
   public :: argument, real_argument, integer_argument, rounded_to_bits, precision_name, &
     paper_table, start_engine
-  public :: run_for, json_list, print_json_line, stop_at, now_seconds
+  public :: advance_for, json_list, print_json_line, stop_with_message, processor_seconds
 
 contains
 
@@ -35,7 +35,7 @@ contains
 
     word = argument(k)
     read (word, *, iostat=status) number
-    if (status /= 0) call stop_at('argument '//to_text(k)//' is not a number')
+    if (status /= 0) call stop_with_message('argument '//to_text(k)//' is not a number')
   end function real_argument
 
   function integer_argument(k) result(number)
@@ -46,7 +46,7 @@ contains
 
     word = argument(k)
     read (word, *, iostat=status) number
-    if (status /= 0) call stop_at('argument '//to_text(k)//' is not a whole number')
+    if (status /= 0) call stop_with_message('argument '//to_text(k)//' is not a whole number')
   end function integer_argument
 
   !> A length as a number of so many bits: the same in each precision that has them.
@@ -87,7 +87,7 @@ contains
     real(wp) :: began
 
     call new_engine(name, engine, error)
-    if (allocated(error)) call stop_at(error%message)
+    if (allocated(error)) call stop_with_message(error%message)
     engine%time_step = step
     engine%seed = 1
     given = particles
@@ -97,7 +97,7 @@ contains
   end subroutine start_engine
 
   !> Goes on for `duration`; `event_record` is that of the last window.
-  subroutine run_for(engine, duration, event_record)
+  subroutine advance_for(engine, duration, event_record)
     class(engine_type), intent(inout) :: engine
     real(wp), intent(in) :: duration
     type(event_record_type), intent(inout) :: event_record
@@ -108,7 +108,7 @@ contains
       call engine%advance(duration - elapsed, event_record)
       elapsed = elapsed + event_record%duration
     end do
-  end subroutine run_for
+  end subroutine advance_for
 
   !> Numbers as a JSON list.
   function json_list(numbers) result(text)
@@ -150,17 +150,17 @@ contains
     flush (output_unit)
   end subroutine print_json_line
 
-  subroutine stop_at(message)
+  subroutine stop_with_message(message)
     character(len=*), intent(in) :: message
 
     error stop 'accuracy: '//message
-  end subroutine stop_at
+  end subroutine stop_with_message
 
   !> Processor time of this process.
-  function now_seconds() result(seconds)
+  function processor_seconds() result(seconds)
     real(dp) :: seconds
 
     call cpu_time(seconds)
-  end function now_seconds
+  end function processor_seconds
 
 end module battery_probe

@@ -8,7 +8,7 @@ module battery_probe_events
   use battery_event_record, only: event_record_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, &
-    start_engine, json_list, print_json_line, stop_at
+    start_engine, json_list, print_json_line, stop_with_message
   implicit none (type, external)
   private
   public :: events_main
@@ -28,11 +28,11 @@ contains
     real(wp) :: elapsed, duration
     integer :: k
 
-    if (argument(4) /= 'circuit' .and. argument(4) /= 'urn') call stop_at('unknown shape')
+    if (argument(4) /= 'circuit' .and. argument(4) /= 'urn') call stop_with_message('unknown shape')
     table = new_table(merge(shape_circuit, shape_urn, argument(4) == 'circuit'), &
       real_argument(5), real_argument(6), real_argument(7), real_argument(8), real_argument(9))
     call read_particles(argument(10), table, int(integer_argument(11)), particles, error)
-    if (allocated(error)) call stop_at(error%message)
+    if (allocated(error)) call stop_with_message(error%message)
     call start_engine(argument(2), table, int(integer_argument(12)), particles, real_argument(3), &
       engine, real_argument(13))
     duration = real_argument(14)

@@ -16,7 +16,7 @@ module battery_probe_lyapunov
   use battery_error, only: error_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    print_json_line, stop_at
+    print_json_line, stop_with_message
   implicit none (type, external)
   private
   public :: lyapunov_main, tangent_type, advance_tangent, reflect_tangent
@@ -47,7 +47,7 @@ contains
     late = 0.0_wp
     if (argument(6) /= '') then
       call read_particles(argument(6), table, number, particles, error)
-      if (allocated(error)) call stop_at(error%message)
+      if (allocated(error)) call stop_with_message(error%message)
     end if
     do i = 1, number
       call random_start(table, i, flight)

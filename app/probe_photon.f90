@@ -26,7 +26,7 @@ contains
     type(table_type) :: table
     real(wp) :: elapsed, distance
 
-    table = mirrors()
+    table = table_of_mirrors()
     if (.not. is_scattered(table)) error stop 'no mirrors'
     photon%x = [0.5_wp - table%urn(1)%periodic_line]
     photon%y = [0.1_wp]
@@ -48,7 +48,7 @@ contains
 
   !> A channel of width 6 and length 8 with mirrors where the photon could come to, and all lengths
   !> whole numbers.
-  function mirrors() result(table)
+  function table_of_mirrors() result(table)
     type(table_type) :: table
     real(wp) :: stand(3, 25)
     integer :: i
@@ -58,6 +58,6 @@ contains
     end do
     table = new_table(shape_circuit, [urn_type(radius=5.0_wp), urn_type(radius=5.0_wp)], &
       [channel_type(6.0_wp, 2.0_wp), channel_type(6.0_wp, 8.0_wp)], stand)
-  end function mirrors
+  end function table_of_mirrors
 
 end module battery_probe_photon

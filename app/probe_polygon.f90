@@ -13,7 +13,7 @@ module battery_probe_polygon
   use battery_polygon_walls, only: surely_next_side, reflect_from_side
   use battery_table, only: table_type, new_table, shape_circuit, urn_type
   use battery_urn, only: shape_polygon
-  use battery_probe, only: rounded_to_bits, stop_at
+  use battery_probe, only: rounded_to_bits, stop_with_message
   implicit none (type, external)
   private
   public :: polygon_table, polygon_conditions, polygon_tolerance, least_room_beside_corners
@@ -38,13 +38,13 @@ contains
     allocate (numbers(1 + count([(corners(k:k) == ',', k=1, len(corners))])))
     read (corners, *, iostat=status) numbers
     if (status /= 0 .or. size(numbers) < 6 .or. modulo(size(numbers), 2) /= 0) &
-      call stop_at('the urn is disc, or corners x1,y1,x2,y2,...')
+      call stop_with_message('the urn is disc, or corners x1,y1,x2,y2,...')
     urn%shape = shape_polygon
     urn%corner = reshape(rounded_to_bits(numbers, bits), [2, size(numbers)/2])
     table = new_table(shape_circuit, [urn, urn], [channel_type(width(gated), 1.0_wp), &
       channel_type(width(ungated), 1.0_wp)])
-    if (.not. table%urn(1)%fits) call stop_at('where the axis leaves the urn it must be '// &
-      'upright, and wide enough')
+    if (.not. table%urn(1)%fits) call &
+      stop_with_message('where the axis leaves the urn it must be '//'upright, and wide enough')
   end function polygon_table
 
   !> Condition of the place, the direction and the length of a visit.

@@ -24,20 +24,20 @@ contains
   subroutine stability_main()
     engine_name = argument(2)
     most_seconds = real(real_argument(4), dp)
-    call whispering()
-    call corners()
-    call along_the_axis()
-    call across_a_channel()
-    call diameter()
-    call ties()
-    call extremes()
-    call late_clock()
-    call long_run(integer_argument(3))
+    call probe_whispering()
+    call probe_corners()
+    call probe_along_the_axis()
+    call probe_across_a_channel()
+    call probe_diameter()
+    call probe_ties()
+    call probe_extremes()
+    call probe_late_clock()
+    call probe_long_run(integer_argument(3))
   end subroutine stability_main
 
   !> From the top of urn 2, along the wall towards channel 1, at an angle to the wall: when it
   !> enters its gate.
-  subroutine whispering()
+  subroutine probe_whispering()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: centre
@@ -53,12 +53,12 @@ contains
         -cos(angle), -sin(angle)), 3.0_wp, 0.5_wp/angle)
       call print_case(one, first_event_time(one))
     end do
-  end subroutine whispering
+  end subroutine probe_whispering
 
   !> Shots from inside urn 2 at the corner of gate 2, and at 2**-k above and below: how many end on
   !> the wrong side, and of those, at which distance the last did. Exactly at the corner nothing is
   !> wrong but to be lost.
-  subroutine corners()
+  subroutine probe_corners()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: corner(2), from(2), off, worst
@@ -95,10 +95,10 @@ contains
     call print_case(one, real(wrong, wp))
     one%name = 'corner farthest wrong shot'
     call print_case(one, worst)
-  end subroutine corners
+  end subroutine probe_corners
 
   !> Round and round through both channels: height after 100 time units.
-  subroutine along_the_axis()
+  subroutine probe_along_the_axis()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: centre
@@ -115,10 +115,10 @@ contains
         1.0_wp, slope), 100.0_wp, 10.0_wp)
       call print_case(one, one%particles%y(1))
     end do
-  end subroutine along_the_axis
+  end subroutine probe_along_the_axis
 
   !> Across channel 1, drifting to its middle: when it crosses that, over the exact time.
-  subroutine across_a_channel()
+  subroutine probe_across_a_channel()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: drift, exact
@@ -134,10 +134,10 @@ contains
         drift, 1.0_wp), 1.001_wp*exact, 4.0_wp)
       call print_case(one, first_event_time(one)/exact - 1.0_wp)
     end do
-  end subroutine across_a_channel
+  end subroutine probe_across_a_channel
 
   !> To and fro on a diameter of urn 2 that meets no opening: how far it is off after 2000.
-  subroutine diameter()
+  subroutine probe_diameter()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: centre
@@ -151,11 +151,11 @@ contains
     call run_case(one, 'slanted diameter', 1.0_wp, table, 10, one_particle_at(centre, 0.0_wp, &
       0.6_wp, 0.8_wp), 2000.0_wp, 10.0_wp)
     call print_case(one, abs(0.8_wp*(one%particles%x(1) - centre) - 0.6_wp*one%particles%y(1)))
-  end subroutine diameter
+  end subroutine probe_diameter
 
   !> Four particles enter gate 2 at one time, two by two exactly; T = 0, 1, 2 and 3. In how many of
   !> the 24 orders in memory does any of them fare otherwise than in the first?
-  subroutine ties()
+  subroutine probe_ties()
     type(case_type) :: one, first
     type(table_type) :: table
     type(particles_type) :: particles
@@ -185,7 +185,7 @@ contains
       end do
       call print_case(one, real(differ, wp))
     end do
-  end subroutine ties
+  end subroutine probe_ties
 
   !> Whether each particle, whatever its number, has the same events at the same times and is at the
   !> same place at the end.
@@ -211,17 +211,17 @@ contains
   end function same_fates
 
   !> Tables and numbers at the edge of what is allowed, from random starts.
-  subroutine extremes()
-    call extreme('N = 1', 1, 7, 0.3_wp, 0.01_wp)
-    call extreme('T = 0', 100, 0, 0.3_wp, 0.01_wp)
-    call extreme('w'' = 0', 100, 3, 0.3_wp, 0.0_wp)
-    call extreme('w near 2r', 100, 3, nearest(2.0_wp, -1.0_wp), 0.01_wp)
-    call extreme('w and w'' near 2r', 100, 3, 1.9999_wp, 1.9999_wp)
-    call extreme('openings of 1e-9', 100, 3, 1.0e-9_wp, 1.0e-9_wp)
-  end subroutine extremes
+  subroutine probe_extremes()
+    call probe_extreme('N = 1', 1, 7, 0.3_wp, 0.01_wp)
+    call probe_extreme('T = 0', 100, 0, 0.3_wp, 0.01_wp)
+    call probe_extreme('w'' = 0', 100, 3, 0.3_wp, 0.0_wp)
+    call probe_extreme('w near 2r', 100, 3, nearest(2.0_wp, -1.0_wp), 0.01_wp)
+    call probe_extreme('w and w'' near 2r', 100, 3, 1.9999_wp, 1.9999_wp)
+    call probe_extreme('openings of 1e-9', 100, 3, 1.0e-9_wp, 1.0e-9_wp)
+  end subroutine probe_extremes
 
   !> `value`: how many more or fewer are in half 1 than the crossings say.
-  subroutine extreme(name, number, threshold, width1, width2)
+  subroutine probe_extreme(name, number, threshold, width1, width2)
     character(len=*), intent(in) :: name
     integer, intent(in) :: number, threshold
     real(wp), intent(in) :: width1, width2
@@ -236,11 +236,11 @@ contains
     call run_case(one, name, 0.0_wp, table, threshold, particles, 300.0_wp, 2.0_wp*number)
     call print_case(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
       - one%crossings(2)), wp))
-  end subroutine extreme
+  end subroutine probe_extreme
 
   !> The same run from the clock 0 and from 1e12: greatest difference of an event's time since the
   !> start, -1 if the events themselves differ.
-  subroutine late_clock()
+  subroutine probe_late_clock()
     type(case_type) :: early, late
     type(table_type) :: table
     type(particles_type) :: particles
@@ -257,11 +257,11 @@ contains
     if (early%events == late%events) apart = maxval(abs(early%time - late%time))
     call print_case(late, apart)
     most_seconds = most_seconds/60.0_dp
-  end subroutine late_clock
+  end subroutine probe_late_clock
 
   !> One long run, N = 1000, T = 7: how far beyond a wall anybody is at its end; and how many more
   !> or fewer are in half 1 than the crossings say.
-  subroutine long_run(collisions)
+  subroutine probe_long_run(collisions)
     integer(int64), intent(in) :: collisions
     type(case_type) :: one
     type(table_type) :: table
@@ -289,14 +289,14 @@ contains
     end do
     one%seconds = wall_seconds() - began
     call one%engine%particles(1, 1000, one%particles)
-    call print_case(one, beyond(table, one%particles))
+    call print_case(one, farthest_beyond_walls(table, one%particles))
     one%name = 'long run, count of half 1'
     call print_case(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
       - one%crossings(2)), wp))
-  end subroutine long_run
+  end subroutine probe_long_run
 
   !> Greatest distance beyond the walls of the region somebody is in.
-  pure function beyond(table, particles) result(far)
+  pure function farthest_beyond_walls(table, particles) result(far)
     type(table_type), intent(in) :: table
     type(particles_type), intent(in) :: particles
     real(wp) :: far
@@ -314,6 +314,6 @@ contains
         far = max(far, hypot(qx, particles%y(i)) - table%urn(1)%radius)
       end if
     end do
-  end function beyond
+  end function farthest_beyond_walls
 
 end module battery_probe_stability

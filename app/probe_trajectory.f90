@@ -9,7 +9,7 @@ module battery_probe_trajectory
   use battery_event_record, only: event_record_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    start_engine, run_for, json_list, print_json_line, stop_at, now_seconds
+    start_engine, advance_for, json_list, print_json_line, stop_with_message, processor_seconds
   implicit none (type, external)
   private
   public :: trajectory_main, reversal_main
@@ -55,13 +55,13 @@ contains
     elapsed = 0.0_wp
     spent = 0.0_dp
     do k = 1, size(one%times)
-      began = now_seconds()
+      began = processor_seconds()
       do while (one%times(k) - elapsed > 4.0_wp*epsilon(1.0_wp)*one%times(k))
         call engine%advance(one%times(k) - elapsed, event_record)
         call append_events(log, event_record, elapsed)
         elapsed = elapsed + event_record%duration
       end do
-      spent = spent + (now_seconds() - began)
+      spent = spent + (processor_seconds() - began)
       call engine%particles(1, engine%number, found)
       call print_json_line('{"time": '//to_text(real(one%times(k), dp))//', "x": ' &
         //json_list(found%x)//', "y": '//json_list(found%y)//'}')
@@ -90,12 +90,12 @@ contains
     one%threshold = size(one%particles%x)
     do k = 1, size(one%times)
       call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
-      call run_for(engine, one%times(k), event_record)
+      call advance_for(engine, one%times(k), event_record)
       call engine%particles(1, engine%number, found)
       found%ux = -found%ux
       found%uy = -found%uy
       call start_engine(one%engine, one%table, one%threshold, found, one%step, engine)
-      call run_for(engine, one%times(k), event_record)
+      call advance_for(engine, one%times(k), event_record)
       call engine%particles(1, engine%number, found)
       call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//one%engine &
         //'", "time": '//to_text(real(one%times(k), dp))//', "error": '//json_list(hypot(found%x &
@@ -114,7 +114,7 @@ contains
     one%step = real_argument(3)
     one%table = paper_table(0.3_wp, 0.01_wp)
     call read_particles(argument(4), one%table, int(integer_argument(5)), one%particles, error)
-    if (allocated(error)) call stop_at(error%message)
+    if (allocated(error)) call stop_with_message(error%message)
     one%times = [(real_argument(k), k=first, command_argument_count())]
   end subroutine read_case
 
@@ -130,9 +130,9 @@ contains
     time = 0.0_dp
     do
       call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
-      began = now_seconds()
-      call run_for(engine, one%times(size(one%times)), event_record)
-      spent = spent + (now_seconds() - began)
+      began = processor_seconds()
+      call advance_for(engine, one%times(size(one%times)), event_record)
+      spent = spent + (processor_seconds() - began)
       time = time + real(one%times(size(one%times)), dp)
       if (spent > least_seconds) exit
     end do

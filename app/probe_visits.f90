@@ -17,7 +17,7 @@ module battery_probe_visits
   use battery_urn, only: compute_visits, shape_polygon
   use battery_visits, only: visits_type, reserve_visits
   use battery_probe, only: argument, real_argument, integer_argument, rounded_to_bits, &
-    precision_name, paper_table, print_json_line, stop_at, now_seconds
+    precision_name, paper_table, print_json_line, stop_with_message, processor_seconds
   use battery_probe_polygon, only: polygon_table, polygon_conditions, polygon_tolerance, &
     least_room_beside_corners
   implicit none (type, external)
@@ -78,9 +78,9 @@ contains
     do first = 0, count - 1, chunk
       n = int(min(int(chunk, int64), count - first))
       allocate (mine(numbers, n), other(numbers, n))
-      began = now_seconds()
+      began = processor_seconds()
       call compute_drawn_visits(table, first, n, bits, mine)
-      spent = spent + (now_seconds() - began)
+      spent = spent + (processor_seconds() - began)
       write (file) mine
       if (comparing) then
         read (other_file) other
@@ -179,10 +179,11 @@ contains
       same = nint(mine(1, j)) == nint(other(1, j)) &
         .and. nint(mine(6, j), int64) == nint(other(6, j), int64)
       if (same) then
-        k = conditions(table, mine(:, j))
+        k = visit_conditions(table, mine(:, j))
         error = abs([real(mine(2, j), wp) - other(2, j), hypot(real(mine(3, j), wp) - other(3, j), &
           real(mine(4, j), wp) - other(4, j)), real(mine(5, j), wp) - other(5, j)])/k
-        if (.not. all(error < 1.0_wp)) call stop_at('a visit is not a number, or wrong at all')
+        if (.not. all(error < 1.0_wp)) call &
+          stop_with_message('a visit is not a number, or wrong at all')
         finding%same = finding%same + 1
         finding%worst_of = max(finding%worst_of, error)
         finding%worst = max(finding%worst, maxval(error))
@@ -190,7 +191,7 @@ contains
         bin = bins + floor(10.0_wp*log10(max(maxval(error), 1.0e-37_wp)))
         finding%histogram(max(bin, 1)) = finding%histogram(max(bin, 1)) + 1
       else
-        room = least_room(table, first + j, bits, mine(:, j), other(:, j))/unit_error
+        room = room_beside_corner(table, first + j, bits, mine(:, j), other(:, j))/unit_error
         finding%farthest = max(finding%farthest, room)
         if (room <= tolerance) then
           finding%corner = finding%corner + 1
@@ -202,7 +203,7 @@ contains
   end subroutine compare_visits
 
   !> Condition of the place, the direction and the length of a visit.
-  function conditions(table, visit) result(k)
+  function visit_conditions(table, visit) result(k)
     type(table_type), intent(in) :: table
     real(dp), intent(in) :: visit(numbers)
     real(wp) :: k(3)
@@ -224,10 +225,10 @@ contains
     k(2) = 1.0_wp + 2.0_wp*n/c
     k(1) = (abs(x*ux + y*uy)*k(2) + radius)/abs(ux)
     k(3) = 2.0_wp*radius*(n*abs(s)/c + 1.0_wp) + radius*k(2) + abs(uy)*k(1)
-  end function conditions
+  end function visit_conditions
 
   !> Distance from the corner of whichever of the two left first, over its condition.
-  function least_room(table, number, bits, mine, other) result(room)
+  function room_beside_corner(table, number, bits, mine, other) result(room)
     type(table_type), intent(in) :: table
     !> Which visit it is, and the bits of its way in.
     integer(int64), intent(in) :: number
@@ -244,10 +245,10 @@ contains
     end if
     first = mine
     if (other(6) < mine(6)) first = other
-    k = conditions(table, first)
+    k = visit_conditions(table, first)
     room = (0.5_wp*merge(table%channel(1)%width, table%channel(2)%width, first(1) > 0.0_dp) &
       - abs(first(2)))/k(1)
-  end function least_room
+  end function room_beside_corner
 
   subroutine print_finding(finding, count, bits, table, spent, comparing)
     type(finding_type), intent(in) :: finding

@@ -140,7 +140,7 @@ contains
   end function half2_mean
 
   !> Mean number in half 2 less half of all, in all copies, by block.
-  pure function excess(tally, number) result(more)
+  pure function excess_in_half2(tally, number) result(more)
     type(tally_type), intent(in) :: tally
     !> In a copy, N.
     integer, intent(in) :: number
@@ -155,7 +155,7 @@ contains
       more(k) = real(level, wp) - half + tally%changed(k)/tally%block
       level = level + tally%change(k)
     end do
-  end function excess
+  end function excess_in_half2
 
   !> Mean number in the fuller half of a copy, whichever that is in a block of time.
   pure function fuller_mean(tally, number) result(fuller)
@@ -164,7 +164,7 @@ contains
     integer, intent(in) :: number
     real(wp) :: fuller, more(size(tally%change))
 
-    more = excess(tally, number)
+    more = excess_in_half2(tally, number)
     fuller = 0.5_wp*real(number, wp) + sum(abs(more))/real(size(more)*tally%copies, wp)
   end function fuller_mean
 
@@ -175,7 +175,8 @@ contains
     integer, intent(in) :: number
     real(wp) :: current
 
-    current = sum(real(tally%returned, wp)*sign(1.0_wp, excess(tally, number)))/measured_time(tally)
+    current = sum(real(tally%returned, wp)*sign(1.0_wp, excess_in_half2(tally, &
+      number)))/measured_time(tally)
   end function polarised_current
 
   !> Time measured, times the copies.

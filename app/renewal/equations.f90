@@ -61,7 +61,7 @@ contains
     rate = 1.0_wp
     do while (t < longest .and. left > 1e-10_wp)
       call open_cell(state, from, to, k, top, order, t, h)
-      call pass_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
+      call integrate_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
       before = rate
       rate = nu*state(top*state_length(k, order) + 1)/left
       t = t + h
@@ -100,7 +100,7 @@ contains
 
   !> Integrates from `t` over the cell that has just been opened, `h` long, by Runge and Kutta's
   !> formula; adds the mean time that the gate lasts within it to `cycle`, updates `left`.
-  subroutine pass_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
+  subroutine integrate_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
     real(wp), intent(inout) :: state(:), cycle, left
     real(wp), intent(in) :: from(:), to(:), t, h, nu
     integer, intent(in) :: k, top, order
@@ -133,7 +133,7 @@ contains
       cycle = cycle + du/6.0_wp*(w0*s0 + w1*left &
         + 2.0_wp*(w0 + w1)*(0.5_wp*(s0 + left) + du/8.0_wp*(d0 - d1)))
     end do
-  end subroutine pass_cell
+  end subroutine integrate_cell
 
   !> Numbers kept for each n: probability, density, pairs, triples
   pure function state_length(k, order) result(count)
@@ -325,20 +325,20 @@ contains
         do i = 1, k
           own = nu*state(1 + k + i + k*(j - 1))
           a = 1 + k + k*k
-          call add(slope(a + i + k*(j - 1) + k*k*(k - 1)), own)
-          call add(slope(a + i + k*(k - 1) + k*k*(j - 1)), own)
-          call add(slope(a + k + k*(i - 1) + k*k*(j - 1)), own)
+          call add_to(slope(a + i + k*(j - 1) + k*k*(k - 1)), own)
+          call add_to(slope(a + i + k*(k - 1) + k*k*(j - 1)), own)
+          call add_to(slope(a + k + k*(i - 1) + k*k*(j - 1)), own)
         end do
       end do
     end if
   end subroutine tag_arrivals
 
-  pure subroutine add(sum, more)
+  pure subroutine add_to(sum, more)
     real(wp), intent(inout) :: sum
     real(wp), intent(in) :: more
 
     sum = sum + more
-  end subroutine add
+  end subroutine add_to
 
   !> Rate at which untagged ones leave, tagged places kept
   pure subroutine untagged_rates(state, out, mu, n, k, order)

@@ -18,7 +18,7 @@ program renewal_gate
   do
     read (input_unit, *, iostat=status) load, threshold, entries
     if (status /= 0) exit
-    call simulate(load/half_pi, threshold, entries, cycles, total, squares)
+    call simulate_cycles(load/half_pi, threshold, entries, cycles, total, squares)
     write (output_unit, '(es24.16,1x,i0,1x,i0,2(1x,es24.16))') &
       load, threshold, cycles, total, squares
     flush (output_unit)
@@ -39,7 +39,7 @@ contains
   end function uniform
 
   !> Whole cycles, each from empty to the reversal, until about `entries` have come.
-  subroutine simulate(rate, threshold, entries, cycles, total, squares)
+  subroutine simulate_cycles(rate, threshold, entries, cycles, total, squares)
     real(real64), intent(in) :: rate
     integer, intent(in) :: threshold
     integer(int64), intent(in) :: entries
@@ -73,6 +73,6 @@ contains
       total = total + real(count, real64)
       squares = squares + real(count, real64)**2
     end do
-  end subroutine simulate
+  end subroutine simulate_cycles
 
 end program renewal_gate

@@ -138,7 +138,7 @@ contains
     !> Clock time at the start, in time units.
     real(wp), intent(in) :: clock
 
-    call set_up(self, table, threshold, size(particles%x))
+    call set_up_engine(self, table, threshold, size(particles%x))
     self%clock_start = clock
     call self%load_particles(particles)
     call forget_entries(self%gate)
@@ -146,7 +146,7 @@ contains
   end subroutine start_with_thresholds
 
   !> Sets table, gates and number; no particle is loaded yet.
-  subroutine set_up(self, table, threshold, number)
+  subroutine set_up_engine(self, table, threshold, number)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold(2), number
@@ -160,7 +160,7 @@ contains
     self%now = 0.0_wp
     self%epochs = 0
     call self%prepare_engine()
-  end subroutine set_up
+  end subroutine set_up_engine
 
   !> Advances by at most one window and at most `duration`.
   subroutine advance(self, duration, event_record)
@@ -227,7 +227,7 @@ contains
     number = self%number
     call archive%serialize('number', number)
     if (archive%failed()) return
-    if (archive%reading) call set_up(self, table, threshold, number)
+    if (archive%reading) call set_up_engine(self, table, threshold, number)
     call archive%serialize('now', self%now)
     call archive%serialize('pages', self%epochs)
     call archive%serialize('clock_start', self%clock_start)

@@ -86,7 +86,7 @@ contains
     if (n < most_blocks/2) return
     if (.not. maxval(blocks%average(:n)) - minval(blocks%average(:n)) &
       > rounding*maxval(abs(blocks%average(:n)))) return
-    power = powers_of(real(blocks%average(:n), dp), components)
+    power = cosine_powers(real(blocks%average(:n), dp), components)
     near = sum(power(:slow))/slow
     far = sum(power(fast:))/(components - fast + 1)
     if (near > steepest*far) return
@@ -112,7 +112,7 @@ contains
 
   !> Squares of the slowest components of the cosine transform of a series: each is its variance
   !> where the spectrum is flat.
-  pure function powers_of(values, components) result(power)
+  pure function cosine_powers(values, components) result(power)
     real(dp), intent(in) :: values(:)
     !> How many.
     integer, intent(in) :: components
@@ -128,7 +128,7 @@ contains
       term = (values - sum(values)/n)*[(anint(digits*cos(pi*j*(k - 0.5_dp)/n))/digits, k=1, n)]
       power(j) = 2*sum(term)**2/n
     end do
-  end function powers_of
+  end function cosine_powers
 
   !> Standard error of the mean of independent values, from their scatter; NaN of fewer than two.
   pure function error_of_mean(values) result(error)

@@ -10,7 +10,7 @@
 !> at -x (urn 2 is mirrored). Where a channel begins, a chord stands upright across the axis.
 module battery_chamber
   use battery_kinds, only: wp, int64, pi
-  use battery_channel, only: channel_type, gated, ungated, fold
+  use battery_channel, only: channel_type, gated, ungated, fold_into_channel
   use battery_visits, only: visits_type, group_size
   implicit none (type, external)
   private
@@ -58,7 +58,7 @@ contains
   end function mean_visit
 
   !> Moves a batch of visits from the entrance of their channel to its exit into the urn: an
-  !> unfolded channel is crossed in one step, see `fold`.
+  !> unfolded channel is crossed in one step, see `fold_into_channel`.
   subroutine cross_channels(chamber, visits)
     class(chamber_type), intent(in) :: chamber
     type(visits_type), intent(inout) :: visits
@@ -86,7 +86,7 @@ contains
       do j = 1, n
         width = merge(width1, width2, channel(j) == gated)
         unfolded = y(j) + u_lateral(j)*passage(j)
-        call fold(unfolded, width, y(j), reflected, passed)
+        call fold_into_channel(unfolded, width, y(j), reflected, passed)
         u_lateral(j) = reflected*u_lateral(j)
         time(j) = time(j) + passage(j)
         x(j) = merge(chord1, -chord2, channel(j) == gated)

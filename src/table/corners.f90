@@ -7,7 +7,7 @@ module battery_corners
   implicit none (type, external)
   private
   public :: most_corners, regular_corners, enclosed_area, directions_stay, reversed_corners, &
-    next_of, distance_to_side, sides_meet, side_distance, axis_side
+    next_corner, distance_to_side, sides_meet, side_distance, side_on_axis
 
   !> Most corners of a polygon.
   integer, parameter :: most_corners = 1000
@@ -67,8 +67,8 @@ contains
 
     associate (n => size(corner, 2))
       do k = 1, n
-        angle(k) = atan2(corner(2, next_of(k, n)) - corner(2, k), &
-          corner(1, next_of(k, n)) - corner(1, k))
+        angle(k) = atan2(corner(2, next_corner(k, n)) - corner(2, k), &
+          corner(1, next_corner(k, n)) - corner(1, k))
       end do
     end associate
     directions_stay = .true.
@@ -90,17 +90,17 @@ contains
   end function reversed_corners
 
   !> The corner after a corner.
-  elemental function next_of(k, count) result(next)
+  elemental function next_corner(k, count) result(next)
     !> Its number, and how many there are.
     integer, intent(in) :: k, count
     integer :: next
 
     next = merge(1, k + 1, k == count)
-  end function next_of
+  end function next_corner
 
   !> The side that the x axis crosses last on its way to the right (`way` = 1) or to the left (-1);
   !> 0 if it crosses none there, or meets a corner.
-  pure function axis_side(corner, way) result(side)
+  pure function side_on_axis(corner, way) result(side)
     !> (x, y) in columns; 1: to the right, -1: to the left.
     real(wp), intent(in) :: corner(:, :), way
     integer :: side
@@ -111,7 +111,7 @@ contains
     farthest = -huge(1.0_wp)
     do k = 1, size(corner, 2)
       a = corner(:, k)
-      b = corner(:, next_of(k, size(corner, 2)))
+      b = corner(:, next_corner(k, size(corner, 2)))
       if (min(a(2), b(2)) > 0.0_wp .or. max(a(2), b(2)) < 0.0_wp) cycle
       x = max(way*a(1), way*b(1))
       if (abs(b(2) - a(2)) > 0.0_wp) x = way*(a(1) - (b(1) - a(1))*(a(2)/(b(2) - a(2))))
@@ -119,7 +119,7 @@ contains
       farthest = x
       side = merge(k, 0, a(2)*b(2) < 0.0_wp)
     end do
-  end function axis_side
+  end function side_on_axis
 
   !> Distance of a point from the side between the points a and b.
   pure function distance_to_side(x, y, a, b) result(distance)

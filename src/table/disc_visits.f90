@@ -8,7 +8,7 @@ module battery_disc_visits
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: gated, ungated
   use battery_disc, only: disc_type, sharp_incidence, grazing_cosine
-  use battery_rotation, only: turn_of, unit_vector, full_turn
+  use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
   use battery_visits, only: visits_type, group_size, no_channel, many_hits
   implicit none (type, external)
@@ -67,7 +67,7 @@ contains
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
-    if (.not. all_left(visits%count, visits%u_axial, visits%impacts)) then
+    if (.not. all_visits_end(visits%count, visits%u_axial, visits%impacts)) then
       do j = 1, visits%count
         if (visits%u_axial(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
         call repair_visit(disc, visits, j)
@@ -91,18 +91,18 @@ contains
   end subroutine number_slots
 
   !> Whether all visits ended in an opening with a velocity that leads out.
-  pure function all_left(n, u_axial, impacts)
+  pure function all_visits_end(n, u_axial, impacts)
     integer, intent(in) :: n
     real(wp), intent(in) :: u_axial(n), impacts(n)
-    logical :: all_left
+    logical :: all_visits_end
     integer :: j, left
 
     left = 0
     do j = 1, n
       left = left + merge(1, 0, u_axial(j) > 0.0_wp .and. impacts(j) >= 0.0_wp)
     end do
-    all_left = left == n
-  end function all_left
+    all_visits_end = left == n
+  end function all_visits_end
 
   !> Adds the impacts to the wall hits, and all of them up: `group_size` sums, which make vectors.
   pure subroutine sum_hits(n, count, hits, impacts, all_hits)
@@ -295,9 +295,9 @@ contains
     logical :: found, first_side
     real(wp) :: x, y
 
-    step = turn_of(zx, zy)
+    step = turn_of_vector(zx, zy)
     ! From the impact before, which lies in the opening if the particle has just come through it.
-    start = modulo(turn_of(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
+    start = modulo(turn_of_vector(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
     call find_opening(disc%angle(gated), disc%angle(ungated), start, step, total, landing, &
       first_side, found)
     if (found) then

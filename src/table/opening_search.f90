@@ -4,7 +4,7 @@
 !> impact that misses the narrower one is passed by.
 module battery_opening_search
   use battery_kinds, only: angle_kind
-  use battery_rotation, only: full_turn, first_entry
+  use battery_rotation, only: full_turn, first_step_into_arc
   implicit none (type, external)
   private
   public :: find_opening
@@ -33,8 +33,8 @@ contains
     place = start
     total = 0
     do misses = 1, most_misses
-      call first_entry(modulo(place + widest - 1, half_turn), modulo(step, half_turn), 2*widest &
-        - 2, moves, landing, found, half_turn)
+      call first_step_into_arc(modulo(place + widest - 1, half_turn), modulo(step, half_turn), &
+        2*widest - 2, moves, landing, found, half_turn)
       if (.not. found) return
       ! The product may wrap around the integers, a multiple of the full turn.
       place = modulo(place + moves*step, full_turn)
@@ -46,11 +46,12 @@ contains
       place = modulo(place + step, full_turn)
       total = total + 1
     end do
-    call search_each(angle1, angle2, start, step, total, landing, first_side, found)
+    call search_each_opening(angle1, angle2, start, step, total, landing, first_side, found)
   end subroutine find_opening
 
   !> The same, one opening after the other.
-  pure subroutine search_each(angle1, angle2, start, step, total, landing, first_side, found)
+  pure subroutine search_each_opening(angle1, angle2, start, step, total, landing, first_side, &
+    found)
     integer(angle_kind), intent(in) :: angle1, angle2, start, step
     integer(angle_kind), intent(out) :: total, landing
     logical, intent(out) :: first_side, found
@@ -77,11 +78,11 @@ contains
       steps = 0
       landing = 0
       if (half_angle == 0) return
-      call first_entry(modulo(start - middle + half_angle - 1, full_turn), step, 2*half_angle - 2, &
-        steps, landing, found)
+      call first_step_into_arc(modulo(start - middle + half_angle - 1, full_turn), step, &
+        2*half_angle - 2, steps, landing, found)
       landing = landing - half_angle + 1
     end subroutine enter_arc
 
-  end subroutine search_each
+  end subroutine search_each_opening
 
 end module battery_opening_search

@@ -10,8 +10,8 @@ module battery_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, gated, ungated, facing, is_open
   use battery_chamber, only: chamber_type, set_openings
-  use battery_corners, only: enclosed_area, reversed_corners, next_of, distance_to_side, &
-    side_distance, axis_side
+  use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
+    side_distance, side_on_axis
   implicit none (type, external)
   private
   public :: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, nearest_side
@@ -59,7 +59,7 @@ contains
     if (enclosed_area(corner) < 0.0_wp) corner = reversed_corners(corner)
     call set_openings(polygon, channel)
     polygon%sides = n
-    polygon%side = [axis_side(corner, 1.0_wp), axis_side(corner, -1.0_wp)]
+    polygon%side = [side_on_axis(corner, 1.0_wp), side_on_axis(corner, -1.0_wp)]
     ends = [maxval(corner(1, :)), minval(corner(1, :))]
     ! Where a channel is closed, its side is a wall like the others.
     where (.not. is_open(channel)) polygon%side = 0
@@ -102,8 +102,8 @@ contains
     do k = 1, n
       polygon%arc_start(k) = polygon%outline_length
       polygon%outline_length = polygon%outline_length + polygon%length_of(k)
-      polygon%convex = polygon%convex .and. along_x(k)*along_y(next_of(k, n)) &
-        - along_y(k)*along_x(next_of(k, n)) >= 0.0_wp
+      polygon%convex = polygon%convex .and. along_x(k)*along_y(next_corner(k, n)) &
+        - along_y(k)*along_x(next_corner(k, n)) >= 0.0_wp
     end do
     polygon%area = enclosed_area(reshape([polygon%x(:n), polygon%y(:n)], [2, n], order=[2, 1]))
     polygon%perimeter = polygon%outline_length - sum(polygon%width)

@@ -11,7 +11,7 @@ module battery_polygon_visits
   use battery_channel, only: gated, ungated
   use battery_motion, only: slowest
   use battery_polygon, only: polygon_type, nearest_side
-  use battery_polygon_walls, only: state_type, state_on, has_returned, surely_next_side, &
+  use battery_polygon_walls, only: state_type, state_on_side, has_returned, surely_next_side, &
     reflect_from_side, longest_period
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
@@ -359,7 +359,7 @@ contains
         ! No way leads on: as good as one that comes back.
         same = side == 0
         if (same) then
-          state = state_on(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
+          state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
           exit
         end if
         x = x + ux*wait
@@ -371,7 +371,7 @@ contains
         end if
         call reflect_from_side(polygon, side, x, y, ux, uy)
         visits%steps(j) = visits%steps(j) + 1.0_wp
-        state = state_on(polygon, side, x, y, ux, uy)
+        state = state_on_side(polygon, side, x, y, ux, uy)
         if (hits > 1) same = has_returned(polygon, state, kept)
         if (same) exit
         if (hits >= longest_period .and. length >= least_part*polygon%reach) exit

@@ -17,7 +17,7 @@ module battery_polygon_walls
   public :: next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
     locate_in_polygon
   public :: first_impact_in_polygon
-  public :: surely_next_side, reflect_from_side, state_type, state_on, has_returned
+  public :: surely_next_side, reflect_from_side, state_type, state_on_side, has_returned
 
   !> A state that has come back to within this, in units of all walls and of 1, is the same state.
   real(wp), parameter :: same_state = 4096.0_wp*epsilon(1.0_wp)
@@ -226,13 +226,13 @@ contains
     real(wp), intent(inout) :: x, y
     real(wp) :: along
 
-    along = along_side(polygon, side, x, y)
+    along = distance_along_side(polygon, side, x, y)
     x = polygon%x(side) - along*polygon%normal_y(side)
     y = polygon%y(side) + along*polygon%normal_x(side)
   end subroutine project_on_side
 
   !> How far a point is along a side from its beginning, not beyond its ends.
-  pure function along_side(polygon, side, x, y) result(along)
+  pure function distance_along_side(polygon, side, x, y) result(along)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
     real(wp), intent(in) :: x, y
@@ -241,20 +241,20 @@ contains
     along = (y - polygon%y(side))*polygon%normal_x(side) &
       - (x - polygon%x(side))*polygon%normal_y(side)
     along = min(max(along, 0.0_wp), polygon%length_of(side))
-  end function along_side
+  end function distance_along_side
 
   !> The state of a particle at (`x`, `y`) on the side number `side`; its velocity is (`ux`, `uy`).
-  pure function state_on(polygon, side, x, y, ux, uy) result(state)
+  pure function state_on_side(polygon, side, x, y, ux, uy) result(state)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
     real(wp), intent(in) :: x, y, ux, uy
     type(state_type) :: state
 
-    state = state_type(polygon%arc_start(side) + along_side(polygon, side, x, y), ux, uy)
+    state = state_type(polygon%arc_start(side) + distance_along_side(polygon, side, x, y), ux, uy)
     ! At its end it is still this side.
     if (side < polygon%sides) state%arc_length = min(state%arc_length, &
       nearest(polygon%arc_start(side + 1), -1.0_wp))
-  end function state_on
+  end function state_on_side
 
   !> The side and the place of a state.
   pure subroutine locate_on_outline(polygon, arc_length, side, x, y)
@@ -333,12 +333,12 @@ contains
       px = x + u_axial*wait
       py = y + u_lateral*wait
       call reflect_from_side(polygon, side, px, py, u_axial, u_lateral)
-      state = state_on(polygon, side, px, py, u_axial, u_lateral)
+      state = state_on_side(polygon, side, px, py, u_axial, u_lateral)
       before = 1
     else
       ! No way leads on: it stays where it is.
       wait = 0.0_wp
-      state = state_on(polygon, nearest_side(polygon, x, y), x, y, u_axial, u_lateral)
+      state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, u_axial, u_lateral)
     end if
     arc_length = state%arc_length
   end subroutine first_impact_in_polygon
@@ -418,7 +418,7 @@ contains
       period = period + wait
       side = int(next)
       call reflect_from_side(polygon, side, x, y, ux, uy)
-      if (has_returned(polygon, state_on(polygon, side, x, y, ux, uy), state) .and. &
+      if (has_returned(polygon, state_on_side(polygon, side, x, y, ux, uy), state) .and. &
         period > 0.0_wp) return
     end do
     period = huge(1.0_wp)

@@ -11,7 +11,7 @@ module battery_rotation
   use battery_kinds, only: wp, angle_kind, pi
   implicit none (type, external)
   private
-  public :: full_turn, to_turn, turn_of, from_turn, unit_vector, first_entry
+  public :: full_turn, to_turn, turn_of_vector, from_turn, unit_vector, first_step_into_arc
 
   !> One turn; two bits are kept free so that sums of two angles do not overflow.
   integer(angle_kind), parameter :: full_turn = 2_angle_kind**(bit_size(1_angle_kind) - 4)
@@ -30,7 +30,7 @@ contains
 
   !> The direction of the unit vector (x, y) in [0, full_turn): near each axis the rest of the
   !> quarter turns is what counts, to all its digits.
-  elemental function turn_of(x, y) result(turn)
+  elemental function turn_of_vector(x, y) result(turn)
     !> Components of the vector, of length 1.
     real(wp), intent(in) :: x, y
     integer(angle_kind) :: turn, rest
@@ -42,7 +42,7 @@ contains
     turn = merge(rest, quarter - rest, level)
     turn = merge(turn, 2*quarter - turn, x >= 0.0_wp)
     turn = modulo(merge(turn, -turn, y >= 0.0_wp), full_turn)
-  end function turn_of
+  end function turn_of_vector
 
   !> Cosine and sine of an integer angle in (-full_turn, full_turn).
   elemental subroutine unit_vector(turn, x, y)
@@ -78,7 +78,7 @@ contains
   !> it lies then (`landing`). `found` is false if the orbit is periodic and never gets there.
   !> `circle` is `full_turn` if absent, and half of it where opposite points are the same. Expects
   !> 0 <= start, step < circle and 0 <= width < circle.
-  pure subroutine first_entry(start, step, width, steps, landing, found, circle)
+  pure subroutine first_step_into_arc(start, step, width, steps, landing, found, circle)
     !> Integer angles: where the orbit starts, by how much it goes on, how wide the target is.
     integer(angle_kind), intent(in) :: start, step, width
     integer(angle_kind), intent(out) :: steps, landing
@@ -97,7 +97,7 @@ contains
     found = .true.
     do while (x > width)
       if (width >= min(up, down)) then
-        call last_moves(up, down, up_cost, down_cost, width, x, steps, found)
+        call move_into_target(up, down, up_cost, down_cost, width, x, steps, found)
         exit
       end if
       ! Euclid's step and the move of the point are two divisions that do not wait for each other,
@@ -122,10 +122,10 @@ contains
       end if
     end do
     landing = x
-  end subroutine first_entry
+  end subroutine first_step_into_arc
 
   !> One of the lengths that the point moves by fits into the target: from here it goes straight.
-  pure subroutine last_moves(up, down, up_cost, down_cost, width, x, steps, found)
+  pure subroutine move_into_target(up, down, up_cost, down_cost, width, x, steps, found)
     integer(angle_kind), intent(in) :: up, down, up_cost, down_cost, width
     integer(angle_kind), intent(inout) :: x, steps
     logical, intent(inout) :: found
@@ -145,6 +145,6 @@ contains
     moves = (x - width + down - 1)/down
     x = x - moves*down
     steps = steps + moves*down_cost
-  end subroutine last_moves
+  end subroutine move_into_target
 
 end module battery_rotation

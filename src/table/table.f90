@@ -13,7 +13,8 @@
 module battery_table
   use battery_kinds, only: wp, pi
   use battery_powers, only: power_above
-  use battery_channel, only: channel_type, is_open, fold, gated, ungated, no_channel, facing
+  use battery_channel, only: channel_type, is_open, fold_into_channel, gated, ungated, no_channel, &
+    facing
   use battery_chamber, only: mean_visit
   use battery_corners, only: directions_stay
   use battery_motion, only: outside, in_urn, in_gate, in_return
@@ -281,8 +282,8 @@ contains
       outward = facing(passage%channel)*urn%axis_sign*ux
       passage%time = -depth/outward
       passage%inward = outward > 0.0_wp
-      if (passage%inward) call fold(y - uy*depth/outward, channel%width, passage%height, &
-        passage%reflected, passage%hits)
+      if (passage%inward) call fold_into_channel(y - uy*depth/outward, channel%width, &
+        passage%height, passage%reflected, passage%hits)
     end associate
   end function passage_at
 

@@ -74,11 +74,11 @@ contains
 
     visits%count = 0
     visits%many_count = 0
-    if (room > visits%room) call make_room(visits, room)
+    if (room > visits%room) call allocate_visits(visits, room)
   end subroutine reserve_visits
 
   !> Makes room for at least `room` visits in an empty batch.
-  subroutine make_room(visits, room)
+  subroutine allocate_visits(visits, room)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: room
     integer :: n
@@ -94,7 +94,7 @@ contains
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), visits%many(n), source=0)
     ! Padding lanes of the last group: particles from channel 1, which is never closed.
     allocate (visits%channel(n), source=int(gated, int64))
-  end subroutine make_room
+  end subroutine allocate_visits
 
   !> Moves the visits to urn 2 into a batch of their own: particle, channel and time of reversal.
   subroutine split_visits_by_urn(visits, other)

@@ -18,7 +18,7 @@ module battery_excursion
     parked_in_urn, parked_in_channel, partial_visit
   use battery_initial_flight, only: make_initial_flight, allocate_flights, date_back_flight
   use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
-    keep_beginnings, store_flights, rebase_long_visits
+    store_visit_starts, store_flights, rebase_long_visits
   use battery_serial_window, only: run_serial_window, longest_serial_window
   use battery_lookahead, only: lookahead_pays, take_computed_visits
   use battery_scatterer_visits, only: scatterer_visits_type, new_scatterer_visits
@@ -253,7 +253,7 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      if (v%many_count > 0) call keep_beginnings(self%long_visits, self%number, &
+      if (v%many_count > 0) call store_visit_starts(self%long_visits, self%number, &
         self%flight, v)
       call store_flights(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, &
         v%length, v%y, v%u_axial, v%u_lateral, v%through)

@@ -13,12 +13,12 @@ contains
   module procedure state_of
     integer(int64) :: hits
 
-    call locate_now(self, i, state, hits)
+    call locate_particle_now(self, i, state, hits)
   end procedure state_of
 
   !> The same, from the nearer end of its visit; and the `hits` to be added to `computed_hits` for
   !> it.
-  subroutine locate_now(self, i, state, hits)
+  subroutine locate_particle_now(self, i, state, hits)
     type(excursion_type), intent(in) :: self
     integer, intent(in) :: i
     real(wp), intent(out) :: state(4)
@@ -41,7 +41,7 @@ contains
         state(3) = urn%axis_sign*state(3)
       end if
     end associate
-  end subroutine locate_now
+  end subroutine locate_particle_now
 
   !> Exact wall hits from the start until now: the computed ones, corrected for each particle.
   module procedure collisions
@@ -51,7 +51,7 @@ contains
 
     total = self%computed_hits
     do i = 1, self%number
-      call locate_now(self, i, state, hits)
+      call locate_particle_now(self, i, state, hits)
       total = total + hits
     end do
   end procedure collisions
@@ -68,7 +68,7 @@ contains
     if (.not. self%scattered) return
     do i = 1, self%number
       if (self%flight(i)%next_event /= partial_visit) cycle
-      call locate_now(self, i, state, hits)
+      call locate_particle_now(self, i, state, hits)
       if (chamber_at(self%table, state(1), state(2), huge(1.0_wp)) /= in_return) cycle
       associate (urn => self%table%urn(self%flight(i)%urn))
         call detect_periodic_path(self%table%half_channel2(self%flight(i)%urn), urn%periodic_line &

@@ -6,7 +6,7 @@
 module battery_flight
   use battery_kinds, only: wp, int16, int64
   use battery_calendar, only: flight_type
-  use battery_channel, only: fold, gated, ungated, no_channel, facing
+  use battery_channel, only: fold_into_channel, gated, ungated, no_channel, facing
   use battery_urn, only: urn_type, locate_in_visit
   use battery_visits, only: truncated
   implicit none (type, external)
@@ -83,8 +83,8 @@ contains
     channel = merge(ungated, gated, flight%next_event == to_return)
     if (flight%next_event == partial_visit) channel = no_channel
     if (channel /= no_channel .and. elapsed >= 0.0_wp) then
-      call fold(flight%y + flight%u_lateral*elapsed, urn%width(channel), position(2), reflected, &
-        passed)
+      call fold_into_channel(flight%y + flight%u_lateral*elapsed, urn%width(channel), position(2), &
+        reflected, passed)
       position(1) = facing(channel)*(urn%chord(channel) + flight%u_axial*elapsed)
       velocity = [facing(channel)*flight%u_axial, reflected*flight%u_lateral]
       hits = int(passed, int64)
@@ -111,7 +111,8 @@ contains
 
     if (before <= 0.0_wp) return
     from = merge(gated, ungated, position(1) > 0.0_wp)
-    call fold(position(2) - velocity(2)*before, urn%width(from), height, reflected, passed)
+    call fold_into_channel(position(2) - velocity(2)*before, urn%width(from), height, reflected, &
+      passed)
     ! However slow it is, it stays in this urn's half of the channel.
     position(1) = facing(from)*(urn%chord(from) + min(abs(velocity(1))*before, &
       0.5_wp*urn%length(from)))
@@ -134,8 +135,8 @@ contains
     integer :: channel
 
     channel = merge(gated, ungated, abs(x) <= 0.5_wp*urn%length(gated))
-    call fold(flight%y + flight%u_lateral*(now - flight%time), urn%width(channel), height, &
-      reflected, passed)
+    call fold_into_channel(flight%y + flight%u_lateral*(now - flight%time), urn%width(channel), &
+      height, reflected, passed)
     state = [x, height, 0.0_wp, reflected*flight%u_lateral]
     hits = int(passed, int64)
   end subroutine locate_parked_particle

@@ -12,7 +12,7 @@
 module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_calendar, only: flight_type
-  use battery_channel, only: fold, gated, ungated, facing, no_channel
+  use battery_channel, only: fold_into_channel, gated, ungated, facing, no_channel
   use battery_flight, only: never, to_gate, to_return, parked_in_urn, partial_visit, &
     trace_back_into_channel
   use battery_archive, only: archive_type
@@ -20,7 +20,7 @@ module battery_long_visits
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
-  public :: long_visits_type, new_long_visits, is_long_visit, keep_beginnings, &
+  public :: long_visits_type, new_long_visits, is_long_visit, store_visit_starts, &
     store_flights, is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
 
   !> A visit is long from this many times the reach of its urn on: tracing back through half of a
@@ -99,7 +99,7 @@ contains
   end function has_long_visit
 
   !> Keeps how the long visits of a batch began, before `store_flights` writes their flights.
-  pure subroutine keep_beginnings(visits, number, flight, batch)
+  pure subroutine store_visit_starts(visits, number, flight, batch)
     !> Updated with the starts of the long visits of the batch.
     type(long_visits_type), intent(inout) :: visits
     !> Number of particles.
@@ -120,7 +120,7 @@ contains
       i = batch%particle(j)
       call store_visit_start(visits, i, flight(i), batch%turned(j), batch%hits(j))
     end do
-  end subroutine keep_beginnings
+  end subroutine store_visit_starts
 
   !> Stores the next flight of each particle of a batch; `time` becomes the time of the next event.
   pure subroutine store_flights(number, flight, n, particle, urn, channel, time, length, y, &
@@ -271,7 +271,8 @@ contains
         passage = merge(2.0_wp*(entry%turned - entry%time), entry%through, entry%turned < never)
         begins = entry%time + passage
         x = facing(from)*urn%chord(from)
-        call fold(entry%y + entry%u_lateral*passage, urn%width(from), y, reflected, passed)
+        call fold_into_channel(entry%y + entry%u_lateral*passage, urn%width(from), y, reflected, &
+          passed)
         ux = -facing(from)*entry%u_axial
         uy = reflected*entry%u_lateral
         if (now < begins) then

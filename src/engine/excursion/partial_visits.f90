@@ -7,7 +7,7 @@ module battery_partial_visits
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type
   use battery_flight, only: partial_visit, never
-  use battery_long_visits, only: long_visits_type, keep_beginnings, store_flights
+  use battery_long_visits, only: long_visits_type, store_visit_starts, store_flights
   use battery_urn, only: urn_type, compute_visits, locate_in_visit
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
@@ -91,7 +91,7 @@ contains
       v%length(:n) = v%length(:n) + rest(:n)
       v%many_count = n
       v%many(:n) = [(k, k=1, n)]
-      call keep_beginnings(long_visits, number, flight, v)
+      call store_visit_starts(long_visits, number, flight, v)
       call store_flights(number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, v%y, &
         v%u_axial, v%u_lateral, v%through)
     end associate

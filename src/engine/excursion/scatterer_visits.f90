@@ -13,7 +13,7 @@
 module battery_scatterer_visits
   use battery_kinds, only: wp, int8, int16, int32, int64
   use battery_calendar, only: flight_type
-  use battery_channel, only: fold, gated, ungated
+  use battery_channel, only: fold_into_channel, gated, ungated
   use battery_flight, only: to_gate, to_return, parked_in_urn, partial_visit
   use battery_motion, only: motion_type, meets_line, meets_urn, meets_nothing, in_urn, in_return
   use battery_half_channel_visits, only: compute_half_channel_visits
@@ -335,8 +335,8 @@ contains
     associate (urn => table%urn(visit_start%urn))
       before = visit_start%time - now
       if (visit_start%chamber == in_urn .and. before > 0.0_wp) then
-        call fold(visit_start%y - visit_start%uy*before, urn%width(gated), here%y, reflected, &
-          passed)
+        call fold_into_channel(visit_start%y - visit_start%uy*before, urn%width(gated), here%y, &
+          reflected, passed)
         here%x = visit_start%x + min(abs(visit_start%ux)*before, 0.5_wp*urn%length(gated))
         here%uy = reflected*visit_start%uy
         hits = hits - int(passed, int64)

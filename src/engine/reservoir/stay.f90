@@ -3,7 +3,7 @@ module battery_stay
   use battery_kinds, only: wp, int32, int64, pi
   use battery_table, only: table_type, passage_type, passage_at, gated, ungated, no_channel, &
     x_direction, try_random_point
-  use battery_channel, only: fold
+  use battery_channel, only: fold_into_channel
   use battery_archive, only: archive_type
   use battery_random, only: random_type, draw_uniform, hashed_uniform
   implicit none (type, external)
@@ -127,19 +127,19 @@ contains
     integer(int64) :: hits
 
     hits = 0
-    if (passage > 0.0_wp) hits = int(abs(stay%y + stay%u_lateral*passage)/width_of(table, stay) &
-      + 0.5_wp, int64)
+    if (passage > 0.0_wp) hits = int(abs(stay%y + stay%u_lateral*passage)/channel_width_of(table, &
+      stay) + 0.5_wp, int64)
   end function channel_hits
 
   !> Width of the channel it is or was last in.
-  elemental function width_of(table, stay) result(width)
+  elemental function channel_width_of(table, stay) result(width)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     real(wp) :: width
 
     width = table%channel(merge(gated, ungated, any(stay%phase == [from_gate, counted_in_gate, &
       parked_in_gate])))%width
-  end function width_of
+  end function channel_width_of
 
   !> Whether a particle flies to and fro across a channel for ever.
   elemental function is_parked(stay)
@@ -217,8 +217,8 @@ contains
 
     ! The zero has the sign that it has always had.
     place = [x, 0.0_wp, sign(0.0_wp, x), 0.0_wp]
-    call fold(stay%y + stay%u_lateral*(now - stay%time), width_of(table, stay), place(2), &
-      reflected, hits)
+    call fold_into_channel(stay%y + stay%u_lateral*(now - stay%time), channel_width_of(table, &
+      stay), place(2), reflected, hits)
     place(4) = reflected*stay%u_lateral
   end function locate_parked_stay
 
@@ -261,8 +261,8 @@ contains
       real(wp) :: found(4)
       real(wp) :: reflected, hits
 
-      call fold(stay%y + stay%u_lateral*(now - stay%time), width_of(table, stay), found(2), &
-        reflected, hits)
+      call fold_into_channel(stay%y + stay%u_lateral*(now - stay%time), channel_width_of(table, &
+        stay), found(2), reflected, hits)
       found(1) = x
       found(3) = way*stay%u_axial
       found(4) = reflected*stay%u_lateral

@@ -23,7 +23,7 @@ module battery_timestep
   use battery_text, only: to_text
   use battery_table, only: table_type, urn_type, gated, ungated, in_urn, in_gate, in_return, &
     x_direction, are_mirror_images, is_scattered
-  use battery_channel, only: fold, facing, is_open
+  use battery_channel, only: fold_into_channel, facing, is_open
   use battery_motion, only: motion_type
   use battery_urn, only: contains_point, reflect_overshoot
   use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, end_instant, &
@@ -137,7 +137,7 @@ contains
     do i = 1, number
       x(i) = x(i) + ux(i)*step
       y(i) = y(i) + uy(i)*step
-      near_wall(i) = is_near(centre - abs(x(i)), y(i), clear2, chord1, chord2)
+      near_wall(i) = is_near_wall(centre - abs(x(i)), y(i), clear2, chord1, chord2)
     end do
     do i = 1, number
       near_wall(i) = near_wall(i) .or. chamber(i) /= in_urn
@@ -145,12 +145,12 @@ contains
   end subroutine move_particles
 
   !> Whether one at (x, y) in the frame of its urn may have met a wall or a chord of that.
-  elemental function is_near(x, y, clear2, chord1, chord2) result(near)
+  elemental function is_near_wall(x, y, clear2, chord1, chord2) result(near)
     real(wp), intent(in) :: x, y, clear2, chord1, chord2
     logical :: near
 
     near = x**2 + y**2 > clear2 .or. x >= chord1 .or. x <= -chord2
-  end function is_near
+  end function is_near_wall
 
   !> Urns that differ: who is busy in urn 2.
   pure subroutine mark_near_walls_of_urn2(self)
@@ -160,7 +160,7 @@ contains
     associate (urn => self%table%urn(2))
       do i = 1, self%number
         if (self%urn(i) == 2 .and. self%chamber(i) == in_urn) self%near_wall(i) = &
-          is_near(urn%centre - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), &
+          is_near_wall(urn%centre - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), &
           urn%chord(ungated))
       end do
     end associate
@@ -265,7 +265,7 @@ contains
     type(event_record_type), intent(inout) :: event_record
     real(wp) :: height, reflected, hits
 
-    call fold(self%y(i), 2.0_wp*half_width, height, reflected, hits)
+    call fold_into_channel(self%y(i), 2.0_wp*half_width, height, reflected, hits)
     self%y(i) = height
     self%uy(i) = reflected*self%uy(i)
     call count_hits(self, event_record, int(hits, int64))
