@@ -9,8 +9,7 @@ module battery_probe_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, gated, ungated, facing
   use battery_corners, only: distance_to_side
-  use battery_polygon, only: polygon_type
-  use battery_polygon_walls, only: surely_next_side, reflect_from_side
+  use battery_polygon, only: polygon_type, surely_next_side, reflect_from_side
   use battery_table, only: table_type, new_table, shape_circuit, urn_type
   use battery_urn, only: shape_polygon
   use battery_probe, only: rounded_to_bits, stop_with_message

@@ -5,16 +5,20 @@
 !> side on the left need be upright, and what reaches farthest to the left stands for it. So it is
 !> with the disc, whose chord there is its radius away. The origin may lie outside of the polygon.
 !>
-!> From wall to wall: `polygon_walls.f90`; whole visits: `polygon_visits.f90`.
+!> Whole visits: `polygon_visits.f90`.
 module battery_polygon
-  use battery_kinds, only: wp
-  use battery_channel, only: channel_type, gated, ungated, facing, is_open
+  use battery_kinds, only: wp, int64
+  use battery_channel, only: channel_type, gated, ungated, no_channel, facing, is_open
   use battery_chamber, only: chamber_type, set_openings
+  use battery_motion, only: meets_gate, meets_return, meets_nothing, meets_wall, wall_kind
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
     side_distance, side_on_axis
   implicit none (type, external)
   private
   public :: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, nearest_side
+  public :: next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
+    locate_in_polygon, first_impact_in_polygon
+  public :: surely_next_side, reflect_from_side, boundary_state_type, state_on_side, has_returned
 
   !> What rounding may leave of a place on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
@@ -40,6 +44,17 @@ module battery_polygon
     !> Lengths below this may be rounding.
     real(wp) :: sharp = 0.0_wp
   end type polygon_type
+
+  !> A state that has come back to within this, in units of all walls and of 1, is the same state.
+  real(wp), parameter :: same_state = 4096.0_wp*epsilon(1.0_wp)
+
+  !> Longest period that is looked for, in wall hits.
+  integer, parameter, public :: longest_period = 10000
+
+  !> Right after a hit: how far round the polygon, and the velocity.
+  type :: boundary_state_type
+    real(wp) :: arc_length = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
+  end type boundary_state_type
 
 contains
 
@@ -243,5 +258,399 @@ contains
       nearest = k
     end do
   end function nearest_side
+
+  !> The side that ends the way from a point, and after which time. A point on a side is told so by
+  !> `from`, which is then not met; 0: anywhere.
+  pure subroutine next_side(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    !> Place and velocity in the frame of the polygon.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> 0 if none is met, which only rounding can bring about.
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: before, after, time
+    integer :: k
+
+    side = 0
+    wait = huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    do k = 1, polygon%sides
+      before = after
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      if (time >= wait) cycle
+      if (time < -polygon%sharp .and. .not. polygon%convex) then
+        ! Behind, unless rounding has put it there: then it stands on it.
+        if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+          polygon%y(k + 1)]) > polygon%sharp) cycle
+      end if
+      side = k
+      wait = time
+    end do
+    wait = max(wait, 0.0_wp)
+  end subroutine next_side
+
+  !> The same for a way along a side, or from a place that rounding has put on the wrong side of
+  !> one: as if it began a little farther inside. From the side `from`, or 0, at (`x`, `y`) with the
+  !> velocity (`ux`, `uy`) to the `side` that is met, 0 if none is, after the time `wait`.
+  pure subroutine surely_next_side(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: inwards, shift_x, shift_y
+    integer :: tries, k
+
+    call next_side(polygon, from, x, y, ux, uy, side, wait)
+    if (side > 0) return
+    shift_x = 0.0_wp
+    shift_y = 0.0_wp
+    do k = 1, polygon%sides
+      if (k /= from .and. distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+        polygon%y(k + 1)]) > 2.0_wp*polygon%sharp) cycle
+      shift_x = shift_x - polygon%normal_x(k)
+      shift_y = shift_y - polygon%normal_y(k)
+    end do
+    inwards = polygon%sharp
+    do tries = 1, 8
+      call next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
+      if (side > 0) return
+      inwards = 4.0_wp*inwards
+    end do
+  end subroutine surely_next_side
+
+  !> Puts a particle at (`x`, `y`) on the side number `side`, and turns its velocity (`ux`, `uy`).
+  pure subroutine reflect_from_side(polygon, side, x, y, ux, uy)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(inout) :: x, y, ux, uy
+    real(wp) :: beyond, outward, norm
+
+    associate (nx => polygon%normal_x(side), ny => polygon%normal_y(side))
+      beyond = (x - polygon%x(side))*nx + (y - polygon%y(side))*ny
+      x = x - beyond*nx
+      y = y - beyond*ny
+      outward = max(ux*nx + uy*ny, 0.0_wp)
+      ux = ux - 2.0_wp*outward*nx
+      uy = uy - 2.0_wp*outward*ny
+    end associate
+    norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
+    ux = norm*ux
+    uy = norm*uy
+  end subroutine reflect_from_side
+
+  !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
+  pure subroutine next_wall_in_polygon(polygon, from, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    !> The channel on whose chord it is, or `no_channel`.
+    integer, intent(in) :: from
+    !> Place and velocity in the frame of the polygon.
+    real(wp), intent(in) :: x, y, ux, uy
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    side = 0
+    if (from /= no_channel) side = polygon%side(from)
+    call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine next_wall_in_polygon
+
+  !> The same from a side. Only a point within an opening, its ends excluded, lets a particle out: a
+  !> corner belongs to the urn.
+  pure subroutine next_wall_from(polygon, from, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    call surely_next_side(polygon, from, x, y, ux, uy, side, wait)
+    if (side == 0) then
+      next = meets_nothing
+      wait = huge(1.0_wp)
+    else if (abs(y + uy*wait) < polygon%half_opening(side)) then
+      next = merge(meets_gate, meets_return, side == polygon%side(gated))
+    else
+      next = int(side, wall_kind)
+    end if
+  end subroutine next_wall_from
+
+  !> Reflection from the side `next`; then what is met `next`, after the time `wait`.
+  pure subroutine reflect_in_polygon(polygon, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    !> Place and velocity in the frame of the polygon.
+    real(wp), intent(inout) :: x, y, ux, uy
+    integer(wall_kind), intent(inout) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    side = int(next)
+    call reflect_from_side(polygon, side, x, y, ux, uy)
+    call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine reflect_in_polygon
+
+  !> Mirrors a particle that a step has taken beyond a side (it `was_beyond`) in the side that it
+  !> has crossed, and reflects its velocity there; again, if that takes it beyond another.
+  pure subroutine reflect_overshoot_in_polygon(polygon, x, y, ux, uy, was_beyond)
+    type(polygon_type), intent(in) :: polygon
+    !> Place and velocity in the frame of the polygon.
+    real(wp), intent(inout) :: x, y, ux, uy
+    logical, intent(out) :: was_beyond
+    integer, parameter :: most_sides = 16
+    real(wp) :: beyond
+    integer :: side, tries
+
+    was_beyond = .false.
+    do tries = 1, most_sides
+      if (is_in_polygon(polygon, x, y, 0.0_wp)) return
+      was_beyond = .true.
+      side = side_behind(polygon, x, y, ux, uy)
+      if (side == 0) side = nearest_side(polygon, x, y)
+      beyond = (x - polygon%x(side))*polygon%normal_x(side) &
+        + (y - polygon%y(side))*polygon%normal_y(side)
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      x = x - beyond*polygon%normal_x(side)
+      y = y - beyond*polygon%normal_y(side)
+    end do
+    ! A corner too narrow for the step: on its side, where it came from.
+    side = nearest_side(polygon, x, y)
+    call project_on_side(polygon, side, x, y)
+  end subroutine reflect_overshoot_in_polygon
+
+  !> The side that a way out of the polygon has crossed last; 0 if there is none.
+  pure function side_behind(polygon, x, y, ux, uy) result(side)
+    type(polygon_type), intent(in) :: polygon
+    !> Where the way has led, and its direction.
+    real(wp), intent(in) :: x, y, ux, uy
+    integer :: side
+    real(wp) :: before, after, time, latest
+    integer :: k
+
+    side = 0
+    latest = -huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    do k = 1, polygon%sides
+      before = after
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      if (before >= 0.0_wp .or. after < 0.0_wp) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      if (time > polygon%sharp .or. time <= latest) cycle
+      side = k
+      latest = time
+    end do
+  end function side_behind
+
+  !> The point of a side that is nearest to (x, y).
+  pure subroutine project_on_side(polygon, side, x, y)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(inout) :: x, y
+    real(wp) :: along
+
+    along = distance_along_side(polygon, side, x, y)
+    x = polygon%x(side) - along*polygon%normal_y(side)
+    y = polygon%y(side) + along*polygon%normal_x(side)
+  end subroutine project_on_side
+
+  !> How far a point is along a side from its beginning, not beyond its ends.
+  pure function distance_along_side(polygon, side, x, y) result(along)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(in) :: x, y
+    real(wp) :: along
+
+    along = (y - polygon%y(side))*polygon%normal_x(side) &
+      - (x - polygon%x(side))*polygon%normal_y(side)
+    along = min(max(along, 0.0_wp), polygon%length_of(side))
+  end function distance_along_side
+
+  !> The state of a particle at (`x`, `y`) on the side number `side`; its velocity is (`ux`, `uy`).
+  pure function state_on_side(polygon, side, x, y, ux, uy) result(state)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(in) :: x, y, ux, uy
+    type(boundary_state_type) :: state
+
+    state = boundary_state_type(polygon%arc_start(side) + distance_along_side(polygon, side, x, &
+      y), ux, uy)
+    ! At its end it is still this side.
+    if (side < polygon%sides) state%arc_length = min(state%arc_length, &
+      nearest(polygon%arc_start(side + 1), -1.0_wp))
+  end function state_on_side
+
+  !> The side and the place of a state.
+  pure subroutine locate_on_outline(polygon, arc_length, side, x, y)
+    type(polygon_type), intent(in) :: polygon
+    real(wp), intent(in) :: arc_length
+    integer, intent(out) :: side
+    real(wp), intent(out) :: x, y
+    real(wp) :: along
+
+    side = max(count(polygon%arc_start <= arc_length), 1)
+    along = min(arc_length - polygon%arc_start(side), polygon%length_of(side))
+    x = polygon%x(side) - along*polygon%normal_y(side)
+    y = polygon%y(side) + along*polygon%normal_x(side)
+  end subroutine locate_on_outline
+
+  !> Whether the `state` of a particle is the one it had `before`, up to rounding.
+  pure function has_returned(polygon, state, before) result(same)
+    type(polygon_type), intent(in) :: polygon
+    type(boundary_state_type), intent(in) :: state, before
+    logical :: same
+
+    same = max(abs(state%ux - before%ux), abs(state%uy - before%uy), &
+      abs(state%arc_length - before%arc_length)/polygon%outline_length) <= same_state
+  end function has_returned
+
+  !> Straight on from side to side for the time `rest`, or until an opening is met. There it stays,
+  !> and so does `rest`.
+  pure subroutine continue_flight(polygon, side, x, y, ux, uy, rest, hits)
+    type(polygon_type), intent(in) :: polygon
+    !> On which it is, or 0.
+    integer, intent(inout) :: side
+    real(wp), intent(inout) :: x, y, ux, uy, rest
+    !> Those on the way.
+    integer(int64), intent(out) :: hits
+    integer, parameter :: most_at_once = 10000
+    integer(wall_kind) :: next
+    real(wp) :: wait
+    integer :: at_once
+
+    hits = 0
+    at_once = 0
+    do
+      call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+      x = x + ux*min(wait, rest)
+      y = y + uy*min(wait, rest)
+      ! In a corner that rounding does not let it out of it stays.
+      at_once = merge(0, at_once + 1, wait > polygon%sharp)
+      if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
+      rest = rest - wait
+      side = int(next)
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      hits = hits + 1
+    end do
+  end subroutine continue_flight
+
+  !> The first impact of a particle that is in the polygon, also if an opening is there.
+  pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, arc_length, u_axial, u_lateral, &
+    wait, before)
+    type(polygon_type), intent(in) :: polygon
+    !> Place and velocity in the frame of the polygon: lengths, and a vector of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> The state after it; the time until then.
+    real(wp), intent(out) :: arc_length, u_axial, u_lateral, wait
+    !> Wall hits that `locate_in_polygon` does not count from there on: this one.
+    integer(int64), intent(out) :: before
+    type(boundary_state_type) :: state
+    real(wp) :: norm, px, py
+    integer :: side
+
+    norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
+    u_axial = norm*ux
+    u_lateral = norm*uy
+    call surely_next_side(polygon, 0, x, y, u_axial, u_lateral, side, wait)
+    before = 0
+    if (side > 0) then
+      px = x + u_axial*wait
+      py = y + u_lateral*wait
+      call reflect_from_side(polygon, side, px, py, u_axial, u_lateral)
+      state = state_on_side(polygon, side, px, py, u_axial, u_lateral)
+      before = 1
+    else
+      ! No way leads on: it stays where it is.
+      wait = 0.0_wp
+      state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, u_axial, u_lateral)
+    end if
+    arc_length = state%arc_length
+  end subroutine first_impact_in_polygon
+
+  !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
+  !> is in the polygon.
+  pure subroutine locate_in_polygon(polygon, channel, y, u_axial, u_lateral, since, position, &
+    velocity, hits)
+    type(polygon_type), intent(in) :: polygon
+    !> The channel it leaves through, or one that is none.
+    integer, intent(in) :: channel
+    !> Height (a length), |u_x| and u_y at the side of that channel; else a state: how far round the
+    !> polygon, u_x and u_y.
+    real(wp), intent(in) :: y, u_axial, u_lateral
+    !> The time since then; below 0: until then.
+    real(wp), intent(in) :: since
+    !> x and y of each: lengths, and a vector of length 1.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Of walls since then; below 0: so many come before, that of a state included.
+    integer(int64), intent(out) :: hits
+    real(wp), parameter :: long = 1000.0_wp
+    real(wp) :: rest, period
+    integer(int64) :: hits_each, periods
+    integer :: side
+    logical :: leaves
+
+    leaves = channel == gated .or. channel == ungated
+    if (leaves) then
+      side = polygon%side(channel)
+      position = [facing(channel)*polygon%chord(channel), y]
+      velocity = [facing(channel)*u_axial, u_lateral]
+    else
+      call locate_on_outline(polygon, y, side, position(1), position(2))
+      velocity = [u_axial, u_lateral]
+    end if
+    if (leaves .or. since < 0.0_wp) then
+      velocity = -velocity
+      if (.not. leaves) call reflect_from_side(polygon, side, position(1), position(2), &
+        velocity(1), velocity(2))
+      rest = -since
+      call continue_flight(polygon, side, position(1), position(2), velocity(1), velocity(2), &
+        rest, hits)
+      velocity = -velocity
+      hits = -hits - merge(0, 1, leaves)
+    else
+      period = huge(1.0_wp)
+      hits_each = 0
+      if (since > long*polygon%reach) call find_period(polygon, boundary_state_type(y, u_axial, &
+        u_lateral), period, hits_each)
+      periods = int(since/period, int64)
+      rest = max(since - real(periods, wp)*period, 0.0_wp)
+      call continue_flight(polygon, side, position(1), position(2), velocity(1), velocity(2), &
+        rest, hits)
+      hits = hits + periods*hits_each
+    end if
+  end subroutine locate_in_polygon
+
+  !> After which time a state comes back, and after how many hits; huge if it does not for long.
+  pure subroutine find_period(polygon, state, period, hits)
+    type(polygon_type), intent(in) :: polygon
+    type(boundary_state_type), intent(in) :: state
+    real(wp), intent(out) :: period
+    integer(int64), intent(out) :: hits
+    integer(wall_kind) :: next
+    real(wp) :: x, y, ux, uy, wait
+    integer :: side
+
+    ux = state%ux
+    uy = state%uy
+    call locate_on_outline(polygon, state%arc_length, side, x, y)
+    period = 0.0_wp
+    do hits = 1, longest_period
+      call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+      if (next < meets_wall) exit
+      x = x + ux*wait
+      y = y + uy*wait
+      period = period + wait
+      side = int(next)
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      if (has_returned(polygon, state_on_side(polygon, side, x, y, ux, uy), state) .and. &
+        period > 0.0_wp) return
+    end do
+    period = huge(1.0_wp)
+    hits = 0
+  end subroutine find_period
 
 end module battery_polygon

@@ -10,9 +10,8 @@ module battery_polygon_visits
   use battery_kinds, only: wp, int64
   use battery_channel, only: gated, ungated
   use battery_motion, only: slowest
-  use battery_polygon, only: polygon_type, nearest_side
-  use battery_polygon_walls, only: state_type, state_on_side, has_returned, surely_next_side, &
-    reflect_from_side, longest_period
+  use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
+    has_returned, surely_next_side, reflect_from_side, longest_period
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
@@ -344,7 +343,7 @@ contains
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
-    type(state_type) :: state, kept
+    type(boundary_state_type) :: state, kept
     real(wp) :: wait
     integer :: hits, keep, side
     logical :: same
@@ -389,7 +388,7 @@ contains
   pure subroutine store_truncated(visits, j, state, channel)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
-    type(state_type), intent(in) :: state
+    type(boundary_state_type), intent(in) :: state
     integer(int64), intent(in) :: channel
     integer :: mine
 

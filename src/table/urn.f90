@@ -11,10 +11,10 @@ module battery_urn
     first_impact_in_disc, next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
   use battery_disc_visits, only: compute_disc_visits
   use battery_motion, only: wall_kind
-  use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon
+  use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, &
+    locate_in_polygon, first_impact_in_polygon, next_wall_in_polygon, reflect_in_polygon, &
+    reflect_overshoot_in_polygon
   use battery_polygon_visits, only: compute_polygon_visits
-  use battery_polygon_walls, only: locate_in_polygon, first_impact_in_polygon, &
-    next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon
   use battery_visits, only: visits_type
   implicit none (type, external)
   private

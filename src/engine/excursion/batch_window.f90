@@ -1,27 +1,27 @@
 !> A window with many events of the engine `excursion`, processed as arrays: partitioned by gate and
 !> line, passed through each gate at once (`admit_entries`), crossings sorted afterwards.
 module battery_batch_window
-  use battery_kinds, only: wp, int8
+  use battery_kinds, only: wp, int8, int64
   use battery_table, only: gated, ungated
-  use battery_gate, only: stretch_type, reserve_stretch
+  use battery_gate, only: gate_type, stretch_type, reserve_stretch, admit_entries, number_inside
   use battery_ordering, only: sort_by_time
-  use battery_calendar, only: flight_type
-  use battery_flight, only: middle_time, to_gate, counted_in_gate
+  use battery_calendar, only: calendar_type, flight_type
+  use battery_flight, only: middle_time, never, to_gate, counted_in_gate
+  use battery_visits, only: visits_type
   use battery_event_record, only: event_record_type, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry
   implicit none (type, external)
   private
-  public :: window_type, reserve_batch_window, partition_events, sort_crossings, &
-    decode_crossing_order, record_crossings, record_logged_events
+  public :: batch_window_type, run_batch_window
 
   !> Parts that events are assigned to: gate 1, gate 2, and the periodic line.
-  integer, parameter, public :: periodic_line = 3
+  integer, parameter :: periodic_line = 3
 
   !> Bits of a `crossing_order` that hold the particle: no plan has more than 2e8 particles.
   integer, parameter :: particle_bits = 28
 
   !> The events of a window by part. Arrays are longer than their counts.
-  type :: window_type
+  type :: batch_window_type
     !> Number of events of each part; as (event, part): when each is due, when the particle would
     !> reach the middle line, and which particle it is.
     integer :: partition_count(3) = 0
@@ -35,13 +35,63 @@ module battery_batch_window
     integer :: crossings = 0
     real(wp), allocatable :: crossing_time(:)
     integer, allocatable :: crossing_order(:)
-  end type window_type
+  end type batch_window_type
 
 contains
 
+  !> Processes the first `events` sorted events and all middle-line crossings before `ends`:
+  !> partitions them by gate, applies the rule of each gate, sorts the crossings, and adds the
+  !> visits that begin to the batch. The gates are independent within a window.
+  subroutine run_batch_window(window, gate, beyond, number, flight, calendar, events, began, ends, &
+    visits, event_record, end_wall_hits)
+    !> Work space.
+    type(batch_window_type), intent(inout) :: window
+    type(gate_type), intent(inout) :: gate(2)
+    !> Urn on the far side of a line, by the urn that a particle comes from; number of particles.
+    integer, intent(in) :: beyond(2), number
+    type(flight_type), intent(inout) :: flight(number)
+    type(calendar_type), intent(in) :: calendar
+    !> How many of its sorted events belong to the window.
+    integer, intent(in) :: events
+    !> Start and end of the window.
+    real(wp), intent(in) :: began, ends
+    type(visits_type), intent(inout) :: visits
+    type(event_record_type), intent(inout) :: event_record
+    !> Increased by hits on the end wall of a single urn.
+    integer(int64), intent(inout) :: end_wall_hits
+    integer :: urn, before, crossed, crossed_before, from_gate(2)
+
+    call reserve_batch_window(window, events, number_inside(gate))
+    associate (v => visits, w => window, due => calendar%due_time, particle => calendar%particle)
+      call partition_events(number, flight, events, due, particle, size(w%crossing_order), &
+        w%partition_count, w%due, w%middle, w%particle)
+      crossed = 0
+      do urn = 1, 2
+        before = v%count
+        crossed_before = crossed
+        call admit_entries(gate(urn), w%stretch(urn), w%partition_count(urn), w%due(:, urn), &
+          w%middle(:, urn), w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, &
+          w%crossing_order, w%crossing_time)
+        v%urn(before + 1:v%count) = urn
+        v%channel(before + 1:v%count) = gated
+        from_gate(urn) = crossed - crossed_before
+        if (beyond(urn) == urn) end_wall_hits = end_wall_hits + from_gate(urn)
+      end do
+      call sort_crossings(w, from_gate(1), from_gate(2))
+      if (event_record%logging) then
+        call record_logged_events(w, number, flight, began, events, due, particle, event_record)
+      else
+        event_record%reversals = w%stretch%reversals
+        event_record%bounce_backs = v%count
+        call record_crossings(w, number, flight, began, event_record)
+      end if
+      call add_crossing_visits(w%crossings, w%crossing_order, beyond, number, flight, v)
+    end associate
+  end subroutine run_batch_window
+
   !> Makes room for that many events and counted particles.
   subroutine reserve_batch_window(window, events, counted)
-    type(window_type), intent(inout) :: window
+    type(batch_window_type), intent(inout) :: window
     !> Events of the window.
     integer, intent(in) :: events
     !> Particles counted by gate 1 and by gate 2.
@@ -75,7 +125,7 @@ contains
     real(wp), intent(in) :: due_time(events)
     !> Particle of each event.
     integer, intent(in) :: who(events)
-    !> Leading extent of the arrays, which are explained at `window_type`.
+    !> Leading extent of the arrays, which are explained at `batch_window_type`.
     integer, intent(in) :: room
     !> Number of events of each part.
     integer, intent(out) :: partition_count(3)
@@ -103,7 +153,7 @@ contains
   !> Sorts the crossings of all lines: by time, at one time gate 1, gate 2, periodic line, then by
   !> particle. On entry those from the gates stand first, gate 1 before gate 2.
   pure subroutine sort_crossings(window, from_gate1, from_gate2)
-    type(window_type), intent(inout) :: window
+    type(batch_window_type), intent(inout) :: window
     !> Crossings of the middle line from each gate.
     integer, intent(in) :: from_gate1, from_gate2
     integer :: crossed, returned
@@ -156,7 +206,7 @@ contains
 
   !> Copies the crossings to the event record, which has room for them.
   pure subroutine record_crossings(window, number, flight, began, event_record)
-    type(window_type), intent(in) :: window
+    type(batch_window_type), intent(in) :: window
     !> Number of particles, and their flights.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
@@ -173,10 +223,32 @@ contains
     event_record%crossings = window%crossings
   end subroutine record_crossings
 
+  !> Adds a straight visit, to the urn beyond the line, for each particle that has crossed one.
+  pure subroutine add_crossing_visits(crossings, crossing_order, beyond, number, flight, visits)
+    integer, intent(in) :: crossings
+    !> As in `batch_window_type`.
+    integer, intent(in) :: crossing_order(crossings)
+    !> Urn on the far side of a line, by the urn that a particle comes from; number of particles.
+    integer, intent(in) :: beyond(2), number
+    type(flight_type), intent(in) :: flight(number)
+    type(visits_type), intent(inout) :: visits
+    integer :: k, count, particle, from, channel
+
+    count = visits%count
+    do k = 1, crossings
+      call decode_crossing_order(number, flight, crossing_order(k), particle, from, channel)
+      visits%particle(count + k) = particle
+      visits%urn(count + k) = beyond(from)
+      visits%channel(count + k) = channel
+      visits%turned(count + k) = never
+    end do
+    visits%count = count + crossings
+  end subroutine add_crossing_visits
+
   !> Writes all events of the window to the event record, with the event log.
   subroutine record_logged_events(window, number, flight, began, events, due_time, who, &
     event_record)
-    type(window_type), intent(in) :: window
+    type(batch_window_type), intent(in) :: window
     !> Number of particles, number of events, and the flights.
     integer, intent(in) :: number, events
     type(flight_type), intent(in) :: flight(number)

@@ -17,11 +17,11 @@ module battery_long_visits
     trace_back_into_channel
   use battery_archive, only: archive_type
   use battery_urn, only: urn_type, locate_in_visit, locate_after
-  use battery_visits, only: visits_type, truncated
+  use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: long_visits_type, new_long_visits, is_long_visit, store_visit_starts, &
-    store_flights, is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
+    is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
 
   !> A visit is long from this many times the reach of its urn on: tracing back through half of a
   !> shorter one costs no more than some 1e-13. A visit with fewer than `many_hits` hits has at most
@@ -121,49 +121,6 @@ contains
       call store_visit_start(visits, i, flight(i), batch%turned(j), batch%hits(j))
     end do
   end subroutine store_visit_starts
-
-  !> Stores the next flight of each particle of a batch; `time` becomes the time of the next event.
-  pure subroutine store_flights(number, flight, n, particle, urn, channel, time, length, y, &
-    u_axial, u_lateral, through)
-    !> Number of particles; size of the batch.
-    integer, intent(in) :: number, n
-    type(flight_type), intent(inout) :: flight(number)
-    !> Particle of each visit, and its urn (1 or 2).
-    integer, intent(in) :: particle(n), urn(n)
-    !> Channel that the particle goes to, or `no_channel`.
-    integer(int64), intent(in) :: channel(n)
-    !> Length of the visit; height, |u_x| and u_y at its end; time in the next channel, from end to
-    !> end. For `no_channel` as in `visits_type`.
-    real(wp), intent(in) :: length(n), y(n), u_axial(n), u_lateral(n), through(n)
-    !> In: start of the visit. Out: next event; huge if there is none.
-    real(wp), intent(inout) :: time(n)
-    integer :: j, i
-    real(wp) :: leaves
-
-    do j = 1, n
-      i = particle(j)
-      leaves = time(j) + length(j)
-      flight(i)%length = length(j)
-      flight(i)%time = leaves
-      flight(i)%y = y(j)
-      flight(i)%u_axial = u_axial(j)
-      flight(i)%u_lateral = u_lateral(j)
-      flight(i)%through = through(j)
-      flight(i)%urn = int(urn(j), int16)
-      flight(i)%next_event = to_gate
-      time(j) = leaves
-      if (channel(j) /= gated) then
-        flight(i)%next_event = merge(to_return, parked_in_urn, channel(j) == ungated)
-        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
-        if (channel(j) == truncated) then
-          ! Before its end, so that what follows is due no sooner than the lookahead.
-          flight(i)%next_event = partial_visit
-          time(j) = leaves - through(j)
-        end if
-      end if
-      flight(i)%due = time(j)
-    end do
-  end subroutine store_flights
 
   !> Stores the start of a long visit before its flight is overwritten; there is room for it.
   pure subroutine store_visit_start(visits, particle, flight, turned, hits)

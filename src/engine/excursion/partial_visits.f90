@@ -6,8 +6,8 @@
 module battery_partial_visits
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type
-  use battery_flight, only: partial_visit, never
-  use battery_long_visits, only: long_visits_type, store_visit_starts, store_flights
+  use battery_flight, only: partial_visit, never, store_flights
+  use battery_long_visits, only: long_visits_type, store_visit_starts
   use battery_urn, only: urn_type, compute_visits, locate_in_visit
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
