@@ -22,7 +22,7 @@ module battery_calendar
   !> particle.
   type :: flight_type
     real(wp) :: due
-    !> Heading, and the urn it leaves, 1 or 2.
+    !> Kind of its next event (`battery_flight`), and the urn it leaves, 1 or 2.
     integer(int16) :: next_event, urn
     !> Slot of the visit that follows, if it was computed ahead; else 0.
     integer(int32) :: lookahead_slot
@@ -62,7 +62,7 @@ module battery_calendar
     !> Number of open buckets; all events before `opened_until` are sorted or done.
     integer :: opened = 0
     real(wp) :: opened_until = 0.0_wp
-    !> Sorted events: `due_time(:sorted)` and their particles; room for all particles.
+    !> Sorted events: `due_time(:sorted)` and their particles; large enough for all particles.
     integer :: sorted = 0
     real(wp), allocatable :: due_time(:)
     integer, allocatable :: particle(:)
@@ -136,7 +136,7 @@ contains
     end do
   end subroutine schedule_events
 
-  !> Schedules the events that are not due before `opened_until`; tells whether there are others.
+  !> Schedules the events that are not due before `opened_until`; `some_at_once`: there are others.
   pure subroutine fill_buckets(count, particle, time, per_width, opened_until, epoch, &
     next_place, whose, block_before, free_blocks, free_block, some_at_once)
     integer, intent(in) :: count, particle(count)

@@ -11,9 +11,9 @@ module battery_queue
   public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, rebase_queue, &
     serialize_queue
 
-  !> Particles, each with a time; `time` and `who` have room for `room` of them.
+  !> Particles, each with a time; the arrays `time` and `who` have the size `room`.
   type :: queue_type
-    !> Number of particles in it, and room.
+    !> Number of particles in it, and size of the arrays.
     integer :: count = 0, room = 0
     !> Time of the first of them; huge if the queue is empty.
     real(wp) :: next = huge(1.0_wp)
@@ -23,13 +23,13 @@ module battery_queue
     integer, allocatable :: who(:)
   end type queue_type
 
-  !> A list no longer than this is taken out as a whole: selecting costs more than putting back the
-  !> rest.
+  !> A list no longer than this is removed as a whole: selecting costs more than adding the rest
+  !> again.
   integer, parameter :: short_list = 256
 
 contains
 
-  !> Removes all.
+  !> Removes all particles.
   pure subroutine empty_queue(queue)
     type(queue_type), intent(inout) :: queue
 
@@ -39,7 +39,7 @@ contains
     queue%in_order = .false.
   end subroutine empty_queue
 
-  !> Adds `who` at `time`. Short, so that it is inlined.
+  !> Adds the particle `who` at `time`. Short, so that it is inlined.
   pure subroutine push(queue, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: time
@@ -112,7 +112,7 @@ contains
     queue%who(at) = who
   end subroutine sift_up_last
 
-  !> The first leaves the queue, which is not empty.
+  !> Removes the first particle of the queue, which is not empty.
   pure subroutine pop(queue, who)
     type(queue_type), intent(inout) :: queue
     !> Its number.
@@ -123,8 +123,8 @@ contains
     call remove_at(queue, 1)
   end subroutine pop
 
-  !> Removes all that are due before `until`, and possibly others, in no order. The arrays have room
-  !> for the whole queue.
+  !> Removes all that are due before `until`, and possibly others, in no order. The arrays are
+  !> large enough for the whole queue.
   pure subroutine pop_due(queue, until, removed, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: until
@@ -151,7 +151,7 @@ contains
     end if
   end subroutine pop_due
 
-  !> Removes `who`, which is in the queue and among the first.
+  !> Removes the particle `who`, which is in the queue and near its front.
   pure subroutine remove_particle(queue, who)
     type(queue_type), intent(inout) :: queue
     integer, intent(in) :: who

@@ -2,7 +2,7 @@
 !>
 !> The particles sit at the leaves, from left to right by index; every node holds the earlier of its
 !> two children; the root, node 1, holds the next event of all. A new time is compared upwards from
-!> its leaf with one sibling a level. All siblings are known from the leaf and loaded ahead, so the
+!> its leaf with one sibling a level. All siblings follow from the leaf and are loaded ahead, so the
 !> dependent work at each level is one comparison and a selection without a branch. Of events at one
 !> time the left one comes first: that of the particle with the lowest index.
 !>
@@ -53,7 +53,7 @@ contains
     end do
   end subroutine new_tournament
 
-  !> Node of a particle. Particles for which the lowest level has no room sit one level above.
+  !> Node of a particle: on the lowest level, or one level above if that is full.
   elemental function leaf_of(tournament, particle) result(k)
     type(tournament_type), intent(in) :: tournament
     integer, intent(in) :: particle

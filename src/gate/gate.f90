@@ -185,7 +185,7 @@ contains
     gate%entered = .false.
   end subroutine uncount_all
 
-  !> Makes room for the entries of a window and the particles counted before.
+  !> Allocates the arrays for the entries of a window and the particles counted before.
   subroutine reserve_stretch(stretch, number)
     type(stretch_type), intent(inout) :: stretch
     !> The largest number of both together.

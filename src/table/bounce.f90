@@ -1,10 +1,11 @@
-!> One particle from event to event: what it meets next and when, and its state after that.
+!> Motion of one particle from event to event: what it meets next and when, and its state after
+!> that.
 !>
-!> Direct geometry in the coordinates of the table: a line and two straight walls in a channel; in
-!> an urn, what its shape provides. Chords, the middle line and the periodic line are met like
-!> walls, but do not reflect. What a particle can meet follows from its chamber and its direction,
-!> never from its distance to a wall, so no position needs to be nudged: the particle is put exactly
-!> on what it meets.
+!> Geometry in the coordinates of the table: in a channel one line and two straight walls, in an urn
+!> what its shape provides. Chords, the middle line and the periodic line are met like walls, but do
+!> not reflect. What a particle can meet follows from its chamber and its direction, never from its
+!> distance to a wall: no position has to be nudged, and a particle is placed exactly on what it
+!> meets.
 module battery_bounce
   use battery_kinds, only: wp, int8
   use battery_table, only: table_type, urn_type, gated, ungated, no_channel, in_urn, in_gate, &
@@ -22,10 +23,10 @@ module battery_bounce
 
 contains
 
-  !> State of a particle at a position, with a velocity of length 1.
+  !> State of a particle from its position and its velocity, of length 1.
   pure function motion_at(table, x, y, ux, uy) result(motion)
     type(table_type), intent(in) :: table
-    !> In the frame of the table; lengths, and components of the velocity.
+    !> In the frame of the table: lengths, and components of the velocity.
     real(wp), intent(in) :: x, y, ux, uy
     type(motion_type) :: motion
 
@@ -33,7 +34,7 @@ contains
       chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
   end function motion_at
 
-  !> Finds what a particle with a new state meets first, and the time `wait` until then.
+  !> Finds what a particle whose state is new meets first, and the time `wait` until then.
   pure subroutine find_first_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -49,7 +50,7 @@ contains
     end associate
   end subroutine find_first_wall
 
-  !> Reflection from a wall of an urn or of a channel, or from a disc in it.
+  !> Reflects a particle at a wall of its urn or its channel, or at a disc in the channel.
   pure subroutine hit_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -74,9 +75,9 @@ contains
     end associate
   end subroutine hit_wall
 
-  !> Reflection from a disc in channel 2.
+  !> Reflects a particle at a disc in channel 2.
   pure subroutine reflect_at_scatterer(half_channel, urn, motion, wait)
-    !> Half channel on the side that the particle is on, and its urn.
+    !> Half channel that the particle is in, and its urn.
     type(scattered_half_channel_type), intent(in) :: half_channel
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
@@ -91,8 +92,8 @@ contains
     motion%ux = urn%axis_sign*ux
   end subroutine reflect_at_scatterer
 
-  !> Finds what a particle in a channel meets next. A wall met at the same time as a chord is met
-  !> first: the corner belongs to the channel.
+  !> Finds what a particle in a channel meets next. Of a wall and a chord at the same time the wall
+  !> comes first: the corner belongs to the channel.
   pure subroutine find_next_wall_in_channel(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -110,7 +111,7 @@ contains
     call find_next_wall_in_strip(table%urn(motion%urn), motion, wait)
   end subroutine find_next_wall_in_channel
 
-  !> The same where no disc stands in the channel.
+  !> As `find_next_wall_in_channel`, without discs.
   pure subroutine find_next_wall_in_strip(urn, motion, wait)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
@@ -142,9 +143,9 @@ contains
     end if
   end subroutine find_next_wall_in_strip
 
-  !> Moves a particle through the chord of an opening, from an urn into a channel or back; over the
-  !> middle line; over the periodic line, from one end of the table to the other; or back from a
-  !> line that is an end wall.
+  !> Moves a particle over the line that it has met: through a chord into a channel or an urn; over
+  !> the middle line; over the periodic line, from one end of the table to the other; or back, if
+  !> the line is an end wall.
   pure subroutine pass_line(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -182,7 +183,7 @@ contains
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine pass_line
 
-  !> Reverses a particle that a gate turns back; it has been moved to where it is now.
+  !> Reverses a particle of channel 1, which has been moved to its present position.
   pure subroutine reverse_motion(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -194,7 +195,7 @@ contains
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine reverse_motion
 
-  !> Whether a particle in channel 1 heads for the other gate: then it came from its urn and was not
+  !> Whether a particle in channel 1 heads for the other gate: it came from its urn and has not been
   !> turned back.
   elemental function heads_for_middle(motion) result(heads)
     type(motion_type), intent(in) :: motion
@@ -203,7 +204,7 @@ contains
     heads = motion%chamber == in_gate .and. x_direction(motion%urn)*motion%ux < 0.0_wp
   end function heads_for_middle
 
-  !> Time that a particle of channel 1 which heads for the middle line takes to it.
+  !> Time until a particle of channel 1 that heads for the middle line reaches it.
   elemental function time_to_middle(motion) result(time)
     type(motion_type), intent(in) :: motion
     real(wp) :: time
@@ -211,8 +212,8 @@ contains
     time = abs(motion%x)/max(abs(motion%ux), slowest)
   end function time_to_middle
 
-  !> Whether a particle can never leave where it is: across a channel, along a wall, or back and
-  !> forth between discs.
+  !> Whether a particle can never leave: it moves across a channel, along a wall, or back and forth
+  !> between discs.
   elemental function is_trapped(table, motion) result(trapped)
     type(table_type), intent(in) :: table
     type(motion_type), intent(in) :: motion
@@ -229,7 +230,7 @@ contains
     end associate
   end function is_trapped
 
-  !> The channel that a particle is in.
+  !> Channel that a particle is in.
   elemental function channel_of(motion) result(channel)
     type(motion_type), intent(in) :: motion
     integer :: channel
@@ -246,7 +247,7 @@ contains
     half_width = urn%half_width(channel_of(motion))
   end function half_width_at
 
-  !> Prevents rounding from moving a particle of a channel beyond a wall.
+  !> Undoes rounding that has moved a particle of a channel beyond a wall.
   pure subroutine keep_between_walls(urn, motion)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion

@@ -1,11 +1,18 @@
-!> A simple polygon, with openings in two upright sides: those that the axis crosses last, on the
-!> right for channel 1 and on the left for channel 2.
+!> Urn of polygonal shape: its geometry, and the motion from side to side. Its openings are in two
+!> upright sides: those that the x axis crosses last, on the right for channel 1 and on the left for
+!> channel 2.
 !>
-!> Frame: the origin lies in the middle between the two upright sides. Where channel 2 is closed no
-!> side on the left need be upright, and what reaches farthest to the left stands for it. So it is
-!> with the disc, whose chord there is its radius away. The origin may lie outside of the polygon.
+!> **Frame.** The origin lies midway between the two upright sides; it may lie outside the polygon.
+!> If channel 2 is closed, the leftmost point takes the place of the left side, as the chord of a
+!> closed channel is one radius away in a disc.
 !>
-!> Whole visits: `polygon_visits.f90`.
+!> **From side to side.** A corner lies to the right or to the left of a path, never on both sides:
+!> a path ends at the nearest side that goes from its right to its left. So a path through a corner
+!> meets a side too, and no particle escapes. A particle is placed exactly on the side that it
+!> meets; each hit sets its speed back to 1 by a Newton step.
+!>
+!> Periodic orbits are recognised, and visits truncated, by `boundary_state_type`. Batches of
+!> visits: `polygon_visits.f90`.
 module battery_polygon
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, gated, ungated, no_channel, facing, is_open
@@ -20,50 +27,50 @@ module battery_polygon
     locate_in_polygon, first_impact_in_polygon
   public :: surely_next_side, reflect_from_side, boundary_state_type, state_on_side, has_returned
 
-  !> What rounding may leave of a place on a side, in units of the table.
+  !> Bound on the rounding error of a position on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
 
-  !> Sides that lean less than this, in units of the polygon, are meant to be upright.
+  !> Sides that lean by less than this, in units of the polygon, count as upright.
   real(wp), parameter, public :: upright = 2.0_wp**13*epsilon(1.0_wp)
 
-  !> What a visit to a polygon needs to know. Side k goes from corner k to corner k + 1.
+  !> Geometry of a polygon with its openings. Side k goes from corner k to corner k + 1.
   type, extends(chamber_type) :: polygon_type
     integer :: sides = 0
-    !> Corners, the first again at the end.
+    !> Corners; the first is repeated at the end.
     real(wp), allocatable :: x(:), y(:)
-    !> Outward normal of each side, of length 1, its distance from the origin along that, its
-    !> length, and how far round the polygon it begins.
+    !> By side: outward normal, of length 1; distance from the origin along it; length; arc length
+    !> along the outline at which the side starts.
     real(wp), allocatable :: normal_x(:), normal_y(:), offset(:), length_of(:), arc_start(:)
-    !> Half the width of the opening in a side; -1: it has none.
+    !> Half the width of the opening in a side; -1 if it has none.
     real(wp), allocatable :: half_opening(:)
-    !> The sides with the openings, and how far it is round the polygon.
+    !> Sides with the openings of channel 1 and 2 (0: none); length of the outline.
     integer :: side(2) = 0
     real(wp) :: outline_length = 0.0_wp
-    !> Whether no way meets more than one side.
+    !> Whether the polygon is convex: a path out of it crosses one side only.
     logical :: convex = .false.
-    !> Lengths below this may be rounding.
+    !> Lengths below this may be rounding errors.
     real(wp) :: sharp = 0.0_wp
   end type polygon_type
 
-  !> A state that has come back to within this, in units of all walls and of 1, is the same state.
+  !> Boundary states that differ by less than this, relative to the outline and to 1, are the same.
   real(wp), parameter :: same_state = 4096.0_wp*epsilon(1.0_wp)
 
-  !> Longest period that is looked for, in wall hits.
+  !> Longest period that is searched for, in wall hits.
   integer, parameter, public :: longest_period = 10000
 
-  !> Right after a hit: how far round the polygon, and the velocity.
+  !> State right after a hit: arc length along the outline, and velocity.
   type :: boundary_state_type
     real(wp) :: arc_length = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
   end type boundary_state_type
 
 contains
 
-  !> A polygon with openings; one that runs clockwise is turned round. Where no upright side is on
-  !> the axis, or it has no room for an opening, it does not fit.
+  !> Polygon with openings; clockwise corners are reversed. If the axis crosses no upright side, or
+  !> an opening is wider than its side, it does not fit.
   pure function new_polygon(corners, channel) result(polygon)
-    !> Columns (x, y), at least 3, in a frame that may begin anywhere on the axis.
+    !> Columns (x, y), at least 3; the origin may be anywhere on the axis.
     real(wp), intent(in) :: corners(:, :)
-    !> The channels at its openings.
+    !> Channels at its openings.
     type(channel_type), intent(in) :: channel(2)
     type(polygon_type) :: polygon
     real(wp) :: corner(2, size(corners, 2)), ends(2)
@@ -76,7 +83,7 @@ contains
     polygon%sides = n
     polygon%side = [side_on_axis(corner, 1.0_wp), side_on_axis(corner, -1.0_wp)]
     ends = [maxval(corner(1, :)), minval(corner(1, :))]
-    ! Where a channel is closed, its side is a wall like the others.
+    ! The side of a closed channel is a wall like the others.
     where (.not. is_open(channel)) polygon%side = 0
     do k = 1, 2
       if (polygon%side(k) > 0) ends(k) = corner(1, polygon%side(k))
@@ -88,7 +95,7 @@ contains
       if (polygon%side(k) == 0) cycle
       if (abs(polygon%x(polygon%side(k) + 1) - polygon%x(polygon%side(k))) &
         > upright*maxval(abs(polygon%x))) cycle
-      ! To the last digit, however the corners were rounded.
+      ! Exactly upright, however the corners were rounded.
       polygon%x(polygon%side(k):polygon%side(k) + 1) = facing(k)*polygon%chord(k)
       if (polygon%side(k) == n) polygon%x(1) = polygon%x(n + 1)
       if (polygon%side(k) == 1) polygon%x(n + 1) = polygon%x(1)
@@ -97,7 +104,7 @@ contains
     call measure_openings(polygon)
   end function new_polygon
 
-  !> What follows from the corners.
+  !> Derives lengths, normals and area from the corners.
   pure subroutine measure_outline(polygon)
     type(polygon_type), intent(inout) :: polygon
     real(wp), allocatable :: along_x(:), along_y(:)
@@ -130,8 +137,8 @@ contains
     call find_clearance(polygon)
   end subroutine measure_outline
 
-  !> How far the origin is from the walls, if it lies inside; how long a step may be. Twice the area
-  !> over the way round is the radius of the circle inscribed in a regular polygon.
+  !> Distance from the origin to the walls, if the origin is inside; and the longest step. Twice the
+  !> area over the length of the outline is the inradius of a regular polygon.
   pure subroutine find_clearance(polygon)
     type(polygon_type), intent(inout) :: polygon
     integer :: j, k, n
@@ -161,9 +168,9 @@ contains
 
   end subroutine find_clearance
 
-  !> Whether the openings fit, and how far it is through the polygon. A way that comes back to an
-  !> opening must be sent back by a wall that looks there: it is at least twice as long as the way
-  !> to the nearest of these. One that goes through is at least as long as the chords are apart.
+  !> Whether the openings fit, and their depths. A path that returns to an opening was reflected by
+  !> a side that faces it: its length is at least twice the distance of the nearest of these. A path
+  !> from one opening to the other is at least as long as the chords are apart.
   pure subroutine measure_openings(polygon)
     type(polygon_type), intent(inout) :: polygon
     real(wp) :: a(2), b(2)
@@ -193,7 +200,7 @@ contains
     if (all(polygon%width > 0.0_wp)) polygon%depth = min(polygon%depth, polygon%chord)
   end subroutine measure_openings
 
-  !> How far it is from a point to the nearest side.
+  !> Distance from a point to the nearest side.
   pure function distance_to_walls(polygon, x, y) result(distance)
     type(polygon_type), intent(in) :: polygon
     real(wp), intent(in) :: x, y
@@ -207,10 +214,10 @@ contains
     end do
   end function distance_to_walls
 
-  !> Whether a point is inside, on a side, or no farther than `tolerance` from one.
+  !> Whether a point is inside, on a side, or at most `tolerance` outside.
   pure function is_in_polygon(polygon, x, y, tolerance) result(inside)
     type(polygon_type), intent(in) :: polygon
-    !> In the frame of the polygon, lengths.
+    !> Position in the frame of the polygon, and a distance: lengths.
     real(wp), intent(in) :: x, y, tolerance
     logical :: inside
     integer :: k
@@ -224,11 +231,12 @@ contains
     if (.not. inside) inside = distance_to_walls(polygon, x, y) <= tolerance
   end function is_in_polygon
 
-  !> A point from two numbers `across` and `up` uniform in [0, 1]: uniform where it is `inside`.
+  !> Trial point from two numbers `across` and `up`, uniform in [0, 1]: uniform in the polygon, if
+  !> `inside`.
   pure subroutine try_point_in_polygon(polygon, across, up, x, y, inside)
     type(polygon_type), intent(in) :: polygon
     real(wp), intent(in) :: across, up
-    !> In the frame of the polygon, lengths.
+    !> Position in the frame of the polygon, lengths.
     real(wp), intent(out) :: x, y
     logical, intent(out) :: inside
 
@@ -239,10 +247,10 @@ contains
     inside = is_in_polygon(polygon, x, y, 0.0_wp)
   end subroutine try_point_in_polygon
 
-  !> The side that a point is nearest to.
+  !> Side that is nearest to a point.
   pure function nearest_side(polygon, x, y) result(nearest)
     type(polygon_type), intent(in) :: polygon
-    !> In the frame of the polygon, lengths.
+    !> Position in the frame of the polygon, lengths.
     real(wp), intent(in) :: x, y
     integer :: nearest
     real(wp) :: least, distance
@@ -259,14 +267,14 @@ contains
     end do
   end function nearest_side
 
-  !> The side that ends the way from a point, and after which time. A point on a side is told so by
-  !> `from`, which is then not met; 0: anywhere.
+  !> Side that a particle meets next, and the time `wait` until then. A particle that is on the side
+  !> `from` does not meet that; 0: it is on none.
   pure subroutine next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
-    !> Place and velocity in the frame of the polygon.
+    !> Position and velocity in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
-    !> 0 if none is met, which only rounding can bring about.
+    !> 0 if it meets none, which only rounding can cause.
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
     real(wp) :: before, after, time
@@ -283,7 +291,7 @@ contains
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
       if (time >= wait) cycle
       if (time < -polygon%sharp .and. .not. polygon%convex) then
-        ! Behind, unless rounding has put it there: then it stands on it.
+        ! Skip a side behind the particle, unless only rounding has put it there.
         if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
           polygon%y(k + 1)]) > polygon%sharp) cycle
       end if
@@ -293,9 +301,10 @@ contains
     wait = max(wait, 0.0_wp)
   end subroutine next_side
 
-  !> The same for a way along a side, or from a place that rounding has put on the wrong side of
-  !> one: as if it began a little farther inside. From the side `from`, or 0, at (`x`, `y`) with the
-  !> velocity (`ux`, `uy`) to the `side` that is met, 0 if none is, after the time `wait`.
+  !> As `next_side`, but also for a particle that moves along a side, or that rounding has put
+  !> beyond one: then the path starts a little farther inside. From the side `from` (0: none), at
+  !> (`x`, `y`) with velocity (`ux`, `uy`), to the `side` that it meets (0: none) after the time
+  !> `wait`.
   pure subroutine surely_next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
@@ -323,7 +332,8 @@ contains
     end do
   end subroutine surely_next_side
 
-  !> Puts a particle at (`x`, `y`) on the side number `side`, and turns its velocity (`ux`, `uy`).
+  !> Places a particle at (`x`, `y`) on the side number `side`, and reflects its velocity (`ux`,
+  !> `uy`).
   pure subroutine reflect_from_side(polygon, side, x, y, ux, uy)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
@@ -343,12 +353,12 @@ contains
     uy = norm*uy
   end subroutine reflect_from_side
 
-  !> What a particle meets first that is inside, or at an opening: `next`, after the time `wait`.
+  !> What a particle in the polygon, or at an opening, meets `next`, and the time `wait` until then.
   pure subroutine next_wall_in_polygon(polygon, from, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
-    !> The channel on whose chord it is, or `no_channel`.
+    !> Channel on whose chord it is, or `no_channel`.
     integer, intent(in) :: from
-    !> Place and velocity in the frame of the polygon.
+    !> Position and velocity in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
     integer(wall_kind), intent(out) :: next
     real(wp), intent(out) :: wait
@@ -359,8 +369,8 @@ contains
     call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
   end subroutine next_wall_in_polygon
 
-  !> The same from a side. Only a point within an opening, its ends excluded, lets a particle out: a
-  !> corner belongs to the urn.
+  !> As `next_wall_in_polygon`, for a particle on the side `from`. It leaves only through a point
+  !> strictly within an opening: a corner belongs to the urn.
   pure subroutine next_wall_from(polygon, from, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
@@ -380,10 +390,11 @@ contains
     end if
   end subroutine next_wall_from
 
-  !> Reflection from the side `next`; then what is met `next`, after the time `wait`.
+  !> Reflects a particle at the side `next`; finds what it meets `next`, and the time `wait` until
+  !> then.
   pure subroutine reflect_in_polygon(polygon, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
-    !> Place and velocity in the frame of the polygon.
+    !> Position and velocity in the frame of the polygon.
     real(wp), intent(inout) :: x, y, ux, uy
     integer(wall_kind), intent(inout) :: next
     real(wp), intent(out) :: wait
@@ -394,11 +405,11 @@ contains
     call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
   end subroutine reflect_in_polygon
 
-  !> Mirrors a particle that a step has taken beyond a side (it `was_beyond`) in the side that it
-  !> has crossed, and reflects its velocity there; again, if that takes it beyond another.
+  !> Mirrors a particle that a step has moved beyond a side (it `was_beyond`) in that side, and
+  !> reflects its velocity there; repeats this if it is then beyond another side.
   pure subroutine reflect_overshoot_in_polygon(polygon, x, y, ux, uy, was_beyond)
     type(polygon_type), intent(in) :: polygon
-    !> Place and velocity in the frame of the polygon.
+    !> Position and velocity in the frame of the polygon.
     real(wp), intent(inout) :: x, y, ux, uy
     logical, intent(out) :: was_beyond
     integer, parameter :: most_sides = 16
@@ -417,15 +428,15 @@ contains
       x = x - beyond*polygon%normal_x(side)
       y = y - beyond*polygon%normal_y(side)
     end do
-    ! A corner too narrow for the step: on its side, where it came from.
+    ! The corner is too narrow for the step: put the particle on the nearest side.
     side = nearest_side(polygon, x, y)
     call project_on_side(polygon, side, x, y)
   end subroutine reflect_overshoot_in_polygon
 
-  !> The side that a way out of the polygon has crossed last; 0 if there is none.
+  !> Side that a particle crossed last on its way out of the polygon; 0 if there is none.
   pure function side_behind(polygon, x, y, ux, uy) result(side)
     type(polygon_type), intent(in) :: polygon
-    !> Where the way has led, and its direction.
+    !> Position and velocity in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
     integer :: side
     real(wp) :: before, after, time, latest
@@ -446,7 +457,7 @@ contains
     end do
   end function side_behind
 
-  !> The point of a side that is nearest to (x, y).
+  !> Moves a point to the nearest point of a side.
   pure subroutine project_on_side(polygon, side, x, y)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
@@ -458,7 +469,8 @@ contains
     y = polygon%y(side) + along*polygon%normal_x(side)
   end subroutine project_on_side
 
-  !> How far a point is along a side from its beginning, not beyond its ends.
+  !> Distance along a side from its first corner to the projection of a point, between 0 and its
+  !> length.
   pure function distance_along_side(polygon, side, x, y) result(along)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
@@ -470,7 +482,8 @@ contains
     along = min(max(along, 0.0_wp), polygon%length_of(side))
   end function distance_along_side
 
-  !> The state of a particle at (`x`, `y`) on the side number `side`; its velocity is (`ux`, `uy`).
+  !> Boundary state of a particle at (`x`, `y`) on the side number `side` with velocity (`ux`,
+  !> `uy`).
   pure function state_on_side(polygon, side, x, y, ux, uy) result(state)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side
@@ -479,12 +492,12 @@ contains
 
     state = boundary_state_type(polygon%arc_start(side) + distance_along_side(polygon, side, x, &
       y), ux, uy)
-    ! At its end it is still this side.
+    ! The end of a side does not belong to the next side.
     if (side < polygon%sides) state%arc_length = min(state%arc_length, &
       nearest(polygon%arc_start(side + 1), -1.0_wp))
   end function state_on_side
 
-  !> The side and the place of a state.
+  !> Side and position at an arc length along the outline.
   pure subroutine locate_on_outline(polygon, arc_length, side, x, y)
     type(polygon_type), intent(in) :: polygon
     real(wp), intent(in) :: arc_length
@@ -508,14 +521,14 @@ contains
       abs(state%arc_length - before%arc_length)/polygon%outline_length) <= same_state
   end function has_returned
 
-  !> Straight on from side to side for the time `rest`, or until an opening is met. There it stays,
-  !> and so does `rest`.
+  !> Moves a particle from side to side for the time `rest`, or to an opening; there it stays, and
+  !> `rest` keeps the time left.
   pure subroutine continue_flight(polygon, side, x, y, ux, uy, rest, hits)
     type(polygon_type), intent(in) :: polygon
-    !> On which it is, or 0.
+    !> Side that it is on, or 0.
     integer, intent(inout) :: side
     real(wp), intent(inout) :: x, y, ux, uy, rest
-    !> Those on the way.
+    !> Wall hits on the way.
     integer(int64), intent(out) :: hits
     integer, parameter :: most_at_once = 10000
     integer(wall_kind) :: next
@@ -528,7 +541,7 @@ contains
       call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
       x = x + ux*min(wait, rest)
       y = y + uy*min(wait, rest)
-      ! In a corner that rounding does not let it out of it stays.
+      ! A particle in a corner, from which rounding does not let it escape, stays there.
       at_once = merge(0, at_once + 1, wait > polygon%sharp)
       if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
       rest = rest - wait
@@ -538,15 +551,15 @@ contains
     end do
   end subroutine continue_flight
 
-  !> The first impact of a particle that is in the polygon, also if an opening is there.
+  !> First impact of a particle that is in the polygon; openings count as wall.
   pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, arc_length, u_axial, u_lateral, &
     wait, before)
     type(polygon_type), intent(in) :: polygon
-    !> Place and velocity in the frame of the polygon: lengths, and a vector of length 1.
+    !> Position and velocity in the frame of the polygon: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
-    !> The state after it; the time until then.
+    !> Boundary state after it: arc length, u_x, u_y; time until then.
     real(wp), intent(out) :: arc_length, u_axial, u_lateral, wait
-    !> Wall hits that `locate_in_polygon` does not count from there on: this one.
+    !> Wall hits until then that `locate_in_polygon` does not count: this one.
     integer(int64), intent(out) :: before
     type(boundary_state_type) :: state
     real(wp) :: norm, px, py
@@ -564,28 +577,28 @@ contains
       state = state_on_side(polygon, side, px, py, u_axial, u_lateral)
       before = 1
     else
-      ! No way leads on: it stays where it is.
+      ! No side is met: the particle stays where it is.
       wait = 0.0_wp
       state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, u_axial, u_lateral)
     end if
     arc_length = state%arc_length
   end subroutine first_impact_in_polygon
 
-  !> Where a particle is at a time from what is known of an impact, or of the end of its visit: it
-  !> is in the polygon.
+  !> Position of a particle in the polygon at a time relative to a boundary state, or to the end of
+  !> its visit.
   pure subroutine locate_in_polygon(polygon, channel, y, u_axial, u_lateral, since, position, &
     velocity, hits)
     type(polygon_type), intent(in) :: polygon
-    !> The channel it leaves through, or one that is none.
+    !> Channel through which the visit ends; any other value: it does not end.
     integer, intent(in) :: channel
-    !> Height (a length), |u_x| and u_y at the side of that channel; else a state: how far round the
-    !> polygon, u_x and u_y.
+    !> Height (a length), |u_x| and u_y at the side of that channel; else a boundary state: arc
+    !> length, u_x and u_y.
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> The time since then; below 0: until then.
+    !> Time since then; below 0: until then.
     real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Of walls since then; below 0: so many come before, that of a state included.
+    !> Wall hits since then; below 0: hits still to come, that of a boundary state included.
     integer(int64), intent(out) :: hits
     real(wp), parameter :: long = 1000.0_wp
     real(wp) :: rest, period
@@ -624,7 +637,8 @@ contains
     end if
   end subroutine locate_in_polygon
 
-  !> After which time a state comes back, and after how many hits; huge if it does not for long.
+  !> Time and hits after which a boundary state recurs; huge and 0 if it does not within
+  !> `longest_period` hits.
   pure subroutine find_period(polygon, state, period, hits)
     type(polygon_type), intent(in) :: polygon
     type(boundary_state_type), intent(in) :: state

@@ -1,15 +1,15 @@
-!> The billiard table: two urns, a gated channel and a channel that closes the circuit.
+!> The billiard table: two urns, a gated channel, and a channel that closes the circuit.
 !>
-!> Coordinates: the origin is the middle of channel 1, x runs along it, urn 1 lies at x < 0. A
-!> channel is attached to an urn at the chord as long as the channel is wide. Lengths are free; the
-!> speed of a particle is 1, so times are lengths too.
-!> Source: Cirillo, Colangeli, Richardson, Rondoni, PRE 103, 032119 (2021), Fig. model, eq. (eq000).
+!> **Coordinates.** The origin is the middle of channel 1, x runs along it, urn 1 lies at x < 0. A
+!> channel is attached to an urn at the chord that is as long as the channel is wide. The unit of
+!> length is free; the speed of a particle is 1, so times are lengths too. Source: Cirillo,
+!> Colangeli, Richardson, Rondoni, PRE 103, 032119 (2021), Fig. model, eq. (eq000).
 !>
-!> Everything is known by its index: the urns and sides 1 and 2, the channels 1 (gated) and 2, and
-!> on each side three chambers: the urn, the gate (half of channel 1) and the half of channel 2.
-!> The halves of a channel meet at its line: the middle line, and the periodic line. The single urn
-!> of Fig. app1 is a table of one side: its middle line is a wall that leads back to it. What shape
-!> an urn has, only `battery_urn` asks.
+!> **Indices.** Urns 1 and 2; channels 1 (`gated`) and 2 (`ungated`); to each urn belong three
+!> chambers: the urn, its half of channel 1 (the gate), and its half of channel 2. The halves of a
+!> channel meet at a line: the middle line, and the periodic line. The single urn of Fig. app1 is a
+!> table of one half: its middle line is a wall that leads back to it. Only `battery_urn` knows the
+!> shape of an urn.
 module battery_table
   use battery_kinds, only: wp, pi
   use battery_powers, only: power_above
@@ -34,51 +34,52 @@ module battery_table
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
 
-  !> No run is longer, in the reach of an urn: beyond, the clock would not resolve an urn.
+  !> Longest run, in units of the reach of an urn: after a longer one the clock would not resolve an
+  !> urn.
   real(wp), parameter :: longest_run = 1.0e15_wp
 
-  !> The way along x from the origin to each side.
+  !> Direction along x from the origin to each urn.
   real(wp), parameter :: x_direction(2) = [-1.0_wp, 1.0_wp]
 
-  !> The whole table: urns by side, channels by `gated` and `ungated`.
+  !> The whole table: urns by index, channels by `gated` and `ungated`.
   type :: table_type
-    !> How many sides there are: 2, or 1 for the single urn.
+    !> Number of urns: 2, or 1 for the single urn.
     integer :: sides = 2
-    !> The side on which a particle goes on that crosses the line of a channel from each side; the
-    !> end wall of the single urn leads back.
+    !> Urn on the far side of a line, by the urn that a particle comes from; the end wall of the
+    !> single urn leads back to it.
     integer :: beyond(2) = [2, 1]
     type(urn_type) :: urn(2)
     type(channel_type) :: channel(2)
     !> Fixed discs in channel 2: (z, y, radius) of each, z along the channel from urn 2 over the
-    !> line at 0 to urn 1; and each half of the channel with them, by side.
+    !> line at 0 to urn 1. Half of the channel with the discs in it, by urn.
     real(wp), allocatable :: scatterers(:, :)
     type(scattered_half_channel_type) :: half_channel2(2)
-    !> A power of two, at least four times the longest flight from wall to wall.
+    !> Length of an epoch: a power of two, at least four times the longest flight from wall to wall.
     real(wp) :: epoch = 0.0_wp
   end type table_type
 
-  !> Where a particle stands on its way through a channel.
+  !> Passage of a particle through a channel.
   type :: passage_type
-    !> Side and chamber that it is in; the channel, or `no_channel`: then nothing else is known.
+    !> Urn and chamber that it is in; its channel, or `no_channel`: then the rest is not set.
     integer :: urn = 0, chamber = outside, channel = no_channel
-    !> Whether it is too slow to get anywhere, and if not, whether it goes to the line of the
-    !> channel or to its urn.
+    !> Whether it is too slow to reach either end; if not, whether it moves away from its urn, to
+    !> the line of the channel.
     logical :: endless = .false., inward = .false.
-    !> How long from now until it reaches its urn, or, below 0, since it came from there.
+    !> Time until it reaches its urn; below 0: time since it left the urn.
     real(wp) :: time = 0.0_wp
-    !> Of one that goes inward: at which height it came from its urn, 1 or -1 as u_y has turned over
-    !> since, and the wall hits since.
+    !> If it moves away from its urn: height at which it left the urn; -1 if u_y has been reversed
+    !> since, else 1; wall hits since.
     real(wp) :: height = 0.0_wp, reflected = 1.0_wp, hits = 0.0_wp
   end type passage_type
 
-  !> A table from its urns and channels, or from its lengths.
+  !> A table from its urns and channels, or from lengths.
   interface new_table
     procedure new_table_of_urns, new_table_of_discs
   end interface new_table
 
 contains
 
-  !> Both urns are discs of the same radius.
+  !> Table whose urns are discs of the same radius.
   pure function new_table_of_discs(shape, urn_radius, channel1_width, channel1_length, &
       channel2_width, channel2_length) result(table)
     !> `shape_circuit` or `shape_urn`.
@@ -92,14 +93,14 @@ contains
       channel_type(channel2_width, channel2_length)])
   end function new_table_of_discs
 
-  !> A table from its parts; the caller has checked their lengths (openings fit, lengths positive).
-  !> Shape `shape_urn` has no channel 2 and no urn 2, whatever is asked for.
+  !> Table from its parts; the caller has checked their lengths (openings fit, lengths are
+  !> positive). Shape `shape_urn` ignores channel 2 and urn 2.
   pure function new_table_of_urns(shape, urn, channel, scatterers) result(table)
     !> `shape_circuit` or `shape_urn`.
     integer, intent(in) :: shape
-    !> What the urns 1 and 2 are to be.
+    !> Urns 1 and 2, with their shapes.
     type(urn_type), intent(in) :: urn(2)
-    !> Width 0 closes channel 2.
+    !> Channels; width 0 closes channel 2.
     type(channel_type), intent(in) :: channel(2)
     !> (z, y, radius) of each disc in channel 2; absent: there are none.
     real(wp), intent(in), optional :: scatterers(:, :)
@@ -132,7 +133,7 @@ contains
     table%urn%shortest = epsilon(1.0_wp)*table%epoch
   end function new_table_of_urns
 
-  !> Whether discs stand in channel 2.
+  !> Whether there are discs in channel 2.
   pure logical function is_scattered(table)
     type(table_type), intent(in) :: table
 
@@ -162,7 +163,7 @@ contains
     if (is_scattered(table)) length = length + added
   end function perimeter
 
-  !> |x| at the far end of the table, on the side that is longer.
+  !> |x| at the far end of the table, on the longer half.
   pure function half_length(table) result(length)
     type(table_type), intent(in) :: table
     real(wp) :: length
@@ -171,10 +172,10 @@ contains
     if (is_open(table%channel(ungated))) length = maxval(table%urn%periodic_line)
   end function half_length
 
-  !> Shortest time from any event of a particle (it enters a gate, crosses the middle of channel 1,
-  !> is turned back, or crosses the periodic line) to its next entry of a gate or crossing of the
-  !> periodic line: a lower bound, from the depths of the openings of either urn, and half of
-  !> channel 2. Where discs stand in that, only to its next entry of a gate.
+  !> Shortest time from any event of a particle (entry into a gate, crossing of the middle line,
+  !> reversal, crossing of the periodic line) to its next entry into a gate or crossing of the
+  !> periodic line: a lower bound, from the depths of the openings of either urn and half of channel
+  !> 2. With discs in channel 2, only to its next entry into a gate.
   pure function shortest_excursion(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time
@@ -189,9 +190,9 @@ contains
     end associate
   end function shortest_excursion
 
-  !> Time in which the directions of flight relax in the larger urn, 25 r^4/w^3 in discs
-  !> (docs/theory.md), r the radius of a disc of the urn's area; huge where channel 1 is closed, and
-  !> where all walls are straight and particles keep a few directions for ever.
+  !> Time in which the directions of flight relax in the larger urn: 25 r^4/w^3 in discs
+  !> (docs/theory.md), with r the radius of a disc of the urn's area. Huge if channel 1 is closed,
+  !> or if all walls are straight and particles keep a few directions.
   pure function relaxation_time(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time, radius
@@ -202,8 +203,8 @@ contains
     time = 25.0_wp*radius*(radius/table%channel(gated)%width)**3
   end function relaxation_time
 
-  !> Whether all urns are polygons that leave a particle a few directions (both the same ones: each
-  !> has an upright side and so has the other), and no discs stand in channel 2.
+  !> Whether all urns are polygons in which a particle has only finitely many directions (the same
+  !> ones in both, since both have an upright side), and channel 2 has no discs.
   pure logical function keeps_directions(table)
     type(table_type), intent(in) :: table
     integer :: urn
@@ -216,21 +217,22 @@ contains
     end do
   end function keeps_directions
 
-  !> The side of a point; the middle line belongs to side 2, if there is one.
+  !> Urn to whose half of the table a point belongs; the middle line belongs to urn 2, if there is
+  !> one.
   elemental function urn_at(table, x) result(urn)
     type(table_type), intent(in) :: table
-    !> In the frame of the table, a length.
+    !> Position in the frame of the table, a length.
     real(wp), intent(in) :: x
     integer :: urn
 
     urn = merge(1, table%sides, x < 0.0_wp)
   end function urn_at
 
-  !> Chamber that holds the point (x, y); a point on a chord belongs to the channel. `tolerance` is
-  !> how far beyond a wall a point may lie.
+  !> Chamber that contains the point (x, y); a point on a chord belongs to the channel. `tolerance`
+  !> is the distance that a point may lie beyond a wall.
   pure function chamber_at(table, x, y, tolerance) result(chamber)
     type(table_type), intent(in) :: table
-    !> In the frame of the table, lengths.
+    !> Position in the frame of the table, and a distance: lengths.
     real(wp), intent(in) :: x, y, tolerance
     integer :: chamber
 
@@ -247,7 +249,7 @@ contains
         chamber = in_urn
       end if
       if (urn%overhangs .and. chamber /= in_urn) then
-        ! Beside a channel, or beyond its end, there may be urn.
+        ! An urn may extend beside a channel, or over its end.
         if (abs(y) > urn%half_width(merge(gated, ungated, abs(x) <= urn%channel_start(gated))) &
           .and. contains_point(urn, urn%centre - abs(x), y, 0.0_wp)) chamber = in_urn
         if (chamber == outside .and. contains_point(urn, urn%centre - abs(x), y, tolerance)) &
@@ -257,12 +259,11 @@ contains
     if (table%sides == 1 .and. x > tolerance) chamber = outside
   end function chamber_at
 
-  !> Where a particle of a channel came from its urn, or when it gets there. Passages that are
-  !> slower than any run is long, and those with more wall hits than an integer can count, are taken
-  !> for endless.
+  !> When a particle in a channel left its urn, or will reach it. Passages that take longer than the
+  !> longest run, or have more wall hits than an integer can count, are endless.
   pure function passage_at(table, x, y, ux, uy) result(passage)
     type(table_type), intent(in) :: table
-    !> Place in the frame of the table, lengths; velocity, of length 1.
+    !> Position in the frame of the table, lengths; velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     type(passage_type) :: passage
     real(wp), parameter :: most_hits = 4.0e18_wp
@@ -276,7 +277,7 @@ contains
       passage%endless = .not. abs(ux)*min(longest_run*urn%reach, most_hits*channel%width) &
         > channel%length
       if (passage%endless) return
-      ! How far it is beyond the chord, and how fast it goes on from there.
+      ! Distance beyond the chord, and velocity away from it.
       depth = urn%channel_start(gated) - abs(x)
       if (passage%channel == ungated) depth = abs(x) - urn%centre - urn%chord(ungated)
       outward = facing(passage%channel)*urn%axis_sign*ux

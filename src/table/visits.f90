@@ -38,14 +38,15 @@ module battery_visits
     !> Out of `compute_visits`: time through that channel, from end to end.
     real(wp), allocatable :: through(:)
     !> Position in the frame of the urn. In: y at the channel's entrance; out of `cross_channels`,
-    !> on the chord where the urn begins; out of `compute_visits`, on the chord where it ends.
+    !> on the chord through which it enters the urn; out of `compute_visits`, on the one through
+    !> which it leaves.
     real(wp), allocatable :: x(:), y(:)
     !> Velocity. In: |u_x| and u_y in the channel; out of `cross_channels`, in the frame of the urn;
     !> out of `compute_visits`, |u_x| and u_y in the next channel. For a particle that never leaves:
     !> cosine and sine of the incidence, and y is the angle of an impact.
     real(wp), allocatable :: u_axial(:), u_lateral(:)
-    !> Out of `compute_visits`: length of the way through the urn; for a particle that never leaves,
-    !> until the impact at angle y, which follows `impacts` others.
+    !> Out of `compute_visits`: length of the path through the urn; for a particle that never
+    !> leaves, until the impact at angle y, which follows `impacts` others.
     real(wp), allocatable :: length(:)
     !> Wall hits in the channel and in the urn, whole numbers.
     real(wp), allocatable :: hits(:)
@@ -67,7 +68,7 @@ module battery_visits
 
 contains
 
-  !> Empties the batch and makes room for `room` visits.
+  !> Empties the batch, and allocates it for `room` visits if it is smaller.
   subroutine reserve_visits(visits, room)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: room
@@ -77,7 +78,7 @@ contains
     if (room > visits%room) call allocate_visits(visits, room)
   end subroutine reserve_visits
 
-  !> Makes room for at least `room` visits in an empty batch.
+  !> Allocates an empty batch for at least `room` visits.
   subroutine allocate_visits(visits, room)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: room

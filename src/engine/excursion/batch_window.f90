@@ -83,13 +83,19 @@ contains
       else
         event_record%reversals = w%stretch%reversals
         event_record%bounce_backs = v%count
-        call record_crossings(w, number, flight, began, event_record)
+        event_record%crossings = w%crossings
+        call record_crossings(w%crossings, w%crossing_time, w%crossing_order, number, flight, &
+          began, event_record%crossing_time, event_record%crossing)
       end if
-      call add_crossing_visits(w%crossings, w%crossing_order, beyond, number, flight, v)
+      before = v%count + 1
+      v%count = v%count + w%crossings
+      call add_crossing_visits(w%crossings, w%crossing_order, beyond, number, flight, &
+        v%particle(before:v%count), v%urn(before:v%count), v%channel(before:v%count), &
+        v%turned(before:v%count))
     end associate
   end subroutine run_batch_window
 
-  !> Makes room for that many events and counted particles.
+  !> Allocates the arrays for that many events and counted particles.
   subroutine reserve_batch_window(window, events, counted)
     type(batch_window_type), intent(inout) :: window
     !> Events of the window.
@@ -151,7 +157,7 @@ contains
   end subroutine partition_events
 
   !> Sorts the crossings of all lines: by time, at one time gate 1, gate 2, periodic line, then by
-  !> particle. On entry those from the gates stand first, gate 1 before gate 2.
+  !> particle. On entry those from the gates come first, gate 1 before gate 2.
   pure subroutine sort_crossings(window, from_gate1, from_gate2)
     type(batch_window_type), intent(inout) :: window
     !> Crossings of the middle line from each gate.
@@ -204,45 +210,53 @@ contains
     urn = flight(particle)%urn
   end subroutine decode_crossing_order
 
-  !> Copies the crossings to the event record, which has room for them.
-  pure subroutine record_crossings(window, number, flight, began, event_record)
-    type(batch_window_type), intent(in) :: window
+  !> Lists the crossings as an event record has them: when, and which.
+  pure subroutine record_crossings(crossings, crossing_time, crossing_order, number, flight, &
+    began, recorded_time, recorded)
+    !> Number of crossings.
+    integer, intent(in) :: crossings
+    !> As in `batch_window_type`.
+    real(wp), intent(in) :: crossing_time(crossings)
+    integer, intent(in) :: crossing_order(crossings)
     !> Number of particles, and their flights.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
     !> Start of the window.
     real(wp), intent(in) :: began
-    type(event_record_type), intent(inout) :: event_record
+    !> Of each crossing, as in `event_record_type`.
+    real(wp), intent(out) :: recorded_time(crossings)
+    integer(int8), intent(out) :: recorded(crossings)
     integer :: k, particle, from, channel
 
-    do k = 1, window%crossings
-      call decode_crossing_order(number, flight, window%crossing_order(k), particle, from, channel)
-      event_record%crossing_time(k) = window%crossing_time(k) - began
-      event_record%crossing(k) = int(crossing_of(from, channel), int8)
+    do k = 1, crossings
+      call decode_crossing_order(number, flight, crossing_order(k), particle, from, channel)
+      recorded_time(k) = crossing_time(k) - began
+      recorded(k) = int(crossing_of(from, channel), int8)
     end do
-    event_record%crossings = window%crossings
   end subroutine record_crossings
 
-  !> Adds a straight visit, to the urn beyond the line, for each particle that has crossed one.
-  pure subroutine add_crossing_visits(crossings, crossing_order, beyond, number, flight, visits)
+  !> Describes a visit, straight to the urn beyond the line, for each particle that has crossed one.
+  pure subroutine add_crossing_visits(crossings, crossing_order, beyond, number, flight, particle, &
+    urn, channel, turned)
+    !> Number of crossings.
     integer, intent(in) :: crossings
     !> As in `batch_window_type`.
     integer, intent(in) :: crossing_order(crossings)
     !> Urn on the far side of a line, by the urn that a particle comes from; number of particles.
     integer, intent(in) :: beyond(2), number
     type(flight_type), intent(in) :: flight(number)
-    type(visits_type), intent(inout) :: visits
-    integer :: k, count, particle, from, channel
+    !> Of each visit, as in `visits_type`.
+    integer, intent(out) :: particle(crossings), urn(crossings)
+    integer(int64), intent(out) :: channel(crossings)
+    real(wp), intent(out) :: turned(crossings)
+    integer :: k, from, crossed
 
-    count = visits%count
     do k = 1, crossings
-      call decode_crossing_order(number, flight, crossing_order(k), particle, from, channel)
-      visits%particle(count + k) = particle
-      visits%urn(count + k) = beyond(from)
-      visits%channel(count + k) = channel
-      visits%turned(count + k) = never
+      call decode_crossing_order(number, flight, crossing_order(k), particle(k), from, crossed)
+      urn(k) = beyond(from)
+      channel(k) = crossed
+      turned(k) = never
     end do
-    visits%count = count + crossings
   end subroutine add_crossing_visits
 
   !> Writes all events of the window to the event record, with the event log.

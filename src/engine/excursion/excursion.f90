@@ -62,7 +62,7 @@ module battery_excursion
     type(visits_type) :: visits(2)
     integer :: batches = 1
     logical, public :: looks_ahead = .false.
-    !> Whether discs stand in channel 2; the visits of such a table.
+    !> Whether channel 2 has discs; the visits on such a table.
     logical :: scattered = .false.
     type(scatterer_visits_type) :: scatterer_visits
     !> Lookahead, longest window, mean time between two events of a particle.
@@ -73,7 +73,7 @@ module battery_excursion
     real(wp), allocatable :: resumed_time(:)
     integer, allocatable :: resumed(:)
     type(visits_type) :: partial_visits
-    !> Start of each long visit; where discs stand in channel 2 `scatterer_visits` holds the start
+    !> Start of each long visit; if channel 2 has discs, `scatterer_visits` holds the start
     !> of every visit.
     type(long_visits_type) :: long_visits
     !> Wall hits of all visits and passages computed so far, future ones included, and those that

@@ -18,7 +18,7 @@ module battery_flight
     locate_particle, locate_parked_particle, trace_back_into_channel, middle_time, never
   public :: to_gate, to_return, counted_in_gate, parked_in_urn, parked_in_channel, partial_visit
 
-  !> Headings:
+  !> Next events of a flight (`next_event`):
   !> - `to_gate`, `to_return`: the next event is the entry into a gate, or the crossing of the
   !>   periodic line.
   !> - `counted_in_gate`: inside a gate, counted by it.
@@ -48,17 +48,17 @@ contains
   !> Loads particle `i` at (x, y) with velocity (ux, uy) in the frame of the table. If it is in a
   !> channel and heads for the far end, its flight is dated back to the entrance of the channel, and
   !> `hits` is reduced by the wall hits that it did not have. If it is in an urn, or on its way back
-  !> to one, a visit is added. Each call takes either particles in channels or particles in urns,
+  !> to one, a visit is added. Each call loads either particles in channels or particles in urns,
   !> and ignores the others.
   subroutine make_initial_flight(table, i, x, y, ux, uy, from_channels, flight, visits, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
     !> Position, a length, and velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
-    !> Whether particles in channels are taken; else those in urns.
+    !> Whether particles in channels are loaded; else those in urns.
     logical, intent(in) :: from_channels
     type(flight_type), intent(inout) :: flight
-    !> Visits to the urn of its side.
+    !> Batch of the visits to its urn.
     type(visits_type), intent(inout) :: visits
     integer(int64), intent(inout) :: hits
     type(passage_type) :: passage
@@ -132,7 +132,7 @@ contains
   !> Time at which a particle that enters a gate reaches the middle line of channel 1: always after
   !> the entry, however short the channel.
   elemental function middle_time(enters, through) result(time)
-    !> Time of the entry, 0 or more; time that the particle takes through the whole channel.
+    !> Time of the entry, 0 or more; duration of its passage through the whole channel.
     real(wp), intent(in) :: enters, through
     real(wp) :: time
 

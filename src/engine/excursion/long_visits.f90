@@ -3,12 +3,12 @@
 !>
 !> A flight holds the end of a visit. Tracing back from there costs digits: a rounding error for
 !> each unit of length, and a visit may be 1e13 long. So the start of a visit is stored if the visit
-!> is long, never ends, or is known in part only; while a particle is nearer to the start of its
+!> is long, never ends, or is truncated; while a particle is nearer to the start of its
 !> visit than to its end, it is located forwards from the start.
 !>
 !> An entry is a copy of the previous flight: a few words are copied, nothing is computed. It is
 !> valid as long as the flight of its particle belongs to a long visit; invalid ones are dropped
-!> when there is no room for new ones.
+!> when the store is full.
 module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_calendar, only: flight_type
@@ -30,9 +30,9 @@ module battery_long_visits
 
   !> The start of a visit, in one cache line.
   type :: entry_type
-    !> As in the previous flight. Heading `counted_in_gate` or `to_return`: how the particle entered
-    !> the channel before the urn. `partial_visit`: an impact in the urn, described as `visits_type`
-    !> describes one of a particle that never leaves.
+    !> As in the previous flight. `next_event` `counted_in_gate` or `to_return`: how the particle
+    !> entered the channel before the urn. `partial_visit`: an impact in the urn, described as
+    !> `visits_type` describes one of a particle that never leaves.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
     !> When a gate turned it back in the channel, or `never`.
     real(wp) :: turned = never
@@ -46,7 +46,7 @@ module battery_long_visits
   type :: long_visits_type
     !> Visits longer than this are long.
     real(wp) :: least = huge(1.0_wp)
-    !> How many particles and entries there are, and how many there is room for.
+    !> Number of particles, number of entries, size of the store.
     integer, private :: number = 0, count = 0, room = 0
     type(entry_type), allocatable, private :: entry(:)
     !> Entry of each particle, or 0; not allocated before there is an entry.
@@ -114,7 +114,8 @@ contains
     do k = 1, batch%many_count
       j = batch%many(k)
       if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
-      ! For all that are left: whose visit is kept already still has the flight of before.
+      ! For all that are left, before any of them is stored: their flights are still the previous
+      ! ones.
       if (visits%count + batch%many_count - k >= visits%room) call grow_entries(visits, flight, &
         batch%many_count - k + 1)
       i = batch%particle(j)
@@ -122,7 +123,7 @@ contains
     end do
   end subroutine store_visit_starts
 
-  !> Stores the start of a long visit before its flight is overwritten; there is room for it.
+  !> Stores the start of a long visit before its flight is overwritten; the store is not full.
   pure subroutine store_visit_start(visits, particle, flight, turned, hits)
     type(long_visits_type), intent(inout) :: visits
     !> Its particle.

@@ -1,11 +1,11 @@
 !> Visits of the engine `excursion` on tables with discs in channel 2.
 !>
-!> There a particle may come back to its own urn, or cross the counted line to and fro. So each side
-!> of the table is one chamber with two openings: the gate and the line. A visit starts at either,
-!> or wherever a particle is at the start of the run, and alternates between the urn and its half of
-!> channel 2 until it ends at either. A flight to channel 2 ends at the line: its `through` is 0. A
-!> visit with too many hits is truncated in the channel or in the urn (`partial_visit`) and
-!> continued later.
+!> There a particle may come back to its own urn, or cross the counted line to and fro. So an urn
+!> and its half of channel 2 are one chamber with two openings: the gate and the line. A visit
+!> starts at either, or wherever a particle is at the start of the run, and alternates between the
+!> urn and its half of channel 2 until it ends at either. A flight to channel 2 ends at the line:
+!> its `through` is 0. A visit with too many hits is truncated in the channel or in the urn
+!> (`partial_visit`) and continued later.
 !>
 !> Paths among discs diverge so fast that tracing them back leads elsewhere. So the start of each
 !> visit is stored, in the frame of the urn or in that of its half of channel 2
@@ -27,13 +27,13 @@ module battery_scatterer_visits
     add_scatterer_visit, compute_scatterer_visits, store_scatterer_flights
   public :: locate_by_replay, serialize_visit_starts
 
-  !> Heading of a visit that has not ended.
+  !> Next event of a visit that has not ended.
   integer(int16), parameter :: undetermined = 0
 
   !> A visit while it is computed.
   type :: scatterer_visit_type
     integer :: particle = 0
-    !> State it has reached; heading that it ends with, and wall hits so far.
+    !> State it has reached; next event after its end, and wall hits so far.
     type(motion_type) :: now
     integer(int16) :: next_event = undetermined
     integer(int64) :: hits = 0
@@ -56,7 +56,7 @@ module battery_scatterer_visits
 
 contains
 
-  !> Allocates the store; no visit is known.
+  !> Allocates the store, without visits.
   pure subroutine new_scatterer_visits(scatterer_visits, number)
     type(scatterer_visits_type), intent(out) :: scatterer_visits
     !> Number of particles.
@@ -69,7 +69,7 @@ contains
   elemental function visit_start_at(time, urn, chamber, x, y, ux, uy) result(visit_start)
     !> On the clock of the epoch.
     real(wp), intent(in) :: time
-    !> Side of the table; `in_urn` or `in_return`.
+    !> Index of the urn; `in_urn` or `in_return`.
     integer, intent(in) :: urn, chamber
     !> Position and velocity in the frame of that chamber: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
@@ -78,7 +78,7 @@ contains
     visit_start = motion_type(x, y, ux, uy, time, int(urn, int8), int(chamber, int8))
   end function visit_start_at
 
-  !> Empties the batch and makes room for `room` visits.
+  !> Empties the batch, and allocates it for `room` visits if it is smaller.
   pure subroutine reserve_scatterer_visits(scatterer_visits, room)
     type(scatterer_visits_type), intent(inout) :: scatterer_visits
     integer, intent(in) :: room
@@ -94,7 +94,7 @@ contains
       scatterer_visits%motions(n), scatterer_visits%hits(n))
   end subroutine reserve_scatterer_visits
 
-  !> Adds a visit to the batch; there is room for it.
+  !> Adds a visit to the batch, which is large enough.
   pure subroutine add_scatterer_visit(scatterer_visits, particle, visit_start, hits)
     type(scatterer_visits_type), intent(inout) :: scatterer_visits
     !> Its particle.
@@ -113,8 +113,8 @@ contains
   subroutine compute_scatterer_visits(scatterer_visits, table, limit)
     type(scatterer_visits_type), intent(inout) :: scatterer_visits
     type(table_type), intent(in) :: table
-    !> On the clock of the epoch; a visit that has not ended by then stops there with the heading
-    !> `undetermined`.
+    !> On the clock of the epoch; a visit that has not ended by then stops there with
+    !> `next_event` `undetermined`.
     real(wp), intent(in) :: limit
     integer :: urn, j, open, kept
 
@@ -149,7 +149,7 @@ contains
   subroutine cross_urns(scatterer_visits, table, first, last, open, limit)
     type(scatterer_visits_type), intent(inout) :: scatterer_visits
     type(table_type), intent(in) :: table
-    !> First and last side.
+    !> First and last urn.
     integer, intent(in) :: first, last
     !> Number of visits that have not ended.
     integer, intent(in) :: open
@@ -179,7 +179,7 @@ contains
     end associate
   end subroutine cross_urns
 
-  !> Continues or ends a visit at the end of its way through an urn.
+  !> Continues or ends a visit at the end of its path through an urn.
   subroutine end_urn_passage(table, v, k, limit, at)
     type(table_type), intent(in) :: table
     type(visits_type), intent(in) :: v
@@ -255,10 +255,10 @@ contains
     end do
   end subroutine cross_half_channels
 
-  !> Continues or ends a visit at the end of its way through a half of channel 2.
+  !> Continues or ends a visit at the end of its path through a half of channel 2.
   pure subroutine end_half_channel_passage(table, motion, hits, limit, at)
     type(table_type), intent(in) :: table
-    !> State at that end, and the wall hits on the way.
+    !> State at that end, and the wall hits on the path.
     type(motion_type), intent(in) :: motion
     integer(int64), intent(in) :: hits
     real(wp), intent(in) :: limit
@@ -349,7 +349,7 @@ contains
   !> Serialises the starts of all visits.
   subroutine serialize_visit_starts(scatterer_visits, urn, archive)
     type(scatterer_visits_type), intent(inout) :: scatterer_visits
-    !> Side of the table that each particle is on.
+    !> Urn that each particle belongs to.
     integer(int16), intent(in) :: urn(:)
     type(archive_type), intent(inout) :: archive
     integer(int32) :: chamber(size(urn))

@@ -1,9 +1,10 @@
-!> The engine `collision`: every wall collision is an event, and every particle has its own clock.
+!> The engine `collision`: every wall collision is an event, and every particle has its own time. An
+!> exact reference for `excursion`.
 !>
-!> A particle is where it was at its last event; it is moved when it has its next one. The earliest
-!> event of all stands at the root of a tournament. Crossings of chords, of the middle line and of
-!> the periodic line are events too, but no collisions. An event costs O(log N), whatever it is,
-!> except a reversal, which brings all those counted in a gate to its time.
+!> A particle is stored as it was at its last event, and moved only when its next one is due. A
+!> tournament holds the next event of each particle, with the earliest at its root. Crossings of
+!> chords, of the middle line and of the periodic line are events too, but not collisions. An event
+!> costs O(log N), except a reversal, which moves all particles that the gate counts.
 module battery_collision
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
@@ -21,13 +22,13 @@ module battery_collision
   private
   public :: collision_type
 
-  !> The engine: where each was at its last event, and when each has its next.
+  !> The engine: state of each particle at its last event, and time of its next.
   type, extends(wall_by_wall_type) :: collision_type
     private
     type(motion_type), allocatable :: motion(:)
-    !> When each has its next event.
+    !> Next event of each particle.
     type(tournament_type) :: tournament
-    !> The same where there is no tournament yet.
+    !> Time of the next event of each particle, as long as there is no tournament.
     real(wp), allocatable :: due(:)
   contains
     procedure :: prepare_engine, load_particles, process_window, rebase_clock, serialize_own_state
@@ -36,7 +37,7 @@ module battery_collision
 
 contains
 
-  !> Walls, the longest window, and room for the particles.
+  !> Derives the longest window; allocates the particles.
   subroutine prepare_engine(self)
     class(collision_type), intent(inout) :: self
 
@@ -48,7 +49,7 @@ contains
     allocate (self%due(self%number), source=huge(1.0_wp))
   end subroutine prepare_engine
 
-  !> Takes in the particles, and begins the tournament of their first events.
+  !> Loads the particles, and builds the tournament of their first events.
   subroutine load_particles(self, particles)
     class(collision_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -57,6 +58,7 @@ contains
     call begin_tournament(self)
   end subroutine load_particles
 
+  !> Builds the tournament from the times of the next events.
   subroutine begin_tournament(self)
     class(collision_type), intent(inout) :: self
 
@@ -64,7 +66,7 @@ contains
     deallocate (self%due)
   end subroutine begin_tournament
 
-  !> Event by event, each at its particle alone, for the time `duration` at most.
+  !> Processes the events of a window of at most `duration`, one particle at a time.
   subroutine process_window(self, event_record, duration)
     class(collision_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -99,8 +101,8 @@ contains
     self%since = ends - self%began
   end subroutine process_window
 
-  !> The hot loop: wall collisions, until something else is due or the window ends. They touch only
-  !> the particle that has one.
+  !> Hot loop: processes wall collisions until another kind of event is due or the window ends. Each
+  !> touches only the particle that collides.
   pure subroutine process_collisions_until(table, number, motion, tournament, ends, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
@@ -124,7 +126,7 @@ contains
     end do
   end subroutine process_collisions_until
 
-  !> Turns particle `i` of a gate back, where it is kept.
+  !> Turns particle `i` of a gate back.
   subroutine reverse_particle(self, i)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -136,7 +138,7 @@ contains
     call set_event_time(self%tournament, i, self%now + wait)
   end subroutine reverse_particle
 
-  !> Particle `i`, flown on from its last event until now, if it meets anything at all.
+  !> State of particle `i` now; one that meets nothing stays at its stored position.
   pure function motion_now(self, i) result(motion)
     class(collision_type), intent(in) :: self
     integer, intent(in) :: i
@@ -147,7 +149,7 @@ contains
     motion%time = self%now
   end function motion_now
 
-  !> Particle `i` as it is now; its next event is due after the time `wait`.
+  !> Stores the state of particle `i` now; its next event is due after the time `wait`.
   subroutine store_motion(self, i, motion, wait)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -162,7 +164,7 @@ contains
     end if
   end subroutine store_motion
 
-  !> Sets back the motions, the tournament and the clock.
+  !> Shifts all times back by one epoch.
   subroutine rebase_clock(self)
     class(collision_type), intent(inout) :: self
 
@@ -171,7 +173,7 @@ contains
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> The counts, the motions and when each has its event, through an archive.
+  !> Serialises the counts, the particles, and the time of each one's next event.
   subroutine serialize_own_state(self, archive)
     class(collision_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

@@ -1,23 +1,23 @@
-!> The engine `timestep`: all particles move by a fixed step, and walls are seen at its end.
+!> The engine `timestep`: all particles move by a fixed step, and walls take effect at its end. An
+!> approximation to compare with: the simplest algorithm, wrong by first order in the step.
 !>
-!> What one would write first, here to be measured against: it is wrong by one order of the step.
-!> After each step, for each particle that is not well inside its urn:
-!> - Beyond the wall of its urn it is put back by mirroring it in the wall, and its velocity is
-!>   reflected there; beyond a wall of its channel it is mirrored in that, as often as it takes.
-!>   That is a wall collision. The places and normals of these are wrong by as much as the particle
-!>   has gone too far.
-!> - Beyond the chord of an opening, between the channel's walls and on its way out, it has entered
-!>   the channel; short of the chord it has left it. Beyond the middle line or the periodic line it
-!>   has crossed that. Gates count at the end of the step: crossings first, then all entries, then
-!>   they decide (`battery_gate`). All events of a step happen at its end.
+!> After each step, each particle that may be near a wall of its urn, or is in a channel, is
+!> corrected:
+!> - If it is beyond the wall of its urn, its position is mirrored in the wall and its velocity
+!>   reflected there; beyond a wall of its channel, it is mirrored as often as needed. Each is a
+!>   wall collision. Its position and the normal are wrong by as much as the particle has overshot.
+!> - If it is beyond the chord of an opening, between the channel's walls and moving outwards, it
+!>   has entered the channel; short of the chord it has left it. Beyond the middle line or the
+!>   periodic line it has crossed that. All events of a step take place at its end: crossings first,
+!>   then all entries, then the decisions of the gates (`battery_gate`).
 !>
-!> **Corners.** Only the place at the end of a step counts. So a path that meets a wall less than a
-!> step from a corner may slip past it into the channel, or out of it. Where a change of rooms shows
-!> that the chord was crossed beyond its ends, that is counted in `slips`. Every place that a
-!> step can end at is one of the cases above: nobody is ever outside of the table at the end of a
-!> step, however long it is, as long as it is shorter than the radius and than half a channel.
+!> **Corners.** Only the position at the end of a step counts. So a path that meets a wall less than
+!> a step from a corner may pass the corner into the channel, or out of it. If a change of chambers
+!> shows that the chord was crossed beyond its ends, it is counted in `slips`. Every position at the
+!> end of a step is one of the cases above: no particle is ever outside the table then, as long as a
+!> step is shorter than the radius and than half a channel.
 !>
-!> A stop that falls into a step (a snapshot, the end of the run) makes that step shorter.
+!> A step during which the run stops (for a snapshot, or at its end) is made shorter.
 module battery_timestep
   use battery_kinds, only: wp, int8, int64
   use battery_text, only: to_text
@@ -35,21 +35,20 @@ module battery_timestep
   private
   public :: timestep_type
 
-  !> The last step before a stop may be longer by this share of it, lest another follow that is
-  !> almost nothing.
+  !> The last step before a stop may be longer by this fraction, so that no tiny step follows.
   real(wp), parameter :: stretch = 1.0e-3_wp
 
-  !> A window has about so many moves of particles at most.
+  !> Largest number of moves of particles in a window.
   real(wp), parameter :: window_moves = 262144.0_wp
 
-  !> The engine: all particles as they are now, array by array.
+  !> The engine: state of all particles now, as arrays.
   type, extends(wall_by_wall_type) :: timestep_type
     private
-    !> Times that a particle went round a corner through the wall, as far as that could be seen.
+    !> Number of passages round a corner through a wall, as far as they are detected.
     integer(int64), public :: slips = 0
     real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
     integer(int8), allocatable :: urn(:), chamber(:)
-    !> Who is not well inside an urn.
+    !> Whether a particle may have met a wall, or is in a channel.
     logical, allocatable :: near_wall(:)
     !> Steps in a window.
     integer :: steps = 1
@@ -78,7 +77,7 @@ contains
       //'the way round it (a disc''s radius), and of the way between walls that are no neighbours'
   end function supports
 
-  !> Walls, the steps of a window, and room for the particles.
+  !> Derives the number of steps in a window; allocates the particles.
   subroutine prepare_engine(self)
     class(timestep_type), intent(inout) :: self
     integer :: number
@@ -94,7 +93,7 @@ contains
     allocate (self%urn(number), self%chamber(number), self%near_wall(number))
   end subroutine prepare_engine
 
-  !> Some steps, within the time `duration`.
+  !> Advances by the steps of a window, of at most `duration`.
   subroutine process_window(self, event_record, duration)
     class(timestep_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -117,9 +116,10 @@ contains
     end do
   end subroutine process_window
 
-  !> Straight on by `step`; who may have met something is busy.
+  !> Kernel: moves every particle straight by `step`; marks those that may have hit a wall.
+  !> Vectorised over the particles.
   pure subroutine move_particles(urn, number, step, x, y, ux, uy, chamber, near_wall)
-    !> Of side 1; what is busy on the other side is right if the urns are alike.
+    !> Urn 1; the marks of particles in urn 2 are right if the urns are mirror images.
     type(urn_type), intent(in) :: urn
     integer, intent(in) :: number
     real(wp), intent(in) :: step, ux(number), uy(number)
@@ -144,7 +144,7 @@ contains
     end do
   end subroutine move_particles
 
-  !> Whether one at (x, y) in the frame of its urn may have met a wall or a chord of that.
+  !> Whether a particle at (x, y) in the frame of its urn may have met a wall or a chord.
   elemental function is_near_wall(x, y, clear2, chord1, chord2) result(near)
     real(wp), intent(in) :: x, y, clear2, chord1, chord2
     logical :: near
@@ -152,7 +152,7 @@ contains
     near = x**2 + y**2 > clear2 .or. x >= chord1 .or. x <= -chord2
   end function is_near_wall
 
-  !> Urns that differ: who is busy in urn 2.
+  !> If the urns differ: marks the particles in urn 2 that may have hit a wall.
   pure subroutine mark_near_walls_of_urn2(self)
     type(timestep_type), intent(inout) :: self
     integer :: i
@@ -166,7 +166,7 @@ contains
     end associate
   end subroutine mark_near_walls_of_urn2
 
-  !> Puts the particles right at the end of a step, and lets the gates decide.
+  !> Corrects the particles at the end of a step, and lets the gates decide.
   subroutine process_step_end(self, event_record)
     type(timestep_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -184,7 +184,7 @@ contains
     call end_instant(self, first, event_record)
   end subroutine process_step_end
 
-  !> A particle of an urn that may be beyond a wall or beyond a chord.
+  !> Corrects a particle in an urn that may be beyond a wall or a chord.
   subroutine correct_in_urn(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -212,7 +212,8 @@ contains
     end associate
   end subroutine correct_in_urn
 
-  !> Through a chord into another chamber, `ago`; there the channel's half width is `half_width`.
+  !> Moves a particle through a chord, which it crossed `ago`, into another chamber; the channel's
+  !> half width is `half_width`.
   subroutine change_chamber(self, i, chamber, half_width, ago)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i, chamber
@@ -222,7 +223,7 @@ contains
     self%chamber(i) = int(chamber, int8)
   end subroutine change_chamber
 
-  !> A particle of a channel: walls, lines, and the way out.
+  !> Corrects a particle in a channel: walls, line, and the way into the urn.
   subroutine correct_in_channel(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -233,11 +234,11 @@ contains
 
     out = x_direction(self%urn(i))
     channel = merge(gated, ungated, self%chamber(i) == in_gate)
-    ! On its way to the far end: such a particle cannot leave.
+    ! Towards the line: such a particle cannot leave the channel.
     inward = facing(channel)*out*self%ux(i) < 0.0_wp
     associate (urn => self%table%urn(self%urn(i)), x => self%x(i))
       half_width = urn%half_width(channel)
-      ! How far it is beyond the chord, and short of the line.
+      ! Distance beyond the chord, and distance to the line.
       depth = facing(channel)*(urn%channel_start(channel) - out*x)
       ahead = merge(out*x, urn%periodic_line - out*x, channel == gated)
       if (.not. inward .and. depth < 0.0_wp .and. contains_point(urn, urn%centre - out*x, &
@@ -249,7 +250,7 @@ contains
       end if
       if (abs(self%y(i)) > half_width) call mirror_in_channel(self, i, half_width, event_record)
       if (.not. inward) then
-        ! In the wall beside the channel.
+        ! It is in the wall beside the channel.
         if (depth < 0.0_wp) call change_chamber(self, i, in_urn, half_width, 0.0_wp)
       else if (ahead < 0.0_wp) then
         call move_across_line(self, i, event_record)
@@ -271,7 +272,7 @@ contains
     call count_hits(self, event_record, int(hits, int64))
   end subroutine mirror_in_channel
 
-  !> Over the line of its channel, or back from the end wall.
+  !> Moves a particle across the line of its channel, or back from the end wall.
   subroutine move_across_line(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -290,7 +291,7 @@ contains
     call record_line_crossing(self, event_record, i, from, int(self%chamber(i)))
   end subroutine move_across_line
 
-  !> Particle `i` as it is now; what it meets next is not known.
+  !> State of particle `i` now; what it meets next is not computed.
   pure function motion_now(self, i) result(motion)
     class(timestep_type), intent(in) :: self
     integer, intent(in) :: i
@@ -300,7 +301,7 @@ contains
       urn=self%urn(i), chamber=self%chamber(i))
   end function motion_now
 
-  !> Particle `i` as it is now; the time `wait` until its next event says whether it is busy.
+  !> Stores particle `i`; the time `wait` until its next event says whether it is near a wall.
   subroutine store_motion(self, i, motion, wait)
     class(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -313,11 +314,11 @@ contains
     self%uy(i) = motion%uy
     self%urn(i) = motion%urn
     self%chamber(i) = motion%chamber
-    ! For the walls that it meets, the end of each step is looked at.
+    ! Walls that it meets later are detected at the end of a step.
     self%near_wall(i) = wait <= self%time_step
   end subroutine store_motion
 
-  !> The counts and the particles, through an archive.
+  !> Serialises the counts and the particles.
   subroutine serialize_own_state(self, archive)
     class(timestep_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
