@@ -1,4 +1,4 @@
-!> Speed of the engines: cases, rounds, tables and JSON. The program `bench` is just a call of this.
+!> Speed of the engines: cases, rounds, tables and JSON. Called by the program `bench`.
 module battery_bench
   use, intrinsic :: iso_fortran_env, only: compiler_version
   use battery_kinds, only: wp, dp, int64
@@ -20,7 +20,7 @@ module battery_bench
   private
   public :: bench_main
 
-  !> An engine that has been warmed up and goes on from round to round, or visits alone.
+  !> An engine that runs from round to round, or visits without an engine.
   type :: runner_type
     class(engine_type), allocatable :: engine
     type(entrances_type) :: entrances
@@ -28,10 +28,10 @@ module battery_bench
 
   integer, parameter :: rounds = 5
 
-  !> In place of an engine.
+  !> In place of an engine's name: visits without an engine.
   character(len=*), parameter :: visits_alone = 'visits'
 
-  !> Step of the engine `timestep`, with which it is off by half a per cent after 10 time units.
+  !> Step of the engine `timestep`: its error is half a per cent after 10 time units.
   real(wp), parameter :: time_step = 1.0e-3_wp
 
 contains
@@ -59,7 +59,7 @@ contains
     end select
   end subroutine bench_main
 
-  !> Tasks for the board of an ensemble.
+  !> Number of tasks for the task queue, from the command line.
   function task_count() result(items)
     integer :: items
     character(len=32) :: word
@@ -72,6 +72,7 @@ contains
     if (status /= 0 .or. items < 1) error stop 'bench board: TASKS is a whole number from 1 up'
   end function task_count
 
+  !> Name of the JSON file, from the command line; empty if there is none.
   function json_file_name() result(name)
     character(len=:), allocatable :: name
     character(len=256) :: word
@@ -80,10 +81,10 @@ contains
     name = trim(word)
   end function json_file_name
 
-  !> One case, once: for instruction counters, or for the memory that it takes.
+  !> Runs one case once, for instruction counters or for its memory.
   subroutine run_single(unit, memory)
     integer, intent(in) :: unit
-    !> Write the peak memory of the process in kB, not the collisions.
+    !> Print the peak memory of the process in kB, not the collisions.
     logical, intent(in) :: memory
     type(case_type) :: one
     type(runner_type) :: runner
@@ -110,7 +111,7 @@ contains
     write (unit, '(i0)') merge(peak_memory(), collisions, memory)
   end subroutine run_single
 
-  !> An engine with particles, started.
+  !> Starts the engine of a case, with its particles.
   subroutine start_case(one, runner)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
@@ -137,9 +138,9 @@ contains
     end associate
   end subroutine start_case
 
-  !> Discs of radius 0.025 in two rows by turns, as in `namelists/lorentz.nml`.
+  !> Discs of radius 0.025 in two alternating rows, as in `namelists/lorentz.nml`.
   pure function disc_lattice(scatterers) result(discs)
-    !> How many of them; even.
+    !> Number of discs; even.
     integer, intent(in) :: scatterers
     real(wp) :: discs(3, scatterers)
     integer :: k, column
@@ -151,6 +152,7 @@ contains
     end do
   end function disc_lattice
 
+  !> Runs a case for its warm-up, or for four rounds if that is shorter.
   subroutine warm_up_case(one, runner)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
@@ -171,8 +173,8 @@ contains
     end do
   end subroutine warm_up_case
 
-  !> Goes on for about the seconds of the case. Visits are counted from the stationary rate of
-  !> visits per particle time only in the tables; here what the engine reports is summed up.
+  !> Runs a case for about its number of seconds, and sums what the engine reports: visits are
+  !> crossings and particles turned back.
   subroutine run_round(one, runner, rate)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
@@ -204,7 +206,7 @@ contains
     rate%particle_time = time*real(one%number, dp)/spent
   end subroutine run_round
 
-  !> Runs cases in turn and gives the rates as (round, case).
+  !> Runs cases in turn; rates are (round, case).
   subroutine compare_cases(cases, rates)
     type(case_type), intent(in) :: cases(:)
     type(rate_type), intent(out) :: rates(:, :)
@@ -223,7 +225,7 @@ contains
     end do
   end subroutine compare_cases
 
-  !> All tables, and the same as JSON if `json` is not empty.
+  !> Runs all tables; writes them as JSON too if `json` is not empty.
   subroutine run_all_tables(unit, json)
     integer, intent(in) :: unit
     character(len=*), intent(in) :: json
@@ -280,7 +282,7 @@ contains
     end if
   end subroutine run_all_tables
 
-  !> One table; its rows are compared with the first.
+  !> Runs one table; costs are relative to its first row.
   subroutine run_table(unit, file, key, title, cost, cases)
     integer, intent(in) :: unit, file, cost
     character(len=*), intent(in) :: key, title

@@ -1,4 +1,4 @@
-!> Whole visits to an urn, and nothing else, for the speed tables: batch after batch is given to
+!> Visits to an urn without an engine, for the speed tables: batch after batch is passed to
 !> `compute_visits`, as the engine `excursion` does with the visits of a window.
 module battery_bench_visits
   use battery_kinds, only: wp, dp, int64
@@ -12,10 +12,10 @@ module battery_bench_visits
   private
   public :: entrances_type, draw_entrances, measure_visits
 
-  !> Visits of a batch, and batches that are drawn: together they fit into the cache.
+  !> Visits of a batch, and number of batches: together they fit into the cache.
   integer, parameter :: batch = 1024, batches = 32
 
-  !> Ways into an urn, uniform on its openings, by the law of cosines: (visit, batch).
+  !> Starts of visits, uniform on the openings, by the cosine law: (visit, batch).
   type :: entrances_type
     private
     type(urn_type) :: urn
@@ -26,7 +26,7 @@ module battery_bench_visits
 
 contains
 
-  !> Draws ways into urn 1.
+  !> Draws the starts of visits to urn 1.
   subroutine draw_entrances(entrances, table)
     type(entrances_type), intent(out) :: entrances
     type(table_type), intent(in) :: table
@@ -61,7 +61,7 @@ contains
     entrances%visits%count = batch
   end subroutine draw_entrances
 
-  !> Lets them visit for about so many seconds.
+  !> Computes the visits again and again for about that many seconds.
   subroutine measure_visits(entrances, seconds, rate)
     type(entrances_type), intent(inout) :: entrances
     real(dp), intent(in) :: seconds

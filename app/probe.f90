@@ -1,4 +1,4 @@
-!> What the probes of the program `accuracy` share: arguments, JSON, an engine on its way.
+!> What the probes of the program `accuracy` share: arguments, JSON, starting an engine.
 module battery_probe
   use, intrinsic :: iso_fortran_env, only: output_unit, real32
   use battery_kinds, only: wp, dp, int64
@@ -27,6 +27,7 @@ contains
     call get_command_argument(k, word)
   end function argument
 
+  !> Word `k` of the command line as a real number.
   function real_argument(k) result(number)
     integer, intent(in) :: k
     real(wp) :: number
@@ -38,6 +39,7 @@ contains
     if (status /= 0) call stop_with_message('argument '//to_text(k)//' is not a number')
   end function real_argument
 
+  !> Word `k` of the command line as a whole number.
   function integer_argument(k) result(number)
     integer, intent(in) :: k
     integer(int64) :: number
@@ -49,7 +51,7 @@ contains
     if (status /= 0) call stop_with_message('argument '//to_text(k)//' is not a whole number')
   end function integer_argument
 
-  !> A length as a number of so many bits: the same in each precision that has them.
+  !> A length rounded to so many bits: the same in each precision that has them.
   elemental function rounded_to_bits(length, bits) result(rounded)
     real(wp), intent(in) :: length
     integer, intent(in) :: bits
@@ -59,13 +61,14 @@ contains
     if (bits < 24) rounded = real(real(length, real32), wp)
   end function rounded_to_bits
 
+  !> Name of the precision that the program was built with: real32, real64 or real128.
   function precision_name() result(name)
     character(len=:), allocatable :: name
 
     name = 'real'//to_text(storage_size(1.0_wp))
   end function precision_name
 
-  !> The paper's table with these widths; they come rounded to the precision.
+  !> Table of the paper with channels of these widths, which are rounded to the precision.
   function paper_table(width1, width2) result(table)
     real(wp), intent(in) :: width1, width2
     type(table_type) :: table
@@ -73,7 +76,7 @@ contains
     table = new_table(shape_circuit, 1.0_wp, width1, 1.0_wp, width2, 1.0_wp)
   end function paper_table
 
-  !> An engine started from a copy of the particles.
+  !> Starts an engine from a copy of the particles.
   subroutine start_engine(name, table, threshold, particles, step, engine, clock)
     character(len=*), intent(in) :: name
     type(table_type), intent(in) :: table
@@ -96,7 +99,7 @@ contains
     call engine%start(table, threshold, given, began)
   end subroutine start_engine
 
-  !> Goes on for `duration`; `event_record` is that of the last window.
+  !> Advances an engine by `duration`; `event_record` is that of the last window.
   subroutine advance_for(engine, duration, event_record)
     class(engine_type), intent(inout) :: engine
     real(wp), intent(in) :: duration
@@ -110,7 +113,7 @@ contains
     end do
   end subroutine advance_for
 
-  !> Numbers as a JSON list.
+  !> Numbers as a JSON list, with all digits.
   function json_list(numbers) result(text)
     real(wp), intent(in) :: numbers(:)
     character(len=:), allocatable :: text, buffer
@@ -134,6 +137,7 @@ contains
 
   contains
 
+    !> Appends to the buffer.
     subroutine append_text(part)
       character(len=*), intent(in) :: part
 
@@ -143,6 +147,7 @@ contains
 
   end function json_list
 
+  !> Prints a line, and flushes the output.
   subroutine print_json_line(text)
     character(len=*), intent(in) :: text
 
@@ -150,6 +155,7 @@ contains
     flush (output_unit)
   end subroutine print_json_line
 
+  !> Ends the program with a message.
   subroutine stop_with_message(message)
     character(len=*), intent(in) :: message
 

@@ -1,4 +1,4 @@
-!> A case of the stability table: how it is run, and the line that tells of it.
+!> A case of the stability table: how it is run, and the line that is printed of it.
 module battery_probe_case
   use, intrinsic :: ieee_arithmetic, only: ieee_is_finite, ieee_value, ieee_quiet_nan
   use battery_kinds, only: wp, dp, int64, pi
@@ -15,10 +15,10 @@ module battery_probe_case
     random_in_discs
   public :: engine_name, step, most_seconds
 
-  !> The clock is looked at after each window, which is as long as about so many wall hits take.
+  !> The time limit is tested after each window, which has about so many wall hits.
   real(wp), parameter :: window_hits = 1.0e4_wp
 
-  !> A case on its way: what it was made of, and what became known of it.
+  !> A case: its parameters, and its results so far.
   type :: case_type
     character(len=:), allocatable :: name
     real(wp) :: parameter = 0.0_wp
@@ -39,12 +39,12 @@ module battery_probe_case
 
   character(len=:), allocatable :: engine_name
   real(wp), parameter :: step = 1.0e-3_wp
-  !> A case is given up after so many seconds.
+  !> Time limit of a case, in seconds.
   real(dp) :: most_seconds = 0.3_dp
 
 contains
 
-  !> A case with these particles; `hit_rate` is how often they hit walls at most.
+  !> Runs a case from these particles; `hit_rate` is an upper bound of their wall hits per time.
   subroutine run_case(one, name, parameter, table, threshold, particles, duration, hit_rate, clock)
     type(case_type), intent(out) :: one
     character(len=*), intent(in) :: name
@@ -82,7 +82,7 @@ contains
       end if
       one%events = one%events + n
       one%crossings = one%crossings + [crossings(event_record, 1), crossings(event_record, 0)]
-      ! Millions of windows are added up: what is rounded off is kept (Kahan).
+      ! Millions of durations are summed: compensated summation (Kahan).
       added = event_record%duration - rounded_off
       sum_after = one%reached + added
       rounded_off = (sum_after - one%reached) - added
@@ -103,7 +103,7 @@ contains
     number = count(modulo(int(event_record%crossing(:event_record%crossings)), 2) == odd)
   end function crossings
 
-  !> The line of a case.
+  !> Prints the line of a case.
   subroutine print_case(one, value)
     type(case_type), intent(in) :: one
     real(wp), intent(in) :: value
@@ -134,7 +134,7 @@ contains
       //', "seconds": '//to_text(one%seconds)//', "in_urn1": '//to_text(first)//'}')
   end subroutine print_case
 
-  !> All digits, or null.
+  !> A number with all its digits, or null.
   function number_text(value) result(text)
     real(wp), intent(in) :: value
     character(len=:), allocatable :: text
@@ -143,6 +143,7 @@ contains
     text = text(2:len(text) - 1)
   end function number_text
 
+  !> One particle at a position, with a velocity that is normalised.
   function one_particle_at(x, y, ux, uy) result(particles)
     real(wp), intent(in) :: x, y, ux, uy
     type(particles_type) :: particles
@@ -152,7 +153,7 @@ contains
     particles = particles_type([x], [y], [ux/speed], [uy/speed])
   end function one_particle_at
 
-  !> Time of the first event, NaN (null) if there is none.
+  !> Time of the first event; NaN (null) if there is none.
   function first_event_time(one) result(time)
     type(case_type), intent(in) :: one
     real(wp) :: time
@@ -161,7 +162,7 @@ contains
     if (one%events > 0) time = one%time(1)
   end function first_event_time
 
-  !> Particles uniform on the discs, inside of both chords, of all directions.
+  !> Particles uniform in the discs, between the chords, with uniform directions.
   function random_in_discs(table, number) result(particles)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number

@@ -1,4 +1,4 @@
-!> Probe of any table: the event log of a run, and where the particles are at its end.
+!> Probe of any table: the event log of a run, and the state of the particles at its end.
 module battery_probe_events
   use battery_kinds, only: wp
   use battery_error, only: error_type
@@ -16,7 +16,7 @@ module battery_probe_events
 contains
 
   !> `events ENGINE STEP SHAPE RADIUS WIDTH1 LENGTH1 WIDTH2 LENGTH2 FILE NUMBER THRESHOLD CLOCK
-  !> DURATION`: one line. Engines that draw random numbers have the seed 1.
+  !> DURATION`: prints one line. Engines that draw random numbers have the seed 1.
   subroutine events_main()
     class(engine_type), allocatable :: engine
     type(event_record_type) :: event_record

@@ -1,10 +1,10 @@
 !> The Lyapunov exponent of the free billiard, from its tangent map.
 !>
-!> A neighbouring path is (J, D): how far it is off, across the path, and how much its direction
-!> differs. Along a flight of the time t, J grows by t D. A reflection from a straight wall turns
-!> both over; one from the inside of a circle of radius r, at the incidence c = cos of the angle to
-!> the normal, makes D into -(D - 2 J/(r c)). The mean of log |(J, D)| per time is the exponent.
-!> N. Chernov, R. Markarian, "Chaotic billiards", AMS 2006, chapter 3.
+!> A neighbouring path is (J, D): its distance across the path, and the difference of its direction.
+!> During a flight of the time t, J grows by t D. A reflection from a straight wall changes the sign
+!> of both; one from the inside of a circle of radius r, at the cosine c of the incidence, changes D
+!> into -(D - 2 J/(r c)). The exponent is the mean of log |(J, D)| per time. N. Chernov, R.
+!> Markarian, "Chaotic billiards", AMS 2006, chapter 3.
 module battery_probe_lyapunov
   use battery_kinds, only: wp, dp, int64, pi
   use battery_text, only: to_text
@@ -21,7 +21,7 @@ module battery_probe_lyapunov
   private
   public :: lyapunov_main, tangent_type, advance_tangent, reflect_tangent
 
-  !> A neighbouring path, and the logarithm of how often it was made shorter.
+  !> A neighbouring path, (`offset`, `deflection`) of norm 1, and the logarithm of its growth.
   type :: tangent_type
     real(wp) :: offset = 1.0_wp, deflection = 0.0_wp
     real(wp) :: log_growth = 0.0_wp
@@ -29,9 +29,9 @@ module battery_probe_lyapunov
 
 contains
 
-  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]`: mean over so many starts, at random in the urns or
-  !> from an initial file, each for so long, with its standard error, and the mean over the second
-  !> half of the time alone.
+  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]`: prints the mean over so many starts, random in the
+  !> urns or from an initial file, each for so long; its standard error; and the mean over the
+  !> second half of the time.
   subroutine lyapunov_main()
     type(table_type) :: table
     type(motion_type) :: flight
@@ -63,7 +63,7 @@ contains
       //', "second_half": '//to_text(real(late/number, dp))//'}')
   end subroutine lyapunov_main
 
-  !> Particle number `i`, uniform in one of the urns.
+  !> Initial state of particle `i`, uniform in one of the urns.
   subroutine random_start(table, i, flight)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
@@ -83,7 +83,7 @@ contains
       cos(angle), sin(angle))
   end subroutine random_start
 
-  !> The growth rate along one path; `late` grows by that of the second half.
+  !> Growth rate along one path; `late` is increased by that of the second half.
   subroutine follow_path(table, flight, duration, rate, late)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: flight
@@ -112,7 +112,7 @@ contains
     late = late + (tangent%log_growth - first_half_growth)/(time - first_half_time)
   end subroutine follow_path
 
-  !> What the particle meets, and what that does to its neighbour.
+  !> Applies what the particle meets to it and to the neighbouring path.
   subroutine meet_wall(table, flight, tangent, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: flight
@@ -134,7 +134,7 @@ contains
     end associate
   end subroutine meet_wall
 
-  !> Straight on for a while.
+  !> Moves the neighbouring path straight on.
   pure subroutine advance_tangent(tangent, time)
     type(tangent_type), intent(inout) :: tangent
     real(wp), intent(in) :: time
@@ -142,8 +142,8 @@ contains
     tangent%offset = tangent%offset + time*tangent%deflection
   end subroutine advance_tangent
 
-  !> A reflection: from a straight wall, or from the inside of a circle, where `depth` is r c. The
-  !> neighbour is brought back to the distance 1.
+  !> Reflects the neighbouring path from a straight wall, or from the inside of a circle, where
+  !> `depth` is r c; sets its norm back to 1.
   pure subroutine reflect_tangent(tangent, depth)
     type(tangent_type), intent(inout) :: tangent
     real(wp), intent(in), optional :: depth

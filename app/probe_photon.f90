@@ -1,6 +1,6 @@
-!> Probe of scatterers: problem 2 of the SIAM 100-Digit Challenge. Mirrors of radius 1/3 stand on
-!> the whole numbers of the plane, and a photon flies from (1/2, 1/10) to the east: how far from the
-!> origin is it after the time 10?
+!> Probe of scatterers: problem 2 of the SIAM 100-Digit Challenge. Circular mirrors of radius 1/3
+!> stand at the integer points of the plane, and a photon starts at (1/2, 1/10) to the east: what is
+!> its distance from the origin at the time 10?
 module battery_probe_photon
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type
@@ -16,7 +16,7 @@ module battery_probe_photon
 
 contains
 
-  !> `photon ENGINE`: precision, hits, distance, its error.
+  !> `photon ENGINE`: prints precision, hits, distance, and its error.
   subroutine photon_main()
     real(wp), parameter :: published = 0.99526291944335416089031180942672_wp
     class(engine_type), allocatable :: engine
@@ -46,8 +46,7 @@ contains
       abs(distance - published)
   end subroutine photon_main
 
-  !> A channel of width 6 and length 8 with mirrors where the photon could come to, and all lengths
-  !> whole numbers.
+  !> Table whose channel 2 has the mirrors that the photon can reach; all its lengths are integers.
   function table_of_mirrors() result(table)
     type(table_type) :: table
     real(wp) :: stand(3, 25)

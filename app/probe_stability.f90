@@ -1,9 +1,9 @@
-!> Probe of the places where methods fail: for one engine, a line for each case, with a number.
+!> Probe of the situations in which methods fail: for one engine, a line for each case.
 !>
-!> `value` is what the case is about; what it means, and against what it is held, is for the reader
-!> (`postproc/accuracy/stability.py`) to know. The rest is the same for all: how it ended
-!> (`done`; `stopped`: it took too long, `reached` is how far it got), particles lost or not a
-!> number, the greatest |u| - 1, how many are trapped, and wall hits.
+!> `value` is a number specific to the case; `postproc/accuracy/stability.py` says what it means and
+!> what it is compared with. The rest is the same for all cases: how it ended (`done`; or `stopped`,
+!> by the time limit, after the time `reached`), particles lost or not a number, the greatest | |u|
+!> - 1 |, trapped particles, and wall hits.
 module battery_probe_stability
   use battery_kinds, only: wp, dp, int64
   use battery_table, only: table_type
@@ -19,8 +19,8 @@ module battery_probe_stability
 
 contains
 
-  !> `stability ENGINE COLLISIONS SECONDS`: all cases, none but the long run longer than so many
-  !> seconds; the long run has so many collisions.
+  !> `stability ENGINE COLLISIONS SECONDS`: runs all cases. SECONDS is the time limit of each but
+  !> the long run, which has COLLISIONS.
   subroutine stability_main()
     engine_name = argument(2)
     most_seconds = real(real_argument(4), dp)
@@ -35,8 +35,8 @@ contains
     call probe_long_run(integer_argument(3))
   end subroutine stability_main
 
-  !> From the top of urn 2, along the wall towards channel 1, at an angle to the wall: when it
-  !> enters its gate.
+  !> A particle at the top of urn 2 moves along the wall towards channel 1, at an angle to the wall:
+  !> time of its entry into the gate.
   subroutine probe_whispering()
     type(case_type) :: one
     type(table_type) :: table
@@ -55,9 +55,9 @@ contains
     end do
   end subroutine probe_whispering
 
-  !> Shots from inside urn 2 at the corner of gate 2, and at 2**-k above and below: how many end on
-  !> the wrong side, and of those, at which distance the last did. Exactly at the corner nothing is
-  !> wrong but to be lost.
+  !> Shots from inside urn 2 at the corner of gate 2, and at 2**-k above and below it: number of
+  !> those that end on the wrong side, and greatest distance of one of these. A shot exactly at the
+  !> corner may end on either side, but must not be lost.
   subroutine probe_corners()
     type(case_type) :: one
     type(table_type) :: table
@@ -97,7 +97,7 @@ contains
     call print_case(one, worst)
   end subroutine probe_corners
 
-  !> Round and round through both channels: height after 100 time units.
+  !> Round and round through both channels, nearly along the axis: height after 100 time units.
   subroutine probe_along_the_axis()
     type(case_type) :: one
     type(table_type) :: table
@@ -117,7 +117,7 @@ contains
     end do
   end subroutine probe_along_the_axis
 
-  !> Across channel 1, drifting to its middle: when it crosses that, over the exact time.
+  !> Across channel 1, drifting to its middle: time of the crossing, relative to the exact one.
   subroutine probe_across_a_channel()
     type(case_type) :: one
     type(table_type) :: table
@@ -136,7 +136,7 @@ contains
     end do
   end subroutine probe_across_a_channel
 
-  !> To and fro on a diameter of urn 2 that meets no opening: how far it is off after 2000.
+  !> To and fro on a diameter of urn 2 that meets no opening: distance from it after the time 2000.
   subroutine probe_diameter()
     type(case_type) :: one
     type(table_type) :: table
@@ -153,8 +153,8 @@ contains
     call print_case(one, abs(0.8_wp*(one%particles%x(1) - centre) - 0.6_wp*one%particles%y(1)))
   end subroutine probe_diameter
 
-  !> Four particles enter gate 2 at one time, two by two exactly; T = 0, 1, 2 and 3. In how many of
-  !> the 24 orders in memory does any of them fare otherwise than in the first?
+  !> Four particles enter gate 2, two by two at exactly one time; T = 0, 1, 2 and 3. Number of the
+  !> 24 orders in memory for which any particle moves otherwise than for the first.
   subroutine probe_ties()
     type(case_type) :: one, first
     type(table_type) :: table
@@ -187,8 +187,8 @@ contains
     end do
   end subroutine probe_ties
 
-  !> Whether each particle, whatever its number, has the same events at the same times and is at the
-  !> same place at the end.
+  !> Whether each particle has, in both orders, the same events at the same times and the same final
+  !> position.
   pure function same_fates(one, order, other, other_order) result(same)
     type(case_type), intent(in) :: one, other
     integer, intent(in) :: order(4), other_order(4)
@@ -210,7 +210,7 @@ contains
     end do
   end function same_fates
 
-  !> Tables and numbers at the edge of what is allowed, from random starts.
+  !> Tables and numbers at the limits of what is allowed, from random starts.
   subroutine probe_extremes()
     call probe_extreme('N = 1', 1, 7, 0.3_wp, 0.01_wp)
     call probe_extreme('T = 0', 100, 0, 0.3_wp, 0.01_wp)
@@ -220,7 +220,7 @@ contains
     call probe_extreme('openings of 1e-9', 100, 3, 1.0e-9_wp, 1.0e-9_wp)
   end subroutine probe_extremes
 
-  !> `value`: how many more or fewer are in half 1 than the crossings say.
+  !> `value`: change of the number in half 1 less the net number of crossings.
   subroutine probe_extreme(name, number, threshold, width1, width2)
     character(len=*), intent(in) :: name
     integer, intent(in) :: number, threshold
@@ -238,8 +238,8 @@ contains
       - one%crossings(2)), wp))
   end subroutine probe_extreme
 
-  !> The same run from the clock 0 and from 1e12: greatest difference of an event's time since the
-  !> start, -1 if the events themselves differ.
+  !> The same run with the clock starting at 0 and at 1e12: greatest difference of the times of
+  !> events since the start; -1 if the events differ.
   subroutine probe_late_clock()
     type(case_type) :: early, late
     type(table_type) :: table
@@ -248,7 +248,7 @@ contains
 
     table = paper_table(0.3_wp, 0.01_wp)
     particles = random_in_discs(table, 50)
-    ! Both to the end, or there is nothing to compare.
+    ! Both must reach the end to be compared.
     most_seconds = 60.0_dp*most_seconds
     call run_case(early, 'clock at 1e12', 0.0_wp, table, 3, particles, 50.0_wp, 100.0_wp)
     call run_case(late, 'clock at 1e12', 1.0e12_wp, table, 3, particles, 50.0_wp, 100.0_wp, &
@@ -259,8 +259,8 @@ contains
     most_seconds = most_seconds/60.0_dp
   end subroutine probe_late_clock
 
-  !> One long run, N = 1000, T = 7: how far beyond a wall anybody is at its end; and how many more
-  !> or fewer are in half 1 than the crossings say.
+  !> One long run, N = 1000, T = 7: greatest distance of a particle beyond a wall at its end; change
+  !> of the number in half 1 less the net number of crossings.
   subroutine probe_long_run(collisions)
     integer(int64), intent(in) :: collisions
     type(case_type) :: one
@@ -295,7 +295,7 @@ contains
       - one%crossings(2)), wp))
   end subroutine probe_long_run
 
-  !> Greatest distance beyond the walls of the region somebody is in.
+  !> Greatest distance of a particle beyond the walls of the chamber that it is in.
   pure function farthest_beyond_walls(table, particles) result(far)
     type(table_type), intent(in) :: table
     type(particles_type), intent(in) :: particles

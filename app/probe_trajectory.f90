@@ -1,5 +1,5 @@
-!> Probes of trajectories: where the particles are at given times and what it cost, and where they
-!> come back to when all velocities are turned.
+!> Probes of trajectories: positions at given times and their cost; and the distance to the start
+!> after a reversal of all velocities.
 module battery_probe_trajectory
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
@@ -14,10 +14,10 @@ module battery_probe_trajectory
   private
   public :: trajectory_main, reversal_main
 
-  !> The cost is measured over at least so many seconds, unless one run takes longer.
+  !> The cost is measured over at least so many seconds.
   real(dp), parameter :: least_seconds = 0.1_dp
 
-  !> A case: from where, by which engine, how far.
+  !> A case: engine, table, initial state, times.
   type :: case_type
     character(len=:), allocatable :: engine
     real(wp) :: step = 0.0_wp
@@ -35,7 +35,7 @@ module battery_probe_trajectory
 
 contains
 
-  !> `trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...`: a line for each time, one with
+  !> `trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...`: prints a line for each time, one with
   !> the cost, and one with all events.
   subroutine trajectory_main()
     type(case_type) :: one
@@ -77,8 +77,8 @@ contains
       //', "particle": '//json_list(real(log%particle, wp))//'}')
   end subroutine trajectory_main
 
-  !> `reversal ENGINE STEP FILE NUMBER TIME ...`: for each time, the distance of each particle of
-  !> the free circuit from its start after going there and back.
+  !> `reversal ENGINE STEP FILE NUMBER TIME ...`: for each time, prints the distance of each
+  !> particle from its start, in the free circuit, after that time and as long back.
   subroutine reversal_main()
     type(case_type) :: one
     class(engine_type), allocatable :: engine
@@ -103,7 +103,7 @@ contains
     end do
   end subroutine reversal_main
 
-  !> What the command line says; times begin at word `first`.
+  !> Reads a case from the command line; its times start at word `first`.
   subroutine read_case(one, first)
     type(case_type), intent(out) :: one
     integer, intent(in) :: first
@@ -118,7 +118,7 @@ contains
     one%times = [(real_argument(k), k=first, command_argument_count())]
   end subroutine read_case
 
-  !> Processor seconds per particle and time unit.
+  !> Processor time per particle and time unit, in seconds.
   function seconds_per_particle_time(one) result(seconds)
     type(case_type), intent(in) :: one
     real(dp) :: seconds
@@ -139,6 +139,7 @@ contains
     seconds = spent/(time*size(one%particles%x))
   end function seconds_per_particle_time
 
+  !> Appends the events of a window that started at the time `since`.
   subroutine append_events(log, event_record, since)
     type(log_type), intent(inout) :: log
     type(event_record_type), intent(in) :: event_record

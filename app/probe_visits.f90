@@ -1,14 +1,15 @@
-!> Probe of single visits to an urn: many random ones in one precision, held against another.
+!> Probe of single visits to an urn: many random ones, computed in one precision and compared with
+!> those of another.
 !>
-!> A visit is known by its way in, and its way out depends on that the more the longer it is. To
-!> first order, a change of the way in by eps turns the way out by K_u eps and moves it along the
-!> opening by K_y eps, and changes its length by K_l eps, with n the wall hits, s and c the sine and
-!> cosine of the incidence, q and u place and direction at the way out:
+!> A visit follows from its start; its end is the more sensitive to that, the longer it is. To first
+!> order, a change of the start by eps changes the direction at the end by K_u eps, the height by
+!> K_y eps, and the length by K_l eps. With n the wall hits, s and c the sine and cosine of the
+!> incidence, q and u position and direction at the end:
 !>   K_u = 1 + 2 n/c,  K_y = (|q.u| K_u + r)/|u_x|,  K_l = 2 r (n |s|/c + 1) + r K_u + |u_y| K_y.
-!> The error of a visit over these is what is held against the precision. (`battery_probe_polygon`
-!> has them for polygons.) Visits that end at another wall hit than the reference are told apart:
-!> those that come so close to a corner that the way in, known to `corner_tolerance`, cannot say on
-!> which side, and those that are wrong.
+!> The error of a visit relative to these conditions is compared with the precision.
+!> (`battery_probe_polygon` has them for polygons.) Visits that end at another wall hit than the
+!> reference are of two kinds: those that pass so close to a corner that a start known to
+!> `corner_tolerance` does not decide the side, and those that are wrong.
 module battery_probe_visits
   use battery_kinds, only: wp, dp, int64
   use battery_text, only: to_text
@@ -25,32 +26,33 @@ module battery_probe_visits
   public :: visits_main
 
   integer, parameter :: chunk = 4096
-  !> Numbers of a visit in the file: opening (1, -1, or 0 if it was handed on before it came to
+  !> Numbers of a visit in the file: opening (1, -1, or 0 if it was truncated before it reached
   !> one), y, |u_x|, u_y, length, wall hits.
   integer, parameter :: numbers = 6
-  !> A tie at a corner, in units of the change of the way in.
+  !> Tolerance for a tie at a corner, in units of the change of the start.
   real(wp), parameter :: corner_tolerance = 8.0_wp
-  !> Errors are counted by their decimal logarithm, in tenths, from 10**-40 to 1.
+  !> Histogram of errors: bins of a tenth of their decimal logarithm, from 10**-40 to 1.
   integer, parameter :: bins = 400
 
-  !> What the comparison found.
+  !> Result of the comparison.
   type :: finding_type
     integer(int64) :: same = 0, corner = 0, wrong = 0, handed_on = 0
-    !> Farthest from a corner of those that end elsewhere, over its condition and the precision.
+    !> Visits with another end: greatest distance from a corner, relative to its condition and the
+    !> precision.
     real(wp) :: farthest = 0.0_wp
-    !> Greatest error over its condition, and greatest and mean log10 of the condition itself.
+    !> Greatest error relative to its condition; greatest condition.
     real(wp) :: worst = 0.0_wp, condition = 0.0_wp
-    !> The same by place, direction and time.
+    !> Greatest relative error of height, direction and length.
     real(wp) :: worst_of(3) = 0.0_wp
     integer(int64) :: histogram(bins) = 0
   end type finding_type
 
 contains
 
-  !> `visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]`: computes visits whose ways in have so
-  !> many bits and writes them to FILE; with OTHER, the FILE of the same visits in another
-  !> precision, tells how far the two are apart. URN is `disc`, or the corners x1,y1,x2,y2,... of a
-  !> polygon, in a word.
+  !> `visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]`: computes visits whose starts have so
+  !> many bits, and writes them to FILE; with OTHER, the FILE of the same visits in another
+  !> precision, prints how they differ. URN is `disc`, or the corners x1,y1,x2,y2,... of a polygon,
+  !> in a word.
   subroutine visits_main()
     type(table_type) :: table
     type(finding_type) :: finding
@@ -92,7 +94,7 @@ contains
     call print_finding(finding, count, bits, table, spent, comparing)
   end subroutine visits_main
 
-  !> The visits `first` + 1 ... `first` + n.
+  !> Computes the visits `first` + 1 ... `first` + n.
   subroutine compute_drawn_visits(table, first, n, bits, found)
     type(table_type), intent(in) :: table
     integer(int64), intent(in) :: first
@@ -119,7 +121,7 @@ contains
     end do
   end subroutine compute_drawn_visits
 
-  !> How visit number `k` begins, in the frame of the urn.
+  !> Start of visit number `k`, in the frame of the urn.
   subroutine draw_entrance(table, k, bits, channel, x, y, ux, uy)
     type(table_type), intent(in) :: table
     integer(int64), intent(in) :: k
@@ -139,7 +141,7 @@ contains
     uy = sine
   end subroutine draw_entrance
 
-  !> What the file says of where a visit ended.
+  !> Opening through which a visit ends, as in the file.
   elemental function opening_sign(channel) result(sign)
     integer(int64), intent(in) :: channel
     real(wp) :: sign
@@ -148,7 +150,7 @@ contains
     if (channel /= gated .and. channel /= ungated) sign = 0.0_wp
   end function opening_sign
 
-  !> A number in (0, 1) of so many bits: the same in each precision that has them.
+  !> A random number in (0, 1) of so many bits: the same in each precision that has them.
   elemental function drawn_number(visit, what, bits) result(number)
     integer(int64), intent(in) :: visit, what
     integer, intent(in) :: bits
@@ -157,10 +159,10 @@ contains
     number = (aint(hashed_uniform(visit, what)*2.0_wp**bits) + 0.5_wp)*0.5_wp**bits
   end function drawn_number
 
-  !> How far `other` is from `mine`, the reference.
+  !> Compares `other` with `mine`, the reference.
   subroutine compare_visits(table, first, bits, unit_error, mine, other, finding)
     type(table_type), intent(in) :: table
-    !> The number of the visit before them; bits of their ways in.
+    !> Number of the visit before the first of them; bits of their starts.
     integer(int64), intent(in) :: first
     integer, intent(in) :: bits
     real(wp), intent(in) :: unit_error
@@ -202,7 +204,7 @@ contains
     end do
   end subroutine compare_visits
 
-  !> Condition of the place, the direction and the length of a visit.
+  !> Condition of the height, the direction and the length at the end of a visit.
   function visit_conditions(table, visit) result(k)
     type(table_type), intent(in) :: table
     real(dp), intent(in) :: visit(numbers)
@@ -227,10 +229,10 @@ contains
     k(3) = 2.0_wp*radius*(n*abs(s)/c + 1.0_wp) + radius*k(2) + abs(uy)*k(1)
   end function visit_conditions
 
-  !> Distance from the corner of whichever of the two left first, over its condition.
+  !> Distance from a corner of the visit that left first, relative to its condition.
   function room_beside_corner(table, number, bits, mine, other) result(room)
     type(table_type), intent(in) :: table
-    !> Which visit it is, and the bits of its way in.
+    !> Number of the visit, and bits of its start.
     integer(int64), intent(in) :: number
     integer, intent(in) :: bits
     real(dp), intent(in) :: mine(numbers), other(numbers)
@@ -250,6 +252,7 @@ contains
       - abs(first(2)))/k(1)
   end function room_beside_corner
 
+  !> Prints the line of the probe.
   subroutine print_finding(finding, count, bits, table, spent, comparing)
     type(finding_type), intent(in) :: finding
     integer(int64), intent(in) :: count

@@ -8,9 +8,9 @@
 !>     half2_number flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
 !>     fuller_number polarised_current
 !>
-!> in one, of a copy of the circuit, flows, entries, turned and current per unit time; the last two
-!> are of the half that is the fuller one at the time. Lengths and times are those of the
-!> namelist. Made for `postproc.theory.one_particle`.
+!> on one line, per copy of the circuit: flows, entries, particles turned back and the current per
+!> unit time. The last two are of the half that is fuller at the time. Lengths and times are those
+!> of the namelist. Called by `postproc.theory.one_particle`.
 program one_particle
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
   use battery_kinds, only: wp, int64
@@ -26,7 +26,7 @@ program one_particle
   real(wp) :: radius(2), width1, length1, width2, length2, share, transient, duration
   integer(int64) :: seed
   logical :: well_mixed
-  !> Of the line that was read last.
+  !> State for the line that was read last.
   type(walkers_type) :: walkers
 
   do
@@ -42,7 +42,7 @@ program one_particle
 
 contains
 
-  !> One batch of walkers, from the start to the end.
+  !> Simulates one batch of walkers from start to end.
   subroutine run_walkers()
     type(table_type) :: table
     type(particles_type) :: particles

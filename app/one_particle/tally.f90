@@ -1,6 +1,8 @@
-!> What walkers are seen to do within a time: entries, crossings, and how many are in half 2.
+!> Counts of what walkers do within a time interval: entries, reversals, crossings, and the number
+!> in half 2.
 !>
-!> What has a polarity is told in blocks of time as well, for that may turn round.
+!> Quantities that depend on the polarity are also summed over blocks of time, since the polarity
+!> may change.
 module battery_tally
   use battery_kinds, only: wp, int64
   use battery_table, only: ungated
@@ -9,35 +11,35 @@ module battery_tally
   public :: tally_type, new_tally, add_entry, add_reversed, add_crossing
   public :: entry_rate, reversed_rate, crossing_rate, half2_mean, fuller_mean, polarised_current
 
-  !> Length of a block of time, about.
+  !> Approximate length of a block of time.
   real(wp), parameter :: about = 100.0_wp
 
   !> Sums over all copies of the circuit.
   type :: tally_type
     private
-    !> Measured is what happens after `from`, up to `to`.
+    !> Start and end of the interval that is measured.
     real(wp) :: from = 0.0_wp, to = 0.0_wp
     integer :: copies = 1
-    !> Entries and turned back by gate, crossings by (side they come from, channel).
+    !> Entries and particles turned back, by gate; crossings by (urn they come from, channel).
     integer(int64) :: entries(2) = 0, reversed(2) = 0, crossings(2, 2) = 0
-    !> Integral of the number in half 2.
+    !> Time integral of the number in half 2.
     real(wp) :: half2_sum = 0.0_wp
-    !> How many start in half 2, and how long a block is.
+    !> Number in half 2 at the start; length of a block.
     integer :: second = 0
     real(wp) :: block = 0.0_wp
-    !> By block: change of the number in half 2 and its integral up to the block's end, crossings of
-    !> channel 2 from half 2 to 1 less those back.
+    !> By block: change of the number in half 2, the integral of this change up to the end of the
+    !> block, and crossings of channel 2 from half 2 to 1 less those in the other direction.
     integer, allocatable :: change(:), returned(:)
     real(wp), allocatable :: changed(:)
   end type tally_type
 
 contains
 
-  !> Nothing has been seen yet.
+  !> An empty tally.
   pure function new_tally(from, to, copies, second) result(tally)
-    !> Times since the start: measured is what happens after `from`, up to `to`.
+    !> Times since the start: what happens after `from`, up to `to`, is measured.
     real(wp), intent(in) :: from, to
-    !> How many copies of the circuit there are, and how many start in half 2 of any.
+    !> Number of copies of the circuit, and of walkers that start in half 2 of any of them.
     integer, intent(in) :: copies, second
     type(tally_type) :: tally
     integer :: blocks
@@ -53,34 +55,34 @@ contains
     allocate (tally%changed(blocks), source=0.0_wp)
   end function new_tally
 
-  !> One enters the gate of an urn.
+  !> Adds an entry into the gate of an urn.
   pure subroutine add_entry(tally, urn, time)
     type(tally_type), intent(inout) :: tally
-    !> 1 or 2.
+    !> The urn, 1 or 2.
     integer, intent(in) :: urn
-    !> Since the start.
+    !> Time since the start.
     real(wp), intent(in) :: time
 
     if (is_measured(tally, time)) tally%entries(urn) = tally%entries(urn) + 1
   end subroutine add_entry
 
-  !> The gate of an urn turns back so many.
+  !> Adds particles that the gate of an urn turns back.
   pure subroutine add_reversed(tally, urn, time, number)
     type(tally_type), intent(inout) :: tally
-    !> 1 or 2; how many.
+    !> The urn, 1 or 2; number of particles.
     integer, intent(in) :: urn, number
-    !> Since the start.
+    !> Time since the start.
     real(wp), intent(in) :: time
 
     if (is_measured(tally, time)) tally%reversed(urn) = tally%reversed(urn) + number
   end subroutine add_reversed
 
-  !> One crosses the line of a channel.
+  !> Adds a crossing of the line of a channel.
   pure subroutine add_crossing(tally, urn, channel, time)
     type(tally_type), intent(inout) :: tally
-    !> The side it comes from, 1 or 2; `gated` or `ungated`.
+    !> Urn that the walker comes from, 1 or 2; `gated` or `ungated`.
     integer, intent(in) :: urn, channel
-    !> Since the start; it may lie ahead.
+    !> Time since the start; it may lie ahead.
     real(wp), intent(in) :: time
     real(wp) :: at, rest
     integer :: k, gain
@@ -98,7 +100,7 @@ contains
     if (channel == ungated) tally%returned(k) = tally%returned(k) - gain
   end subroutine add_crossing
 
-  !> Whether what happens then is measured.
+  !> Whether what happens at that time is measured.
   pure function is_measured(tally, time)
     type(tally_type), intent(in) :: tally
     real(wp), intent(in) :: time
@@ -115,7 +117,7 @@ contains
     rate = real(tally%entries, wp)/measured_time(tally)
   end function entry_rate
 
-  !> Walkers that each gate turned back, per unit time and copy.
+  !> Walkers turned back by each gate, per unit time and copy.
   pure function reversed_rate(tally) result(rate)
     type(tally_type), intent(in) :: tally
     real(wp) :: rate(2)
@@ -123,7 +125,7 @@ contains
     rate = real(tally%reversed, wp)/measured_time(tally)
   end function reversed_rate
 
-  !> Crossings by (side they come from, channel), per unit time and copy.
+  !> Crossings by (urn they come from, channel), per unit time and copy.
   pure function crossing_rate(tally) result(rate)
     type(tally_type), intent(in) :: tally
     real(wp) :: rate(2, 2)
@@ -131,7 +133,7 @@ contains
     rate = real(tally%crossings, wp)/measured_time(tally)
   end function crossing_rate
 
-  !> Mean number in half 2 of a copy, once all of the time measured has been lived.
+  !> Mean number in half 2 of a copy, at the end of the interval.
   pure function half2_mean(tally) result(number)
     type(tally_type), intent(in) :: tally
     real(wp) :: number
@@ -139,10 +141,10 @@ contains
     number = tally%half2_sum/measured_time(tally)
   end function half2_mean
 
-  !> Mean number in half 2 less half of all, in all copies, by block.
+  !> Mean number in half 2 less half of all walkers, over all copies, by block.
   pure function excess_in_half2(tally, number) result(more)
     type(tally_type), intent(in) :: tally
-    !> In a copy, N.
+    !> Walkers of a copy, N.
     integer, intent(in) :: number
     real(wp), allocatable :: more(:)
     real(wp) :: half
@@ -157,10 +159,10 @@ contains
     end do
   end function excess_in_half2
 
-  !> Mean number in the fuller half of a copy, whichever that is in a block of time.
+  !> Mean number in the fuller half of a copy; which one that is, is decided in each block.
   pure function fuller_mean(tally, number) result(fuller)
     type(tally_type), intent(in) :: tally
-    !> In a copy, N.
+    !> Walkers of a copy, N.
     integer, intent(in) :: number
     real(wp) :: fuller, more(size(tally%change))
 
@@ -168,10 +170,10 @@ contains
     fuller = 0.5_wp*real(number, wp) + sum(abs(more))/real(size(more)*tally%copies, wp)
   end function fuller_mean
 
-  !> Net current of channel 2 from the fuller half to the other, per unit time and copy.
+  !> Net current of channel 2 from the fuller half to the other one, per unit time and copy.
   pure function polarised_current(tally, number) result(current)
     type(tally_type), intent(in) :: tally
-    !> In a copy, N.
+    !> Walkers of a copy, N.
     integer, intent(in) :: number
     real(wp) :: current
 
@@ -179,7 +181,7 @@ contains
       number)))/measured_time(tally)
   end function polarised_current
 
-  !> Time measured, times the copies.
+  !> Length of the interval times the number of copies.
   pure function measured_time(tally) result(time)
     type(tally_type), intent(in) :: tally
     real(wp) :: time

@@ -1,20 +1,19 @@
-!> One particle between gates that are made of all the others: many walkers, each alone.
+!> One-particle theory by simulation: many independent walkers, each between gates that count all of
+!> them.
 !>
-!> Walkers fly exact visits. There are several `copies` of the circuit, with N walkers to each, and
-!> whoever enters a gate does so in a copy drawn by chance. So a walker meets a gate that knows
-!> nothing of its past: the archive of those who come to it is that of all copies thinned out,
-!> Poisson's in the limit of many, at the rate at which walkers come to gates, with the stays that
-!> are found there. That is the renewal gate, made self-consistent: rate, stays and the numbers in
-!> the urns are the walkers' own, and nobody is lost, since a walker is always somewhere. With a
-!> single copy nothing is drawn, and it is the circuit itself.
+!> Visits are exact. There are several `copies` of the circuit, with N walkers to each, and an entry
+!> into a gate takes place in a randomly drawn copy. So a gate is independent of the past of the
+!> walkers that enter it: the entries into one copy are a thinned sequence of all entries, a Poisson
+!> process in the limit of many copies, with the rate and the stays of the walkers themselves. That
+!> is the renewal gate, made self-consistent, and the number of walkers is conserved. With a single
+!> copy nothing is drawn, and the simulation is that of the circuit itself.
 !>
-!> Gates know their rule alone (`battery_gate`), visits the chambers. A window is as long as a
-!> particle needs at least from gate to gate: all who enter in it are known when it begins. Channel
-!> 2 has no gate, so who leaves through it goes on at once; crossings are written down with their
-!> times, which may lie ahead.
+!> A window is as long as the shortest excursion, so all entries in it are known at its start.
+!> Channel 2 has no gate: a walker that leaves through it begins its next visit at once, and its
+!> crossing is counted at a time that may lie ahead.
 !>
-!> With `well_mixed` a visit forgets what it began with: its end is drawn from the measure of
-!> entries, and its length, beyond the shortest way between gates, is exponential about the mean.
+!> With `well_mixed` a visit has no memory of its start: its end is drawn from the measure of
+!> entries, and its length, beyond the shortest excursion, is exponential about the mean.
 module battery_walkers
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: table_type, gated, ungated, urn_at, x_direction, are_mirror_images, &
@@ -31,7 +30,7 @@ module battery_walkers
   private
   public :: walkers_type, new_walkers, advance_walkers
 
-  !> Walkers that enter gates in one window, at most about.
+  !> Largest number of entries in a window, about.
   integer, parameter :: batch = 4096
 
   !> Walkers, the copies of the gates, and what has been measured.
@@ -41,41 +40,43 @@ module battery_walkers
     integer :: copies = 1
     logical :: well_mixed = .false.
     real(wp) :: now = 0.0_wp
-    !> Those of (copy, side).
+    !> Gates by (copy, urn).
     type(gate_type), allocatable :: gate(:, :)
-    !> How each walker will enter its next gate, or entered the one that counts it: when (huge: it
-    !> never does), at which height, |u_x| and u_y, the time from end to end of the channel; and of
-    !> which urn the gate is.
+    !> How each walker will enter its next gate, or entered the one that counts it: time (huge:
+    !> never), height, |u_x| and u_y, duration of the passage through the whole channel; urn of that
+    !> gate.
     real(wp), allocatable :: time(:), y(:), u_axial(:), u_lateral(:), through(:)
     integer, allocatable :: urn(:)
-    !> Visits by chamber (urns that are alike share one), those under way and those to follow.
+    !> Visits by chamber (mirror-image urns share one): those to be computed, and those that follow
+    !> them.
     type(visits_type) :: visits(2, 2)
     integer :: chambers = 1, under_way = 1
-    !> Longest window; shortest and mean length of a visit where urns are well mixed.
+    !> Longest window; shortest and mean length of a visit if urns are well mixed.
     real(wp) :: window = 0.0_wp, shortest = 0.0_wp, mean(2) = 0.0_wp
     type(draws_type) :: draws
-    !> Who enters in a window, by gate and then by time: whose place begins where.
+    !> Walkers that enter in a window, by gate and then by time; index at which those of each gate
+    !> start.
     integer, allocatable :: who(:), first(:)
   end type walkers_type
 
 contains
 
-  !> Walkers that start as `particles`, all in the urns.
+  !> Sets up walkers in the state of `particles`, which are all in the urns.
   subroutine new_walkers(walkers, table, threshold, copies, particles, seed, well_mixed, from, to)
     type(walkers_type), intent(out) :: walkers
     !> A circuit.
     type(table_type), intent(in) :: table
-    !> Of the gates of urn 1 and 2.
+    !> Thresholds of the gates of urn 1 and 2.
     integer, intent(in) :: threshold(2)
-    !> How many copies of the circuit there are; each has its share of the particles.
+    !> Number of copies of the circuit; each has its share of the particles.
     integer, intent(in) :: copies
-    !> N for each copy.
+    !> N of them for each copy.
     type(particles_type), intent(in) :: particles
-    !> Of what is drawn by chance: any 64 bits.
+    !> Seed of the random numbers: any 64 bits.
     integer(int64), intent(in) :: seed
-    !> Whether visits forget what they began with.
+    !> Whether visits have no memory of their start.
     logical, intent(in) :: well_mixed
-    !> What is measured happens after `from`, up to `to`: times since the start.
+    !> Times since the start: what happens after `from`, up to `to`, is measured.
     real(wp), intent(in) :: from, to
     integer :: number, urn, copy
 
@@ -102,7 +103,7 @@ contains
     call begin_first_visits(walkers, particles)
   end subroutine new_walkers
 
-  !> The first visits, from within the urns.
+  !> Computes the first visits, which start inside the urns.
   subroutine begin_first_visits(walkers, particles)
     type(walkers_type), intent(inout) :: walkers
     type(particles_type), intent(in) :: particles
@@ -128,10 +129,10 @@ contains
     call complete_visits(walkers)
   end subroutine begin_first_visits
 
-  !> Goes on until a time since the start.
+  !> Advances all walkers to a time since the start.
   subroutine advance_walkers(walkers, time)
     type(walkers_type), intent(inout) :: walkers
-    !> Later than where they are, or nothing happens.
+    !> If it lies in the past, nothing happens.
     real(wp), intent(in) :: time
     real(wp) :: ends
     integer :: urn, copy, bucket
@@ -139,7 +140,7 @@ contains
     do while (walkers%now < time)
       ends = min(time, walkers%now + walkers%window)
       call find_entrants(walkers, ends)
-      ! At most those who enter and those who are in the gates begin a visit.
+      ! At most the walkers that enter and those in the gates begin a visit.
       call reserve_batch(walkers, walkers%under_way, walkers%first(2*walkers%copies + 1) &
         + sum(number_inside(walkers%gate)))
       do urn = 1, 2
@@ -154,8 +155,8 @@ contains
     end do
   end subroutine advance_walkers
 
-  !> Those who enter a gate before `ends`, in the copies that chance gives them: the places of a
-  !> gate in `who` follow `first`.
+  !> Finds the walkers that enter a gate before `ends`, and draws their copies: those of a gate are
+  !> `who(first + 1:)` up to the `first` of the next gate.
   subroutine find_entrants(walkers, ends)
     type(walkers_type), intent(inout) :: walkers
     real(wp), intent(in) :: ends
@@ -182,12 +183,12 @@ contains
       walkers%who(walkers%first(bucket(k) + 1)) = due(k)
       walkers%first(bucket(k) + 1) = walkers%first(bucket(k) + 1) - 1
     end do
-    ! Each `first` has come down to where its bucket begins, one place late.
+    ! Each `first` is now the start of its bucket, but one place late.
     walkers%first(:size(walkers%first) - 1) = walkers%first(2:)
     walkers%first(size(walkers%first)) = found
   end subroutine find_entrants
 
-  !> One copy of a gate until `ends`: who enters, in the order of time, who crosses, who turns back.
+  !> Processes one copy of a gate until `ends`: entries in the order of time, crossings, reversals.
   subroutine run_gate(walkers, urn, copy, who, ends)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: urn, copy
@@ -213,7 +214,7 @@ contains
     end associate
   end subroutine run_gate
 
-  !> Puts those who enter a gate into the order of time: few, so by insertion.
+  !> Sorts the entries into a gate by time; few, so by insertion.
   pure subroutine sort_by_time(who, time)
     integer, intent(inout) :: who(:)
     real(wp), intent(in) :: time(:)
@@ -229,7 +230,8 @@ contains
     end do
   end subroutine sort_by_time
 
-  !> The first of those counted goes on to the other urn.
+  !> Takes the earliest counted walker across the middle line, and begins its visit to the other
+  !> urn.
   subroutine cross_middle_line(walkers, urn, gate)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: urn
@@ -241,7 +243,8 @@ contains
     call begin_visit_from_gate(walkers, i, walkers%table%beyond(urn), walkers%through(i))
   end subroutine cross_middle_line
 
-  !> A gate turns all those counted back: each is as long on its way out as it was on its way in.
+  !> Reverses a gate: each counted walker begins a visit to its own urn. The way out takes as long
+  !> as the way in.
   subroutine reverse_gate(walkers, urn, gate, time)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: urn
@@ -258,7 +261,7 @@ contains
     call uncount_all(gate)
   end subroutine reverse_gate
 
-  !> Out of channel 1 into an urn, `passage` after it entered the channel.
+  !> Begins a visit from channel 1, which the walker leaves `passage` after it entered it.
   pure subroutine begin_visit_from_gate(walkers, i, urn, passage)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: i, urn
@@ -269,7 +272,8 @@ contains
     walkers%time(i) = huge(1.0_wp)
   end subroutine begin_visit_from_gate
 
-  !> Adds to a batch one who entered a channel at `time`, so, and is in it for `passage`.
+  !> Adds a visit to a batch: of a walker that entered a channel at `time`, and is in it for
+  !> `passage`.
   pure subroutine add_visit(v, i, urn, channel, time, passage, y, u_axial, u_lateral)
     type(visits_type), intent(inout) :: v
     integer, intent(in) :: i, urn, channel
@@ -286,7 +290,7 @@ contains
     v%u_lateral(v%count) = u_lateral
   end subroutine add_visit
 
-  !> All visits under way, and those that follow through channel 2, until everyone heads for a gate.
+  !> Computes visits, and those that follow through channel 2, until each walker heads for a gate.
   subroutine complete_visits(walkers)
     type(walkers_type), intent(inout) :: walkers
     integer :: chamber
@@ -301,8 +305,8 @@ contains
     end do
   end subroutine complete_visits
 
-  !> From where the visits under way begin in the urns to the next channel; those who leave through
-  !> channel 2 are under way then.
+  !> Computes the visits of the present batch from the urn to the next channel; those that follow
+  !> through channel 2 become the present batch.
   subroutine compute_visits_under_way(walkers)
     type(walkers_type), intent(inout) :: walkers
     integer :: chamber
@@ -324,8 +328,8 @@ contains
     walkers%under_way = 3 - walkers%under_way
   end subroutine compute_visits_under_way
 
-  !> Ends of visits drawn from the measure of entries in place of their own: the opening by its
-  !> width, the height even, the direction by the cosine law.
+  !> Draws the ends of visits from the measure of entries: the opening by its width, the height
+  !> uniform, the direction by the cosine law.
   subroutine draw_visit_ends(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(inout) :: v
@@ -345,7 +349,7 @@ contains
     end associate
   end subroutine draw_visit_ends
 
-  !> Writes down how each of a batch enters its next gate, or sends it through channel 2.
+  !> Stores how each walker of a batch enters its next gate, or adds its visit through channel 2.
   subroutine store_entries(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(in) :: v
@@ -374,7 +378,7 @@ contains
     end do
   end subroutine store_entries
 
-  !> Room for so many visits in each chamber.
+  !> Empties the batches of all chambers, and allocates them for that many visits.
   subroutine reserve_batch(walkers, which, room)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: which, room

@@ -1,6 +1,6 @@
-!> Share that renewal gates let through, without chance (`renewal_equations`). Reads lines `load
-!> threshold order cells time`, writes lines `load threshold share survivors`, lengths in units of
-!> l/2. Made for `postproc.renewal_fit`, which fits the results.
+!> Share of particles that renewal gates let through, without random numbers (`renewal_equations`).
+!> Reads lines `load threshold order cells time`, writes lines `load threshold share survivors`,
+!> lengths in units of l/2. Called by `postproc.renewal_fit`, which fits the results.
 program renewal_closure
   use renewal_equations, only: wp, solve_gate
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit

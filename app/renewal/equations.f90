@@ -1,16 +1,17 @@
-!> Share that a renewal gate lets through, without chance: moments of those inside, closed.
+!> Share of particles that a renewal gate lets through, from equations for the moments of those
+!> inside.
 !>
-!> Poisson entries at rate nu, each inside for (l/2)/cos(theta), cosine law; an entry that finds T
-!> inside empties the gate. From empty to the first emptying the number inside and the times at
-!> which they came, in cells of a width of 1/cells, obey linear equations: the probability p_n of n
-!> inside is changed by those who leave, so by the density of one of them over the cells, that one
-!> by pairs, and so on. The chain is cut at pairs (order 2) or triples (order 3): given n, joint
-!> cumulants of more are taken as zero. That is exact for T up to the order. Nobody leaves before
-!> time 1, so the equations start there, from a Poisson distribution; from then on they are
-!> integrated by Runge and Kutta's formula, in the square root of time within a cell, where the rate
-!> at which a cell that turns 1 old is left begins as a square root. Old cells are joined two by
-!> two. At the end of the time given, the survivors are emptied at the rate reached, with what its
-!> change leaves to expect. Lengths are in units of l/2, so tau = pi/2.
+!> Poisson entries at rate nu; each particle is inside for (l/2)/cos(theta), by the cosine law; an
+!> entry that finds T inside empties the gate. From empty to the first emptying, the number inside
+!> and the times of entry, in cells of the width 1/cells, obey linear equations: the probability p_n
+!> of n inside changes with the density of one of them over the cells, that density with the pair
+!> density, and so on. The hierarchy is closed at pairs (order 2) or triples (order 3): given n,
+!> higher joint cumulants are zero, which is exact for T up to the order. No particle leaves before
+!> time 1, so the integration starts there, from a Poisson distribution. It uses the Runge-Kutta
+!> formula, with the square root of time within a cell as the variable, since the rate at which a
+!> cell empties starts as a square root when the cell reaches age 1. Pairs of old cells are merged.
+!> At the end of the given time, the survival probability is extrapolated from the rate reached and
+!> its change. Lengths are in units of l/2, so tau = pi/2.
 module renewal_equations
   use, intrinsic :: iso_fortran_env, only: real64
   implicit none (type, external)
@@ -18,12 +19,12 @@ module renewal_equations
   public :: wp, solve_gate
 
   integer, parameter :: wp = real64
-  integer, parameter :: most = 400 !< cells, at most
-  real(wp), parameter :: least_probability = 1e-250_wp !< below it nobody is asked who leaves
+  integer, parameter :: most = 400 !< Largest number of cells.
+  real(wp), parameter :: least_probability = 1e-250_wp !< States less likely are skipped.
 
 contains
 
-  !> Chance to be inside at that age
+  !> Probability that a particle is still inside at that age.
   pure elemental function stay_probability(age) result(chance)
     real(wp), intent(in) :: age
     real(wp) :: chance
@@ -31,7 +32,7 @@ contains
     if (age > 1.0_wp) chance = 1.0_wp/(age**2 + age*sqrt((age - 1.0_wp)*(age + 1.0_wp)))
   end function stay_probability
 
-  !> Mean time inside up to that age
+  !> Mean time inside up to that age.
   pure elemental function mean_stay(age) result(time)
     real(wp), intent(in) :: age
     real(wp) :: time
@@ -39,9 +40,9 @@ contains
     if (age > 1.0_wp) time = 1.0_wp/(age + sqrt((age - 1.0_wp)*(age + 1.0_wp))) + acos(1.0_wp/age)
   end function mean_stay
 
-  !> Integrates the equations of a gate fed at rate `nu` that holds `top` at most, with so many
-  !> `cells` to a unit of time, to the time `longest`; gives the `share` that gets through, and the
-  !> chance `left` that the gate lasts longer.
+  !> Integrates the equations of a gate with entries at rate `nu` and threshold `top`, with so many
+  !> `cells` per unit of time, to the time `longest`; yields the `share` that is let through, and
+  !> the probability `left` that the gate lasts longer.
   subroutine solve_gate(nu, top, order, cells, longest, share, left)
     real(wp), intent(in) :: nu, longest
     integer, intent(in) :: top, order, cells
@@ -75,8 +76,9 @@ contains
     share = 1.0_wp - (top + 1)/(nu*cycle)
   end subroutine solve_gate
 
-  !> State at time 1, before which no one leaves: Poisson numbers, each at a place of its own. Also
-  !> the mean time `cycle` spent so far and the chance `left` that the gate was not emptied yet.
+  !> Sets the state at time 1, before which no particle leaves: Poisson numbers, independent ages.
+  !> Also the mean time `cycle` so far, and the probability `left` that the gate has not been
+  !> emptied.
   pure subroutine set_initial_state(state, cycle, left, nu, k, top, order)
     real(wp), allocatable, intent(out) :: state(:)
     real(wp), intent(out) :: cycle, left
@@ -98,8 +100,8 @@ contains
     end do
   end subroutine set_initial_state
 
-  !> Integrates from `t` over the cell that has just been opened, `h` long, by Runge and Kutta's
-  !> formula; adds the mean time that the gate lasts within it to `cycle`, updates `left`.
+  !> Integrates from `t` over the newest cell, of the length `h`, by the Runge-Kutta formula; adds
+  !> the mean time that the gate lasts within it to `cycle`, and updates `left`.
   subroutine integrate_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
     real(wp), intent(inout) :: state(:), cycle, left
     real(wp), intent(in) :: from(:), to(:), t, h, nu
@@ -129,13 +131,13 @@ contains
       d1 = -nu*state(top*state_length(k, order) + 1)*2.0_wp*h*(u + du)
       w0 = 2.0_wp*h*u
       w1 = 2.0_wp*h*(u + du)
-      ! Simpson's rule, the middle by Hermite's interpolation
+      ! Simpson's rule, with the middle by Hermite interpolation.
       cycle = cycle + du/6.0_wp*(w0*s0 + w1*left &
         + 2.0_wp*(w0 + w1)*(0.5_wp*(s0 + left) + du/8.0_wp*(d0 - d1)))
     end do
   end subroutine integrate_cell
 
-  !> Numbers kept for each n: probability, density, pairs, triples
+  !> Numbers stored for each n: probability, density, pairs, triples.
   pure function state_length(k, order) result(count)
     integer, intent(in) :: k, order
     integer :: count
@@ -144,7 +146,7 @@ contains
     if (order > 2) count = count + k*k*k
   end function state_length
 
-  !> n independent ones, spread evenly
+  !> Sets the moments of n independent particles, uniform over the cells.
   pure subroutine fill_independent(part, p, n, k, order)
     real(wp), intent(out) :: part(:)
     real(wp), intent(in) :: p
@@ -155,7 +157,7 @@ contains
     if (order > 2) part(k + 2 + k*k:) = p*n*(n - 1.0_wp)*(n - 2)/real(k, wp)**3
   end subroutine fill_independent
 
-  !> Chance that the gate was not emptied yet
+  !> Probability that the gate has not been emptied.
   pure function survival(state, k, order, top) result(total)
     real(wp), intent(in) :: state(:)
     integer, intent(in) :: k, order, top
@@ -167,7 +169,7 @@ contains
     end do
   end function survival
 
-  !> Opens the cell of those who come now
+  !> Adds the cell of the particles that enter now.
   subroutine open_cell(state, from, to, k, top, order, t, h)
     real(wp), allocatable, intent(inout) :: state(:)
     real(wp), intent(inout) :: from(:), to(:)
@@ -184,7 +186,7 @@ contains
     k = k + 1
   end subroutine open_cell
 
-  !> Joins pairs of old cells
+  !> Merges pairs of old cells.
   subroutine merge_old_cells(state, from, to, k, top, order, t, h)
     real(wp), allocatable, intent(inout) :: state(:)
     real(wp), intent(inout) :: from(:), to(:)
@@ -220,7 +222,7 @@ contains
     k = made
   end subroutine merge_old_cells
 
-  !> Sums what is in cells of one group
+  !> Sums the moments over the cells of each group.
   subroutine regroup_cells(state, group, k, made, top, order)
     real(wp), allocatable, intent(inout) :: state(:)
     integer, intent(in) :: group(:), k, made, top, order
@@ -248,7 +250,7 @@ contains
     call move_alloc(new, state)
   end subroutine regroup_cells
 
-  !> Slopes at a place u within the current cell, t = t0 + h u^2
+  !> Time derivative of the state at the position u within the present cell, t = t0 + h u^2.
   subroutine state_slopes(state, slope, t0, h, u, from, to, k, nu, top, order)
     integer, intent(in) :: k, top, order
     real(wp), intent(in) :: state(state_length(k, order), 0:top), t0, h, u, from(:), to(:), nu
@@ -277,7 +279,7 @@ contains
     slope = slope*weight
   end subroutine state_slopes
 
-  !> Those tagged leave themselves, at the rates `mu` of their cells.
+  !> Subtracts the tagged particles that leave, at the rates `mu` of their cells.
   pure subroutine remove_tagged(state, slope, mu, k, order)
     real(wp), intent(in) :: state(:), mu(:)
     real(wp), intent(inout) :: slope(:)
@@ -304,7 +306,7 @@ contains
     end if
   end subroutine remove_tagged
 
-  !> Those who come to a state with one fewer are tagged: in the youngest cell, `k`.
+  !> Adds the tagged particles that enter, to a state with one fewer, into the newest cell, `k`.
   pure subroutine tag_arrivals(state, slope, nu, k, order)
     real(wp), intent(in) :: state(:), nu
     real(wp), intent(inout) :: slope(:)
@@ -333,6 +335,7 @@ contains
     end if
   end subroutine tag_arrivals
 
+  !> Increases a sum.
   pure subroutine add_to(sum, more)
     real(wp), intent(inout) :: sum
     real(wp), intent(in) :: more
@@ -340,7 +343,7 @@ contains
     sum = sum + more
   end subroutine add_to
 
-  !> Rate at which untagged ones leave, tagged places kept
+  !> Rate at which untagged particles leave, with the tagged ones fixed.
   pure subroutine untagged_rates(state, out, mu, n, k, order)
     integer, intent(in) :: n, k, order
     real(wp), intent(in) :: state(:), mu(:)

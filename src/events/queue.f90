@@ -80,6 +80,7 @@ contains
     queue%next = min(queue%next, minval(time))
   end subroutine push_all
 
+  !> Allocates the arrays, or doubles them.
   pure subroutine grow_queue(queue)
     type(queue_type), intent(inout) :: queue
 

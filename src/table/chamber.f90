@@ -70,6 +70,7 @@ contains
 
   contains
 
+    !> Kernel over flat arrays, padded to whole groups; without branches, so that it is vectorised.
     pure subroutine cross_straight_channels(n, time, passage, channel, x, y, u_axial, u_lateral, &
       hits)
       integer, intent(in) :: n

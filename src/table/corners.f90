@@ -166,6 +166,7 @@ contains
       distance_to_side(c(1), c(2), a, b), distance_to_side(d(1), d(2), a, b))
   end function side_distance
 
+  !> Cross product of two vectors: positive if b points to the left of a.
   pure function cross_product(a, b) result(product)
     real(wp), intent(in) :: a(2), b(2)
     real(wp) :: product

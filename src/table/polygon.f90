@@ -159,6 +159,7 @@ contains
 
   contains
 
+    !> Coordinates of a corner.
     pure function corner_of(at) result(corner)
       integer, intent(in) :: at
       real(wp) :: corner(2)

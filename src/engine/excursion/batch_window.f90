@@ -307,6 +307,7 @@ contains
 
   contains
 
+    !> Records the next of the sorted crossings.
     subroutine record_next_crossing()
       integer :: particle, from, channel
 

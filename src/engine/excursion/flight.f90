@@ -1,8 +1,10 @@
 !> The state of a particle of the engine `excursion` between two of its events.
 !>
-!> A flight says how the particle will enter its next channel, or entered the one it is in. Earlier
-!> positions are found backwards from there; for long visits the start is stored as well
-!> (`battery_long_visits`).
+!> A flight says how the particle will enter its next channel, or entered the one it is in. It is
+!> made from an initial position (`make_initial_flight`), loaded into a batch of visits and stored
+!> at their ends (`load_flights`, `store_flights`: kernels over flat arrays, a flight being one
+!> cache line), and yields the position at any time between (`locate_particle`). Earlier positions
+!> are found backwards from it; for long visits the start is stored as well (`battery_long_visits`).
 module battery_flight
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64
