@@ -10,6 +10,12 @@
 !>
 !> The state of a particle (`flight_type`) is how it will enter its next channel. Its position
 !> before then is found backwards from there, or forwards from the start of a long visit.
+!>
+!> This file has the type, one window (`advance_window`), and the state: where particles are, and
+!> its serialisation. In files of their own are flights (`flight.f90`), the two ways to process the
+!> events of a window (`serial_window.f90`, `batch_window.f90`), visits computed ahead
+!> (`lookahead.f90`), long and truncated ones (`long_visits.f90`, `partial_visits.f90`), and tables
+!> with discs in channel 2 (`excursion_scattered.f90`, `scatterer_visits.f90`).
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
   use battery_archive, only: archive_type
@@ -96,13 +102,13 @@ module battery_excursion
       type(particles_type), intent(inout) :: particles
     end subroutine load_particles_scattered
 
-    module subroutine compute_scattered_visits(self, began, ends, event_record)
+    module subroutine compute_window_visits_scattered(self, began, ends, event_record)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
       !> Start and end of the window.
       real(wp), intent(in) :: began, ends
       type(event_record_type), intent(inout) :: event_record
-    end subroutine compute_scattered_visits
+    end subroutine compute_window_visits_scattered
   end interface
 
 contains
@@ -268,10 +274,10 @@ contains
     end if
     call drop_done_events(self%calendar, due_now)
     if (self%scattered) then
-      call compute_scattered_visits(self, began, ends, event_record)
+      call compute_window_visits_scattered(self, began, ends, event_record)
     else
       if (self%resumed_count > 0) call continue_partial_visits(self)
-      call compute_straight_visits(self)
+      call compute_window_visits_straight(self)
     end if
     self%now = ends
     event_record%duration = ends - began
@@ -280,7 +286,7 @@ contains
   end subroutine advance_window
 
   !> Computes the visits that the events of a window began.
-  subroutine compute_straight_visits(self)
+  subroutine compute_window_visits_straight(self)
     type(excursion_type), intent(inout) :: self
     integer :: b
 
@@ -301,7 +307,7 @@ contains
         call schedule_events(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
-  end subroutine compute_straight_visits
+  end subroutine compute_window_visits_straight
 
   !> Computes the next part of each partial visit that is due.
   subroutine continue_partial_visits(self)

@@ -90,7 +90,7 @@ contains
   !> Computes the visits of a window until none ends within it but at a gate: a particle that
   !> crosses the line starts another one. The gates need not be asked, since no particle reaches one
   !> so soon.
-  module procedure compute_scattered_visits
+  module procedure compute_window_visits_scattered
     integer :: j, i, again, later, first
     integer, allocatable :: whose(:)
     real(wp), allocatable :: due(:)
@@ -129,7 +129,7 @@ contains
       end do
     end associate
     if (event_record%crossings > first) call sort_event_record(event_record)
-  end procedure compute_scattered_visits
+  end procedure compute_window_visits_scattered
 
   !> Visit `j` of the batch ended at the line, or was truncated, within the window: the next visit
   !> of its particle becomes number `again` + 1 of the batch.
