@@ -4,8 +4,8 @@ module battery_outline_checks
   use battery_kinds, only: wp
   use battery_bounds, only: finest, greatest_radius
   use battery_channel, only: facing, is_open
-  use battery_corners, only: enclosed_area, turned_round, next_of, distance_to_side, sides_meet, &
-    side_distance, axis_side
+  use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
+    sides_meet, side_distance, side_on_axis
   use battery_polygon, only: upright
   use battery_plan, only: plan_type, point_type, refuse, is_scanned, corners_of
   use battery_text, only: to_text
@@ -114,7 +114,7 @@ contains
         return
       end if
       do k = 1, n
-        if (norm2(corner(:, next_of(k, n)) - corner(:, k)) < finest*extent) call refuse(plan, &
+        if (norm2(corner(:, next_corner(k, n)) - corner(:, k)) < finest*extent) call refuse(plan, &
           key, 'has '//side_text(k, n)//', which has no length', 'sides from ' &
           //to_text(finest*extent)//' on, which is '//to_text(finest)//' of its width')
       end do
@@ -124,7 +124,7 @@ contains
       plan%outline(urn)%was_clockwise = enclosed_area(corner) < 0.0_wp
     end associate
     if (plan%outline(urn)%was_clockwise) &
-      plan%outline(urn)%corner = turned_round(plan%outline(urn)%corner)
+      plan%outline(urn)%corner = reversed_corners(plan%outline(urn)%corner)
     call check_axis(plan, urn)
   end subroutine check_outline
 
@@ -157,16 +157,16 @@ contains
       real(wp) :: before(2), shared(2), after(2)
       integer :: first
 
-      if (next_of(k, n) == j .or. next_of(j, n) == k) then
-        first = merge(k, j, next_of(k, n) == j)
+      if (next_corner(k, n) == j .or. next_corner(j, n) == k) then
+        first = merge(k, j, next_corner(k, n) == j)
         before = corner(:, first)
-        shared = corner(:, next_of(first, n))
-        after = corner(:, next_of(next_of(first, n), n))
+        shared = corner(:, next_corner(first, n))
+        after = corner(:, next_corner(next_corner(first, n), n))
         gap = min(distance_to_side(before(1), before(2), shared, after), &
           distance_to_side(after(1), after(2), before, shared))
       else
-        gap = side_distance(corner(:, k), corner(:, next_of(k, n)), corner(:, j), &
-          corner(:, next_of(j, n)))
+        gap = side_distance(corner(:, k), corner(:, next_corner(k, n)), corner(:, j), &
+          corner(:, next_corner(j, n)))
       end if
     end function gap_between
 
@@ -185,10 +185,10 @@ contains
         ! What is scanned may be open at some points.
         if (.not. is_open(plan%base%channel(channel)) .and. .not. is_scanned(plan, 'channel' &
           //to_text(channel)//'_width')) cycle
-        side = axis_side(corner, facing(channel))
+        side = side_on_axis(corner, facing(channel))
         if (side == 0) then
           what = 'has a corner on the axis y = 0 or no side there'
-        else if (abs(corner(1, next_of(side, n)) - corner(1, side)) <= upright &
+        else if (abs(corner(1, next_corner(side, n)) - corner(1, side)) <= upright &
           *maxval(abs(corner(1, :)))) then
           cycle
         else
@@ -218,9 +218,9 @@ contains
         n = size(corner, 2)
         do channel = 1, merge(1, 2, plan%shape == 'urn')
           if (.not. is_open(point%channel(channel))) cycle
-          side = axis_side(corner, facing(channel))
+          side = side_on_axis(corner, facing(channel))
           if (side == 0) cycle
-          room = 2.0_wp*min(abs(corner(2, side)), abs(corner(2, next_of(side, n))))
+          room = 2.0_wp*min(abs(corner(2, side)), abs(corner(2, next_corner(side, n))))
           if (point%channel(channel)%width > room*(1.0_wp - finest)) call refuse(plan, &
             'channel'//to_text(channel)//'_width', to_text(point%channel(channel)%width), &
             'below '//to_text(room)//', which fits into '//side_text(side, n)//' of urn ' &
@@ -264,7 +264,7 @@ contains
     do k = 1, n
       if (k == side) cycle
       a = seen(k)
-      b = seen(next_of(k, n))
+      b = seen(next_corner(k, n))
       if (max(a(1), b(1)) <= 0.0_wp) cycle
       if (sides_meet(a, b, [0.0_wp, half], [beyond, half]) .or. sides_meet(a, b, [0.0_wp, -half], &
         [beyond, -half]) .or. (abs(a(2)) <= half .and. a(1) >= 0.0_wp .and. a(1) <= beyond)) then
@@ -299,7 +299,7 @@ contains
     integer, intent(in) :: side, sides
     character(len=:), allocatable :: text
 
-    text = 'the side from corner '//to_text(side)//' to '//to_text(next_of(side, sides))
+    text = 'the side from corner '//to_text(side)//' to '//to_text(next_corner(side, sides))
   end function side_text
 
 end module battery_outline_checks
