@@ -7,8 +7,8 @@ module battery_bench_task_queue
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds
   use battery_communicator, only: communicator_type, task_queue_type, open_communicator, &
-    close_communicator, open_task_queue, close_task_queue, take_task, add_to_counter, &
-    read_counter, drive_mpi_progress, mpi_progress_interval, summary_of, wait_for_all, &
+    close_communicator, open_task_queue, close_task_queue, fetch_task, add_to_counter, &
+    read_counter, drive_mpi_progress, mpi_progress_interval, least_mean_greatest, wait_for_all, &
     tasks_finished
   implicit none (type, external)
   private
@@ -70,7 +70,7 @@ contains
       after = began
       do
         before = after
-        call take_task(task_queue, task)
+        call fetch_task(task_queue, task)
         if (task == 0) exit
         call add_to_counter(task_queue, tasks_finished, 1_int64)
         after = wall_seconds()
@@ -81,13 +81,13 @@ contains
     end if
     spent = wall_seconds() - began
     call wait_for_all(communicator)
-    summary = summary_of(communicator, wall_seconds() - began)
+    summary = least_mean_greatest(communicator, wall_seconds() - began)
     found(1) = items/summary(3)
-    summary = summary_of(communicator, merge(spent, 0.0_dp, operations > 0))
+    summary = least_mean_greatest(communicator, merge(spent, 0.0_dp, operations > 0))
     found(2) = summary(2)*communicator%size
-    summary = summary_of(communicator, real(operations, dp))
+    summary = least_mean_greatest(communicator, real(operations, dp))
     found(2) = found(2)/max(summary(2)*communicator%size, 1.0_dp)
-    summary = summary_of(communicator, longest)
+    summary = least_mean_greatest(communicator, longest)
     found(3) = summary(3)
     call close_task_queue(task_queue)
 

@@ -13,9 +13,9 @@ module battery_fingerprint
 
 contains
 
-  !> Takes one more word into a fingerprint.
+  !> Mixes one more word into a fingerprint.
   pure subroutine mix_word(fingerprint, word)
-    !> `fingerprint_start`, or what came of the words before.
+    !> `fingerprint_start`, or the fingerprint of the words before.
     integer(int64), intent(inout) :: fingerprint
     !> Any 64 bits.
     integer(int64), intent(in) :: word

@@ -9,7 +9,7 @@ module battery_random
   use battery_kinds, only: wp, int64
   implicit none (type, external)
   private
-  public :: random_type, lanes, new_random, draw_uniform, hashed_uniform, mixed
+  public :: random_type, lanes, new_random, draw_uniform, hashed_uniform, splitmix64
 
   !> Generators side by side; numbers are drawn in multiples of this.
   integer, parameter :: lanes = 8
@@ -21,7 +21,7 @@ module battery_random
   !> The odd number next to 2**64 over the golden ratio, as a signed integer.
   integer(int64), parameter :: golden = -7046029254386353131_int64
 
-  !> A generator of its own numbers; copies go on apart.
+  !> State of a generator; a copy is an independent generator with the same state.
   type :: random_type
     integer(int64) :: state(lanes, 4) = 0
   end type random_type
@@ -36,7 +36,7 @@ contains
 
     do word = 1, 4
       do lane = 1, lanes
-        random%state(lane, word) = mixed(mixed(seed) + golden*(4*lane + word))
+        random%state(lane, word) = splitmix64(splitmix64(seed) + golden*(4*lane + word))
       end do
     end do
   end function new_random
@@ -72,7 +72,7 @@ contains
     !> Any 64 bits: whose number it is, and which.
     integer(int64), intent(in) :: key, count
 
-    number = uniform(mixed(mixed(key) + golden*count))
+    number = uniform(splitmix64(splitmix64(key) + golden*count))
   end function hashed_uniform
 
   !> The highest bits of a word as a number in (0, 1).
@@ -83,7 +83,7 @@ contains
   end function uniform
 
   !> SplitMix64 without its counter: one to one on 64 bits. Products wrap around.
-  elemental integer(int64) function mixed(word) result(z)
+  elemental integer(int64) function splitmix64(word) result(z)
     !> Any 64 bits.
     integer(int64), intent(in) :: word
 
@@ -91,6 +91,6 @@ contains
     z = ieor(z, shiftr(z, 30))*(-4658895280553007687_int64)
     z = ieor(z, shiftr(z, 27))*(-7723592293110705685_int64)
     z = ieor(z, shiftr(z, 31))
-  end function mixed
+  end function splitmix64
 
 end module battery_random

@@ -4,7 +4,7 @@ module battery_text
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, lines_of, closest_word, is_one_of
-  public :: new_line_character, printable, counted
+  public :: new_line_character, printable, count_text
 
   character(len=1), parameter :: new_line_character = achar(10)
 
@@ -134,7 +134,7 @@ contains
     end if
   end function plain_notation
 
-  !> The text with A to Z made small.
+  !> The text with A to Z in lower case.
   pure function lower_case(text) result(lower)
     !> Of any letters.
     character(len=*), intent(in) :: text
@@ -266,7 +266,7 @@ contains
     end do
   end function closest_word
 
-  !> How many letters must be put in, left out or changed to get from one word to the other.
+  !> Levenshtein distance: letters inserted, deleted or replaced from one word to the other.
   pure integer function edit_distance(one, other) result(distance)
     character(len=*), intent(in) :: one, other
     integer :: row(0:len(other)), diagonal, above, first, second
@@ -286,7 +286,7 @@ contains
   end function edit_distance
 
   !> A number of things: `1 point`, `2 points`.
-  pure function counted(number, noun) result(text)
+  pure function count_text(number, noun) result(text)
     !> How many.
     integer, intent(in) :: number
     !> One of them; its plural ends with s.
@@ -295,6 +295,6 @@ contains
 
     text = to_text(number)//' '//noun
     if (number /= 1) text = text//'s'
-  end function counted
+  end function count_text
 
 end module battery_text

@@ -1,4 +1,4 @@
-!> What is in a list twice.
+!> Repeated values in a list.
 module battery_repeats
   use, intrinsic :: iso_c_binding, only: c_size_t
   use battery_kinds, only: wp, dp

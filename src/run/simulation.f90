@@ -50,7 +50,7 @@ module battery_simulation
     integer(int64) :: seed = 0
   end type setup_type
 
-  !> A simulation under way.
+  !> State of one simulation.
   type :: simulation_type
     type(setup_type) :: setup
     class(engine_type), allocatable :: engine
@@ -171,7 +171,7 @@ contains
     end associate
   end subroutine check_remaining_memory
 
-  !> Gives the run up where its series or its event log could not be brought home if they doubled.
+  !> Ends the run where its series or its event log could not be stored if they doubled.
   subroutine stop_if_out_of_memory(simulation)
     type(simulation_type), intent(inout) :: simulation
 
@@ -187,7 +187,7 @@ contains
     end associate
   end subroutine stop_if_out_of_memory
 
-  !> Goes on by one window.
+  !> Advances a simulation by one window.
   subroutine advance_simulation(simulation)
     type(simulation_type), intent(inout) :: simulation
 
@@ -322,7 +322,7 @@ contains
     share = min(share, 1.0_wp)
   end function progress
 
-  !> All that is needed to go on to the same last bit, into an archive or out of it: then for the
+  !> Writes to an archive or reads all that is needed to continue to the same last bit; read for the
   !> same setup, and what was there before is lost.
   subroutine serialize_simulation(simulation, setup, archive, error)
     type(simulation_type), intent(inout) :: simulation

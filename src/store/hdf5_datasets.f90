@@ -19,8 +19,8 @@ module battery_hdf5_datasets
     h5z_filter_shuffle_f, h5d_compact_f, h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
-  use battery_hdf5_file, only: hdf5_file_type, release, check, check_links, no_handle
-  use battery_hdf5_attributes, only: memory_type, memory_of, write_text
+  use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, check_links, no_handle
+  use battery_hdf5_attributes, only: array_view_type, array_view_of, write_text_attribute
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -68,32 +68,32 @@ contains
     type(hdf5_file_type), intent(in) :: file
     !> From the root.
     character(len=*), intent(in) :: path
-    !> As `memory_of` takes them.
+    !> As `array_view_of` takes them.
     type(*), intent(inout), target, contiguous :: values(..)
     !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
     !> Paths of its dimension scales, in Fortran order.
     character(len=*), intent(in) :: scales(:)
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
     integer(hid_t) :: dataset
     integer :: status
 
-    memory = memory_of(values)
+    memory = array_view_of(values)
     if (allocated(error)) then
       return
     else if (file%is_new) then
-      call write_memory(file, path, memory, units, long_name, error, scales)
+      call write_array_view(file, path, memory, units, long_name, error, scales)
     else
       call open_dataset(file, path, dataset, error)
       call check_form(file, path, dataset, memory%value_type, memory%extents, error)
       status = 0
       if (.not. allocated(error) .and. product(memory%extents) > 0) then
         call h5dread_f(dataset, memory%value_type, memory%address, status)
-        call check(file, path, 'cannot be read', status, error)
+        call check_status(file, path, 'cannot be read', status, error)
       end if
       status = 0
-      call release(dataset, status)
+      call release_handle(dataset, status)
     end if
   end subroutine serialize_dataset
 
@@ -116,14 +116,14 @@ contains
     character(len=*), intent(in) :: scales(:)
     !> To be released with `release_dataset`.
     type(dataset_type), intent(inout) :: dataset
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
 
     if (allocated(error)) return
     dataset%path = path
-    memory = memory_of(unknown)
+    memory = array_view_of(unknown)
     memory%extents = int(extents, hsize_t)
     if (file%is_new) then
-      call write_memory(file, path, memory, units, long_name, error, scales, prepared=dataset)
+      call write_array_view(file, path, memory, units, long_name, error, scales, prepared=dataset)
     else
       call open_dataset(file, path, dataset%id, error)
       call check_form(file, path, dataset%id, memory%value_type, memory%extents, error)
@@ -139,17 +139,17 @@ contains
     type(hdf5_file_type), intent(in) :: file
     !> From `prepare_dataset`.
     type(dataset_type), intent(in) :: dataset
-    !> As `memory_of` takes them; one dimension.
+    !> As `array_view_of` takes them; one dimension.
     type(*), intent(inout), target, contiguous :: values(..)
     !> Where the first of them stands, from 1.
     integer, intent(in) :: first(:)
     type(error_type), allocatable, intent(inout) :: error
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
     integer(hsize_t) :: extents(size(first))
     integer(hid_t) :: space, part
     integer :: status
 
-    memory = memory_of(values)
+    memory = array_view_of(values)
     if (allocated(error) .or. product(memory%extents) == 0) return
     extents = 1
     extents(1) = product(memory%extents)
@@ -164,10 +164,10 @@ contains
     else if (status == 0) then
       call h5dread_f(dataset%id, memory%value_type, memory%address, status, part, space)
     end if
-    call release(part, status)
-    call release(space, status)
-    call check(file, dataset%path, merge('cannot be written', 'cannot be read   ', file%is_new), &
-      status, error)
+    call release_handle(part, status)
+    call release_handle(space, status)
+    call check_status(file, dataset%path, merge('cannot be written', 'cannot be read   ', &
+      file%is_new), status, error)
   end subroutine serialize_column
 
   !> Closes a dataset; one that is not open is no error.
@@ -180,10 +180,10 @@ contains
     integer :: status
 
     status = 0
-    call release(dataset%id, status)
+    call release_handle(dataset%id, status)
     dataset%id = no_handle
     if (.not. allocated(error) .and. allocated(dataset%path)) &
-      call check(file, dataset%path, 'cannot be closed', status, error)
+      call check_status(file, dataset%path, 'cannot be closed', status, error)
   end subroutine release_dataset
 
   !> Opens a dataset that lies in the file itself, whole or in pieces of which none is large, and
@@ -208,12 +208,12 @@ contains
     if (status == 0) call h5dget_create_plist_f(dataset, layout, status)
     if (status == 0) call h5pget_layout_f(layout, way, status)
     if (status == 0) call h5pget_external_count_f(layout, others, status)
-    call check(file, path, 'is no dataset', status, error)
+    call check_status(file, path, 'is no dataset', status, error)
     if (status == 0 .and. (others > 0 .or. all(way /= [h5d_compact_f, h5d_contiguous_f, &
-      h5d_chunked_f]))) call check(file, path, 'does not lie in the file itself', 1, error)
+      h5d_chunked_f]))) call check_status(file, path, 'does not lie in the file itself', 1, error)
     if (.not. allocated(error) .and. way == h5d_chunked_f) &
       call check_pieces(file, path, dataset, layout, error)
-    call release(layout, status)
+    call release_handle(layout, status)
   end subroutine open_dataset
 
   !> Pieces are at most as large as `new_layout` makes them, with no other filters.
@@ -240,7 +240,8 @@ contains
       if (status == 0 .and. all(filter /= [h5z_filter_shuffle_f, h5z_filter_deflate_f])) status = -1
       if (status /= 0) exit
     end do
-    call check(file, path, 'was made with a filter that this program does not use', status, error)
+    call check_status(file, path, 'was made with a filter that this program does not use', status, &
+      error)
     if (allocated(error)) return
     value_type = no_handle
     space = no_handle
@@ -257,9 +258,10 @@ contains
       taken = product(real(piece(:rank), dp))*real(bytes, dp)
       if (taken > real(large, dp)) status = -1
     end if
-    call release(value_type, status)
-    call release(space, status)
-    call check(file, path, 'has pieces larger than any that this program writes', status, error)
+    call release_handle(value_type, status)
+    call release_handle(space, status)
+    call check_status(file, path, 'has pieces larger than any that this program writes', status, &
+      error)
     if (allocated(error)) return
     ! Compression adds next to nothing to a piece: what is longer grows without bound when read.
     call h5dget_storage_size_f(dataset, stored, status)
@@ -267,7 +269,7 @@ contains
       pieces = product(real(extents/piece(:rank) + 1, dp))
       if (real(stored, dp) > (1.01_dp*taken + 64.0_dp)*pieces) status = -1
     end if
-    call check(file, path, 'takes more of the file than its values do', status, error)
+    call check_status(file, path, 'takes more of the file than its values do', status, error)
   end subroutine check_pieces
 
   !> A dataset must have numbers of a type, and so many of them. Does nothing after an error.
@@ -294,12 +296,13 @@ contains
     if (status == 0) call h5tget_size_f(wanted_type, wanted_bytes, status)
     if (status == 0 .and. (is_elsewhere .or. class /= wanted_class .or. bytes /= wanted_bytes)) &
       status = -1
-    call release(value_type, status)
-    call check(file, path, 'has values of another type than this program writes', status, error)
+    call release_handle(value_type, status)
+    call check_status(file, path, 'has values of another type than this program writes', status, &
+      error)
     if (allocated(error)) return
     extents = extents_of_dataset(dataset, size(wanted))
-    if (any(extents /= wanted)) call check(file, path, 'has the dimensions '//listed(extents) &
-      //'; by the namelist in the file they are '//listed(wanted), 1, error)
+    if (any(extents /= wanted)) call check_status(file, path, 'has the dimensions ' &
+      //listed(extents)//'; by the namelist in the file they are '//listed(wanted), 1, error)
   end subroutine check_form
 
   !> Extents as readers in C or Python see them.
@@ -335,7 +338,7 @@ contains
     extents = -1
     if (.not. allocated(error)) extents = extents_of_dataset(dataset, rank)
     status = 0
-    call release(dataset, status)
+    call release_handle(dataset, status)
   end function extents_of
 
   !> Those of an open dataset.
@@ -353,7 +356,7 @@ contains
     if (status == 0) call h5sget_simple_extent_ndims_f(space, found, status)
     if (status == 0 .and. found == rank) &
       call h5sget_simple_extent_dims_f(space, extents, most, status)
-    call release(space, status)
+    call release_handle(space, status)
   end function extents_of_dataset
 
   !> Writes a new dataset; large ones are compressed. Does nothing after an error.
@@ -362,7 +365,7 @@ contains
     type(hdf5_file_type), intent(in) :: file
     !> From the root, in a group that is there.
     character(len=*), intent(in) :: path
-    !> A scalar or an array, as `memory_of` takes them.
+    !> A scalar or an array, as `array_view_of` takes them.
     type(*), intent(in), target, contiguous :: values(..)
     !> Attributes of the same names.
     character(len=*), intent(in) :: units, long_name
@@ -370,7 +373,7 @@ contains
     !> Paths of its dimension scales, one a dimension, in Fortran order; absent: it has none.
     character(len=*), intent(in), optional :: scales(:)
 
-    call write_memory(file, path, memory_of(values), units, long_name, error, scales)
+    call write_array_view(file, path, array_view_of(values), units, long_name, error, scales)
   end subroutine write_dataset
 
   !> Writes a new dataset of rank 1 that is a dimension scale, named for the last part of its path.
@@ -386,7 +389,7 @@ contains
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
 
-    call write_memory(file, path, memory_of(values), units, long_name, error, &
+    call write_array_view(file, path, array_view_of(values), units, long_name, error, &
       scale_name=path(index(path, '/', back=.true.) + 1:))
   end subroutine write_scale
 
@@ -404,20 +407,21 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: mark = 'This is a netCDF dimension but not a netCDF variable.'
     character(len=len(mark) + 10) :: name
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
 
     write (name, '(a, i10)') mark, length
     memory%value_type = h5kind_to_type(int32, h5_integer_kind)
     memory%extents = [int(length, hsize_t)]
-    call write_memory(file, path, memory, '1', long_name, error, scale_name=name)
+    call write_array_view(file, path, memory, '1', long_name, error, scale_name=name)
   end subroutine write_dimension
 
   !> A new dataset from values in memory, or without values if their address is null. A scale if it
   !> has a name as one. One that is prepared stays open, and what stands in memory fills it.
-  subroutine write_memory(file, path, memory, units, long_name, error, scales, scale_name, prepared)
+  subroutine write_array_view(file, path, memory, units, long_name, error, scales, scale_name, &
+    prepared)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, units, long_name
-    type(memory_type), intent(in) :: memory
+    type(array_view_type), intent(in) :: memory
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), intent(in), optional :: scales(:), scale_name
     type(dataset_type), intent(inout), optional :: prepared
@@ -442,14 +446,14 @@ contains
     if (present(prepared)) then
       prepared%id = dataset
     else
-      call release(dataset, status)
+      call release_handle(dataset, status)
     end if
-    call release(layout, status)
-    call release(space, status)
-    call check(file, path, 'cannot be written', status, error)
-    call write_text(file, path, 'units', units, error)
-    call write_text(file, path, 'long_name', long_name, error)
-  end subroutine write_memory
+    call release_handle(layout, status)
+    call release_handle(space, status)
+    call check_status(file, path, 'cannot be written', status, error)
+    call write_text_attribute(file, path, 'units', units, error)
+    call write_text_attribute(file, path, 'long_name', long_name, error)
+  end subroutine write_array_view
 
   !> HDF5 counts dimensions the other way round than Fortran.
   subroutine attach_scales(file, dataset, scales, status)
@@ -465,14 +469,14 @@ contains
       if (status == 0) call h5dopen_f(file%id, trim(scales(dimension)), scale, status)
       if (status == 0) &
         status = c_attach_scale(dataset, scale, int(size(scales) - dimension, c_int))
-      call release(scale, status)
+      call release_handle(scale, status)
     end do
   end subroutine attach_scales
 
   !> How a dataset lies in the file: as it is, or, if large, in compressed pieces.
   subroutine new_layout(memory, layout, status)
     !> With the extents of the dataset.
-    type(memory_type), intent(in) :: memory
+    type(array_view_type), intent(in) :: memory
     integer(hid_t), intent(out) :: layout
     integer, intent(out) :: status
     integer(hsize_t) :: piece(size(memory%extents))
