@@ -24,6 +24,7 @@ from postproc.reading.layout import (
     TEXTS,
     VERSION,
     check_layout,
+    check_memory,
     text_of,
 )
 from postproc.reading.seal import check_seal
@@ -162,16 +163,18 @@ class Results:
     def dataset(self, group: str | None = None) -> xr.Dataset:
         """Return the datasets of the root or of a group, with dimensions as the list has them."""
         inside = "" if group is None else f"{group}/"
-        variables = {}
-        for path, declared in DATASETS.items():
+        read = {}
+        for path in DATASETS:
             name = path.removeprefix(inside)
             if path.startswith(inside) and "/" not in name and path in self._file:
-                attributes = self._file[path].attrs
-                told = {key: text_of(attributes[key]) for key in TEXTS if key in attributes}
-                told |= {key: attributes[key] for key in NUMBERS if key in attributes}
-                if path != "events/event":
-                    values = self._file[path][()]
-                    variables[name] = (declared.dims, values, told)
+                read[name] = self._file[path]
+        read.pop("event", None)
+        check_memory(self.path, read.values())
+        variables = {}
+        for name, one in read.items():
+            told = {key: text_of(one.attrs[key]) for key in TEXTS if key in one.attrs}
+            told |= {key: one.attrs[key] for key in NUMBERS if key in one.attrs}
+            variables[name] = (DATASETS[inside + name].dims, one[()], told)
         return xr.decode_cf(xr.Dataset(variables), decode_times=False)
 
     def has(self, name: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import zlib
 from pathlib import Path
@@ -14,6 +15,7 @@ from selenium import webdriver
 
 from postproc import open_results
 from postproc.cli import InputError
+from postproc.reading import layout
 from postproc.reading.layout import DATASETS, ROOT_TEXTS
 from postproc.report import page as report_page
 from postproc.tests.commands import call
@@ -162,6 +164,23 @@ def test_what_the_program_does_not_write_is_refused(theirs: Path, edit: str) -> 
         change(file, theirs.parent / "secret")
     with pytest.raises(InputError, match=f"{theirs.name}.*{named}"):
         open_results(theirs)
+
+
+@pytest.mark.parametrize("group", [None, "snapshots"])
+def test_what_is_read_together_fits_into_memory(
+    theirs: Path, monkeypatch: pytest.MonkeyPatch, group: str | None
+) -> None:
+    """Datasets none of which is large may be too large together, in a file of a few kB."""
+    with edited(theirs) as file:
+        if group is None:
+            for name in ("series", "snapshots", "final"):
+                del file[name]
+        columns = file[group or "/"].values()
+        sizes = [one.nbytes for one in columns if isinstance(one, h5py.Dataset)]
+    monkeypatch.setattr(layout, "memory_left", lambda: max(sizes))
+    needs = re.escape(f"{theirs.name}: needs {sum(sizes):.3g} bytes of memory")
+    with pytest.raises(InputError, match=needs):
+        open_results(theirs, group=group)
 
 
 def test_error_lines_have_no_escape_sequences(
