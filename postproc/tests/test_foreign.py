@@ -53,6 +53,7 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def theirs(ours: Path, tmp_path: Path) -> Path:
     (tmp_path / "secret").write_bytes(SECRET)
+    shutil.copy(ours, tmp_path / "others.h5")
     return Path(shutil.copy(ours, tmp_path))
 
 
@@ -120,12 +121,13 @@ def linked(file: h5py.File, name: str, link: object) -> None:
 EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "external storage": ("chi", lambda file, secret: outside(file, "chi", secret)),
     "virtual dataset": ("chi", lambda file, secret: virtual(file, "chi", secret)),
-    "external link": ("chi", lambda file, secret: linked(
-        file, "chi", h5py.ExternalLink(str(secret), "/chi"))),
-    "soft link": ("final/x", lambda file, _: linked(
-        file, "final/x", h5py.SoftLink("/snapshots/x"))),
-    "group by a link": ("final", lambda file, _: linked(
-        file, "final", h5py.SoftLink("/snapshots"))),
+    # Whoever followed these links would find what fits.
+    "external link": ("chi is a link", lambda file, secret: linked(
+        file, "chi", h5py.ExternalLink(str(secret.with_name("others.h5")), "/chi"))),
+    "soft link": ("chi is a link", lambda file, _: linked(
+        file, "chi", h5py.SoftLink("/current1"))),
+    "group by a link": ("final is a link", lambda file, secret: linked(
+        file, "final", h5py.ExternalLink(str(secret.with_name("others.h5")), "/final"))),
     "a group for a dataset": ("chi", lambda file, _: (
         file.__delitem__("chi"), file.create_group("chi"))),
     "another filter": ("chi", lambda file, _: replaced(
