@@ -316,10 +316,10 @@ class Results:
             return {}
         root = self._file.attrs
         if "urn_sides" in root:
-            sides = int(np.ravel(root["urn_sides"])[0])
-            if not 4 <= sides <= CORNERS or sides % 2:
+            sides = np.ravel(root["urn_sides"])[0].item()
+            if not (4 <= sides <= CORNERS and sides % 2 == 0):
                 raise InputError(f"{self.path}: urn_sides is {sides}")
-            one, two = (regular(sides, radius) for radius in radii)
+            one, two = (regular(int(sides), radius) for radius in radii)
         else:
             one, two = (
                 outline_of(self._corners(name)) for name in ("urn_vertices", "urn2_vertices")

@@ -148,6 +148,10 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "no particles": ("number", lambda file, _: file["number"].__setitem__(..., 0)),
     "a width that is none": ("channel1_width", lambda file, _: (
         file["channel1_width"].__setitem__(..., np.nan))),
+    "sides that are no number": ("urn_sides", lambda file, _: file.attrs.update(
+        urn_shape="polygon", urn_sides=np.nan)),
+    "sides without end": ("urn_sides", lambda file, _: file.attrs.update(
+        urn_shape="polygon", urn_sides=np.inf)),
     "a time without end": ("series/time", lambda file, _: (
         file["series/time"].__setitem__(-1, np.inf))),
     "unknown name": ("<b>", lambda file, _: file.__setitem__("<b>", 1.0)),
