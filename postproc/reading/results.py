@@ -94,8 +94,8 @@ class Results:
         self._kept: dict[str, NDArray[np.generic]] = {}
         try:
             self._check()
-        except BaseException:
-            self._file.close()
+        except BaseException as problem:
+            self.__exit__(type(problem), problem, None)
             raise
 
     def _check(self) -> None:
@@ -151,9 +151,13 @@ class Results:
         """Return itself."""
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Close the file."""
+    def __exit__(self, _: object, problem: BaseException | None, __: object) -> None:
+        """Close the file; raise `InputError` where HDF5 could not read from it."""
         self._file.close()
+        # What the system says has a number, what HDF5 says has none.
+        if isinstance(problem, OSError) and problem.errno is None:
+            reason = " ".join(str(problem).split())
+            raise InputError(f"{self.path}: cannot be read ({reason})") from problem
 
     @cached_property
     def attributes(self) -> dict[str, str]:

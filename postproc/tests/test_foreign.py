@@ -112,6 +112,13 @@ def bomb(file: h5py.File, name: str) -> None:
     file[name].id.write_direct_chunk((0,) * len(shape), zlib.compress(bytes(1 << 28), 9))
 
 
+def spoilt(file: h5py.File, name: str) -> None:
+    """Store a dataset as a piece that cannot be inflated."""
+    shape, dtype = file[name].shape, file[name].dtype
+    replaced(file, name, shape=shape, dtype=dtype, chunks=shape, compression="gzip")
+    file[name].id.write_direct_chunk((0,) * len(shape), b"spoilt")
+
+
 def linked(file: h5py.File, name: str, link: object) -> None:
     """Put a link in the place of a dataset."""
     del file[name]
@@ -145,6 +152,8 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "huge pieces": ("chi", lambda file, _: replaced(
         file, "chi", shape=(2, 2), maxshape=(None, None), chunks=(2**10, 2**14), dtype="f8")),
     "a piece that grows": ("chi", lambda file, _: bomb(file, "chi")),
+    "a piece that is no deflated one": ("cannot be read", lambda file, _: spoilt(file, "chi")),
+    "one of what is read first": ("cannot be read", lambda file, _: spoilt(file, "task_status")),
     "no particles": ("number", lambda file, _: file["number"].__setitem__(..., 0)),
     "a width that is none": ("channel1_width", lambda file, _: (
         file["channel1_width"].__setitem__(..., np.nan))),
