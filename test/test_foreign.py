@@ -69,9 +69,13 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "external storage of states": ("/final/x", lambda file, secret: outside(
         file, "final/x", secret)),
     "virtual dataset": ("/chi", lambda file, secret: virtual(file, "chi", secret)),
-    "external link": ("/chi", lambda file, secret: linked(
-        file, "chi", h5py.ExternalLink(str(secret), "/chi"))),
-    "soft link": ("/final", lambda file, _: linked(file, "final", h5py.SoftLink("/snapshots"))),
+    # Whoever followed these links would find what fits.
+    "external link": ("/chi is a link", lambda file, secret: linked(
+        file, "chi", h5py.ExternalLink(str(secret.with_name("others.h5")), "/chi"))),
+    "external link to a group": ("is a link", lambda file, secret: linked(
+        file, "final", h5py.ExternalLink(str(secret.with_name("others.h5")), "/final"))),
+    "soft link": ("/chi is a link", lambda file, _: linked(
+        file, "chi", h5py.SoftLink("/current1"))),
     "another filter": ("/chi", lambda file, _: replaced(
         file, "chi", data=np.zeros((2, 2)), compression="lzf")),
     "huge pieces": ("/chi", lambda file, _: replaced(
@@ -94,6 +98,7 @@ def test_what_the_program_does_not_write_does_not_grow(
     named, change = EDITS[edit]
     (tmp_path / "secret").write_bytes(SECRET)
     shutil.copy(ours, tmp_path)
+    shutil.copy(ours, tmp_path / "others.h5")
     with edited(tmp_path / "out.h5") as file:
         change(file, tmp_path / "secret")
     write(tmp_path, 3)

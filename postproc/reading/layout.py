@@ -23,7 +23,7 @@ from h5py import h5d, h5s, h5t, h5z
 from postproc.cli import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 # Keys that can be scanned.
 SCANNED = (
@@ -212,9 +212,18 @@ def _check_shapes(path: Path, found: dict[str, h5py.Dataset]) -> None:
             dataset.nbytes > SMALLER * (dataset.id.get_storage_size() + 64)
         ):  # fmt: skip
             raise InputError(f"{path}: {name} says it has more values than there are in the file")
-    largest = max((one.nbytes for one in found.values()), default=0)
-    if largest > (left := memory_left()):
-        raise InputError(f"{path}: needs {largest:.3g} bytes of memory, there are {left:.3g}")
+    # The root is read whole; of groups, `Results.dataset` asks for what it reads at once.
+    check_memory(path, [one for name, one in found.items() if "/" not in name])
+    for name, one in found.items():
+        if "/" in name:
+            check_memory(path, [one])
+
+
+def check_memory(path: Path, datasets: Iterable[h5py.Dataset]) -> None:
+    """Raise `InputError` if datasets that are read together do not fit into memory."""
+    needed = sum(one.nbytes for one in datasets)
+    if needed > (left := memory_left()):
+        raise InputError(f"{path}: needs {needed:.3g} bytes of memory, there are {left:.3g}")
 
 
 def memory_left() -> float:

@@ -30,7 +30,7 @@ import h5py
 import numpy as np
 from support.program import namelist, run, start
 
-from postproc import cli, open_results
+from postproc import cli, open_results, progress
 from postproc.compare import main as compare
 from postproc.figures.__main__ import main as figures
 from postproc.report.__main__ import main as report
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     Edit = Callable[[h5py.File, random.Random, Path], str]
 
 MEMORY = 2 << 30
+DAY = 86400.0
 ONE_AT_A_TIME = Lock()
 # A file beside the results: whoever reads a number of it has this one.
 READ = 0.73165029341
@@ -306,6 +307,12 @@ def limit() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
+def only_errors() -> None:
+    """Limit the memory of the process that reads; how far it is it tells to nobody."""
+    limit()
+    progress.SILENT = DAY
+
+
 def opened_in_python(path: Path) -> Iterator[str]:
     """Iterate over what is wrong with what `open_results` makes of a file."""
     for group in (None, "series", "snapshots", "final", "events"):
@@ -361,7 +368,7 @@ def in_python(folder: Path, figure: str) -> list[str]:
 def reader() -> ProcessPoolExecutor:
     """Give the process of Python that reads all files."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=limit)
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=only_errors)
 
 
 def attack(folder: Path, choice: random.Random) -> Outcome:
