@@ -12,7 +12,7 @@ import pytest
 from support.program import listing, namelist, run
 
 from postproc.tests.runs import edited
-from postproc.tests.test_foreign import SECRET, bomb, linked, outside, replaced, virtual
+from postproc.tests.test_foreign import SECRET, bomb, linked, outside, replaced, short, virtual
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -81,6 +81,9 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "huge pieces": ("/chi", lambda file, _: replaced(
         file, "chi", shape=(2, 2), maxshape=(None, None), chunks=(2**10, 2**14), dtype="f8")),
     "a piece that grows": ("/chi", lambda file, _: bomb(file, "chi")),
+    "a piece too short": ("/chi has pieces", lambda file, _: short(file, "chi")),
+    "a piece too short, as it is": ("/chi has pieces", lambda file, _: short(file, "chi", 1)),
+    "one of states too short": ("/final/x has pieces", lambda file, _: short(file, "final/x")),
     "text for numbers": ("/chi", lambda file, _: replaced(
         file, "chi", data=np.full((2, 2), b"nothing."))),
     "many texts": ("version", lambda file, _: file.attrs.__setitem__("version", ["0.2.0"] * 999)),

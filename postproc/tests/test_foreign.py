@@ -112,11 +112,22 @@ def bomb(file: h5py.File, name: str) -> None:
     file[name].id.write_direct_chunk((0,) * len(shape), zlib.compress(bytes(1 << 28), 9))
 
 
-def spoilt(file: h5py.File, name: str) -> None:
-    """Store a dataset as a piece that cannot be inflated."""
+def stored(file: h5py.File, name: str, piece: bytes, left_out: int = 0) -> None:
+    """Store a dataset as one piece, deflated unless its filter is left out."""
     shape, dtype = file[name].shape, file[name].dtype
     replaced(file, name, shape=shape, dtype=dtype, chunks=shape, compression="gzip")
-    file[name].id.write_direct_chunk((0,) * len(shape), b"spoilt")
+    file[name].id.write_direct_chunk((0,) * len(shape), piece, left_out)
+
+
+def spoilt(file: h5py.File, name: str) -> None:
+    """Store a dataset as a piece that cannot be inflated."""
+    stored(file, name, b"spoilt")
+
+
+def short(file: h5py.File, name: str, left_out: int = 0) -> None:
+    """Store a dataset as a piece that lacks its last value: HDF5 would read beyond its end."""
+    piece = file[name][:].tobytes()[: -file[name].dtype.itemsize]
+    stored(file, name, piece if left_out else zlib.compress(piece), left_out)
 
 
 def linked(file: h5py.File, name: str, link: object) -> None:
@@ -152,8 +163,10 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "huge pieces": ("chi", lambda file, _: replaced(
         file, "chi", shape=(2, 2), maxshape=(None, None), chunks=(2**10, 2**14), dtype="f8")),
     "a piece that grows": ("chi", lambda file, _: bomb(file, "chi")),
-    "a piece that is no deflated one": ("cannot be read", lambda file, _: spoilt(file, "chi")),
-    "one of what is read first": ("cannot be read", lambda file, _: spoilt(file, "task_status")),
+    "a piece that is no deflated one": ("chi", lambda file, _: spoilt(file, "chi")),
+    "one of what is read first": ("task_status", lambda file, _: spoilt(file, "task_status")),
+    "a piece too short": ("chi has pieces", lambda file, _: short(file, "chi")),
+    "a piece too short, as it is": ("chi has pieces", lambda file, _: short(file, "chi", 1)),
     "no particles": ("number", lambda file, _: file["number"].__setitem__(..., 0)),
     "a width that is none": ("channel1_width", lambda file, _: (
         file["channel1_width"].__setitem__(..., np.nan))),

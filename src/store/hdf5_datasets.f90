@@ -18,6 +18,7 @@ module battery_hdf5_datasets
   use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, &
     h5z_filter_shuffle_f, h5d_compact_f, h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
   use battery_kinds, only: dp, int32, int64
+  use battery_deflate, only: inflates_to
   use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, check_links, no_handle
   use battery_hdf5_attributes, only: array_view_type, array_view_of, write_text_attribute
@@ -57,6 +58,19 @@ module battery_hdf5_datasets
       integer(c_int64_t), value, intent(in) :: dataset, scale
       integer(c_int), value, intent(in) :: dimension
     end function c_attach_scale
+
+    !> Where the piece with the values at `offset` lies, below 0: not in the file; its length there;
+    !> bits of the filters that were left out for it, from the first one on.
+    integer(c_int) function c_piece_at(dataset, offset, left_out, address, stored) &
+        bind(c, name='H5Dget_chunk_info_by_coord')
+      import :: c_int, c_int64_t
+      implicit none (type, external)
+      integer(c_int64_t), value, intent(in) :: dataset
+      !> The slowest dimension first.
+      integer(c_int64_t), intent(in) :: offset(*)
+      integer(c_int), intent(out) :: left_out
+      integer(c_int64_t), intent(out) :: address, stored
+    end function c_piece_at
   end interface
 
 contains
@@ -87,6 +101,7 @@ contains
     else
       call open_dataset(file, path, dataset, error)
       call check_form(file, path, dataset, memory%value_type, memory%extents, error)
+      call check_lengths(file, path, dataset, memory%extents, error)
       status = 0
       if (.not. allocated(error) .and. product(memory%extents) > 0) then
         call h5dread_f(dataset, memory%value_type, memory%address, status)
@@ -127,6 +142,7 @@ contains
     else
       call open_dataset(file, path, dataset%id, error)
       call check_form(file, path, dataset%id, memory%value_type, memory%extents, error)
+      call check_lengths(file, path, dataset%id, memory%extents, error)
     end if
   end subroutine prepare_dataset
 
@@ -216,7 +232,8 @@ contains
     call release_handle(layout, status)
   end subroutine open_dataset
 
-  !> Pieces are at most as large as `new_layout` makes them, with no other filters.
+  !> Pieces are at most as large as `new_layout` makes them, with no other filters, of which the one
+  !> that deflates is the last.
   subroutine check_pieces(file, path, dataset, layout, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
@@ -237,7 +254,8 @@ contains
       values = size(setting)
       call h5pget_filter_f(layout, k, flags, values, setting, len(name, size_t), name, filter, &
         status)
-      if (status == 0 .and. all(filter /= [h5z_filter_shuffle_f, h5z_filter_deflate_f])) status = -1
+      if (status == 0 .and. filter /= h5z_filter_shuffle_f .and. &
+        (filter /= h5z_filter_deflate_f .or. k < filters - 1)) status = -1
       if (status /= 0) exit
     end do
     call check_status(file, path, 'was made with a filter that this program does not use', status, &
@@ -304,6 +322,62 @@ contains
     if (any(extents /= wanted)) call check_status(file, path, 'has the dimensions ' &
       //listed(extents)//'; by the namelist in the file they are '//listed(wanted), 1, error)
   end subroutine check_form
+
+  !> Each piece of a dataset has the bytes of its values, inflated: HDF5 would read beyond the end of
+  !> a shorter one. Does nothing after an error.
+  subroutine check_lengths(file, path, dataset, extents, error)
+    !> Open, to be read.
+    type(hdf5_file_type), intent(in) :: file
+    !> From the root.
+    character(len=*), intent(in) :: path
+    !> Open; checked by `check_form`.
+    integer(hid_t), intent(in) :: dataset
+    integer(hsize_t), intent(in) :: extents(:)
+    type(error_type), allocatable, intent(inout) :: error
+    integer(hsize_t), dimension(size(extents)) :: piece, offset
+    integer(hid_t) :: layout, value_type
+    integer(size_t) :: bytes
+    integer(int64) :: length, address, stored
+    integer(c_int) :: left_out
+    integer :: status, way, filters, k
+
+    if (allocated(error)) return
+    layout = no_handle
+    value_type = no_handle
+    call h5dget_create_plist_f(dataset, layout, status)
+    if (status == 0) call h5pget_layout_f(layout, way, status)
+    if (status == 0 .and. way == h5d_chunked_f .and. all(extents > 0)) then
+      call h5pget_chunk_f(layout, size(extents), piece, status)
+      status = merge(0, -1, status == size(extents))
+      if (status == 0) call h5pget_nfilters_f(layout, filters, status)
+      if (status == 0) call h5dget_type_f(dataset, value_type, status)
+      if (status == 0) call h5tget_size_f(value_type, bytes, status)
+      length = product(piece)*int(bytes, int64)
+      offset = 0
+      do while (status == 0)
+        status = c_piece_at(dataset, offset(size(offset):1:-1), left_out, address, stored)
+        if (status < 0) exit
+        status = 0
+        if (address >= 0) then
+          ! The last filter is the one that deflates, if any (`check_pieces`).
+          if (filters == 0 .or. btest(left_out, filters - 1)) then
+            if (stored /= length) status = -1
+          else if (inflates_to(file%name//c_null_char, address, stored, length) == 0) then
+            status = -1
+          end if
+        end if
+        do k = 1, size(offset)
+          offset(k) = offset(k) + piece(k)
+          if (offset(k) < extents(k)) exit
+          offset(k) = 0
+        end do
+        if (k > size(offset)) exit
+      end do
+    end if
+    call release_handle(value_type, status)
+    call release_handle(layout, status)
+    call check_status(file, path, 'has pieces of another length than its values', status, error)
+  end subroutine check_lengths
 
   !> Extents as readers in C or Python see them.
   pure function listed(extents) result(text)
