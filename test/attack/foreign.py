@@ -224,7 +224,7 @@ def stored(file: h5py.File, choice: random.Random, secret: Path) -> str:
     name = drawn(file, choice)
     shape, dtype, values = file[name].shape, file[name].dtype, file[name][()]
     way = choice.choice(["external", "external", "virtual", "lzf", "fletcher", "scale", "piece",
-                         "bomb", "plugin"])  # fmt: skip
+                         "bomb", "short", "plugin"])  # fmt: skip
     del file[name]
     if way == "external":
         place = choice.choice([str(secret), secret.name, "/etc/passwd"])
@@ -236,9 +236,12 @@ def stored(file: h5py.File, choice: random.Random, secret: Path) -> str:
     elif way == "piece":
         file.create_dataset(name, shape, dtype, maxshape=(None,) * len(shape),
                             chunks=tuple(2 ** (24 // len(shape)) for _ in shape))  # fmt: skip
-    elif way == "bomb":
+    elif way in ("bomb", "short"):
+        piece = bytes(1 << 28)
+        if way == "short":
+            piece = values.tobytes()[: choice.randrange(values.nbytes)]
         one = file.create_dataset(name, shape, dtype, chunks=shape, compression="gzip")
-        one.id.write_direct_chunk((0,) * len(shape), zlib.compress(bytes(1 << 28), 9))
+        one.id.write_direct_chunk((0,) * len(shape), zlib.compress(piece, 9))
     elif way == "plugin":
         made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         made.set_chunk(shape)
