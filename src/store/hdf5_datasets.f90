@@ -323,8 +323,8 @@ contains
       //listed(extents)//'; by the namelist in the file they are '//listed(wanted), 1, error)
   end subroutine check_form
 
-  !> Each piece of a dataset has the bytes of its values, inflated: HDF5 would read beyond the end of
-  !> a shorter one. Does nothing after an error.
+  !> Checks that each piece of a dataset has the bytes of its values, inflated: HDF5 would read
+  !> beyond the end of a shorter one. Does nothing after an error.
   subroutine check_lengths(file, path, dataset, extents, error)
     !> Open, to be read.
     type(hdf5_file_type), intent(in) :: file
