@@ -116,7 +116,7 @@ contains
     character(len=*), intent(in) :: name, kind
     !> Bytes of one item.
     integer, intent(in) :: bytes
-    !> How many.
+    !> Number of items.
     integer(int64), intent(in) :: items
     integer(int64) :: mark
 
@@ -275,7 +275,7 @@ contains
     real(wp), intent(inout) :: values(:)
     !> Those that follow, each with its name.
     character(len=*), intent(in), optional :: name2, name3, name4, name5
-    !> Theirs.
+    !> The arrays that follow, in the order of their names.
     real(wp), intent(inout), optional :: values2(:), values3(:), values4(:), values5(:)
     integer(int64), allocatable :: words(:)
 
@@ -307,7 +307,7 @@ contains
     real(wp), allocatable, intent(inout) :: values(:)
     !> Those that follow, each with its name.
     character(len=*), intent(in), optional :: name2, name3, name4
-    !> Theirs.
+    !> The arrays that follow, in the order of their names.
     real(wp), allocatable, intent(inout), optional :: values2(:), values3(:), values4(:)
     integer :: items
 

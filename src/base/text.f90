@@ -236,7 +236,7 @@ contains
   pure logical function is_one_of(word, list) result(found)
     !> Blanks at its end count.
     character(len=*), intent(in) :: word
-    !> What it may be.
+    !> Allowed texts.
     type(string_type), intent(in) :: list(:)
     integer :: at
 
@@ -287,7 +287,7 @@ contains
 
   !> A number of things: `1 point`, `2 points`.
   pure function count_text(number, noun) result(text)
-    !> How many.
+    !> Number of things counted.
     integer, intent(in) :: number
     !> One of them; its plural ends with s.
     character(len=*), intent(in) :: noun

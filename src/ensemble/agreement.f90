@@ -58,7 +58,7 @@ contains
   !> tell nothing, since they differ between machines. Collective.
   subroutine check_output_folder(communicator, lock, file, error)
     type(communicator_type), intent(in) :: communicator
-    !> That of rank 0.
+    !> Lock of rank 0.
     type(lock_type), intent(in) :: lock
     !> The output.
     character(len=*), intent(in) :: file

@@ -174,7 +174,7 @@ contains
   !> Least, mean and greatest of one value a rank.
   function least_mean_greatest(communicator, value) result(summary)
     type(communicator_type), intent(in) :: communicator
-    !> This rank's.
+    !> Value of this rank.
     real(dp), intent(in) :: value
     real(dp) :: summary(3)
 
@@ -278,7 +278,7 @@ contains
     type(task_queue_type), intent(in) :: task_queue
     !> One of the names above, such as `next_task`.
     integer, intent(in) :: entry
-    !> Of either sign.
+    !> Amount to add, of either sign.
     integer(int64), intent(in) :: amount
     !> Its value before.
     integer(int64), intent(out), optional :: before

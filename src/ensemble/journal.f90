@@ -77,7 +77,7 @@ contains
   !> Looks for the journal of an earlier start: its namelist, and the fingerprint of its initial
   !> file. `found` is false where there is none that can be read.
   subroutine read_plan(folder, namelist, initial_fingerprint, found, rank_files)
-    !> Of the journal.
+    !> Folder of the journal.
     character(len=*), intent(in) :: folder
     !> Its text; empty if not found.
     character(len=:), allocatable, intent(out) :: namelist
@@ -117,7 +117,7 @@ contains
   !> The next free number of a rank file: beyond any that is there, and beyond those that earlier
   !> starts had for their ranks, whether they were used or not.
   function rank_files_in(folder) result(rank_files)
-    !> Of the journal.
+    !> Folder of the journal.
     character(len=*), intent(in) :: folder
     integer :: rank_files
     character(len=:), allocatable :: namelist
@@ -143,7 +143,7 @@ contains
   !> Task identifiers of the first good record of every file but the plan: without a plan they
   !> tell to which input the journal belongs.
   function task_ids_in(folder) result(task_id)
-    !> Of the journal.
+    !> Folder of the journal.
     character(len=*), intent(in) :: folder
     integer(int64), allocatable :: task_id(:)
     type(string_type), allocatable :: names(:)
@@ -193,7 +193,7 @@ contains
   !> Every rank, then: `rank_files` as before this start.
   subroutine join_journal(journal, folder, rank_files, rank, ranks)
     type(journal_type), intent(out) :: journal
-    !> Of the journal.
+    !> Folder of the journal.
     character(len=*), intent(in) :: folder
     !> And which rank of how many this is.
     integer, intent(in) :: rank_files, rank, ranks
@@ -217,13 +217,13 @@ contains
 
   !> The next good result of a rank file.
   subroutine next_result(reader, result, at, found)
-    !> Open.
+    !> Reader of a record file, open.
     type(record_reader_type), intent(inout) :: reader
-    !> Whatever task's it is.
+    !> Result of the next task in the file.
     type(task_result_type), intent(out) :: result
     !> Where in the file it stands: `reader%at` may be set to this.
     integer(int64), intent(out) :: at
-    !> Whether there is one.
+    !> Whether there is such a record.
     logical, intent(out) :: found
     type(record_type) :: record
 
@@ -262,7 +262,7 @@ contains
   !> Waits until all results of this rank are on the disk.
   subroutine sync_finished(journal, error)
     type(journal_type), intent(inout) :: journal
-    !> They may not be.
+    !> Results that could not be written to the disk.
     type(error_type), allocatable, intent(out) :: error
     !> Seconds between two syncs at least, and the share of the time that they may take.
     real(dp), parameter :: interval = 0.1_dp, share = 0.02_dp
@@ -348,7 +348,7 @@ contains
     type(simulation_type), intent(out) :: simulation
     !> Of a processor, spent on the task before.
     real(dp), intent(out) :: cpu_seconds
-    !> Whether there is one.
+    !> Whether there is a whole state of the task.
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: state(2)

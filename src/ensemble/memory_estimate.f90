@@ -82,7 +82,7 @@ contains
 
   !> Bytes that a rank takes while it runs.
   pure real(dp) function bytes_a_rank(estimate) result(bytes)
-    !> Of the plan.
+    !> Memory estimate of the plan.
     type(estimate_type), intent(in) :: estimate
 
     bytes = taken + base_bytes + estimate%particles + estimate%series + estimate%estimated_series &
@@ -91,7 +91,7 @@ contains
 
   !> Bytes that rank 0 takes at the end.
   pure real(dp) function bytes_at_the_end(estimate) result(bytes)
-    !> Of the plan.
+    !> Memory estimate of the plan.
     type(estimate_type), intent(in) :: estimate
 
     bytes = taken + base_bytes + estimate%merge

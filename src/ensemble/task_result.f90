@@ -89,7 +89,7 @@ contains
   !> The result of a task that could not be done, with the reason.
   function failed_result(task, message) result(failed)
     type(task_type), intent(in) :: task
-    !> The reason.
+    !> Why the task failed.
     character(len=*), intent(in) :: message
     type(task_result_type) :: failed
 

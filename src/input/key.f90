@@ -46,7 +46,7 @@ contains
 
   !> Place of a key in a list of keys; 0 if it is not there.
   pure integer function find_key(keys, group, name) result(place)
-    !> All there are.
+    !> List of all keys.
     type(key_type), intent(in) :: keys(:)
     !> In small letters.
     character(len=*), intent(in) :: group, name
@@ -148,7 +148,7 @@ contains
 
   !> All groups and keys with defaults and meanings, for the help text.
   pure function keys_text(keys) result(text)
-    !> All there are.
+    !> List of all keys.
     type(key_type), intent(in) :: keys(:)
     character(len=:), allocatable :: text
     character(len=16) :: default

@@ -29,7 +29,7 @@ contains
   !> Adds a problem of a line, or of the whole file if `line` is 0.
   pure subroutine add_remark(remarks, line, text)
     type(remarks_type), intent(inout) :: remarks
-    !> From 1.
+    !> Line of the namelist, from 1.
     integer, intent(in) :: line
     !> What is wrong, where in the line, and what is allowed.
     character(len=*), intent(in) :: text

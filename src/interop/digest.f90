@@ -52,7 +52,7 @@ contains
 
   !> Starts a digest; `end_digest` must follow.
   subroutine begin_digest(digest)
-    !> What is started.
+    !> Digest, ready for its first bytes.
     type(digest_type), intent(out) :: digest
 
     digest%context = c_new()

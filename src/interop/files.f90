@@ -103,7 +103,7 @@ contains
   !> Puts a finished temporary file under its final name, so that after a crash there is either the
   !> old file or the new one, whole.
   subroutine publish_file(temporary, final, error)
-    !> In one folder.
+    !> Paths of the two files, in one folder.
     character(len=*), intent(in) :: temporary, final
     type(error_type), allocatable, intent(out) :: error
 
@@ -139,9 +139,9 @@ contains
   !> As `publish_file`, for a temporary file that is on the disk, but replaces nothing that was not
   !> there before: then the file stays under its temporary name, and the error says so.
   subroutine publish_unless_replaced(temporary, final, before, error)
-    !> In one folder.
+    !> Paths of the two files, in one folder.
     character(len=*), intent(in) :: temporary, final
-    !> What may be replaced.
+    !> Identity of the file that may be replaced.
     type(file_identity_type), intent(in) :: before
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: what

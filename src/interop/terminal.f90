@@ -32,7 +32,7 @@ contains
 
   !> Prints a line, or several, on standard output.
   subroutine print_line(text)
-    !> Without a line end.
+    !> Text to print, without its line end.
     character(len=*), intent(in) :: text
 
     call print_text(printable(text)//new_line('a'))
@@ -40,7 +40,7 @@ contains
 
   !> Prints on standard output, as it is, without ending the line.
   subroutine print_text(text)
-    !> Without a line end.
+    !> Text to print, without its line end.
     character(len=*), intent(in) :: text
 
     ! After a failure nothing more is tried: a text with a hole in it would say something else.
@@ -49,7 +49,7 @@ contains
 
   !> Prints a line, or several, on standard error; where that fails nobody can be told.
   subroutine print_error(text)
-    !> Without a line end.
+    !> Text to print, without its line end.
     character(len=*), intent(in) :: text
     character(len=:), allocatable :: line
     integer :: status

@@ -64,7 +64,7 @@ contains
   subroutine parse_arguments(words, command, error)
     !> One an argument, without the name of the program.
     type(string_type), intent(in) :: words(:)
-    !> What was asked for.
+    !> Options and the path of the namelist.
     type(command_line_type), intent(out) :: command
     !> Code `exit_bad_input`; all problems.
     type(error_type), allocatable, intent(out) :: error

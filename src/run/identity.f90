@@ -28,7 +28,7 @@ contains
     integer(int64), intent(in) :: initial_fingerprint
     !> Base seed of the run.
     integer(int64), intent(in) :: seed
-    !> From 1.
+    !> Index of the replica, from 1.
     integer, intent(in) :: replica
     integer(int64) :: identity
     integer :: k, j, number_of

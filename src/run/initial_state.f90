@@ -87,7 +87,7 @@ contains
 
   !> `number` particles from a file, as `parse_particles` reads its text.
   subroutine read_particles(file, table, number, particles, error)
-    !> Its path.
+    !> Path of the file.
     character(len=*), intent(in) :: file
     type(table_type), intent(in) :: table
     integer, intent(in) :: number

@@ -25,7 +25,7 @@ contains
   !> good, and the results must have a place to go. Writes nothing. The namelist may be a pipe,
   !> which can be read once only: one rank calls this and passes on what it found.
   subroutine read_namelist(file, plan, error)
-    !> Its path.
+    !> Path of the file.
     character(len=*), intent(in) :: file
     type(plan_type), intent(out) :: plan
     !> Code `exit_bad_input`; all problems, one a line.

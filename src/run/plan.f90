@@ -118,7 +118,7 @@ contains
   !> Whether a key is scanned.
   pure logical function is_scanned(plan, key) result(yes)
     type(plan_type), intent(in) :: plan
-    !> Its name.
+    !> Name of the key.
     character(len=*), intent(in) :: key
     integer :: at
 
@@ -134,7 +134,7 @@ contains
   !> The values of a key that is scanned; none if it is not.
   pure function values_of(plan, key) result(values)
     type(plan_type), intent(in) :: plan
-    !> Its name.
+    !> Name of the key.
     character(len=*), intent(in) :: key
     real(wp), allocatable :: values(:)
     integer :: at
@@ -247,7 +247,7 @@ contains
 
   !> The nearest whole number, at most the largest there is.
   elemental integer function rounded(number)
-    !> Of either sign.
+    !> Value, of either sign.
     real(wp), intent(in) :: number
 
     rounded = huge(1)

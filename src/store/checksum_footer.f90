@@ -133,7 +133,7 @@ contains
     integer, intent(in) :: unit
     !> How many bytes there are.
     integer(int64), intent(in) :: count
-    !> The first of them.
+    !> First bytes of the file, in which HDF5 says where its content ends.
     character(len=:), allocatable, intent(out) :: first
     !> The digest of all.
     character(len=:), allocatable, intent(out) :: digits

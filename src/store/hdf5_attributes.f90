@@ -46,7 +46,7 @@ contains
   !> Adds an attribute that is a number or an array of them; does nothing after an error, or to a
   !> file that is read.
   subroutine write_attribute(file, path, name, values, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     !> Of what it is added to, `/` for the file; of the attribute.
     character(len=*), intent(in) :: path, name
@@ -60,7 +60,7 @@ contains
 
   !> Adds an attribute that is a text; does nothing after an error, or to a file that is read.
   subroutine write_text_attribute(file, path, name, text, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     !> Of what it is added to, `/` for the file; of the attribute; what it says.
     character(len=*), intent(in) :: path, name, text
@@ -102,11 +102,11 @@ contains
 
   !> Reads an attribute that is one text; after an error it does nothing, and the text is empty.
   subroutine read_text_attribute(file, path, name, text, error)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
     !> Of what has it, `/` for the file; of the attribute.
     character(len=*), intent(in) :: path, name
-    !> What it says.
+    !> Value of the attribute.
     character(len=:), allocatable, intent(out) :: text
     type(error_type), allocatable, intent(inout) :: error
     type(c_ptr), target :: address

@@ -78,9 +78,9 @@ contains
   !> A dataset whole, into a new file or out of one that is read, so that one procedure says what is
   !> in both. Does nothing after an error.
   subroutine serialize_dataset(file, path, values, units, long_name, error, scales)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> As `array_view_of` takes them.
     type(*), intent(inout), target, contiguous :: values(..)
@@ -116,9 +116,9 @@ contains
   !> and checks it, so that one procedure says what is in both; then columns are passed one by one.
   !> Does nothing after an error.
   subroutine prepare_dataset(file, path, extents, unknown, units, long_name, error, scales, dataset)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> In Fortran order.
     integer, intent(in) :: extents(:)
@@ -151,7 +151,7 @@ contains
   !> compressed once, when HDF5, which keeps one in memory, comes to the next. Does nothing after an
   !> error.
   subroutine serialize_column(file, dataset, values, first, error)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
     !> From `prepare_dataset`.
     type(dataset_type), intent(in) :: dataset
@@ -206,11 +206,11 @@ contains
   !> is made by no filter but those that `new_layout` uses. Asks for all that before anything else:
   !> to ask a virtual dataset for its extents opens other files. Does nothing after an error.
   subroutine open_dataset(file, path, dataset, error)
-    !> Open, to be read.
+    !> File, open for reading.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> To be released.
+    !> Dataset, open; the caller releases it.
     integer(hid_t), intent(out) :: dataset
     type(error_type), allocatable, intent(inout) :: error
     integer(hid_t) :: layout
@@ -294,7 +294,7 @@ contains
   subroutine check_form(file, path, dataset, wanted_type, wanted, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
-    !> Open; the type of the values in memory, and the extents of the whole.
+    !> Dataset, open; type of its values in memory; its extents in Fortran order.
     integer(hid_t), intent(in) :: dataset, wanted_type
     integer(hsize_t), intent(in) :: wanted(:)
     type(error_type), allocatable, intent(inout) :: error
@@ -326,11 +326,11 @@ contains
   !> Checks that each piece of a dataset has the bytes of its values, inflated: HDF5 would read
   !> beyond the end of a shorter one. Does nothing after an error.
   subroutine check_lengths(file, path, dataset, extents, error)
-    !> Open, to be read.
+    !> File, open for reading.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> Open; checked by `check_form`.
+    !> Dataset, open; `check_form` has checked it.
     integer(hid_t), intent(in) :: dataset
     integer(hsize_t), intent(in) :: extents(:)
     type(error_type), allocatable, intent(inout) :: error
@@ -397,9 +397,9 @@ contains
   !> Extents of a dataset in Fortran order; -1 where it is not there, of another rank, or after an
   !> error.
   function extents_of(file, path, rank, error) result(extents)
-    !> Open, to be read.
+    !> File, open for reading.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> Dimensions that are expected.
     integer, intent(in) :: rank
@@ -435,7 +435,7 @@ contains
 
   !> Writes a new dataset; large ones are compressed. Does nothing after an error.
   subroutine write_dataset(file, path, values, units, long_name, error, scales)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     !> From the root, in a group that is there.
     character(len=*), intent(in) :: path
@@ -453,7 +453,7 @@ contains
   !> Writes a new dataset of rank 1 that is a dimension scale, named for the last part of its path.
   !> Does nothing after an error.
   subroutine write_scale(file, path, values, units, long_name, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     !> From the root, in a group that is there.
     character(len=*), intent(in) :: path
@@ -470,13 +470,13 @@ contains
   !> Makes a dimension scale without coordinates, marked as netCDF does; it has no data, and takes
   !> no room. Does nothing after an error.
   subroutine write_dimension(file, path, length, long_name, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     !> From the root, in a group that is there.
     character(len=*), intent(in) :: path
     !> Of the dimension.
     integer, intent(in) :: length
-    !> What it counts.
+    !> Attribute of that name: what the dimension counts.
     character(len=*), intent(in) :: long_name
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: mark = 'This is a netCDF dimension but not a netCDF variable.'

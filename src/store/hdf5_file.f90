@@ -88,9 +88,9 @@ contains
 
   !> Creates a file in memory; `close_file` writes it to the disk, over one of the same name.
   subroutine create_file(file, name, error)
-    !> Open; to be closed with `close_file`.
+    !> File, opened here; `close_file` closes it.
     type(hdf5_file_type), intent(out) :: file
-    !> Its path.
+    !> Path of the file.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
     integer(size_t), parameter :: growth = 1024_size_t**2
@@ -117,9 +117,9 @@ contains
 
   !> Opens a file for reading. `check_footer` reports a missing or unreadable file.
   subroutine open_file(file, name, error)
-    !> Open; to be closed with `close_file`.
+    !> File, opened here; `close_file` closes it.
     type(hdf5_file_type), intent(out) :: file
-    !> Its path.
+    !> Path of the file.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
     integer(hid_t) :: access
@@ -153,7 +153,7 @@ contains
 
   !> Closes a file, and writes a new one to the disk; one that is not open is no error.
   subroutine close_file(file, error)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(inout) :: file
     type(error_type), allocatable, intent(out) :: error
     integer(int8), pointer, contiguous :: image(:)
@@ -171,7 +171,7 @@ contains
 
   !> Closes a new file that is not to come to the disk.
   subroutine discard_file(file)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(inout) :: file
     integer :: unheeded
 
@@ -241,9 +241,9 @@ contains
 
   !> Makes a group; does nothing after an error.
   subroutine make_group(file, path, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
     integer(hid_t) :: group
@@ -271,7 +271,7 @@ contains
   !> Whether all on the way to a path lies in this file: every link is a hard one. Others lead to
   !> anything, within the file or in any other that the user may read. Does nothing after an error.
   subroutine check_links(file, path, error)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
     !> From the root; `/` for the root itself.
     character(len=*), intent(in) :: path
@@ -299,7 +299,7 @@ contains
   subroutine check_status(file, path, problem, status, error)
     !> Where it happened.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the object in the file, from the root; what is wrong with it.
     character(len=*), intent(in) :: path, problem
     integer, intent(in) :: status
     type(error_type), allocatable, intent(out) :: error

@@ -47,7 +47,7 @@ contains
 
   !> Writes the attributes of the root, and when that was.
   subroutine write_metadata(file, metadata, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     type(metadata_type), intent(in) :: metadata
     !> Does nothing where there is one already.

@@ -46,12 +46,12 @@ contains
 
   !> Makes a file with all but task output, in memory; `publish_results` must follow.
   subroutine create_results(name, results, metadata, file, error)
-    !> Of the results file.
+    !> Path of the results file.
     character(len=*), intent(in) :: name
-    !> Stays as it is.
+    !> Results, which are only read.
     type(results_type), intent(inout) :: results
     type(metadata_type), intent(in) :: metadata
-    !> Open; or not, where the file cannot be made.
+    !> New file; it is not open where it cannot be made.
     type(hdf5_file_type), intent(out) :: file
     type(error_type), allocatable, intent(out) :: error
 
@@ -67,11 +67,11 @@ contains
   !> Puts a file that was made in the place of what was there before; after an error that stays as
   !> it was. If something else is there by now, the results stay in `name.part`.
   subroutine publish_results(name, file, before, error)
-    !> Of the results file.
+    !> Path of the results file.
     character(len=*), intent(in) :: name
     !> From `create_results`.
     type(hdf5_file_type), intent(inout) :: file
-    !> What may be replaced.
+    !> Identity of the file that may be replaced.
     type(file_identity_type), intent(in) :: before
     !> After an error while it was filled it is not published.
     type(error_type), allocatable, intent(inout) :: error

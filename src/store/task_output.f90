@@ -63,7 +63,7 @@ contains
   !> must have these extents. Does nothing after an error.
   subroutine prepare_output_datasets(file, most, series_interval, snapshot_time, output_datasets, &
     error)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
     !> Extents of the datasets; of an extent of 0 there is no dataset.
     type(output_extents_type), intent(in) :: most
@@ -152,7 +152,7 @@ contains
     !> Open, as the datasets in it are.
     type(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: output_datasets
-    !> Which task.
+    !> Indices of the task, from 1.
     integer, intent(in) :: replica, point
     !> Output of the task, at most as long as the datasets; not changed.
     type(task_output_type), intent(inout) :: task_output
@@ -240,9 +240,9 @@ contains
 
   !> Closes the datasets of a file that is still open.
   subroutine close_output_datasets(file, output_datasets, error)
-    !> Open still.
+    !> File, still open.
     type(hdf5_file_type), intent(in) :: file
-    !> Open, or not.
+    !> Datasets, which may be open.
     type(output_datasets_type), intent(inout) :: output_datasets
     !> Not all may have been brought into a new file. Stays as it is after an error.
     type(error_type), allocatable, intent(inout) :: error
@@ -258,7 +258,7 @@ contains
 
   !> The event log of the only task. Does nothing after an error.
   subroutine write_events(file, task_output, error)
-    !> New, open.
+    !> New file, open for writing.
     type(hdf5_file_type), intent(in) :: file
     type(task_output_type), intent(in) :: task_output
     type(error_type), allocatable, intent(inout) :: error
@@ -284,13 +284,13 @@ contains
 
   !> A dimension whose coordinates count up from `first`. Does nothing after an error.
   subroutine write_counting_scale(file, path, first, length, long_name, error)
-    !> New, open.
+    !> New file, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> The first coordinate, and how many there are.
     integer, intent(in) :: first, length
-    !> What it counts.
+    !> Attribute of that name: what the dimension counts.
     character(len=*), intent(in) :: long_name
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
