@@ -176,7 +176,7 @@ contains
     self%length = last
   end subroutine serialize_words
 
-  !> One logical value.
+  !> Passes one logical value.
   pure subroutine serialize_logical(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -273,7 +273,7 @@ contains
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), intent(inout) :: values(:)
-    !> Those that follow, each with its name.
+    !> Names of the arrays that follow.
     character(len=*), intent(in), optional :: name2, name3, name4, name5
     !> The arrays that follow, in the order of their names.
     real(wp), intent(inout), optional :: values2(:), values3(:), values4(:), values5(:)
@@ -305,7 +305,7 @@ contains
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), allocatable, intent(inout) :: values(:)
-    !> Those that follow, each with its name.
+    !> Names of the arrays that follow.
     character(len=*), intent(in), optional :: name2, name3, name4
     !> The arrays that follow, in the order of their names.
     real(wp), allocatable, intent(inout), optional :: values2(:), values3(:), values4(:)
@@ -325,9 +325,9 @@ contains
   !> A text of any length and of any bytes.
   pure subroutine serialize_text(self, name, text)
     class(archive_type), intent(inout) :: self
-    !> Of the component: by it an archive of something else is found out.
+    !> Name of the component: by it an archive of something else is found out.
     character(len=*), intent(in) :: name
-    !> On reading it becomes as long as what was written.
+    !> Text, which on reading becomes as long as what was written.
     character(len=:), allocatable, intent(inout) :: text
     integer(int8), allocatable :: letters(:)
     integer :: length

@@ -30,7 +30,7 @@ contains
 
   !> A generator; the same seed gives the same numbers.
   pure type(random_type) function new_random(seed) result(random)
-    !> Any 64 bits.
+    !> Seed: any 64 bits.
     integer(int64), intent(in) :: seed
     integer :: lane, word
 
@@ -69,7 +69,7 @@ contains
 
   !> A number uniform in (0, 1) that belongs to two whole numbers, without a state.
   elemental real(wp) function hashed_uniform(key, count) result(number)
-    !> Any 64 bits: whose number it is, and which.
+    !> Key of the sequence and index of the number in it: any 64 bits each.
     integer(int64), intent(in) :: key, count
 
     number = uniform(splitmix64(splitmix64(key) + golden*count))
@@ -84,7 +84,7 @@ contains
 
   !> SplitMix64 without its counter: one to one on 64 bits. Products wrap around.
   elemental integer(int64) function splitmix64(word) result(z)
-    !> Any 64 bits.
+    !> Word: any 64 bits.
     integer(int64), intent(in) :: word
 
     z = word

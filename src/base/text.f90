@@ -136,7 +136,7 @@ contains
 
   !> The text with A to Z in lower case.
   pure function lower_case(text) result(lower)
-    !> Of any letters.
+    !> Text of any letters.
     character(len=*), intent(in) :: text
     character(len=len(text)) :: lower
     integer :: at
@@ -171,7 +171,7 @@ contains
   !> for the user. In UTF-8 the bytes 80 to 9F continue a character; alone, or behind C2, they are
   !> control characters too.
   pure function printable(text) result(clean)
-    !> Of any origin, in ASCII or UTF-8.
+    !> Text of any origin, in ASCII or UTF-8.
     character(len=*), intent(in) :: text
     character(len=:), allocatable :: clean
     logical :: control(len(text))
@@ -209,7 +209,7 @@ contains
 
   !> All texts of a list, with a separator between them.
   pure function join(list, separator) result(text)
-    !> In the order of the text.
+    !> Texts to join, in this order.
     type(string_type), intent(in) :: list(:)
     !> Stands between two, not at the ends.
     character(len=*), intent(in) :: separator
@@ -248,7 +248,7 @@ contains
 
   !> The word of a list that was probably meant; empty if none is near.
   pure function closest_word(word, list) result(closest)
-    !> As it was written.
+    !> Word as it was written.
     character(len=*), intent(in) :: word
     !> What may have been meant.
     type(string_type), intent(in) :: list(:)
@@ -289,7 +289,7 @@ contains
   pure function count_text(number, noun) result(text)
     !> Number of things counted.
     integer, intent(in) :: number
-    !> One of them; its plural ends with s.
+    !> Noun in the singular; its plural ends with s.
     character(len=*), intent(in) :: noun
     character(len=:), allocatable :: text
 

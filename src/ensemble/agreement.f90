@@ -22,7 +22,7 @@ contains
   !> Ranks with other words would do other things, and wait for one another for ever. Collective.
   subroutine check_command_lines(communicator, words, error)
     type(communicator_type), intent(in) :: communicator
-    !> Of this rank.
+    !> Command line of this rank, word by word.
     type(string_type), intent(in) :: words(:)
     !> The same on all ranks; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
@@ -41,7 +41,7 @@ contains
 
   !> A list of words as it would be typed.
   pure function shown(list) result(text)
-    !> With a null sign behind each.
+    !> Texts, with a null character behind each.
     character(len=*), intent(in) :: list
     character(len=:), allocatable :: text
     integer :: at

@@ -241,7 +241,7 @@ contains
   !> The next task of the list; 0 if there are no more.
   subroutine fetch_task(task_queue, task)
     type(task_queue_type), intent(in) :: task_queue
-    !> Its number in the plan, from 1.
+    !> Number of the task in the plan, from 1.
     integer, intent(out) :: task
     integer(int64) :: place
     integer(int64), asynchronous :: entry
@@ -276,11 +276,11 @@ contains
   !> Adds to a counter atomically and returns its value before.
   subroutine add_to_counter(task_queue, entry, amount, before)
     type(task_queue_type), intent(in) :: task_queue
-    !> One of the names above, such as `next_task`.
+    !> Entry of the task queue: one of the constants above, such as `next_task`.
     integer, intent(in) :: entry
     !> Amount to add, of either sign.
     integer(int64), intent(in) :: amount
-    !> Its value before.
+    !> Value of the entry before.
     integer(int64), intent(out), optional :: before
     integer(int64), asynchronous :: found
 
@@ -293,7 +293,7 @@ contains
   !> Present value of a counter.
   function read_counter(task_queue, entry) result(value)
     type(task_queue_type), intent(in) :: task_queue
-    !> One of the names above, such as `next_task`.
+    !> Entry of the task queue: one of the constants above, such as `next_task`.
     integer, intent(in) :: entry
     integer(int64) :: value
 

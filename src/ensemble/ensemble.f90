@@ -97,7 +97,7 @@ contains
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     type(task_queue_type), intent(in) :: task_queue
-    !> Of this start, on all ranks.
+    !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
     !> What this rank spent in tasks, and when it began on the clock of `wall_seconds`.
     real(dp), intent(in) :: busy_seconds, began

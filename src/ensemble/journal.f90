@@ -79,7 +79,7 @@ contains
   subroutine read_plan(folder, namelist, initial_fingerprint, found, rank_files)
     !> Folder of the journal.
     character(len=*), intent(in) :: folder
-    !> Its text; empty if not found.
+    !> Text of the namelist; empty if not found.
     character(len=:), allocatable, intent(out) :: namelist
     !> 0 if there was no initial file.
     integer(int64), intent(out) :: initial_fingerprint
@@ -166,11 +166,11 @@ contains
 
   !> Rank 0 writes the plan before any rank writes anything else.
   subroutine begin_journal(folder, namelist, initial_fingerprint, rank_files, error)
-    !> Of the journal, and the text of the namelist.
+    !> Folder of the journal, and the text of the namelist.
     character(len=*), intent(in) :: folder, namelist
     !> 0 if there is no initial file.
     integer(int64), intent(in) :: initial_fingerprint
-    !> Those that this start's ranks may make included.
+    !> Number of rank files, those included that the ranks of this start may make.
     integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
     type(archive_type) :: archive
@@ -207,9 +207,9 @@ contains
   !> Opens the rank file of that number, for `next_result`; one that is not there has none.
   subroutine open_rank_file(journal, file, reader)
     type(journal_type), intent(in) :: journal
-    !> Its number.
+    !> Number of the rank file.
     integer, intent(in) :: file
-    !> To be closed with `close_records`.
+    !> Reader of the rank file, to be closed with `close_records`.
     type(record_reader_type), intent(out) :: reader
 
     call open_records(reader, rank_file(journal, file))
@@ -221,7 +221,7 @@ contains
     type(record_reader_type), intent(inout) :: reader
     !> Result of the next task in the file.
     type(task_result_type), intent(out) :: result
-    !> Where in the file it stands: `reader%at` may be set to this.
+    !> Bytes of the file before the record: `reader%at` may be set to this.
     integer(int64), intent(out) :: at
     !> Whether there is such a record.
     logical, intent(out) :: found
@@ -301,7 +301,7 @@ contains
     type(journal_type), intent(inout) :: journal
     type(task_type), intent(in) :: task
     type(simulation_type), intent(inout) :: simulation
-    !> Of a processor, spent on the task so far.
+    !> Processor time spent on the task so far.
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
     type(archive_type) :: archive
@@ -346,7 +346,7 @@ contains
     type(journal_type), intent(inout) :: journal
     type(task_type), intent(in) :: task
     type(simulation_type), intent(out) :: simulation
-    !> Of a processor, spent on the task before.
+    !> Processor time spent on the task before.
     real(dp), intent(out) :: cpu_seconds
     !> Whether there is a whole state of the task.
     logical, intent(out) :: found

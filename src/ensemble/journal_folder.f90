@@ -13,7 +13,7 @@ contains
   !> Numbers of the rank files in the folder, in any order. Names with anything else than a
   !> number that a rank can have are not ours.
   function numbers_in(folder) result(numbers)
-    !> Of a journal; need not be there.
+    !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
     integer, allocatable :: numbers(:)
     type(string_type), allocatable :: names(:)
@@ -33,7 +33,7 @@ contains
 
   !> A folder under the name of one of our files is in the way of all that follows.
   subroutine check_journal(folder, error)
-    !> Of a journal; need not be there.
+    !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
     type(error_type), allocatable, intent(out) :: error
     type(string_type), allocatable :: names(:)
@@ -60,7 +60,7 @@ contains
 
   !> Removes the journal with all its files, the plan last. A folder that holds anything else stays.
   subroutine remove_journal(folder, error)
-    !> Of a journal; need not be there.
+    !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
     type(error_type), allocatable, intent(out) :: error
     type(string_type), allocatable :: names(:)

@@ -13,7 +13,7 @@ contains
 
   !> Writes the absolute path of the results file; null where none is there.
   subroutine write_run_json(path, results, error)
-    !> Of the JSON file; empty: none is written.
+    !> Path of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
     !> Path of the results file, from the folder in which the program was started.
     character(len=*), intent(in) :: results
@@ -30,7 +30,7 @@ contains
 
   !> Writes how many tasks a plan has and what it will cost.
   subroutine write_plan_json(path, tasks, pending, seconds, memory, error)
-    !> Of the JSON file; empty: none is written.
+    !> Path of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
     !> All tasks, and those that are still to be done.
     integer, intent(in) :: tasks, pending
@@ -63,7 +63,7 @@ contains
 
   !> A text between quotes, as JSON has it.
   pure function json_text(text) result(quoted)
-    !> Of any bytes.
+    !> Text of any bytes.
     character(len=*), intent(in) :: text
     character(len=:), allocatable :: quoted
     integer, parameter :: first_printable = 32

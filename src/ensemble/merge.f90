@@ -34,17 +34,17 @@ module battery_merge
   private
   public :: merge_results, collect_results, sources_type, close_sources
 
-  !> Where the output of a task is: a record in a rank file, or columns of the old results file.
+  !> Place of a task's output: a record in a rank file, or columns of the old results file.
   type :: place_type
     private
     !> Number of the rank file, and where in it the record stands; below 0: it is in none.
     integer :: rank_file = -1
     integer(int64) :: at = 0
-    !> In the old file, from 1; 0: it is not there.
+    !> Replica and point in the old file, from 1; 0: the output is not there.
     integer :: replica = 0, point = 0
   end type place_type
 
-  !> Where the outputs of all tasks are.
+  !> Places of the outputs of all tasks.
   type :: sources_type
     private
     !> (task).
@@ -145,7 +145,7 @@ contains
     type(string_type), allocatable, intent(out) :: failures(:)
     !> Replicas that are asked for, (point).
     integer, allocatable, intent(out) :: wanted(:)
-    !> To be closed with `close_sources`; not open after an error.
+    !> Sources, to be closed with `close_sources`; not open after an error.
     type(sources_type), intent(out) :: sources
     !> The file is whole, but not what this program writes; one that is damaged is passed over.
     type(error_type), allocatable, intent(out) :: error
@@ -264,7 +264,7 @@ contains
 
   !> Closes the old results file, if it is open.
   subroutine close_sources(sources)
-    !> From `collect_results`.
+    !> Sources from `collect_results`.
     type(sources_type), intent(inout) :: sources
 
     call close_results(sources%file, sources%output_datasets)
@@ -278,7 +278,7 @@ contains
     type(sources_type), intent(in) :: sources
     type(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: output_datasets
-    !> With the statuses of the tasks; takes how many were short.
+    !> Results with the statuses of the tasks; the number of short ones is set here.
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     type(task_result_type) :: found
@@ -324,7 +324,7 @@ contains
   !> Whether a run by collisions has ended before the last snapshot: that has no x of the first
   !> particle.
   pure logical function ended_early(snapshots, times)
-    !> As in a output; how many there are.
+    !> States at the snapshots, as in an output; number of snapshots.
     real(dp), intent(in) :: snapshots(:)
     integer, intent(in) :: times
 

@@ -224,7 +224,7 @@ contains
     integer, intent(in) :: pending(:)
     !> Particles of the largest task that there is memory for; larger ones are passed over.
     integer, intent(in) :: most
-    !> Of a processor a task; collisions a second.
+    !> Processor seconds a task; wall collisions a second.
     real(dp), intent(out) :: seconds, rate
     type(error_type), allocatable, intent(out) :: error
     type(task_type) :: task

@@ -30,9 +30,9 @@ contains
   !> How many replicas each point gets, from its first ones if all of them are complete.
   subroutine decide_replicas(plan, results, wanted)
     type(plan_type), intent(in) :: plan
-    !> Takes how the points stand.
+    !> Results, in which the status and the errors of each point are set.
     type(results_type), intent(inout) :: results
-    !> (point).
+    !> Number of replicas, (point).
     integer, allocatable, intent(out) :: wanted(:)
     real(dp) :: factor, scatter(2), needed
     integer :: place(2), n, p, k
@@ -74,9 +74,9 @@ contains
 
   !> Whether values fall into two groups, each of one or more.
   logical function has_two_states(values) result(yes)
-    !> Finite, one or more.
+    !> Values, finite, one or more.
     real(dp), intent(in) :: values(:)
-    !> Equal values differ by this share of the greatest at most.
+    !> Relative tolerance: equal values differ by at most this share of the greatest.
     real(dp), parameter :: rounding = 1.0e-12_dp
     real(dp) :: cut
 
@@ -89,7 +89,7 @@ contains
   !> The greatest value of the lower group, where values are best cut into two. That takes
   !> n d**2/(k (n - k)) off their squares, d the sum of the distances of the lowest k.
   function cut_between_groups(values) result(cut)
-    !> Finite, one or more.
+    !> Values, finite, one or more.
     real(dp), intent(in) :: values(:)
     real(dp) :: cut
     integer(c_size_t) :: order(size(values))

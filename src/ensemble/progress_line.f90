@@ -35,7 +35,7 @@ contains
   function new_progress_line(speaks, tasks) result(progress_line)
     !> Whether anything is shown.
     logical, intent(in) :: speaks
-    !> Of the ensemble.
+    !> Number of tasks of the ensemble.
     integer, intent(in) :: tasks
     type(progress_line_type) :: progress_line
 
@@ -107,7 +107,7 @@ contains
 
   !> A time as a reader would say it: `8 s`, `3 min 20 s`, `2 h 05 min`.
   pure function duration_text(seconds) result(text)
-    !> Negative ones are 0.
+    !> Time in seconds; a negative one is shown as 0.
     real(dp), intent(in) :: seconds
     character(len=:), allocatable :: text
     character(len=32) :: buffer
@@ -130,7 +130,7 @@ contains
 
   !> A rate with three digits, such as `2.13e8`.
   pure function rate_text(rate) result(text)
-    !> In any unit, not negative.
+    !> Rate in any unit, not negative.
     real(dp), intent(in) :: rate
     character(len=:), allocatable :: text
     character(len=32) :: buffer

@@ -51,7 +51,7 @@ contains
     !> Whether to discard what is there; whether rank 0 says nothing.
     logical, intent(in) :: overwrite, quiet
     type(journal_type), intent(out) :: journal
-    !> On rank 0 the tasks that are to be done, longest first; empty on the others.
+    !> Numbers of the tasks to be done, longest first, on rank 0; empty on the others.
     integer, allocatable, intent(out) :: pending(:)
     !> Whether nothing is left to be done.
     logical, intent(out) :: complete

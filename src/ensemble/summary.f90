@@ -30,11 +30,11 @@ contains
     type(results_type), intent(in) :: results
     !> Why a task failed, (task); not allocated where it did not.
     type(string_type), intent(in) :: failures(:)
-    !> How many ran.
+    !> Number of ranks.
     integer, intent(in) :: ranks
-    !> See above; and how long the run took in seconds.
+    !> Least, mean and greatest share of time in tasks; duration of the run in seconds.
     real(dp), intent(in) :: busy(3), seconds
-    !> Of this start, on all ranks.
+    !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
     !> Whether no task is left; whether only failures are told.
     logical, intent(in) :: all_done, quiet
@@ -195,7 +195,7 @@ contains
     text = trim(text)
   end function states_text
 
-  !> One task: averages and their errors.
+  !> Prints one task: its averages and their errors.
   subroutine print_task_row(results, p, r)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, r

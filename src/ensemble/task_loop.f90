@@ -138,7 +138,7 @@ contains
     type(task_queue_type), intent(in) :: task_queue
     type(monitor_type), intent(inout) :: monitor
     type(progress_line_type), intent(inout) :: progress_line
-    !> Its result, unless stopped.
+    !> Result of the task, unless it was stopped.
     type(task_result_type), intent(out) :: found
     logical, intent(out) :: stopped
     type(error_type), allocatable, intent(out) :: error
@@ -215,7 +215,7 @@ contains
     end do
   end subroutine advance_some_windows
 
-  !> From the saved state if there is one, else from the start.
+  !> Continues a task from its saved state if there is one, else begins it.
   subroutine resume_or_begin_task(task, start, journal, simulation, cpu_before, error)
     type(task_type), intent(in) :: task
     type(particles_type), intent(in) :: start

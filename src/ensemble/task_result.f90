@@ -35,7 +35,7 @@ contains
   function result_of(task, simulation, cpu_seconds, begun) result(found)
     type(task_type), intent(in) :: task
     type(simulation_type), intent(in) :: simulation
-    !> Of a processor, spent on the task; on the clock of `utc_seconds`, when it began here.
+    !> Processor time spent on the task; its start here, on the clock of `utc_seconds`.
     real(dp), intent(in) :: cpu_seconds, begun
     type(task_result_type) :: found
     type(particles_type) :: particles
@@ -103,7 +103,7 @@ contains
 
   !> A result as a record.
   function to_record(found) result(record)
-    !> Of a task that ended in whatever way.
+    !> Result of a task, however that ended.
     type(task_result_type), intent(in) :: found
     type(record_type) :: record
     type(task_result_type) :: copy

@@ -66,7 +66,7 @@ contains
   !> Task identifier, reconstructed from the seed in a results file and the plan it was made from.
   integer(int64) function task_id_in_results(plan, seed) result(task_id)
     type(plan_type), intent(in) :: plan
-    !> As in the file.
+    !> Seed, as in the results file.
     integer(int64), intent(in) :: seed
 
     task_id = task_id_with(seed, plan, plan%final_state)
@@ -98,7 +98,7 @@ contains
     number = task_index%number(slot_of(task_index, task_id))
   end function task_number_of
 
-  !> Where a task is in the table, or would be.
+  !> Slot of a task in the hash table: the one that it has, or would get.
   pure integer function slot_of(task_index, task_id) result(at)
     type(task_index_type), intent(in) :: task_index
     integer(int64), intent(in) :: task_id
@@ -182,7 +182,7 @@ contains
     end do
   end subroutine sort_by_cost
 
-  !> Where the particles of a task start.
+  !> Initial positions and velocities of the particles of a task.
   subroutine initial_particles(task, start, particles, error)
     type(task_type), intent(in) :: task
     !> What the initial file says; no arrays: at random.

@@ -48,7 +48,7 @@ contains
   pure integer function find_key(keys, group, name) result(place)
     !> List of all keys.
     type(key_type), intent(in) :: keys(:)
-    !> In small letters.
+    !> Group and key in small letters.
     character(len=*), intent(in) :: group, name
 
     do place = size(keys), 1, -1

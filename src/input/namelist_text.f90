@@ -22,7 +22,7 @@ module battery_namelist_text
 
   !> `key = values`.
   type :: entry_type
-    !> In small letters.
+    !> Group and key in small letters.
     character(len=:), allocatable :: group, key
     integer :: line = 0
     type(value_type), allocatable :: values(:)
@@ -42,7 +42,7 @@ module battery_namelist_text
     type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
     integer :: group_count = 0, entry_count = 0
-    !> Those of the key that is being read.
+    !> Values of the key that is being read.
     type(value_type), allocatable :: values(:)
     type(remarks_type) :: remarks
   end type reader_type
@@ -88,7 +88,7 @@ contains
 
   !> Values as they were written, shortened if there are many.
   pure function written_text(values) result(text)
-    !> Of one key.
+    !> Values of one key.
     type(value_type), intent(in) :: values(:)
     character(len=:), allocatable :: text
     integer, parameter :: shown = 80

@@ -27,7 +27,7 @@ module battery_settings
     real(wp), allocatable :: reals(:)
     character(len=:), allocatable :: text
     logical :: flag = .false.
-    !> Its values in one way of writing, to be compared.
+    !> The values in one way of writing, so that settings can be compared.
     character(len=:), allocatable :: canonical
   end type setting_type
 
@@ -369,7 +369,7 @@ contains
   !> Place of a key in the settings, which must have it.
   pure integer function find_setting(settings, group, name) result(place)
     type(settings_type), intent(in) :: settings
-    !> In small letters.
+    !> Group and key in small letters.
     character(len=*), intent(in) :: group, name
 
     place = find_key(settings%all%key, group, name)

@@ -12,7 +12,7 @@ module battery_deflate
         bind(c, name='battery_inflates_to')
       import :: c_char, c_int, c_int64_t
       implicit none (type, external)
-      !> Of the file, ended by a null character.
+      !> Path of the file, ended by a null character.
       character(kind=c_char), intent(in) :: path(*)
       !> Place of its first byte in the file, its length there, and inflated, in bytes.
       integer(c_int64_t), value, intent(in) :: address, stored, size

@@ -43,9 +43,9 @@ contains
 
   !> The whole of a file as one text, its line ends as they are.
   subroutine read_file(path, text, error)
-    !> Of a file, and of nothing else.
+    !> Path of a file; a pipe or a device is an error.
     character(len=*), intent(in) :: path
-    !> Its bytes; empty after an error.
+    !> Bytes of the file; empty after an error.
     character(len=:), allocatable, intent(out) :: text
     type(error_type), allocatable, intent(out) :: error
 
@@ -59,10 +59,10 @@ contains
 
   !> The whole of a file, or of what comes through a pipe, up to `most` bytes.
   subroutine read_input(path, most, text, error)
-    !> Of a file or a pipe.
+    !> Path of a file or a pipe.
     character(len=*), intent(in) :: path
     integer(int64), intent(in) :: most
-    !> Its bytes, up to the error if there is one.
+    !> Bytes of the file, up to the error if there is one.
     character(len=:), allocatable, intent(out) :: text
     !> Code `exit_stopped_early` if a signal came while nothing came through the pipe.
     type(error_type), allocatable, intent(out) :: error

@@ -82,9 +82,9 @@ contains
 
   !> Waits until the file, or the entries of the folder, are on the disk.
   subroutine sync_file(path, error)
-    !> Of a file or a folder.
+    !> Path of a file or a folder.
     character(len=*), intent(in) :: path
-    !> It is not there, or the disk has failed.
+    !> Error if the file is not there, or the disk has failed.
     type(error_type), allocatable, intent(out) :: error
 
     call set_system_error(c_sync(path//c_null_char), path//': cannot be written to the disk', error)
@@ -92,7 +92,7 @@ contains
 
   !> Gives a file another name in one step; what had that name is gone.
   subroutine rename_file(old, new, error)
-    !> On one file system.
+    !> Old and new path, on one file system.
     character(len=*), intent(in) :: old, new
     type(error_type), allocatable, intent(out) :: error
 
@@ -170,7 +170,7 @@ contains
   !> Makes a folder; one that is there already is no error. The error's code is `exit_bad_input`
   !> unless the disk is at fault.
   subroutine make_folder(path, error)
-    !> In a folder that is there.
+    !> Path of the new folder, within a folder that is there.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
@@ -188,7 +188,7 @@ contains
   !> Makes an empty file anew. What had that name is removed, a link too: nothing is ever written
   !> through one.
   subroutine create_new_file(path, error)
-    !> In a folder that is there.
+    !> Path of the new file, in a folder that is there.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
 
@@ -204,7 +204,7 @@ contains
   !> Names, without the folder, of what there is in a folder that matches a pattern with `*` and
   !> `?`; none if there is no such folder. Their order is arbitrary.
   function files_matching(folder, pattern) result(names)
-    !> Where to look, and what for.
+    !> Folder to look in, and pattern of the names.
     character(len=*), intent(in) :: folder, pattern
     type(string_type), allocatable :: names(:)
     type(string_type), allocatable :: more(:)

@@ -32,7 +32,7 @@ module battery_gsl
       integer(c_int64_t), value, intent(in) :: seed
     end function c_new
 
-    !> Below this lies a share of Student's distribution with so many degrees of freedom.
+    !> Quantile of Student's distribution with `freedom` degrees: `share` of it lies below.
     real(c_double) function student_quantile(share, freedom) bind(c, name='gsl_cdf_tdist_Pinv')
       import :: c_double
       implicit none (type, external)
@@ -68,7 +68,7 @@ contains
   !> A generator, to be given back with `free_generator`; an error if there is no memory.
   subroutine new_generator(generator, seed, error)
     type(generator_type), intent(out) :: generator
-    !> Any 64 bits.
+    !> Seed: any 64 bits.
     integer(int64), intent(in) :: seed
     type(error_type), allocatable, intent(out) :: error
 

@@ -227,7 +227,7 @@ contains
   function remedy_text(lives, path) result(words)
     !> Whether the other run is known to be alive.
     logical, intent(in) :: lives
-    !> Of its file.
+    !> Path of the lock file.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: words
 

@@ -58,7 +58,7 @@ contains
 
   !> Whether two paths name one and the same file, by whatever link.
   logical function same_file(one, other) result(yes)
-    !> Where either is not there, they are not the same.
+    !> The two paths; where either is not there, they are not the same file.
     character(len=*), intent(in) :: one, other
 
     yes = c_same_file(one//c_null_char, other//c_null_char) /= 0
@@ -81,7 +81,7 @@ contains
 
   !> The folder in which a file really lies, its links resolved; empty if it is not there.
   function real_folder_of(path) result(folder)
-    !> Of a file.
+    !> Path of a file.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: folder
     integer :: length
@@ -129,7 +129,7 @@ contains
 
   !> The text of C that an address points to.
   function c_text_at(address) result(text)
-    !> Of bytes that end with a zero; null: the text is empty.
+    !> Address of bytes that end with a zero; null: the text is empty.
     type(c_ptr), intent(in) :: address
     character(len=:), allocatable :: text
     character(kind=c_char), pointer :: letters(:)

@@ -19,7 +19,7 @@ module battery_process
     subroutine exit_after(seconds, code) bind(c, name='process_leave_after')
       import :: c_int
       implicit none (type, external)
-      !> From now on.
+      !> Time from now on.
       integer(c_int), value, intent(in) :: seconds
       !> What the shell is told, 0 to 255.
       integer(c_int), value, intent(in) :: code

@@ -35,7 +35,7 @@ contains
 
   !> Asks for a stop once so many seconds have passed since `watch_signals`.
   subroutine request_stop_after(seconds)
-    !> From `watch_signals` on.
+    !> Time since the call of `watch_signals`.
     real(dp), intent(in) :: seconds
 
     deadline = began + seconds

@@ -210,7 +210,7 @@ contains
   !> The part of its stationary value that a current lacks, (1) averaged over ages.
   pure real(dp) function lacking_share(circulation, ages)
     type(circulation_type), intent(in) :: circulation
-    !> The first and the last, in time units.
+    !> First and last age of the average, in time units.
     real(dp), intent(in) :: ages(2)
     integer, parameter :: parts = 16
     real(dp) :: age(parts)
@@ -226,7 +226,7 @@ contains
   !> `part` of their current.
   pure real(dp) function transient_for(circulation, part) result(transient)
     type(circulation_type), intent(in) :: circulation
-    !> Above 0.
+    !> Greatest part of the current that may be lacking, above 0.
     real(dp), intent(in) :: part
     integer, parameter :: halvings = 60
     real(dp) :: low, high, unit

@@ -1,4 +1,4 @@
-!> Where the particles start: at random in the urns, or as a file says.
+!> Initial positions and velocities: at random in the urns, or from a file.
 module battery_initial_state
   use battery_kinds, only: wp, int64, pi
   use battery_error, only: error_type, fatal_error, exit_bad_input
@@ -41,7 +41,7 @@ contains
   subroutine random_particles(table, number, urn1_number, seed, particles, error)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number, urn1_number
-    !> From 0 to 2**32 - 1.
+    !> Seed, from 0 to 2**32 - 1.
     integer(int64), intent(in) :: seed
     type(particles_type), intent(out) :: particles
     !> No memory, no generator, or a stop was asked for.

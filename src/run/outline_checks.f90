@@ -153,7 +153,7 @@ contains
 
   contains
 
-    !> Of two sides; of neighbours, how far the other end of each is from the other side.
+    !> Distance of two sides; of neighbours, the distance of either's other end to the other side.
     pure real(wp) function gap_between(k, j) result(gap)
       integer, intent(in) :: k, j
       real(wp) :: before(2), shared(2), after(2)

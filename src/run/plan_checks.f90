@@ -314,7 +314,7 @@ contains
 
   contains
 
-    !> Beside an urn, and beside another length (0: there is none).
+    !> Refuses a length that is lost beside an urn or beside `other` (0: there is none).
     subroutine check_beside(key, length, other)
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: length, other

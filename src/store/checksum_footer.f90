@@ -37,7 +37,7 @@ contains
   subroutine footer_of(bytes, footer, error)
     !> All bytes before the footer.
     integer(int8), intent(in), contiguous :: bytes(:)
-    !> Its text.
+    !> Text of the footer.
     character(len=footer_length), intent(out) :: footer
     !> The digest could not be computed.
     type(error_type), allocatable, intent(out) :: error
@@ -112,11 +112,11 @@ contains
     end if
   end subroutine check_footer
 
-  !> Where a file ends by its own head, the superblock of HDF5 in its first form (all of ours are).
+  !> Length of a file by its own head, HDF5's superblock of the first form (all of ours have that).
   pure integer(int64) function end_in_hdf5(first) result(bytes)
     !> The file from its beginning.
     character(len=*), intent(in) :: first
-    !> Where the number stands, least byte first.
+    !> Bytes before that length in the superblock, which has its least byte first.
     integer, parameter :: place = 40
     integer :: k
 
@@ -129,15 +129,15 @@ contains
 
   !> Reads the bytes before the footer.
   subroutine read_content(unit, count, first, digits, status)
-    !> Where the file is open, at its beginning.
+    !> Unit on which the file is open, at its beginning.
     integer, intent(in) :: unit
-    !> How many bytes there are.
+    !> Number of bytes before the footer.
     integer(int64), intent(in) :: count
     !> First bytes of the file, in which HDF5 says where its content ends.
     character(len=:), allocatable, intent(out) :: first
-    !> The digest of all.
+    !> SHA-256 digest of all these bytes, in hexadecimal digits.
     character(len=:), allocatable, intent(out) :: digits
-    !> Not 0: they cannot be read.
+    !> Status of reading; not 0: the bytes cannot be read.
     integer, intent(out) :: status
     integer(int8), allocatable :: bytes(:)
     type(digest_type) :: digest

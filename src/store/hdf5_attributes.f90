@@ -22,13 +22,13 @@ module battery_hdf5_attributes
   type :: array_view_type
     integer(hid_t) :: value_type = no_handle
     type(c_ptr) :: address = c_null_ptr
-    !> One a dimension, in Fortran order; none: a scalar.
+    !> Extents, one a dimension, in Fortran order; of size 0 for a scalar.
     integer(hsize_t), allocatable :: extents(:)
   end type array_view_type
 
 contains
 
-  !> Where numbers are, of what type and of what extents.
+  !> Address, HDF5 type and extents of a scalar or an array.
   function array_view_of(values) result(memory)
     !> Reals, or integers of 32 or 64 bits; HDF5 takes no others.
     type(*), intent(in), target, contiguous :: values(..)
@@ -48,9 +48,9 @@ contains
   subroutine write_attribute(file, path, name, values, error)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> Of what it is added to, `/` for the file; of the attribute.
+    !> Path of the object that gets the attribute, `/` for the file; name of the attribute.
     character(len=*), intent(in) :: path, name
-    !> As `array_view_of` takes them.
+    !> Scalar or array, as `array_view_of` takes it.
     type(*), intent(in), target, contiguous :: values(..)
     type(error_type), allocatable, intent(inout) :: error
 
@@ -62,7 +62,7 @@ contains
   subroutine write_text_attribute(file, path, name, text, error)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> Of what it is added to, `/` for the file; of the attribute; what it says.
+    !> Path of the object that gets the attribute, `/` for the file; its name and its text.
     character(len=*), intent(in) :: path, name, text
     type(error_type), allocatable, intent(inout) :: error
     character(len=:, kind=c_char), allocatable, target :: letters
@@ -104,7 +104,7 @@ contains
   subroutine read_text_attribute(file, path, name, text, error)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> Of what has it, `/` for the file; of the attribute.
+    !> Path of the object that has the attribute, `/` for the file; name of the attribute.
     character(len=*), intent(in) :: path, name
     !> Value of the attribute.
     character(len=:), allocatable, intent(out) :: text

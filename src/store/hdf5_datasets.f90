@@ -82,7 +82,7 @@ contains
     type(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> As `array_view_of` takes them.
+    !> Scalar or array, as `array_view_of` takes it.
     type(*), intent(inout), target, contiguous :: values(..)
     !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
@@ -120,16 +120,16 @@ contains
     type(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> In Fortran order.
+    !> Extents of the dataset, in Fortran order.
     integer, intent(in) :: extents(:)
-    !> One value, of the type of all, that stands for those that are not known.
+    !> Fill value, one number of the dataset's type: it stands for values that are not known.
     type(*), intent(in), target, contiguous :: unknown(..)
     !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
     !> Paths of its dimension scales, in Fortran order.
     character(len=*), intent(in) :: scales(:)
-    !> To be released with `release_dataset`.
+    !> Open dataset, to be released with `release_dataset`.
     type(dataset_type), intent(inout) :: dataset
     type(array_view_type) :: memory
 
@@ -153,11 +153,11 @@ contains
   subroutine serialize_column(file, dataset, values, first, error)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> From `prepare_dataset`.
+    !> Dataset from `prepare_dataset`.
     type(dataset_type), intent(in) :: dataset
-    !> As `array_view_of` takes them; one dimension.
+    !> Array of rank 1, as `array_view_of` takes it.
     type(*), intent(inout), target, contiguous :: values(..)
-    !> Where the first of them stands, from 1.
+    !> Indices of the first value in the dataset, from 1, in Fortran order.
     integer, intent(in) :: first(:)
     type(error_type), allocatable, intent(inout) :: error
     type(array_view_type) :: memory
@@ -188,7 +188,7 @@ contains
 
   !> Closes a dataset; one that is not open is no error.
   subroutine release_dataset(file, dataset, error)
-    !> In which it is, still open.
+    !> File that the dataset is in, still open.
     type(hdf5_file_type), intent(in) :: file
     type(dataset_type), intent(inout) :: dataset
     !> What was written last may not have been brought into the file. Stays as it is after an error.
@@ -381,7 +381,7 @@ contains
 
   !> Extents as readers in C or Python see them.
   pure function listed(extents) result(text)
-    !> In Fortran order; below 0: of another rank.
+    !> Extents in Fortran order; below 0: the dataset has another rank.
     integer(hsize_t), intent(in) :: extents(:)
     character(len=:), allocatable :: text
     integer :: k
@@ -415,7 +415,7 @@ contains
     call release_handle(dataset, status)
   end function extents_of
 
-  !> Those of an open dataset.
+  !> Extents of an open dataset, in Fortran order; -1 where its rank is another.
   function extents_of_dataset(dataset, rank) result(extents)
     integer(hid_t), intent(in) :: dataset
     integer, intent(in) :: rank
@@ -437,7 +437,7 @@ contains
   subroutine write_dataset(file, path, values, units, long_name, error, scales)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root, in a group that is there.
+    !> Path of the dataset from the root, in a group that is there.
     character(len=*), intent(in) :: path
     !> A scalar or an array, as `array_view_of` takes them.
     type(*), intent(in), target, contiguous :: values(..)
@@ -455,7 +455,7 @@ contains
   subroutine write_scale(file, path, values, units, long_name, error)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root, in a group that is there.
+    !> Path of the dataset from the root, in a group that is there.
     character(len=*), intent(in) :: path
     !> The coordinates, one dimension.
     type(*), intent(in), target, contiguous :: values(..)
@@ -472,9 +472,9 @@ contains
   subroutine write_dimension(file, path, length, long_name, error)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root, in a group that is there.
+    !> Path of the dataset from the root, in a group that is there.
     character(len=*), intent(in) :: path
-    !> Of the dimension.
+    !> Length of the dimension.
     integer, intent(in) :: length
     !> Attribute of that name: what the dimension counts.
     character(len=*), intent(in) :: long_name
@@ -549,7 +549,7 @@ contains
 
   !> How a dataset lies in the file: as it is, or, if large, in compressed pieces.
   subroutine new_layout(memory, layout, status)
-    !> With the extents of the dataset.
+    !> Values in memory, with the extents of the dataset.
     type(array_view_type), intent(in) :: memory
     integer(hid_t), intent(out) :: layout
     integer, intent(out) :: status

@@ -183,7 +183,7 @@ contains
   !> The bytes of a file that is in memory, where HDF5 has them.
   subroutine get_image(file, image, status)
     type(hdf5_file_type), intent(in) :: file
-    !> As long as the file is open and nothing is written to it.
+    !> Bytes of the file; valid as long as it is open and nothing is written to it.
     integer(int8), pointer, contiguous, intent(out) :: image(:)
     integer, intent(out) :: status
     integer(size_t) :: bytes
@@ -258,7 +258,7 @@ contains
 
   !> Closes a handle of any kind, if there is one; `status` becomes nonzero where that fails.
   subroutine release_handle(handle, status)
-    !> Of anything of HDF5, or `no_handle`.
+    !> Handle of any HDF5 object, or `no_handle`.
     integer(hid_t), intent(in) :: handle
     integer, intent(inout) :: status
     integer :: users, closed
@@ -273,7 +273,7 @@ contains
   subroutine check_links(file, path, error)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root; `/` for the root itself.
+    !> Path from the root; `/` is the root itself.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
     integer :: last, slash, status
@@ -297,7 +297,7 @@ contains
   !> An error about what stands at a path, if `status` says so. In a file that is read it is bad
   !> input: its checksum was right, so it was made as it is.
   subroutine check_status(file, path, problem, status, error)
-    !> Where it happened.
+    !> File that the object is in.
     type(hdf5_file_type), intent(in) :: file
     !> Path of the object in the file, from the root; what is wrong with it.
     character(len=*), intent(in) :: path, problem

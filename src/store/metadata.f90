@@ -35,7 +35,7 @@ contains
   !> Adds an attribute that is a text.
   pure subroutine add_text_metadata(metadata, name, text)
     type(metadata_type), intent(inout) :: metadata
-    !> Of the attribute, and what it says.
+    !> Name of the attribute, and its text.
     character(len=*), intent(in) :: name, text
     type(remark_type) :: remark
 
@@ -50,7 +50,7 @@ contains
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     type(metadata_type), intent(in) :: metadata
-    !> Does nothing where there is one already.
+    !> Error; where there is one already, nothing is written.
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
 
@@ -80,7 +80,7 @@ contains
     character(len=*), intent(in) :: name
     !> Version of the program; the namelist; `complete` or `partial`.
     character(len=:), allocatable, intent(out) :: version, input_text, status
-    !> In hexadecimal digits; empty if there was no initial file.
+    !> Fingerprint in hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out) :: initial_file_fingerprint
     type(error_type), allocatable, intent(out) :: error
     !> Letters of a version, and how many it may have.

@@ -89,7 +89,7 @@ contains
 
   !> Opens a file to be read from its beginning; where there is none it has no records.
   subroutine open_records(reader, name)
-    !> To be closed with `close_records`.
+    !> Reader, open; to be closed with `close_records`.
     type(record_reader_type), intent(out) :: reader
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -103,7 +103,7 @@ contains
 
   !> The record that begins at `reader%at`, which is moved behind it.
   subroutine next_record(reader, record, found)
-    !> Open, or of a file that is not there.
+    !> Reader, open, or of a file that is not there.
     type(record_reader_type), intent(inout) :: reader
     type(record_type), intent(out) :: record
     !> Whether there is a good one; where not, nothing moves.
@@ -120,7 +120,7 @@ contains
 
   !> Closes a file of records; one that is not open is no error.
   subroutine close_records(reader)
-    !> Not open afterwards.
+    !> Reader, which is not open afterwards.
     type(record_reader_type), intent(inout) :: reader
 
     if (reader%is_open) close (reader%unit)

@@ -33,7 +33,7 @@ module battery_results
     !> The points of the scan.
     type(point_type), allocatable :: point(:)
     integer(int64), allocatable :: seed(:, :)
-    !> From here on (replica, point), and the place of the quantity in its list.
+    !> The arrays from here on are (replica, point, place of the quantity in its list).
     real(dp), allocatable :: average(:, :, :), error(:, :, :)
     integer(int64), allocatable :: counted(:, :, :)
     !> Machines that tasks ran on; `provenance/host` counts them from 0.

@@ -69,7 +69,7 @@ contains
   subroutine publish_results(name, file, before, error)
     !> Path of the results file.
     character(len=*), intent(in) :: name
-    !> From `create_results`.
+    !> File from `create_results`.
     type(hdf5_file_type), intent(inout) :: file
     !> Identity of the file that may be replaced.
     type(file_identity_type), intent(in) :: before
@@ -131,7 +131,7 @@ contains
   subroutine open_results(name, file, results, output_datasets, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> To be closed with `close_results`; not open after an error.
+    !> File, to be closed with `close_results`; not open after an error.
     type(hdf5_file_type), intent(out) :: file
     type(results_type), intent(out) :: results
     type(output_datasets_type), intent(out) :: output_datasets
@@ -150,7 +150,7 @@ contains
 
   !> Closes a results file that was read; one that is not open is no error.
   subroutine close_results(file, output_datasets)
-    !> From `open_results`.
+    !> File from `open_results`.
     type(hdf5_file_type), intent(inout) :: file
     type(output_datasets_type), intent(inout) :: output_datasets
     !> Nothing is lost that was not read.

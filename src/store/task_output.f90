@@ -70,7 +70,7 @@ contains
     !> Time between two entries, and times of the snapshots, since the start: for the dimension
     !> scales of a new file.
     real(dp), intent(in) :: series_interval, snapshot_time(:)
-    !> To be closed with `close_output_datasets`.
+    !> Open datasets, to be closed with `close_output_datasets`.
     type(output_datasets_type), intent(out) :: output_datasets
     type(error_type), allocatable, intent(inout) :: error
 
@@ -149,7 +149,7 @@ contains
 
   !> Writes the output of a task into its hyperslabs of a new file. Does nothing after an error.
   subroutine write_task_output(file, output_datasets, replica, point, task_output, error)
-    !> Open, as the datasets in it are.
+    !> File, open, as the datasets in it are.
     type(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: output_datasets
     !> Indices of the task, from 1.
@@ -167,7 +167,7 @@ contains
 
   !> Reads the output of a task without its events; empty after an error.
   subroutine read_task_output(file, output_datasets, replica, point, number, task_output, error)
-    !> Open, as the datasets in it are.
+    !> File, open, as the datasets in it are.
     type(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: output_datasets
     !> Which task, and how many particles it has.
@@ -221,7 +221,7 @@ contains
     type(dataset_type), intent(in) :: states(4)
     !> Replica and point.
     integer, intent(in) :: task(2), times
-    !> One time after the other: x, y, ux, uy of all particles.
+    !> States, one time after the other: x, y, ux, uy of all particles.
     real(dp), intent(inout) :: flat(:)
     type(error_type), allocatable, intent(inout) :: error
     integer :: n, at, time, k
@@ -244,7 +244,7 @@ contains
     type(hdf5_file_type), intent(in) :: file
     !> Datasets, which may be open.
     type(output_datasets_type), intent(inout) :: output_datasets
-    !> Not all may have been brought into a new file. Stays as it is after an error.
+    !> Error if not all values were brought into a new file; an earlier error stays.
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
 
