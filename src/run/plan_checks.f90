@@ -1,11 +1,14 @@
 !> How the parts of a plan fit together.
 submodule (battery_plan) battery_plan_checks
+  use, intrinsic :: iso_c_binding, only: c_size_t
+  use battery_kinds, only: dp
   use battery_error, only: error_type
   use battery_engine, only: engine_type
   use battery_engines, only: new_engine, has_step, explain_refusal
   use battery_scatterer_checks, only: wrong_scatterers
   use battery_table, only: longest_run
-  use battery_repeats, only: first_repeat
+  use battery_gsl, only: sort_order
+  use battery_identity, only: twelve_digits
   use battery_problems, only: add_point_problems, reported_problems
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, is_sound
   use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
@@ -183,6 +186,44 @@ contains
         'every point once; this value makes one that is there already')
     end do
   end subroutine check_repeats
+
+  !> Place of the first value, or pair of values, that stands in a list before; 0 if there is none.
+  integer function first_repeat(values, second) result(place)
+    !> The list, or the first of the pairs.
+    real(wp), intent(in) :: values(:)
+    !> The other of the pairs.
+    real(wp), allocatable, intent(in), optional :: second(:)
+    integer :: rank(size(values))
+    logical :: seen(size(values))
+
+    rank = ranks_of(values)
+    if (present(second)) then
+      if (allocated(second)) rank = ranks_of(real(rank, wp)*size(values) + ranks_of(second))
+    end if
+    seen = .false.
+    do place = 1, size(values)
+      if (seen(rank(place))) return
+      seen(rank(place)) = .true.
+    end do
+    place = 0
+  end function first_repeat
+
+  !> The place of each value among the different ones in the order of size. Numbers are equal where
+  !> those of tasks are (`battery_identity`).
+  function ranks_of(values) result(rank)
+    real(wp), intent(in) :: values(:)
+    integer :: rank(size(values))
+    real(wp) :: known(size(values))
+    integer(c_size_t) :: order(size(values)), k
+
+    known = twelve_digits(values)
+    call sort_order(order, real(known, dp), 1_c_size_t, size(order, kind=c_size_t))
+    order = order + 1
+    if (size(order) > 0) rank(order(1)) = 1
+    do k = 2, size(order)
+      rank(order(k)) = rank(order(k - 1)) + merge(1, 0, known(order(k)) > known(order(k - 1)))
+    end do
+  end function ranks_of
 
   !> What is wrong with the points of the scan. Whether the engine can simulate them is asked only
   !> where nothing else is wrong.
