@@ -92,9 +92,6 @@ contains
         longest_text, lock%handle)
       select case (outcome)
       case (taken)
-        ! A run that was killed may have left its mark as well.
-        if (words_of(holder) /= '') call remove_file(marker_of(lock%path, words_of(holder)), &
-          no_matter)
         lock%before = file_identity_at(file)
         return
       case (held, unknown)
@@ -105,7 +102,11 @@ contains
           return
         end if
       case (again)
-        continue
+        ! A run that was killed may have left its marker file as well as its lock file.
+        if (words_of(holder) /= '') then
+          call remove_file(marker_of(lock%path, words_of(holder)), no_matter)
+          cycle
+        end if
       case (not_a_file)
         call fatal_error(error, lock%path//': is not a file that a run has left; remove it, ' &
           //'or name another output file', exit_bad_input)
