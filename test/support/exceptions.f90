@@ -4,7 +4,7 @@
 module funit_exceptions
   implicit none (type, external)
   private
-  public :: SourceLocation, exception_type, throw, anyExceptions, catch, fail_with
+  public :: SourceLocation, exception_type, throw, anyExceptions, fail_with
   public :: take_exceptions, same_exception
 
   !> A line of a test file.
@@ -18,10 +18,6 @@ module funit_exceptions
     character(len=:), allocatable :: message
     type(SourceLocation) :: location
   end type exception_type
-
-  interface catch
-    procedure catch_any, catch_message
-  end interface catch
 
   !> Failures of the test that runs; one test runs at a time.
   type(exception_type), allocatable :: pending(:)
@@ -61,43 +57,6 @@ contains
   logical function anyExceptions() result(any_pending)
     any_pending = allocated(pending)
   end function anyExceptions
-
-  !> Takes the last failure away, and tells whether there was one.
-  logical function catch_any() result(caught)
-    caught = allocated(pending)
-    if (caught) call forget(size(pending))
-  end function catch_any
-
-  !> Takes the first failure with this message away, and tells whether there was one.
-  logical function catch_message(message) result(caught)
-    character(len=*), intent(in) :: message
-    integer :: i
-
-    caught = .false.
-    if (.not. allocated(pending)) return
-    do i = 1, size(pending)
-      caught = pending(i)%message == message
-      if (caught) exit
-    end do
-    if (caught) call forget(i)
-  end function catch_message
-
-  !> Takes failure number `which` off the list; an empty list is not allocated.
-  subroutine forget(which)
-    integer, intent(in) :: which
-    type(exception_type), allocatable :: rest(:)
-    integer :: i
-
-    if (size(pending) == 1) then
-      deallocate (pending)
-    else
-      allocate (rest(size(pending) - 1))
-      do i = 1, size(rest)
-        rest(i) = pending(merge(i, i + 1, i < which))
-      end do
-      call move_alloc(rest, pending)
-    end if
-  end subroutine forget
 
   !> Hands over all failures, and leaves none.
   subroutine take_exceptions(taken)

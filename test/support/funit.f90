@@ -4,26 +4,18 @@
 !> takes its place. Names are pFUnit's; so is the report, which one reader understands from both.
 module funit
   use, intrinsic :: iso_fortran_env, only: output_unit
-  use funit_exceptions, only: SourceLocation, exception_type, throw, anyExceptions, catch, &
-    fail_with, take_exceptions
-  use funit_int8, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
-    assertGreaterThan, assertGreaterThanOrEqual
-  use funit_int32, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
-    assertGreaterThan, assertGreaterThanOrEqual
-  use funit_int64, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
-    assertGreaterThan, assertGreaterThanOrEqual
-  use funit_real32, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
-    assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, assertIsFinite
-  use funit_real64, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
-    assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, assertIsFinite
-  use funit_widest_real, only: assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, &
-    assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, assertIsFinite
+  use funit_exceptions, only: SourceLocation, exception_type, anyExceptions, fail_with, &
+    take_exceptions
+  use funit_int8, only: assertEqual, assertLessThan
+  use funit_int32, only: assertEqual, assertLessThan
+  use funit_int64, only: assertEqual, assertLessThan
+  use funit_real32, only: assertEqual, assertLessThan
+  use funit_real64, only: assertEqual, assertLessThan
+  use funit_widest_real, only: assertEqual, assertLessThan
   implicit none (type, external)
   private
-  public :: SourceLocation, throw, anyExceptions, catch
-  public :: assertTrue, assertFalse, assertEqual, assertNotEqual, assertLessThan, &
-    assertLessThanOrEqual, assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, &
-    assertIsFinite, assertFail, assertExceptionRaised
+  public :: SourceLocation, anyExceptions
+  public :: assertTrue, assertFalse, assertEqual, assertLessThan
   public :: Test, TestMethod, TestSuite, SerialContext
   public :: initialize, run, run_in, finalize, stub
 
@@ -50,7 +42,6 @@ module funit
   !> One test, whatever it needs to run.
   type, abstract :: Test
     character(len=:), allocatable :: name
-    logical :: disabled = .false.
   contains
     procedure(run_test), deferred :: run
   end type Test
@@ -63,7 +54,7 @@ module funit
       class(Test), intent(inout) :: this
     end subroutine run_test
 
-    !> A test procedure, or what goes before and after it.
+    !> A test procedure.
     subroutine plain_procedure()
       implicit none (type, external)
     end subroutine plain_procedure
@@ -72,8 +63,6 @@ module funit
   !> A test that is a procedure without arguments.
   type, extends(Test) :: TestMethod
     procedure(plain_procedure), pointer, nopass :: method => null()
-    procedure(plain_procedure), pointer, nopass :: set_up => null()
-    procedure(plain_procedure), pointer, nopass :: tear_down => null()
   contains
     procedure :: run => run_method
   end type TestMethod
@@ -110,28 +99,20 @@ module funit
 
 contains
 
-  !> A test of `method`, after `setUp` and before `tearDown`; a disabled one is only counted.
-  function new_test_method(name, method, setUp, tearDown, disabled) result(this)
+  !> A test of `method`.
+  function new_test_method(name, method) result(this)
     character(len=*), intent(in) :: name
     procedure(plain_procedure) :: method
-    procedure(plain_procedure), optional :: setUp, tearDown
-    logical, intent(in), optional :: disabled
     type(TestMethod) :: this
 
     this%name = name
     this%method => method
-    if (present(setUp)) this%set_up => setUp
-    if (present(tearDown)) this%tear_down => tearDown
-    if (present(disabled)) this%disabled = disabled
   end function new_test_method
 
   subroutine run_method(this)
     class(TestMethod), intent(inout) :: this
 
-    if (associated(this%set_up)) call this%set_up()
-    if (anyExceptions()) return
     call this%method()
-    if (associated(this%tear_down)) call this%tear_down()
   end subroutine run_method
 
   !> An empty suite.
@@ -197,26 +178,18 @@ contains
     procedure(suite_loader) :: load_tests
     class(SerialContext), intent(in) :: context
     type(TestSuite) :: suite
-    integer :: i, runs, failed, disabled
+    integer :: i, failed
 
     suite = load_tests()
-    runs = 0
     failed = 0
-    disabled = 0
     do i = 1, size(suite%tests)
-      if (suite%tests(i)%item%disabled) then
-        disabled = disabled + 1
-        if (context%root) write (output_unit, "(a)") "Disable: <"//suite%tests(i)%item%name//">"
-      else
-        runs = runs + 1
-        if (.not. passes(suite%tests(i)%item, context)) failed = failed + 1
-      end if
+      if (.not. passes(suite%tests(i)%item, context)) failed = failed + 1
     end do
     passed = failed == 0
     if (.not. context%root) return
     write (output_unit, "(a)") merge("OK         ", "FAILURES!!!", passed)
-    write (output_unit, "(a,i0,a,i0,a,i0)") "Tests run: ", runs, ", Failures: ", failed, &
-      ", Errors: 0, Disabled: ", disabled
+    write (output_unit, "(a,i0,a,i0,a)") "Tests run: ", size(suite%tests), ", Failures: ", failed, &
+      ", Errors: 0, Disabled: 0"
   end function run_in
 
   !> Runs one test and reports it at once: if the next one kills the program, this one is told.
@@ -305,26 +278,5 @@ contains
     if (adjustl(expected) /= adjustl(actual)) call fail_with("expected <"// &
       trim(adjustl(expected))//">, found <"//trim(adjustl(actual))//">", message, location)
   end subroutine equal_character
-
-  subroutine assertFail(message, location)
-    character(len=*), intent(in) :: message
-    type(SourceLocation), intent(in), optional :: location
-
-    call throw(message, location)
-  end subroutine assertFail
-
-  !> Takes back the failure that was to happen; fails if there is none.
-  subroutine assertExceptionRaised(message, location)
-    character(len=*), intent(in), optional :: message
-    type(SourceLocation), intent(in), optional :: location
-    logical :: caught
-
-    if (present(message)) then
-      caught = catch(message)
-    else
-      caught = catch()
-    end if
-    if (.not. caught) call throw("the failure that was expected did not happen", location)
-  end subroutine assertExceptionRaised
 
 end module funit

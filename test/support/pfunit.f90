@@ -4,17 +4,13 @@ module pfunit
   use mpi_f08, only: MPI_Comm, MPI_Comm_rank, MPI_Comm_size, MPI_Comm_split, MPI_Comm_free, &
     MPI_Gather, MPI_Gatherv, MPI_Bcast, MPI_Init, MPI_Finalize, MPI_COMM_WORLD, MPI_COMM_NULL, &
     MPI_CHARACTER, MPI_INTEGER, MPI_LOGICAL, MPI_UNDEFINED
-  use funit_exceptions, only: exception_type, same_exception, take_exceptions
-  use funit, only: SourceLocation, throw, anyExceptions, catch, assertTrue, assertFalse, &
-    assertEqual, assertNotEqual, assertLessThan, assertLessThanOrEqual, assertGreaterThan, &
-    assertGreaterThanOrEqual, assertIsNaN, assertIsFinite, assertFail, assertExceptionRaised, &
-    Test, TestMethod, TestSuite, SerialContext, run_in, stub
+  use funit_exceptions, only: exception_type, same_exception, take_exceptions, throw
+  use funit, only: SourceLocation, anyExceptions, assertTrue, assertFalse, assertEqual, &
+    assertLessThan, Test, TestMethod, TestSuite, SerialContext, run_in, stub
   implicit none (type, external)
   private
-  public :: SourceLocation, throw, anyExceptions, catch
-  public :: assertTrue, assertFalse, assertEqual, assertNotEqual, assertLessThan, &
-    assertLessThanOrEqual, assertGreaterThan, assertGreaterThanOrEqual, assertIsNaN, &
-    assertIsFinite, assertFail, assertExceptionRaised
+  public :: SourceLocation, anyExceptions
+  public :: assertTrue, assertFalse, assertEqual, assertLessThan
   public :: Test, TestMethod, TestSuite, MpiTestMethod
   public :: initialize, run, finalize, stub
 
@@ -35,8 +31,6 @@ module pfunit
     integer :: processes = 1
     type(MPI_Comm) :: communicator = MPI_COMM_NULL
     procedure(mpi_procedure), pointer, nopass :: method => null()
-    procedure(mpi_procedure), pointer, nopass :: set_up => null()
-    procedure(mpi_procedure), pointer, nopass :: tear_down => null()
   contains
     procedure :: run => run_method
     procedure :: getMpiCommunicator
@@ -68,13 +62,11 @@ module pfunit
 
 contains
 
-  !> A test of `method` on `npes` processes, after `setUp` and before `tearDown`.
-  function new_mpi_test_method(name, method, npes, setUp, tearDown, disabled) result(this)
+  !> A test of `method` on `npes` processes.
+  function new_mpi_test_method(name, method, npes) result(this)
     character(len=*), intent(in) :: name
     procedure(mpi_procedure) :: method
     integer, intent(in) :: npes
-    procedure(mpi_procedure), optional :: setUp, tearDown
-    logical, intent(in), optional :: disabled
     type(MpiTestMethod) :: this
     character(len=16) :: label
 
@@ -82,9 +74,6 @@ contains
     this%name = name//trim(label)
     this%processes = npes
     this%method => method
-    if (present(setUp)) this%set_up => setUp
-    if (present(tearDown)) this%tear_down => tearDown
-    if (present(disabled)) this%disabled = disabled
   end function new_mpi_test_method
 
   !> Runs the test on a communicator of its own; the other processes wait for its failures.
@@ -104,11 +93,7 @@ contains
       this%communicator)
     ! Asked of the rank: gfortran 11 finds no operator(==) in Open MPI's module mpi_f08.
     if (.not. takes_part) return
-    if (associated(this%set_up)) call this%set_up(this)
-    if (.not. anyExceptions()) then
-      call this%method(this)
-      if (associated(this%tear_down)) call this%tear_down(this)
-    end if
+    call this%method(this)
     call MPI_Comm_free(this%communicator)
   end subroutine run_method
 

@@ -18,15 +18,7 @@ ASSERTS = {
     "asserttrue": 1,
     "assertfalse": 1,
     "assertequal": 2,
-    "assertnotequal": 2,
     "assertlessthan": 2,
-    "assertlessthanorequal": 2,
-    "assertgreaterthan": 2,
-    "assertgreaterthanorequal": 2,
-    "assertisnan": 1,
-    "assertisfinite": 1,
-    "assertfail": 1,
-    "assertexceptionraised": 0,
 }
 
 #: pFUnit builds longer names from these.
@@ -52,7 +44,6 @@ class Test:
 
     name: str
     processes: list[int]
-    disabled: bool = False
 
 
 @dataclass
@@ -61,8 +52,6 @@ class Suite:
 
     module: str
     tests: list[Test] = field(default_factory=list)
-    before: str = ""
-    after: str = ""
 
     @property
     def parallel(self) -> bool:
@@ -92,9 +81,8 @@ class Translator:
         self.suite = Suite(module="")
         self.output: list[str] = []
         self.number = 0
-        self.waiting = ""  # directive that waits for its subroutine
+        self.waiting = False  # whether a @test waits for its subroutine
         self.processes: list[int] = []
-        self.disabled = False
 
     def refuse(self, problem: str) -> TranslationError:
         """Give the error for the line at hand."""
@@ -140,24 +128,12 @@ class Translator:
         if name.startswith("assert"):
             self.write_assert(indent, word, rest)
             return
-        if self.waiting and name != "disable":
-            raise self.refuse(f"@{self.waiting} still waits for its subroutine")
-        if name == "disable":
-            if self.waiting != "test" or rest:
-                raise self.refuse("@disable comes after @test, and without arguments")
-            self.disabled = True
-        elif name == "test":
-            self.waiting = name
-            self.processes = self.read_processes(rest)
-            self.disabled = False
-        elif name in ("before", "after"):
-            if rest:
-                raise self.refuse(f"@{name} takes no arguments")
-            if getattr(self.suite, name):
-                raise self.refuse(f"there is a second @{name}")
-            self.waiting = name
-        else:
+        if name != "test":
             raise self.refuse(f"unknown directive @{word}")
+        if self.waiting:
+            raise self.refuse("@test still waits for its subroutine")
+        self.waiting = True
+        self.processes = self.read_processes(rest)
         self.output.append(f"{indent}! @{word}{rest}")
 
     def read_processes(self, rest: str) -> list[int]:
@@ -198,27 +174,22 @@ class Translator:
             return
         subroutine = SUBROUTINE.match(line)
         if not subroutine:
-            raise self.refuse(f"after @{self.waiting} comes a subroutine, on one line")
+            raise self.refuse("after @test comes a subroutine, on one line")
         name = subroutine.group(1)
         if len(name) > LONGEST_NAME:
             raise self.refuse(f"{name} is longer than {LONGEST_NAME} characters")
-        if self.waiting == "test":
-            takes_test = bool((subroutine.group(2) or "()").strip("() "))
-            if takes_test != bool(self.processes):
-                raise self.refuse("a test has an argument if, and only if, it has npes")
-            self.suite.tests.append(Test(name, self.processes, self.disabled))
-        else:
-            setattr(self.suite, self.waiting, name)
-        self.waiting = ""
+        takes_test = bool((subroutine.group(2) or "()").strip("() "))
+        if takes_test != bool(self.processes):
+            raise self.refuse("a test has an argument if, and only if, it has npes")
+        self.suite.tests.append(Test(name, self.processes))
+        self.waiting = False
 
     def finish(self) -> None:
         """Check what only the end of the file can tell."""
         if self.waiting:
-            raise self.refuse(f"@{self.waiting} waits for a subroutine")
+            raise self.refuse("@test waits for a subroutine")
         if not self.suite.module:
             raise self.refuse("there is no module")
-        if self.suite.parallel and bool(self.suite.before) != bool(self.suite.after):
-            raise self.refuse("tests with npes have both @before and @after, or neither")
 
     def collector(self) -> list[str]:
         """Write the function that collects the tests of the module."""
@@ -235,15 +206,10 @@ class Translator:
             f"  suite = TestSuite('{name}')",
         ]
         for test in suite.tests:
-            extras = [f"setUp={suite.before}"] if suite.before else []
-            extras += [f"tearDown={suite.after}"] if suite.after else []
-            extras += ["disabled=.true."] if test.disabled else []
             for wanted in test.processes or [0]:
-                kind = "MpiTestMethod" if wanted else "TestMethod"
-                place = [str(wanted)] if wanted else []
-                arguments = [f"'{test.name}'", test.name, *place, *extras]
-                inner = ", &\n    ".join(arguments)
-                lines.append(f"  call suite%addTest({kind}({inner}))")
+                kind, place = ("MpiTestMethod", f", {wanted}") if wanted else ("TestMethod", "")
+                lines.append(f"  call suite%addTest({kind}('{test.name}', &")
+                lines.append(f"    {test.name}{place}))")
         return [*lines, f"end function {name}"]
 
 

@@ -38,7 +38,8 @@ module battery_excursion
     store_visit_starts, is_nearer_start, locate_from_start, rebase_long_visits, &
     serialize_long_visits
   use battery_partial_visits, only: split_off_partial_visits, compute_partial_visits
-  use battery_lookahead, only: lookahead_pays, take_computed_visits
+  use battery_lookahead, only: lookahead_type, lookahead_pays, &
+    compute_with_lookahead, most_lookahead_visits
   use battery_serial_window, only: run_serial_window, longest_serial_window
   use battery_batch_window, only: batch_window_type, run_batch_window
   use battery_scatterer_visits, only: scatterer_visits_type, new_scatterer_visits, &
@@ -63,11 +64,12 @@ module battery_excursion
     type(calendar_type) :: calendar
     !> Work space of a window that is processed as a batch.
     type(batch_window_type) :: batch_window
-    !> Visits by urn. Urns that are mirror images share the first batch; the second then holds the
-    !> visits that `battery_lookahead` computed, if that pays.
+    !> Visits by urn. Urns that are mirror images share the first batch.
     type(visits_type) :: visits(2)
     integer :: batches = 1
+    !> Whether visits are computed ahead; those visits.
     logical, public :: looks_ahead = .false.
+    type(lookahead_type) :: ahead
     !> Whether channel 2 has discs; the visits on such a table.
     logical :: scattered = .false.
     type(scatterer_visits_type) :: scatterer_visits
@@ -129,7 +131,8 @@ contains
         *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
     end if
     self%looks_ahead = self%batches == 1 .and. .not. self%scattered .and. &
-      lookahead_pays(real(self%number, wp)*self%lookahead/self%interval, self%gate%threshold)
+      lookahead_pays(self%number, real(self%number, wp)*self%lookahead/self%interval, &
+      self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
     call new_flights(self%flight, self%number)
     call new_long_visits(self%long_visits, self%number, maxval(self%table%urn%reach))
@@ -262,7 +265,7 @@ contains
       self%flight, self%calendar%due_time, self%calendar%particle, done, self%resumed_count, &
       self%resumed_time, self%resumed)
     counted = number_inside(self%gate)
-    call reserve_visits(self%visits(1), done + sum(counted))
+    call reserve_visits(self%visits(1), done + sum(counted) + most_lookahead_visits)
     call reserve_event_record(event_record, done + sum(counted), 0)
     if (done <= longest_serial_window) then
       call run_serial_window(self%gate, self%table%beyond, self%flight, self%calendar, done, &
@@ -293,11 +296,10 @@ contains
     if (self%batches == 2) call split_visits_by_urn(self%visits(1), self%visits(2))
     do b = 1, self%batches
       associate (v => self%visits(b))
-        if (self%looks_ahead .and. self%partial_count == 0) then
-          call take_computed_visits(self%table%urn(1), self%number, self%flight, &
-            self%calendar%sorted, self%calendar%particle, v, self%visits(2), self%computed_hits)
+        if (self%looks_ahead) then
+          call compute_with_lookahead(self%table%urn(1), self%number, self%flight, &
+            self%calendar%sorted, self%calendar%particle, v, self%ahead, self%computed_hits)
         else
-          if (self%looks_ahead) self%visits(2)%count = 0
           call load_flights(self%number, self%flight, v%count, v%particle, v%turned, v%passage, &
             v%time, v%y, v%u_axial, v%u_lateral)
           call cross_channels(self%table%urn(b), v)
@@ -330,7 +332,7 @@ contains
     class(excursion_type), intent(inout) :: self
 
     call rebase_calendar(self%calendar, self%flight)
-    if (self%looks_ahead) self%visits(2)%count = 0
+    if (self%looks_ahead) self%flight%lookahead_slot = 0
     if (self%scattered) self%scatterer_visits%visit_start%time = &
       self%scatterer_visits%visit_start%time - self%epoch
     self%flight%time = self%flight%time - self%epoch

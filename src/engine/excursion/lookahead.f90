@@ -2,121 +2,141 @@
 !>
 !> With few particles or tiny openings a window has one visit, too few to fill the vector lanes. A
 !> particle that is not turned back in its channel meets no other, so its visit follows from its
-!> flight. The visits of the next events are therefore computed together, as if no gate reversed;
-!> the visit of a particle that a gate does turn back is computed again.
+!> flight. A visit that begins is therefore computed together with those of the next events that
+!> are not computed yet, as if no gate reversed. They are kept until they begin; the visit of a
+!> particle that a gate does turn back is computed again.
 module battery_lookahead
   use battery_kinds, only: wp, int32, int64
   use battery_calendar, only: flight_type
   use battery_channel, only: gated, ungated
   use battery_chamber, only: cross_channels
-  use battery_flight, only: load_flights, never, to_gate
+  use battery_flight, only: load_flights, never, partial_visit, to_gate
   use battery_urn, only: urn_type, compute_visits
-  use battery_visits, only: visits_type, reserve_visits
+  use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: lookahead_pays, take_computed_visits
+  public :: lookahead_type, lookahead_pays, compute_with_lookahead
 
-  !> Visits computed ahead in one batch, besides those that begin now.
-  integer, parameter :: most_lookahead_visits = 16
+  !> Visits computed ahead in one batch, besides those that begin now; those that are kept.
+  integer, parameter, public :: most_lookahead_visits = 16
+  integer, parameter :: slots = 64
   !> Lookahead pays where a window has fewer events than this on average.
-  real(wp), parameter :: most_events = 0.5_wp
+  real(wp), parameter :: most_events = 1.0_wp
+
+  !> A visit computed ahead: its particle, and what `compute_visits` yields of it.
+  type :: computed_visit_type
+    integer :: particle = 0
+    integer(int64) :: channel = 0
+    real(wp) :: time = 0.0_wp, length = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, &
+      through = 0.0_wp, hits = 0.0_wp
+  end type computed_visit_type
+
+  !> Visits computed ahead: a new one takes the place of the oldest.
+  type :: lookahead_type
+    private
+    type(computed_visit_type) :: visit(slots)
+    !> Slot written last.
+    integer :: last = 0
+  end type lookahead_type
 
 contains
 
   !> Whether it pays to compute visits ahead.
-  pure function lookahead_pays(events, threshold)
+  pure function lookahead_pays(number, events, threshold)
+    !> Number of particles: one alone has no visit to be computed with another.
+    integer, intent(in) :: number
     !> Mean number of events in a window.
     real(wp), intent(in) :: events
     !> Thresholds of both gates: a gate of threshold 0 turns all particles back.
     integer, intent(in) :: threshold(2)
     logical :: lookahead_pays
 
-    lookahead_pays = events < most_events .and. all(threshold > 0)
+    lookahead_pays = number > 1 .and. events < most_events .and. all(threshold > 0)
   end function lookahead_pays
 
-  !> Fills in the visits that begin: copies those that were computed ahead, else computes them
-  !> together with those of the next events.
-  subroutine take_computed_visits(urn, number, flight, coming, next, visits, ahead, computed_hits)
+  !> Takes the visits that begin from those computed ahead if all of them were. Else computes them,
+  !> together with those of the next events, which are kept.
+  subroutine compute_with_lookahead(urn, number, flight, coming, next, visits, ahead, computed_hits)
     type(urn_type), intent(in) :: urn
     !> Number of particles; number of pending events in order.
     integer, intent(in) :: number, coming
     type(flight_type), intent(inout) :: flight(number)
     !> Their particles.
     integer, intent(in) :: next(coming)
-    !> In: particle, channel and time of reversal, as `run_serial_window` leaves them. Out: as
-    !> `compute_visits` leaves them.
+    !> In: particle, channel and time of reversal, as `run_serial_window` leaves them; with room for
+    !> `most_lookahead_visits` more. Out: as `compute_visits` leaves them.
     type(visits_type), intent(inout) :: visits
     !> Visits computed ahead.
-    type(visits_type), intent(inout) :: ahead
+    type(lookahead_type), intent(inout) :: ahead
     !> Increased by the wall hits of the visits.
     integer(int64), intent(inout) :: computed_hits
-    integer :: j, at
+    integer :: begun, j, k
+    logical :: all_computed
 
-    do j = 1, visits%count
-      if (visits%turned(j) < never .or. .not. is_computed(visits%particle(j))) then
-        call compute_lookahead_visits(urn, number, flight, coming, next, visits, ahead)
-        exit
-      end if
+    begun = visits%count
+    all_computed = .true.
+    do j = 1, begun
+      all_computed = all_computed .and. .not. visits%turned(j) < never &
+        .and. is_computed(flight(visits%particle(j)), visits%particle(j), ahead)
     end do
-    do j = 1, visits%count
-      at = flight(visits%particle(j))%lookahead_slot
-      flight(visits%particle(j))%lookahead_slot = 0
-      visits%channel(j) = ahead%channel(at)
-      visits%time(j) = ahead%time(at)
-      visits%length(j) = ahead%length(at)
-      visits%y(j) = ahead%y(at)
-      visits%u_axial(j) = ahead%u_axial(at)
-      visits%u_lateral(j) = ahead%u_lateral(at)
-      visits%through(j) = ahead%through(at)
-      visits%hits(j) = ahead%hits(at)
+    if (all_computed) then
+      do j = 1, begun
+        associate (one => ahead%visit(flight(visits%particle(j))%lookahead_slot))
+          visits%channel(j) = one%channel
+          visits%time(j) = one%time
+          visits%length(j) = one%length
+          visits%y(j) = one%y
+          visits%u_axial(j) = one%u_axial
+          visits%u_lateral(j) = one%u_lateral
+          visits%through(j) = one%through
+          visits%hits(j) = one%hits
+          computed_hits = computed_hits + int(one%hits, int64)
+        end associate
+      end do
+    else
+      do k = 1, min(coming, most_lookahead_visits)
+        associate (i => next(k))
+          if (is_computed(flight(i), i, ahead) .or. flight(i)%next_event == partial_visit) cycle
+          j = visits%count + 1
+          visits%count = j
+          visits%particle(j) = i
+          visits%channel(j) = merge(gated, ungated, flight(i)%next_event == to_gate)
+          visits%turned(j) = never
+        end associate
+      end do
+      call load_flights(number, flight, visits%count, visits%particle, visits%turned, &
+        visits%passage, visits%time, visits%y, visits%u_axial, visits%u_lateral)
+      call cross_channels(urn, visits)
+      call compute_visits(urn, visits)
+      computed_hits = computed_hits + visits%all_hits
+      do j = begun + 1, visits%count
+        ahead%last = modulo(ahead%last, slots) + 1
+        ahead%visit(ahead%last) = computed_visit_type(visits%particle(j), visits%channel(j), &
+          visits%time(j), visits%length(j), visits%y(j), visits%u_axial(j), visits%u_lateral(j), &
+          visits%through(j), visits%hits(j))
+        flight(visits%particle(j))%lookahead_slot = int(ahead%last, int32)
+        computed_hits = computed_hits - int(visits%hits(j), int64)
+      end do
+      visits%count = begun
+    end if
+    visits%many_count = begun
+    do j = 1, begun
       visits%many(j) = j
-      computed_hits = computed_hits + int(ahead%hits(at), int64)
+      flight(visits%particle(j))%lookahead_slot = 0
     end do
-    visits%many_count = visits%count
+  end subroutine compute_with_lookahead
 
-  contains
+  !> Whether the next visit of particle `i` is computed: the flight holds its slot among those
+  !> computed ahead, which may have been overwritten since.
+  pure function is_computed(flight, i, ahead)
+    !> Its flight.
+    type(flight_type), intent(in) :: flight
+    integer, intent(in) :: i
+    type(lookahead_type), intent(in) :: ahead
+    logical :: is_computed
 
-    !> The flight holds the slot of its visit among those computed ahead; the slot may have been
-    !> reused since.
-    pure function is_computed(i)
-      integer, intent(in) :: i
-      logical :: is_computed
-
-      is_computed = flight(i)%lookahead_slot > 0 .and. flight(i)%lookahead_slot <= ahead%count
-      if (is_computed) is_computed = ahead%particle(flight(i)%lookahead_slot) == i
-    end function is_computed
-
-  end subroutine take_computed_visits
-
-  !> Computes the visits that begin, and those that will begin if no gate turns the next particles
-  !> back.
-  subroutine compute_lookahead_visits(urn, number, flight, coming, next, visits, ahead)
-    type(urn_type), intent(in) :: urn
-    integer, intent(in) :: number, coming, next(coming)
-    type(flight_type), intent(inout) :: flight(number)
-    type(visits_type), intent(in) :: visits
-    type(visits_type), intent(inout) :: ahead
-    integer :: n, k
-
-    n = visits%count
-    call reserve_visits(ahead, n + most_lookahead_visits)
-    ahead%particle(:n) = visits%particle(:n)
-    ahead%channel(:n) = visits%channel(:n)
-    ahead%turned(:n) = visits%turned(:n)
-    do k = 1, min(coming, most_lookahead_visits)
-      ahead%particle(n + k) = next(k)
-      ahead%channel(n + k) = merge(gated, ungated, flight(next(k))%next_event == to_gate)
-      ahead%turned(n + k) = never
-    end do
-    n = n + min(coming, most_lookahead_visits)
-    ahead%count = n
-    do k = 1, n
-      flight(ahead%particle(k))%lookahead_slot = int(k, int32)
-    end do
-    call load_flights(number, flight, n, ahead%particle, ahead%turned, ahead%passage, ahead%time, &
-      ahead%y, ahead%u_axial, ahead%u_lateral)
-    call cross_channels(urn, ahead)
-    call compute_visits(urn, ahead)
-  end subroutine compute_lookahead_visits
+    is_computed = flight%lookahead_slot > 0
+    if (is_computed) is_computed = ahead%visit(flight%lookahead_slot)%particle == i
+  end function is_computed
 
 end module battery_lookahead
