@@ -247,7 +247,11 @@ install: prefix information $(PROGRAM) ## program, library, man page, module fil
 	  > "$$prefix/lib/pkgconfig/battery.pc"
 	sed -e "s|@version@|$$version|" -e "s|@prefix@|$$prefix|" packaging/modulefile.in \
 	  > "$$prefix/share/modulefiles/battery/$$version"
-	python3 docs/man_page.py $(PROGRAM) > "$$prefix/share/man/man1/battery.1"
+	if command -v python3 > /dev/null; then
+	  python3 docs/man_page.py $(PROGRAM) > "$$prefix/share/man/man1/battery.1"
+	else
+	  echo "no man page: it takes a python3"
+	fi
 	echo "battery is in $$prefix/bin; battery --self-test says whether it works"
 	[[ "$(POSTPROC)" != 0 ]] || exit 0
 	python3 -m venv "$$prefix/lib/battery"
@@ -289,7 +293,11 @@ build/stamps/packages$(SUFFIX): packaging/switches build/choices$(SUFFIX)
 	      apt-get install -y -qq --no-install-recommends $$missing; } \
 	    > build/stamps/apt.log 2>&1 || tail -n 20 build/stamps/apt.log >&2
 	fi
-	packaging/switches missing >&2
+	packaging/switches missing >&2 || {
+	  mv -f build/choices$(SUFFIX){.before,} 2> /dev/null || true
+	  exit 1
+	}
+	rm -f build/choices$(SUFFIX).before
 	touch $@
 
 # One that the user names, and that is not there.
@@ -297,11 +305,14 @@ $(filter-out $(abspath build/venv/bin/fpm),$(fpm)):
 	@echo "FPM=$@: there is no such program; how to get one: docs/install.md" >&2
 	exit 1
 
-# What was said, for the next make: written only where it is new.
+# What was said, for the next make: written only where it is new. What does not work is forgotten
+# again (above).
 build/choices$(SUFFIX): FORCE
 	@mkdir -p build
 	said=$$(printf '%s\n' $(foreach name,$(CHOICES),$(if $($(name)),'$(name) ?= $($(name))')))
-	[[ "$$said" == "$$(cat $@ 2> /dev/null)" ]] || echo "$$said" > $@
+	[[ "$$said" != "$$(cat $@ 2> /dev/null)" ]] || exit 0
+	[[ -e $@.before ]] || cp $@ $@.before 2> /dev/null || : > $@.before
+	echo "$$said" > $@
 
 $(abspath build/venv/bin/fpm): | build/stamps/packages$(SUFFIX)
 	@wanted=$$(grep '^fpm==' postproc/requirements.txt)

@@ -2,7 +2,7 @@
 !>
 !> `make accuracy` builds it three times (real32, real64, real128) and asks it for plain data, one
 !> JSON object a line. `accuracy` alone lists its commands. Numbers are read and written with all
-!> the digits that the precision has.
+!> digits of the precision.
 program accuracy
   use battery_probe, only: argument
   use battery_probe_trajectory, only: trajectory_main, reversal_main

@@ -1,13 +1,13 @@
 !> The program `battery`: arguments, plan, ensemble, exit code.
 program battery
-  use battery_answer, only: write_run_answer
+  use battery_json_report, only: write_run_json
   use battery_error, only: error_type, exit_success, exit_failure
   use battery_agreement, only: check_command_lines
   use battery_command_line, only: command_line_type, command_line_words, parse_arguments
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node, wait_for_all
   use battery_ensemble, only: run_ensemble, set_time_limit
-  use battery_memory_estimate, only: check_estimate, check_start
+  use battery_memory_estimate, only: check_estimate, check_memory_for_mpi
   use battery_memory_limits, only: spare_address_space
   use battery_plan_report, only: print_plan_report
   use battery_plan, only: plan_type
@@ -15,7 +15,7 @@ program battery
   use battery_provenance, only: version_text
   use battery_self_test, only: run_self_test
   use battery_signals, only: watch_signals
-  use battery_process, only: exit_process, leave_after
+  use battery_process, only: exit_process, exit_after
   use battery_terminal, only: guard_streams, print_line, print_error, all_was_printed
   use battery_text, only: string_type
   implicit none (type, external)
@@ -33,7 +33,7 @@ program battery
   call guard_streams()
   call spare_address_space()
   call watch_signals()
-  call check_start(error)
+  call check_memory_for_mpi(error)
   if (allocated(error)) then
     call print_error(error%message)
     call exit_process(error%code)
@@ -45,11 +45,11 @@ program battery
   if (.not. allocated(error)) then
     if (command_line%self_test) then
       call run_self_test(communicator, error)
-    else if (command_line%answer == '' .and. .not. command_line%version) then
+    else if (command_line%text_to_print == '' .and. .not. command_line%version) then
       call run()
     else if (communicator%rank == 0) then
-      if (command_line%version) command_line%answer = version_text()
-      call print_line(command_line%answer)
+      if (command_line%version) command_line%text_to_print = version_text()
+      call print_line(command_line%text_to_print)
     end if
   end if
   if (allocated(error)) then
@@ -64,7 +64,7 @@ program battery
   ! All is written. MPICH 4.0 over UCX hangs now and then in MPI_Finalize on several nodes: one rank
   ! waits for another that no longer listens (its pull request 6596).
   call wait_for_all(communicator)
-  call leave_after(patience, exit_code)
+  call exit_after(patience, exit_code)
   call close_communicator(communicator)
   call exit_process(exit_code)
 
@@ -85,7 +85,7 @@ contains
       call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
         error)
       if (communicator%rank == 0 .and. .not. allocated(error)) &
-        call write_run_answer(command_line%json, plan%file, error)
+        call write_run_json(command_line%json, plan%file, error)
     else if (communicator%rank == 0) then
       call print_plan_report(plan, communicator%size, sharing, &
         command_line%overwrite, command_line%json, error)

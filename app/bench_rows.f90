@@ -1,4 +1,4 @@
-!> Rows of the speed tables: a case, what its rounds showed, and how both are written.
+!> Rows of the speed tables: a case, the rates of its rounds, and how both are written.
 module battery_bench_rows
   use, intrinsic :: iso_fortran_env, only: compiler_version
   use battery_kinds, only: wp, dp, int64
@@ -6,46 +6,48 @@ module battery_bench_rows
   implicit none (type, external)
   private
   public :: case_type, rate_type, cost_of_collision, cost_of_visit, cost_of_time, write_title, &
-    write_row, begin_json, write_json_row, end_json, processor, peak_memory
+    write_row, begin_json, write_json_row, end_json, processor_name, peak_memory
 
   type :: case_type
     character(len=12) :: engine = 'excursion'
     integer :: number = 1000, threshold = 7
     real(wp) :: width1 = 0.3_wp, width2 = 0.01_wp
-    !> Of urns that are regular polygons; 0: discs.
+    !> Sides of urns that are regular polygons; 0: discs.
     integer :: sides = 0
-    !> Discs in channel 2.
+    !> Number of discs in channel 2.
     integer :: scatterers = 0
-    !> Seconds a round lasts; warm-up in time units (particle time) before the first.
+    !> Duration of a round in seconds; warm-up before the first, in time units.
     real(dp) :: seconds = 0.5_dp
     real(wp) :: warm_up = 50.0_wp
   end type case_type
 
-  !> What one round showed: rates a second.
+  !> Rates of one round, per second.
   type :: rate_type
     real(dp) :: collisions = 0.0_dp, visits = 0.0_dp, particle_time = 0.0_dp
   end type rate_type
 
-  ! Of what a table gives the cost, relative to its first row.
+  ! Cost that a table gives relative to its first row.
   integer, parameter :: cost_of_collision = 1, cost_of_visit = 2, cost_of_time = 3
 
 contains
 
-  !> What every JSON file says first. The list of rows follows.
+  !> Writes the head of a JSON file, up to the list of rows.
   subroutine begin_json(file)
     integer, intent(in) :: file
 
     write (file, '(a)') '{"version": "'//program_version//'", "commit": "'//git_commit()//'",', &
-      ' "compiler": "'//compiler_version()//'", "processor": "'//processor()//'", "rows": ['
+      ' "compiler": "'//compiler_version()//'", "processor": "'//processor_name()//'", "rows": ['
   end subroutine begin_json
 
+  !> Ends a JSON file.
   subroutine end_json(file)
     integer, intent(in) :: file
 
     write (file, '(a, i0, a)') '], "peak_memory_kilobytes": ', peak_memory(), '}'
   end subroutine end_json
 
-  !> One row, an object with a list of rounds for each rate; a comma before all but the first.
+  !> Writes one row, an object with a list of rounds for each rate; a comma before all but the
+  !> first.
   subroutine write_json_row(file, key, one, rates, first)
     integer, intent(in) :: file
     !> Name of the table.
@@ -65,6 +67,7 @@ contains
 
   contains
 
+    !> Writes the rounds of one rate.
     subroutine write_list(name, values, end)
       character(len=*), intent(in) :: name, end
       real(dp), intent(in) :: values(:)
@@ -75,7 +78,7 @@ contains
 
   end subroutine write_json_row
 
-  !> Title and head of a table.
+  !> Writes the title and the head of a table.
   subroutine write_title(unit, title, cost)
     integer, intent(in) :: unit, cost
 
@@ -88,7 +91,7 @@ contains
       'N', 'T', 'w', 'w''', 'collisions/s', 'visits/s', '& particle', 'over the first'
   end subroutine write_title
 
-  !> One row: medians of the rounds, and half of the distance from least to most after +-.
+  !> Writes one row: medians of the rounds, and half the range after +-.
   subroutine write_row(unit, one, rates, reference, cost)
     integer, intent(in) :: unit, cost
     type(case_type), intent(in) :: one
@@ -99,34 +102,34 @@ contains
 
     name = one%engine
     if (one%sides > 0) write (name, '(i0, a)') one%sides, ' sides'
-    collisions = spread_of(rates%collisions)
-    visits = spread_of(rates%visits)
-    time = spread_of(1.0e9_dp/rates%particle_time)
+    collisions = least_median_greatest(rates%collisions)
+    visits = least_median_greatest(rates%visits)
+    time = least_median_greatest(1.0e9_dp/rates%particle_time)
     select case (cost)
     case (cost_of_collision)
-      ratio = spread_of(reference%collisions/rates%collisions)
+      ratio = least_median_greatest(reference%collisions/rates%collisions)
     case (cost_of_visit)
-      ratio = spread_of(reference%visits/rates%visits)
+      ratio = least_median_greatest(reference%visits/rates%visits)
     case default
-      ratio = spread_of(reference%particle_time/rates%particle_time)
+      ratio = least_median_greatest(reference%particle_time/rates%particle_time)
     end select
     write (unit, '(a11, i8, i7, 2es8.1, es10.2, a, f4.1, a, es10.2, es11.3, f10.2, a, f4.1, a)') &
       name, one%number, one%threshold, one%width1, one%width2, collisions(2), &
-      ' +-', percents(collisions), '%', visits(2), &
-      time(2), ratio(2), ' +-', percents(ratio), '%'
+      ' +-', half_spread_percent(collisions), '%', visits(2), &
+      time(2), ratio(2), ' +-', half_spread_percent(ratio), '%'
     flush (unit)
   end subroutine write_row
 
-  !> Half of the distance from least to greatest, in per cent of the median, up to what is shown.
-  pure function percents(three) result(half)
+  !> Half the range, in per cent of the median, limited to what is shown.
+  pure function half_spread_percent(three) result(percent)
     real(dp), intent(in) :: three(3)
-    real(dp) :: half
+    real(dp) :: percent
 
-    half = min(50.0_dp*(three(3) - three(1))/three(2), 99.9_dp)
-  end function percents
+    percent = min(50.0_dp*(three(3) - three(1))/three(2), 99.9_dp)
+  end function half_spread_percent
 
-  !> Least, median and greatest.
-  pure function spread_of(values) result(three)
+  !> Least, median and greatest value.
+  pure function least_median_greatest(values) result(three)
     real(dp), intent(in) :: values(:)
     real(dp) :: three(3)
     real(dp) :: sorted(size(values))
@@ -142,31 +145,31 @@ contains
       sorted(at) = values(k)
     end do
     three = [sorted(1), sorted((size(values) + 1)/2), sorted(size(values))]
-  end function spread_of
+  end function least_median_greatest
 
-  !> Name, family and model of the processor, as Linux gives them: names are often those of many.
-  function processor() result(name)
+  !> Name, family and model of the processor, as Linux gives them: many processors share a name.
+  function processor_name() result(name)
     character(len=:), allocatable :: name
     character(len=*), parameter :: file = '/proc/cpuinfo'
 
-    name = line_of(file, 'model name')//', family '//line_of(file, 'cpu family')//' model '// &
-      line_of(file, 'model'//achar(9))
-  end function processor
+    name = value_of_line(file, 'model name')//', family '//value_of_line(file, 'cpu family') &
+      //' model '//value_of_line(file, 'model'//achar(9))
+  end function processor_name
 
-  !> Most memory this process had, in kB, as Linux gives it; 0 if it does not.
+  !> Peak memory of this process in kB, as Linux gives it; 0 if it does not.
   function peak_memory() result(kilobytes)
     integer(int64) :: kilobytes
     character(len=:), allocatable :: text
     integer :: status
 
-    text = line_of('/proc/self/status', 'VmHWM')
+    text = value_of_line('/proc/self/status', 'VmHWM')
     kilobytes = 0
     read (text, *, iostat=status) kilobytes
     if (status /= 0) kilobytes = 0
   end function peak_memory
 
-  !> What stands after the colon in the line of a file that begins with `key`.
-  function line_of(file, key) result(value)
+  !> Text after the colon in the line of a file that starts with `key`.
+  function value_of_line(file, key) result(value)
     character(len=*), intent(in) :: file, key
     character(len=:), allocatable :: value
     character(len=512) :: line
@@ -183,6 +186,6 @@ contains
       exit
     end do
     close (unit)
-  end function line_of
+  end function value_of_line
 
 end module battery_bench_rows

@@ -1,4 +1,4 @@
-!> Speed of the engines: cases, rounds, tables and JSON. The program `bench` is just a call of this.
+!> Speed of the engines: cases, rounds, tables and JSON. Called by the program `bench`.
 module battery_bench
   use, intrinsic :: iso_fortran_env, only: compiler_version
   use battery_kinds, only: wp, dp, int64
@@ -12,26 +12,26 @@ module battery_bench
   use battery_initial_state, only: random_particles
   use battery_clocks, only: cpu_seconds
   use battery_bench_task_queue, only: bench_task_queue
-  use battery_bench_visits, only: visitors_type, invite, receive
+  use battery_bench_visits, only: entrances_type, draw_entrances, measure_visits
   use battery_bench_rows, only: case_type, rate_type, cost_of_collision, cost_of_visit, &
-    cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor, &
+    cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor_name, &
     peak_memory
   implicit none (type, external)
   private
   public :: bench_main
 
-  !> An engine that has been warmed up and goes on from round to round, or visits alone.
+  !> An engine that runs from round to round, or visits without an engine.
   type :: runner_type
     class(engine_type), allocatable :: engine
-    type(visitors_type) :: visitors
+    type(entrances_type) :: entrances
   end type runner_type
 
   integer, parameter :: rounds = 5
 
-  !> In place of an engine.
+  !> In place of an engine's name: visits without an engine.
   character(len=*), parameter :: visits_alone = 'visits'
 
-  !> Step of the engine `timestep`, with which it is off by half a per cent after 10 time units.
+  !> Step of the engine `timestep`: its error is half a per cent after 10 time units.
   real(wp), parameter :: time_step = 1.0e-3_wp
 
 contains
@@ -44,13 +44,13 @@ contains
     call get_command_argument(1, word)
     select case (word)
     case ('single')
-      call single(unit, memory=.false.)
+      call run_single(unit, memory=.false.)
     case ('memory')
-      call single(unit, memory=.true.)
+      call run_single(unit, memory=.true.)
     case ('board')
-      call bench_task_queue(unit, board_items())
+      call bench_task_queue(unit, task_count())
     case ('', '--json')
-      call tables(unit, json_name())
+      call run_all_tables(unit, json_file_name())
     case default
       write (unit, '(a)') 'usage: bench [--json FILE]', &
         '       bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS', &
@@ -59,8 +59,8 @@ contains
     end select
   end subroutine bench_main
 
-  !> Tasks for the board of an ensemble.
-  function board_items() result(items)
+  !> Number of tasks for the task queue, from the command line.
+  function task_count() result(items)
     integer :: items
     character(len=32) :: word
     integer :: status
@@ -70,20 +70,21 @@ contains
     if (word == '') return
     read (word, *, iostat=status) items
     if (status /= 0 .or. items < 1) error stop 'bench board: TASKS is a whole number from 1 up'
-  end function board_items
+  end function task_count
 
-  function json_name() result(name)
+  !> Name of the JSON file, from the command line; empty if there is none.
+  function json_file_name() result(name)
     character(len=:), allocatable :: name
     character(len=256) :: word
 
     call get_command_argument(2, word)
     name = trim(word)
-  end function json_name
+  end function json_file_name
 
-  !> One case, once: for instruction counters, or for the memory that it takes.
-  subroutine single(unit, memory)
+  !> Runs one case once, for instruction counters or for its memory.
+  subroutine run_single(unit, memory)
     integer, intent(in) :: unit
-    !> Write the peak memory of the process in kB, not the collisions.
+    !> Print the peak memory of the process in kB, not the collisions.
     logical, intent(in) :: memory
     type(case_type) :: one
     type(runner_type) :: runner
@@ -101,17 +102,17 @@ contains
     read (words, *, iostat=status) one%engine, one%number, one%threshold, one%width1, one%width2, &
       wanted
     if (status /= 0) error stop 'bench: six words are needed; see bench --help'
-    call prepare(one, runner)
+    call start_case(one, runner)
     collisions = 0
     do while (collisions < wanted)
       call runner%engine%advance(huge(1.0_wp), event_record)
       collisions = collisions + event_record%collisions
     end do
     write (unit, '(i0)') merge(peak_memory(), collisions, memory)
-  end subroutine single
+  end subroutine run_single
 
-  !> An engine with particles, started.
-  subroutine prepare(one, runner)
+  !> Starts the engine of a case, with its particles.
+  subroutine start_case(one, runner)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
     type(particles_type) :: particles
@@ -123,9 +124,9 @@ contains
       urn%corner = regular_corners(one%sides, 1.0_wp)
     end if
     associate (table => new_table(shape_circuit, [urn, urn], [channel_type(one%width1, 1.0_wp), &
-      channel_type(one%width2, 1.0_wp)], lattice(one%scatterers)))
+      channel_type(one%width2, 1.0_wp)], disc_lattice(one%scatterers)))
       if (one%engine == visits_alone) then
-        call invite(runner%visitors, table)
+        call draw_entrances(runner%entrances, table)
         return
       end if
       call new_engine(trim(one%engine), runner%engine, error)
@@ -135,11 +136,11 @@ contains
       runner%engine%time_step = time_step
       call runner%engine%start(table, one%threshold, particles, 0.0_wp)
     end associate
-  end subroutine prepare
+  end subroutine start_case
 
-  !> Discs of radius 0.025 in two rows by turns, as in `namelists/lorentz.nml`.
-  pure function lattice(scatterers) result(discs)
-    !> How many of them; even.
+  !> Discs of radius 0.025 in two alternating rows, as in `namelists/lorentz.nml`.
+  pure function disc_lattice(scatterers) result(discs)
+    !> Number of discs; even.
     integer, intent(in) :: scatterers
     real(wp) :: discs(3, scatterers)
     integer :: k, column
@@ -149,9 +150,10 @@ contains
       discs(:, k) = [-0.45_wp + 0.1_wp*column, -0.1125_wp + 0.075_wp*modulo(column, 2) &
         + 0.15_wp*modulo(k - 1, 2), 0.025_wp]
     end do
-  end function lattice
+  end function disc_lattice
 
-  subroutine warm_up(one, runner)
+  !> Runs a case for its warm-up, or for four rounds if that is shorter.
+  subroutine warm_up_case(one, runner)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
     type(event_record_type) :: event_record
@@ -160,7 +162,7 @@ contains
     type(rate_type) :: rate
 
     if (one%engine == visits_alone) then
-      call receive(runner%visitors, one%seconds, rate)
+      call measure_visits(runner%entrances, one%seconds, rate)
       return
     end if
     time = 0.0_wp
@@ -169,11 +171,11 @@ contains
       call runner%engine%advance(one%warm_up - time, event_record)
       time = time + event_record%duration
     end do
-  end subroutine warm_up
+  end subroutine warm_up_case
 
-  !> Goes on for about the seconds of the case. Visits are counted from the stationary rate of
-  !> visits per particle time only in the tables; here what the engine reports is summed up.
-  subroutine round(one, runner, rate)
+  !> Runs a case for about its number of seconds, and sums what the engine reports: visits are
+  !> crossings and particles turned back.
+  subroutine run_round(one, runner, rate)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
     type(rate_type), intent(out) :: rate
@@ -183,7 +185,7 @@ contains
     integer :: k
 
     if (one%engine == visits_alone) then
-      call receive(runner%visitors, one%seconds, rate)
+      call measure_visits(runner%entrances, one%seconds, rate)
       return
     end if
     before = runner%engine%collisions()
@@ -202,29 +204,29 @@ contains
     rate%collisions = real(runner%engine%collisions() - before, dp)/spent
     rate%visits = visits/spent
     rate%particle_time = time*real(one%number, dp)/spent
-  end subroutine round
+  end subroutine run_round
 
-  !> Runs cases in turn and gives the rates as (round, case).
-  subroutine compare(cases, rates)
+  !> Runs cases in turn; rates are (round, case).
+  subroutine compare_cases(cases, rates)
     type(case_type), intent(in) :: cases(:)
     type(rate_type), intent(out) :: rates(:, :)
     type(runner_type), allocatable :: runners(:)
-    integer :: k, turn
+    integer :: k, round_number
 
     allocate (runners(size(cases)))
     do k = 1, size(cases)
-      call prepare(cases(k), runners(k))
-      call warm_up(cases(k), runners(k))
+      call start_case(cases(k), runners(k))
+      call warm_up_case(cases(k), runners(k))
     end do
-    do turn = 1, rounds
+    do round_number = 1, rounds
       do k = 1, size(cases)
-        call round(cases(k), runners(k), rates(turn, k))
+        call run_round(cases(k), runners(k), rates(round_number, k))
       end do
     end do
-  end subroutine compare
+  end subroutine compare_cases
 
-  !> All tables, and the same as JSON if `json` is not empty.
-  subroutine tables(unit, json)
+  !> Runs all tables; writes them as JSON too if `json` is not empty.
+  subroutine run_all_tables(unit, json)
     integer, intent(in) :: unit
     character(len=*), intent(in) :: json
     integer :: file, status, k
@@ -235,66 +237,66 @@ contains
       if (status /= 0) error stop 'bench: cannot write '//json
       call begin_json(file)
     end if
-    write (unit, '(a)') 'processor: '//processor(), 'compiler:  '//compiler_version(), &
+    write (unit, '(a)') 'processor: '//processor_name(), 'compiler:  '//compiler_version(), &
       'Medians of rounds in which the rows of a table run in turn; +- half of least to most.'
     flush (unit)
-    call table(unit, file, 'engines', 'Engines, N = 1000, T = 7, w = 0.3, w'' = 0.01', &
+    call run_table(unit, file, 'engines', 'Engines, N = 1000, T = 7, w = 0.3, w'' = 0.01', &
       cost_of_collision, [case_type('excursion'), case_type('collision'), &
       case_type('synchronous'), case_type('reservoir'), case_type('timestep')])
-    call table(unit, file, 'number', 'Number of particles, T/N = 0.007', cost_of_time, &
+    call run_table(unit, file, 'number', 'Number of particles, T/N = 0.007', cost_of_time, &
       [case_type(number=1000, threshold=7, warm_up=1000.0_wp), case_type(number=100, threshold=1), &
       case_type(number=10000, threshold=70), case_type(number=100000, threshold=700), &
       case_type(number=1000000, threshold=7000, seconds=1.0_dp)])
-    call table(unit, file, 'threshold', &
+    call run_table(unit, file, 'threshold', &
       'Threshold, N = 1000: small, the working point, at the transition, N (no gate)', &
       cost_of_visit, [case_type(), case_type(threshold=1), case_type(threshold=2), &
       case_type(threshold=15), case_type(threshold=16), case_type(threshold=17), &
       case_type(threshold=1000)])
-    call table(unit, file, 'openings', 'Openings, N = 1000, T = 7, w = w''', cost_of_visit, &
+    call run_table(unit, file, 'openings', 'Openings, N = 1000, T = 7, w = w''', cost_of_visit, &
       [case_type(width1=0.3_wp, width2=0.3_wp), (case_type(width1=10.0_wp**(-k), &
       width2=10.0_wp**(-k)), k=1, 6)])
-    call table(unit, file, 'collision', 'Engine collision: number of particles', cost_of_time, &
+    call run_table(unit, file, 'collision', 'Engine collision: number of particles', cost_of_time, &
       [case_type('collision'), case_type('collision', 100, 1), case_type('collision', 10000, 70), &
       case_type('collision', 100000, 700), &
       case_type('collision', 1000000, 7000, seconds=1.0_dp, warm_up=5.0_wp)])
-    call table(unit, file, 'shapes', 'Shapes of urns: discs, regular polygons; many particles, '// &
-      'whose visits come in large batches', cost_of_collision, [case_type(number=100000, &
-      threshold=700), case_type(number=100000, threshold=700, sides=4), &
-      case_type(number=100000, threshold=700, sides=6), &
-      case_type(number=100000, threshold=700, sides=24)])
-    call table(unit, file, 'visits', 'Visits alone, in batches of 1024: discs, regular hexagons', &
-      cost_of_collision, [case_type(visits_alone, 1024, 0), &
-      case_type(visits_alone, 1024, 0, sides=6), &
-      case_type(visits_alone, 1024, 0, width2=0.3_wp), &
-      case_type(visits_alone, 1024, 0, width2=0.3_wp, sides=6)])
-    call table(unit, file, 'lorentz', '20 discs in channel 2, w'' = 0.3', cost_of_collision, &
+    call run_table(unit, file, 'shapes', &
+      'Shapes of urns: discs, regular polygons; many particles, ' &
+      //'whose visits come in large batches', cost_of_collision, [case_type(number=100000, &
+      threshold=700), case_type(number=100000, threshold=700, sides=4), case_type(number=100000, &
+      threshold=700, sides=6), case_type(number=100000, threshold=700, sides=24)])
+    call run_table(unit, file, 'visits', &
+      'Visits alone, in batches of 1024: discs, regular hexagons', cost_of_collision, &
+      [case_type(visits_alone, 1024, 0), case_type(visits_alone, 1024, 0, sides=6), &
+      case_type(visits_alone, 1024, 0, width2=0.3_wp), case_type(visits_alone, 1024, 0, &
+      width2=0.3_wp, sides=6)])
+    call run_table(unit, file, 'lorentz', '20 discs in channel 2, w'' = 0.3', cost_of_collision, &
       [case_type('excursion', width2=0.3_wp, scatterers=20), &
       case_type('collision', width2=0.3_wp, scatterers=20)])
-    call table(unit, file, 'map', 'Map of Fig. numris: 25 of its points, as its five by five '// &
-      'parts have them in the middle', cost_of_collision, [(case_type(threshold=3 + k - mod(k, 5), &
-      width2=0.002_wp + 0.098_wp*(0.1_wp + 0.2_wp*modulo(k, 5)), seconds=0.15_dp), k=0, 24)])
+    call run_table(unit, file, 'map', 'Map of Fig. numris: 25 of its points, as its five by five ' &
+      //'parts have them in the middle', cost_of_collision, [(case_type(threshold=3 + k - mod(k, &
+      5), width2=0.002_wp + 0.098_wp*(0.1_wp + 0.2_wp*modulo(k, 5)), seconds=0.15_dp), k=0, 24)])
     write (unit, '(/, a, i0, a)') 'peak memory of this run: ', peak_memory(), ' kB'
     if (file /= 0) then
       call end_json(file)
       close (file)
     end if
-  end subroutine tables
+  end subroutine run_all_tables
 
-  !> One table; its rows are compared with the first.
-  subroutine table(unit, file, key, title, cost, cases)
+  !> Runs one table; costs are relative to its first row.
+  subroutine run_table(unit, file, key, title, cost, cases)
     integer, intent(in) :: unit, file, cost
     character(len=*), intent(in) :: key, title
     type(case_type), intent(in) :: cases(:)
     type(rate_type) :: rates(rounds, size(cases))
     integer :: k
 
-    call compare(cases, rates)
+    call compare_cases(cases, rates)
     call write_title(unit, title, cost)
     do k = 1, size(cases)
       call write_row(unit, cases(k), rates(:, k), rates(:, 1), cost)
       if (file /= 0) call write_json_row(file, key, cases(k), rates(:, k), &
         key == 'engines' .and. k == 1)
     end do
-  end subroutine table
+  end subroutine run_table
 
 end module battery_bench

@@ -1,14 +1,14 @@
-!> The board of an ensemble under load: `mpirun -n RANKS bench task_queue [ITEMS]`.
+!> The task queue of an ensemble under load: `mpirun -n RANKS bench board [TASKS]`.
 !>
-!> All ranks take tasks that take no time from the list of rank 0, as an ensemble does but for the
-!> work: so fast as here no ensemble ever asks. Rank 0 first only lends the network a hand now and
-!> then, as when it computes, then takes part. JSON with rates and latencies.
+!> All ranks take tasks from the queue of rank 0 that need no time, so requests follow each other
+!> faster than in any ensemble. In the first round rank 0 only drives MPI progress at intervals, as
+!> when it computes; in the second it takes tasks too. JSON with rates and latencies.
 module battery_bench_task_queue
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds
   use battery_communicator, only: communicator_type, task_queue_type, open_communicator, &
-    close_communicator, open_task_queue, close_task_queue, take_task, add_to_counter, &
-    read_counter, drive_mpi_progress, mpi_progress_interval, summary_of, wait_for_all, &
+    close_communicator, open_task_queue, close_task_queue, fetch_task, add_to_counter, &
+    read_counter, drive_mpi_progress, mpi_progress_interval, least_mean_greatest, wait_for_all, &
     tasks_finished
   implicit none (type, external)
   private
@@ -16,9 +16,10 @@ module battery_bench_task_queue
 
 contains
 
+  !> Measures both rounds and writes them.
   subroutine bench_task_queue(unit, items)
     integer, intent(in) :: unit
-    !> Tasks on the list.
+    !> Number of tasks in the queue.
     integer, intent(in) :: items
     type(communicator_type) :: communicator
     real(dp) :: began, start_seconds, aside(3), together(3)
@@ -26,8 +27,8 @@ contains
     began = wall_seconds()
     call open_communicator(communicator)
     start_seconds = wall_seconds() - began
-    call one_round(communicator, items, communicator%size > 1, aside)
-    call one_round(communicator, items, .false., together)
+    call measure_round(communicator, items, communicator%size > 1, aside)
+    call measure_round(communicator, items, .false., together)
     if (communicator%rank == 0) then
       write (unit, '(a, i0, a, i0, a, f0.3, a)') '{"ranks": ', communicator%size, ', "tasks": ', &
         items, ', "start_seconds": ', start_seconds, ','
@@ -38,6 +39,7 @@ contains
 
   contains
 
+    !> Writes the result of a round.
     subroutine write_round(name, found, end)
       character(len=*), intent(in) :: name, end
       real(dp), intent(in) :: found(3)
@@ -48,8 +50,8 @@ contains
 
   end subroutine bench_task_queue
 
-  !> Tasks a second of all ranks together; mean and longest time of one operation, in seconds.
-  subroutine one_round(communicator, items, rank0_computes, found)
+  !> Tasks per second of all ranks together; mean and longest time of one operation, in seconds.
+  subroutine measure_round(communicator, items, rank0_computes, found)
     type(communicator_type), intent(in) :: communicator
     integer, intent(in) :: items
     logical, intent(in) :: rank0_computes
@@ -68,30 +70,30 @@ contains
       after = began
       do
         before = after
-        call take_task(task_queue, task)
+        call fetch_task(task_queue, task)
         if (task == 0) exit
         call add_to_counter(task_queue, tasks_finished, 1_int64)
         after = wall_seconds()
-        ! Three operations a task.
+        ! A task takes three operations.
         operations = operations + 3
         longest = max(longest, (after - before)/3.0_dp)
       end do
     end if
     spent = wall_seconds() - began
     call wait_for_all(communicator)
-    summary = summary_of(communicator, wall_seconds() - began)
+    summary = least_mean_greatest(communicator, wall_seconds() - began)
     found(1) = items/summary(3)
-    summary = summary_of(communicator, merge(spent, 0.0_dp, operations > 0))
+    summary = least_mean_greatest(communicator, merge(spent, 0.0_dp, operations > 0))
     found(2) = summary(2)*communicator%size
-    summary = summary_of(communicator, real(operations, dp))
+    summary = least_mean_greatest(communicator, real(operations, dp))
     found(2) = found(2)/max(summary(2)*communicator%size, 1.0_dp)
-    summary = summary_of(communicator, longest)
+    summary = least_mean_greatest(communicator, longest)
     found(3) = summary(3)
     call close_task_queue(task_queue)
 
   contains
 
-    !> Rank 0 is busy, and lends a hand at times.
+    !> Rank 0 computes, and drives MPI progress at intervals.
     subroutine drive_until_done()
       real(dp) :: next
 
@@ -105,6 +107,6 @@ contains
       end do
     end subroutine drive_until_done
 
-  end subroutine one_round
+  end subroutine measure_round
 
 end module battery_bench_task_queue

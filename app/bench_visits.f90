@@ -1,4 +1,4 @@
-!> Whole visits to an urn, and nothing else, for the speed tables: batch after batch is given to
+!> Visits to an urn without an engine, for the speed tables: batch after batch is passed to
 !> `compute_visits`, as the engine `excursion` does with the visits of a window.
 module battery_bench_visits
   use battery_kinds, only: wp, dp, int64
@@ -10,60 +10,60 @@ module battery_bench_visits
   use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
   private
-  public :: visitors_type, invite, receive
+  public :: entrances_type, draw_entrances, measure_visits
 
-  !> Visits of a batch, and batches that are drawn: together they fit into the cache.
+  !> Visits of a batch, and number of batches: together they fit into the cache.
   integer, parameter :: batch = 1024, batches = 32
 
-  !> Ways into an urn, uniform on its openings, by the law of cosines: (visit, batch).
-  type :: visitors_type
+  !> Starts of visits, uniform on the openings, by the cosine law: (visit, batch).
+  type :: entrances_type
     private
     type(urn_type) :: urn
     integer(int64), allocatable :: channel(:, :)
     real(wp), allocatable :: x(:, :), y(:, :), u_axial(:, :), u_lateral(:, :)
     type(visits_type) :: visits
-  end type visitors_type
+  end type entrances_type
 
 contains
 
-  !> Draws ways into urn 1.
-  subroutine invite(visitors, table)
-    type(visitors_type), intent(out) :: visitors
+  !> Draws the starts of visits to urn 1.
+  subroutine draw_entrances(entrances, table)
+    type(entrances_type), intent(out) :: entrances
     type(table_type), intent(in) :: table
     real(wp) :: place, sine, width(2)
     integer :: j, k
 
-    visitors%urn = table%urn(1)
+    entrances%urn = table%urn(1)
     width = table%channel%width
-    allocate (visitors%channel(batch, batches), visitors%x(batch, batches), visitors%y(batch, &
-      batches), visitors%u_axial(batch, batches), visitors%u_lateral(batch, batches))
+    allocate (entrances%channel(batch, batches), entrances%x(batch, batches), entrances%y(batch, &
+      batches), entrances%u_axial(batch, batches), entrances%u_lateral(batch, batches))
     do k = 1, batches
       do j = 1, batch
         place = sum(width)*hashed_uniform(int(j, int64), int(2*k, int64))
         sine = 2.0_wp*hashed_uniform(int(j, int64), int(2*k + 1, int64)) - 1.0_wp
-        visitors%u_lateral(j, k) = sine
-        visitors%u_axial(j, k) = sqrt((1.0_wp - sine)*(1.0_wp + sine))
+        entrances%u_lateral(j, k) = sine
+        entrances%u_axial(j, k) = sqrt((1.0_wp - sine)*(1.0_wp + sine))
         if (place < width(gated)) then
-          visitors%channel(j, k) = gated
-          visitors%x(j, k) = table%urn(1)%chord(gated)
-          visitors%y(j, k) = place - 0.5_wp*width(gated)
-          visitors%u_axial(j, k) = -visitors%u_axial(j, k)
+          entrances%channel(j, k) = gated
+          entrances%x(j, k) = table%urn(1)%chord(gated)
+          entrances%y(j, k) = place - 0.5_wp*width(gated)
+          entrances%u_axial(j, k) = -entrances%u_axial(j, k)
         else
-          visitors%channel(j, k) = ungated
-          visitors%x(j, k) = -table%urn(1)%chord(ungated)
-          visitors%y(j, k) = place - width(gated) - 0.5_wp*width(ungated)
+          entrances%channel(j, k) = ungated
+          entrances%x(j, k) = -table%urn(1)%chord(ungated)
+          entrances%y(j, k) = place - width(gated) - 0.5_wp*width(ungated)
         end if
       end do
     end do
-    call reserve_visits(visitors%visits, batch)
-    visitors%visits%urn = 1
-    visitors%visits%time = 0.0_wp
-    visitors%visits%count = batch
-  end subroutine invite
+    call reserve_visits(entrances%visits, batch)
+    entrances%visits%urn = 1
+    entrances%visits%time = 0.0_wp
+    entrances%visits%count = batch
+  end subroutine draw_entrances
 
-  !> Lets them visit for about so many seconds.
-  subroutine receive(visitors, seconds, rate)
-    type(visitors_type), intent(inout) :: visitors
+  !> Computes the visits again and again for about that many seconds.
+  subroutine measure_visits(entrances, seconds, rate)
+    type(entrances_type), intent(inout) :: entrances
     real(dp), intent(in) :: seconds
     type(rate_type), intent(out) :: rate
     integer(int64) :: hits, visits
@@ -76,14 +76,14 @@ contains
     began = cpu_seconds()
     do
       do k = 1, batches
-        associate (v => visitors%visits)
-          v%channel(:batch) = visitors%channel(:, k)
-          v%x(:batch) = visitors%x(:, k)
-          v%y(:batch) = visitors%y(:, k)
-          v%u_axial(:batch) = visitors%u_axial(:, k)
-          v%u_lateral(:batch) = visitors%u_lateral(:, k)
+        associate (v => entrances%visits)
+          v%channel(:batch) = entrances%channel(:, k)
+          v%x(:batch) = entrances%x(:, k)
+          v%y(:batch) = entrances%y(:, k)
+          v%u_axial(:batch) = entrances%u_axial(:, k)
+          v%u_lateral(:batch) = entrances%u_lateral(:, k)
           v%hits(:batch) = 0.0_wp
-          call compute_visits(visitors%urn, v)
+          call compute_visits(entrances%urn, v)
           hits = hits + v%all_hits
           visits = visits + batch
           time = time + sum(real(v%length(:batch), dp))
@@ -93,6 +93,6 @@ contains
       if (spent > seconds) exit
     end do
     rate = rate_type(hits/spent, visits/spent, time/spent)
-  end subroutine receive
+  end subroutine measure_visits
 
 end module battery_bench_visits

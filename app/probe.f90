@@ -1,4 +1,4 @@
-!> What the probes of the program `accuracy` share: arguments, JSON, an engine on its way.
+!> What the probes of the program `accuracy` share: arguments, JSON, starting an engine.
 module battery_probe
   use, intrinsic :: iso_fortran_env, only: output_unit, real32
   use battery_kinds, only: wp, dp, int64
@@ -10,8 +10,9 @@ module battery_probe
   use battery_engines, only: new_engine
   implicit none (type, external)
   private
-  public :: argument, real_argument, integer_argument, given, precision_name, paper_table, started
-  public :: run_for, list, say, stop_at, now_seconds
+  public :: argument, real_argument, integer_argument, rounded_to_bits, precision_name, &
+    paper_table, start_engine
+  public :: advance_for, json_list, print_json_line, stop_with_message, processor_seconds
 
 contains
 
@@ -26,6 +27,7 @@ contains
     call get_command_argument(k, word)
   end function argument
 
+  !> Word `k` of the command line as a real number.
   function real_argument(k) result(number)
     integer, intent(in) :: k
     real(wp) :: number
@@ -34,9 +36,10 @@ contains
 
     word = argument(k)
     read (word, *, iostat=status) number
-    if (status /= 0) call stop_at('argument '//to_text(k)//' is not a number')
+    if (status /= 0) call stop_with_message('argument '//to_text(k)//' is not a number')
   end function real_argument
 
+  !> Word `k` of the command line as a whole number.
   function integer_argument(k) result(number)
     integer, intent(in) :: k
     integer(int64) :: number
@@ -45,26 +48,27 @@ contains
 
     word = argument(k)
     read (word, *, iostat=status) number
-    if (status /= 0) call stop_at('argument '//to_text(k)//' is not a whole number')
+    if (status /= 0) call stop_with_message('argument '//to_text(k)//' is not a whole number')
   end function integer_argument
 
-  !> A length as a number of so many bits: the same in each precision that has them.
-  elemental function given(length, bits) result(rounded)
+  !> A length rounded to so many bits: the same in each precision that has them.
+  elemental function rounded_to_bits(length, bits) result(rounded)
     real(wp), intent(in) :: length
     integer, intent(in) :: bits
     real(wp) :: rounded
 
     rounded = real(real(length, dp), wp)
     if (bits < 24) rounded = real(real(length, real32), wp)
-  end function given
+  end function rounded_to_bits
 
+  !> Name of the precision that the program was built with: real32, real64 or real128.
   function precision_name() result(name)
     character(len=:), allocatable :: name
 
     name = 'real'//to_text(storage_size(1.0_wp))
   end function precision_name
 
-  !> The paper's table with these widths; they come rounded to the precision.
+  !> Table of the paper with channels of these widths, which are rounded to the precision.
   function paper_table(width1, width2) result(table)
     real(wp), intent(in) :: width1, width2
     type(table_type) :: table
@@ -72,8 +76,8 @@ contains
     table = new_table(shape_circuit, 1.0_wp, width1, 1.0_wp, width2, 1.0_wp)
   end function paper_table
 
-  !> An engine started from a copy of the particles.
-  subroutine started(name, table, threshold, particles, step, engine, clock)
+  !> Starts an engine from a copy of the particles.
+  subroutine start_engine(name, table, threshold, particles, step, engine, clock)
     character(len=*), intent(in) :: name
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold
@@ -86,17 +90,17 @@ contains
     real(wp) :: began
 
     call new_engine(name, engine, error)
-    if (allocated(error)) call stop_at(error%message)
+    if (allocated(error)) call stop_with_message(error%message)
     engine%time_step = step
     engine%seed = 1
     given = particles
     began = 0.0_wp
     if (present(clock)) began = clock
     call engine%start(table, threshold, given, began)
-  end subroutine started
+  end subroutine start_engine
 
-  !> Goes on for `duration`; `event_record` is that of the last window.
-  subroutine run_for(engine, duration, event_record)
+  !> Advances an engine by `duration`; `event_record` is that of the last window.
+  subroutine advance_for(engine, duration, event_record)
     class(engine_type), intent(inout) :: engine
     real(wp), intent(in) :: duration
     type(event_record_type), intent(inout) :: event_record
@@ -107,10 +111,10 @@ contains
       call engine%advance(duration - elapsed, event_record)
       elapsed = elapsed + event_record%duration
     end do
-  end subroutine run_for
+  end subroutine advance_for
 
-  !> Numbers as a JSON list.
-  function list(numbers) result(text)
+  !> Numbers as a JSON list, with all digits.
+  function json_list(numbers) result(text)
     real(wp), intent(in) :: numbers(:)
     character(len=:), allocatable :: text, buffer
     character(len=48) :: word
@@ -125,41 +129,44 @@ contains
     do k = 1, size(numbers)
       write (word, layout) numbers(k)
       if (.not. abs(numbers(k)) <= huge(1.0_wp)) word = 'null'
-      if (k > 1) call put(',')
-      call put(trim(adjustl(word)))
+      if (k > 1) call append_text(',')
+      call append_text(trim(adjustl(word)))
     end do
-    call put(']')
+    call append_text(']')
     text = buffer(:at)
 
   contains
 
-    subroutine put(part)
+    !> Appends to the buffer.
+    subroutine append_text(part)
       character(len=*), intent(in) :: part
 
       buffer(at + 1:at + len(part)) = part
       at = at + len(part)
-    end subroutine put
+    end subroutine append_text
 
-  end function list
+  end function json_list
 
-  subroutine say(text)
+  !> Prints a line, and flushes the output.
+  subroutine print_json_line(text)
     character(len=*), intent(in) :: text
 
     write (output_unit, '(a)') text
     flush (output_unit)
-  end subroutine say
+  end subroutine print_json_line
 
-  subroutine stop_at(message)
+  !> Ends the program with a message.
+  subroutine stop_with_message(message)
     character(len=*), intent(in) :: message
 
     error stop 'accuracy: '//message
-  end subroutine stop_at
+  end subroutine stop_with_message
 
   !> Processor time of this process.
-  function now_seconds() result(seconds)
+  function processor_seconds() result(seconds)
     real(dp) :: seconds
 
     call cpu_time(seconds)
-  end function now_seconds
+  end function processor_seconds
 
 end module battery_probe

@@ -1,4 +1,4 @@
-!> A case of the stability table: how it is run, and the line that tells of it.
+!> A case of the stability table: how it is run, and the line that is printed of it.
 module battery_probe_case
   use, intrinsic :: ieee_arithmetic, only: ieee_is_finite, ieee_value, ieee_quiet_nan
   use battery_kinds, only: wp, dp, int64, pi
@@ -8,16 +8,17 @@ module battery_probe_case
   use battery_engine, only: engine_type, particles_type
   use battery_event_record, only: event_record_type
   use battery_clocks, only: wall_seconds
-  use battery_probe, only: precision_name, started, list, say
+  use battery_probe, only: precision_name, start_engine, json_list, print_json_line
   implicit none (type, external)
   private
-  public :: case_type, live, tell, crossings, alone, first_event, scattered
+  public :: case_type, run_case, print_case, crossings, one_particle_at, first_event_time, &
+    random_in_discs
   public :: engine_name, step, most_seconds
 
-  !> The clock is looked at after each window, which is as long as about so many wall hits take.
+  !> The time limit is tested after each window, which has about so many wall hits.
   real(wp), parameter :: window_hits = 1.0e4_wp
 
-  !> A case on its way: what it was made of, and what became known of it.
+  !> A case: its parameters, and its results so far.
   type :: case_type
     character(len=:), allocatable :: name
     real(wp) :: parameter = 0.0_wp
@@ -38,13 +39,13 @@ module battery_probe_case
 
   character(len=:), allocatable :: engine_name
   real(wp), parameter :: step = 1.0e-3_wp
-  !> A case is given up after so many seconds.
+  !> Time limit of a case, in seconds.
   real(dp) :: most_seconds = 0.3_dp
 
 contains
 
-  !> A case with these particles; `hit_rate` is how often they hit walls at most.
-  subroutine live(one, name, parameter, table, threshold, particles, duration, hit_rate, clock)
+  !> Runs a case from these particles; `hit_rate` is an upper bound of their wall hits per time.
+  subroutine run_case(one, name, parameter, table, threshold, particles, duration, hit_rate, clock)
     type(case_type), intent(out) :: one
     character(len=*), intent(in) :: name
     real(wp), intent(in) :: parameter, duration, hit_rate
@@ -64,7 +65,7 @@ contains
     one%number = size(particles%x)
     one%duration = duration
     allocate (one%time(0), one%kind(0), one%particle(0))
-    call started(engine_name, table, threshold, particles, step, one%engine, clock)
+    call start_engine(engine_name, table, threshold, particles, step, one%engine, clock)
     event_record%logging = .true.
     window = huge(1.0_wp)
     if (hit_rate > 0.0_wp .and. (engine_name == 'collision' .or. engine_name == 'synchronous')) &
@@ -81,7 +82,7 @@ contains
       end if
       one%events = one%events + n
       one%crossings = one%crossings + [crossings(event_record, 1), crossings(event_record, 0)]
-      ! Millions of windows are added up: what is rounded off is kept (Kahan).
+      ! Millions of durations are summed: compensated summation (Kahan).
       added = event_record%duration - rounded_off
       sum_after = one%reached + added
       rounded_off = (sum_after - one%reached) - added
@@ -91,7 +92,7 @@ contains
     end do
     one%seconds = wall_seconds() - began
     call one%engine%particles(1, one%number, one%particles)
-  end subroutine live
+  end subroutine run_case
 
   !> Crossings of a window from half 1 to 2 (`odd` = 1) or back (0).
   pure function crossings(event_record, odd) result(number)
@@ -102,8 +103,8 @@ contains
     number = count(modulo(int(event_record%crossing(:event_record%crossings)), 2) == odd)
   end function crossings
 
-  !> The line of a case.
-  subroutine tell(one, value)
+  !> Prints the line of a case.
+  subroutine print_case(one, value)
     type(case_type), intent(in) :: one
     real(wp), intent(in) :: value
     integer :: i, lost, nan, first
@@ -124,44 +125,45 @@ contains
       end do
       first = count(p%x < 0.0_wp)
     end associate
-    call say('{"case": "'//one%name//'", "parameter": '//to_text(real(one%parameter, dp)) &
-      //', "precision": "'//precision_name()//'", "engine": "'//engine_name//'", "ended": "' &
+    call print_json_line('{"case": "'//one%name//'", "parameter": '//to_text(real(one%parameter, &
+      dp))//', "precision": "'//precision_name()//'", "engine": "'//engine_name//'", "ended": "' &
       //merge('stopped', 'done   ', one%stopped)//'", "reached": '//to_text(real(one%reached, dp)) &
       //', "value": '//number_text(value)//', "lost": '//to_text(lost)//', "not_a_number": ' &
       //to_text(nan)//', "speed_error": '//to_text(real(off, dp))//', "trapped": ' &
       //to_text(one%engine%trapped())//', "hits": '//to_text(one%engine%collisions()) &
       //', "seconds": '//to_text(one%seconds)//', "in_urn1": '//to_text(first)//'}')
-  end subroutine tell
+  end subroutine print_case
 
-  !> All digits, or null.
+  !> A number with all its digits, or null.
   function number_text(value) result(text)
     real(wp), intent(in) :: value
     character(len=:), allocatable :: text
 
-    text = list([value])
+    text = json_list([value])
     text = text(2:len(text) - 1)
   end function number_text
 
-  function alone(x, y, ux, uy) result(particles)
+  !> One particle at a position, with a velocity that is normalised.
+  function one_particle_at(x, y, ux, uy) result(particles)
     real(wp), intent(in) :: x, y, ux, uy
     type(particles_type) :: particles
     real(wp) :: speed
 
     speed = hypot(ux, uy)
     particles = particles_type([x], [y], [ux/speed], [uy/speed])
-  end function alone
+  end function one_particle_at
 
-  !> Time of the first event, NaN (null) if there is none.
-  function first_event(one) result(time)
+  !> Time of the first event; NaN (null) if there is none.
+  function first_event_time(one) result(time)
     type(case_type), intent(in) :: one
     real(wp) :: time
 
     time = ieee_value(1.0_wp, ieee_quiet_nan)
     if (one%events > 0) time = one%time(1)
-  end function first_event
+  end function first_event_time
 
-  !> Particles uniform on the discs, inside of both chords, of all directions.
-  function scattered(table, number) result(particles)
+  !> Particles uniform in the discs, between the chords, with uniform directions.
+  function random_in_discs(table, number) result(particles)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
     type(particles_type) :: particles
@@ -185,6 +187,6 @@ contains
       particles%ux(i) = cos(angle)
       particles%uy(i) = sin(angle)
     end do
-  end function scattered
+  end function random_in_discs
 
 end module battery_probe_case

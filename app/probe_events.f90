@@ -1,4 +1,4 @@
-!> Probe of any table: the event log of a run, and where the particles are at its end.
+!> Probe of any table: the event log of a run, and the state of the particles at its end.
 module battery_probe_events
   use battery_kinds, only: wp
   use battery_error, only: error_type
@@ -7,8 +7,8 @@ module battery_probe_events
   use battery_engine, only: engine_type, particles_type
   use battery_event_record, only: event_record_type
   use battery_initial_state, only: read_particles
-  use battery_probe, only: argument, real_argument, integer_argument, precision_name, started, &
-    list, say, stop_at
+  use battery_probe, only: argument, real_argument, integer_argument, precision_name, &
+    start_engine, json_list, print_json_line, stop_with_message
   implicit none (type, external)
   private
   public :: events_main
@@ -16,7 +16,7 @@ module battery_probe_events
 contains
 
   !> `events ENGINE STEP SHAPE RADIUS WIDTH1 LENGTH1 WIDTH2 LENGTH2 FILE NUMBER THRESHOLD CLOCK
-  !> DURATION`: one line. Engines that draw random numbers have the seed 1.
+  !> DURATION`: prints one line. Engines that draw random numbers have the seed 1.
   subroutine events_main()
     class(engine_type), allocatable :: engine
     type(event_record_type) :: event_record
@@ -28,12 +28,12 @@ contains
     real(wp) :: elapsed, duration
     integer :: k
 
-    if (argument(4) /= 'circuit' .and. argument(4) /= 'urn') call stop_at('unknown shape')
+    if (argument(4) /= 'circuit' .and. argument(4) /= 'urn') call stop_with_message('unknown shape')
     table = new_table(merge(shape_circuit, shape_urn, argument(4) == 'circuit'), &
       real_argument(5), real_argument(6), real_argument(7), real_argument(8), real_argument(9))
     call read_particles(argument(10), table, int(integer_argument(11)), particles, error)
-    if (allocated(error)) call stop_at(error%message)
-    call started(argument(2), table, int(integer_argument(12)), particles, real_argument(3), &
+    if (allocated(error)) call stop_with_message(error%message)
+    call start_engine(argument(2), table, int(integer_argument(12)), particles, real_argument(3), &
       engine, real_argument(13))
     duration = real_argument(14)
     event_record%logging = .true.
@@ -49,12 +49,12 @@ contains
       elapsed = elapsed + event_record%duration
     end do
     call engine%particles(1, engine%number, found)
-    call say('{"precision": "'//precision_name()//'", "engine": "'//argument(2)//'", "trapped": ' &
-      //to_text(engine%trapped())//', "hits": '//to_text(engine%collisions())//', "time": ' &
-      //list(time)//', "kind": '//list(real(what(1, :), wp))//', "where": ' &
-      //list(real(what(2, :), wp))//', "particle": '//list(real(what(3, :), wp))//', "x": ' &
-      //list(found%x)//', "y": '//list(found%y)//', "ux": '//list(found%ux)//', "uy": ' &
-      //list(found%uy)//'}')
+    call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//argument(2) &
+      //'", "trapped": '//to_text(engine%trapped())//', "hits": '//to_text(engine%collisions()) &
+      //', "time": '//json_list(time)//', "kind": '//json_list(real(what(1, :), wp)) &
+      //', "where": '//json_list(real(what(2, :), wp))//', "particle": '//json_list(real(what(3, &
+      :), wp))//', "x": '//json_list(found%x)//', "y": '//json_list(found%y)//', "ux": ' &
+      //json_list(found%ux)//', "uy": '//json_list(found%uy)//'}')
   end subroutine events_main
 
 end module battery_probe_events

@@ -1,10 +1,10 @@
 !> The Lyapunov exponent of the free billiard, from its tangent map.
 !>
-!> A neighbouring path is (J, D): how far it is off, across the path, and how much its direction
-!> differs. Along a flight of the time t, J grows by t D. A reflection from a straight wall turns
-!> both over; one from the inside of a circle of radius r, at the incidence c = cos of the angle to
-!> the normal, makes D into -(D - 2 J/(r c)). The mean of log |(J, D)| per time is the exponent.
-!> N. Chernov, R. Markarian, "Chaotic billiards", AMS 2006, chapter 3.
+!> A neighbouring path is (J, D): its distance across the path, and the difference of its direction.
+!> During a flight of the time t, J grows by t D. A reflection from a straight wall changes the sign
+!> of both; one from the inside of a circle of radius r, at the cosine c of the incidence, changes D
+!> into -(D - 2 J/(r c)). The exponent is the mean of log |(J, D)| per time. N. Chernov, R.
+!> Markarian, "Chaotic billiards", AMS 2006, chapter 3.
 module battery_probe_lyapunov
   use battery_kinds, only: wp, dp, int64, pi
   use battery_text, only: to_text
@@ -16,22 +16,22 @@ module battery_probe_lyapunov
   use battery_error, only: error_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    say, stop_at
+    print_json_line, stop_with_message
   implicit none (type, external)
   private
-  public :: lyapunov_main, tangent_type, fly_apart, bounce_apart
+  public :: lyapunov_main, tangent_type, advance_tangent, reflect_tangent
 
-  !> A neighbouring path, and the logarithm of how often it was made shorter.
+  !> A neighbouring path, (`offset`, `deflection`) of norm 1, and the logarithm of its growth.
   type :: tangent_type
-    real(wp) :: off = 1.0_wp, turned = 0.0_wp
-    real(wp) :: grown = 0.0_wp
+    real(wp) :: offset = 1.0_wp, deflection = 0.0_wp
+    real(wp) :: log_growth = 0.0_wp
   end type tangent_type
 
 contains
 
-  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]`: mean over so many starts, at random in the urns or
-  !> from an initial file, each for so long, with its standard error, and the mean over the second
-  !> half of the time alone.
+  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]`: prints the mean over so many starts, random in the
+  !> urns or from an initial file, each for so long; its standard error; and the mean over the
+  !> second half of the time.
   subroutine lyapunov_main()
     type(table_type) :: table
     type(motion_type) :: flight
@@ -47,24 +47,24 @@ contains
     late = 0.0_wp
     if (argument(6) /= '') then
       call read_particles(argument(6), table, number, particles, error)
-      if (allocated(error)) call stop_at(error%message)
+      if (allocated(error)) call stop_with_message(error%message)
     end if
     do i = 1, number
-      call place(table, i, flight)
+      call random_start(table, i, flight)
       if (allocated(particles%x)) flight = motion_at(table, particles%x(i), particles%y(i), &
         particles%ux(i), particles%uy(i))
-      call follow(table, flight, duration, rate, late)
+      call follow_path(table, flight, duration, rate, late)
       sums = sums + [rate, rate**2]
     end do
     sums = sums/number
-    call say('{"precision": "'//precision_name()//'", "number": '//to_text(number)//', "time": ' &
-      //to_text(real(duration, dp))//', "lyapunov": '//to_text(real(sums(1), dp)) &
+    call print_json_line('{"precision": "'//precision_name()//'", "number": '//to_text(number) &
+      //', "time": '//to_text(real(duration, dp))//', "lyapunov": '//to_text(real(sums(1), dp)) &
       //', "error": '//to_text(real(sqrt((sums(2) - sums(1)**2)/max(number - 1, 1)), dp)) &
       //', "second_half": '//to_text(real(late/number, dp))//'}')
   end subroutine lyapunov_main
 
-  !> Particle number `i`, uniform in one of the urns.
-  subroutine place(table, i, flight)
+  !> Initial state of particle `i`, uniform in one of the urns.
+  subroutine random_start(table, i, flight)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
     type(motion_type), intent(out) :: flight
@@ -81,81 +81,81 @@ contains
     angle = 2.0_wp*pi*hashed_uniform(int(i, int64), count)
     flight = motion_at(table, sign(table%urn(1)%centre, real(modulo(i, 2), wp) - 0.5_wp) + x, y, &
       cos(angle), sin(angle))
-  end subroutine place
+  end subroutine random_start
 
-  !> The growth rate along one path; `late` grows by that of the second half.
-  subroutine follow(table, flight, duration, rate, late)
+  !> Growth rate along one path; `late` is increased by that of the second half.
+  subroutine follow_path(table, flight, duration, rate, late)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: flight
     real(wp), intent(in) :: duration
     real(wp), intent(out) :: rate
     real(wp), intent(inout) :: late
     type(tangent_type) :: tangent
-    real(wp) :: wait, time, half, half_time
+    real(wp) :: wait, time, first_half_growth, first_half_time
 
     call find_first_wall(table, flight, wait)
     time = 0.0_wp
-    half = 0.0_wp
-    half_time = 0.0_wp
+    first_half_growth = 0.0_wp
+    first_half_time = 0.0_wp
     do while (time < duration)
       if (flight%next == meets_nothing) exit
       call move_straight(flight, wait)
-      call fly_apart(tangent, wait)
+      call advance_tangent(tangent, wait)
       time = time + wait
-      call pass(table, flight, tangent, wait)
+      call meet_wall(table, flight, tangent, wait)
       if (time < 0.5_wp*duration) then
-        half = tangent%grown
-        half_time = time
+        first_half_growth = tangent%log_growth
+        first_half_time = time
       end if
     end do
-    rate = tangent%grown/time
-    late = late + (tangent%grown - half)/(time - half_time)
-  end subroutine follow
+    rate = tangent%log_growth/time
+    late = late + (tangent%log_growth - first_half_growth)/(time - first_half_time)
+  end subroutine follow_path
 
-  !> What the particle meets, and what that does to its neighbour.
-  subroutine pass(table, flight, tangent, wait)
+  !> Applies what the particle meets to it and to the neighbouring path.
+  subroutine meet_wall(table, flight, tangent, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: flight
     type(tangent_type), intent(inout) :: tangent
     real(wp), intent(out) :: wait
 
-    associate (urn => table%urn(flight%side))
+    associate (urn => table%urn(flight%urn))
       if (flight%next < meets_channel_wall) then
         call pass_line(table, flight, wait)
       else
         if (flight%next == meets_channel_wall) then
-          call bounce_apart(tangent)
+          call reflect_tangent(tangent)
         else
-          call bounce_apart(tangent, abs((urn%centre &
+          call reflect_tangent(tangent, abs((urn%centre &
             + urn%axis_sign*flight%x)*urn%axis_sign*flight%ux + flight%y*flight%uy))
         end if
         call hit_wall(table, flight, wait)
       end if
     end associate
-  end subroutine pass
+  end subroutine meet_wall
 
-  !> Straight on for a while.
-  pure subroutine fly_apart(tangent, time)
+  !> Moves the neighbouring path straight on.
+  pure subroutine advance_tangent(tangent, time)
     type(tangent_type), intent(inout) :: tangent
     real(wp), intent(in) :: time
 
-    tangent%off = tangent%off + time*tangent%turned
-  end subroutine fly_apart
+    tangent%offset = tangent%offset + time*tangent%deflection
+  end subroutine advance_tangent
 
-  !> A reflection: from a straight wall, or from the inside of a circle, where `depth` is r c. The
-  !> neighbour is brought back to the distance 1.
-  pure subroutine bounce_apart(tangent, depth)
+  !> Reflects the neighbouring path from a straight wall, or from the inside of a circle, where
+  !> `depth` is r c; sets its norm back to 1.
+  pure subroutine reflect_tangent(tangent, depth)
     type(tangent_type), intent(inout) :: tangent
     real(wp), intent(in), optional :: depth
     real(wp) :: length
 
-    if (present(depth)) tangent%turned = tangent%turned - 2.0_wp*tangent%off/depth
-    tangent%off = -tangent%off
-    tangent%turned = -tangent%turned
-    length = hypot(tangent%off, tangent%turned)
-    tangent%grown = tangent%grown + log(length)
-    tangent%off = tangent%off/length
-    tangent%turned = tangent%turned/length
-  end subroutine bounce_apart
+    if (present(depth)) tangent%deflection = tangent%deflection - 2.0_wp*tangent%offset/depth
+    tangent%offset = -tangent%offset
+    tangent%deflection = -tangent%deflection
+    length = hypot(tangent%offset, tangent%deflection)
+    tangent%log_growth = tangent%log_growth + log(length)
+    tangent%offset = tangent%offset/length
+    tangent%deflection = tangent%deflection/length
+  end subroutine reflect_tangent
 
 end module battery_probe_lyapunov

@@ -1,6 +1,6 @@
-!> Probe of scatterers: problem 2 of the SIAM 100-Digit Challenge. Mirrors of radius 1/3 stand on
-!> the whole numbers of the plane, and a photon flies from (1/2, 1/10) to the east: how far from the
-!> origin is it after the time 10?
+!> Probe of scatterers: problem 2 of the SIAM 100-Digit Challenge. Circular mirrors of radius 1/3
+!> stand at the integer points of the plane, and a photon starts at (1/2, 1/10) to the east: what is
+!> its distance from the origin at the time 10?
 module battery_probe_photon
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type
@@ -16,9 +16,9 @@ module battery_probe_photon
 
 contains
 
-  !> `photon ENGINE`: precision, hits, distance, its error.
+  !> `photon ENGINE`: prints precision, hits, distance, and its error.
   subroutine photon_main()
-    real(wp), parameter :: answer = 0.99526291944335416089031180942672_wp
+    real(wp), parameter :: published = 0.99526291944335416089031180942672_wp
     class(engine_type), allocatable :: engine
     type(error_type), allocatable :: error
     type(particles_type) :: photon
@@ -26,7 +26,7 @@ contains
     type(table_type) :: table
     real(wp) :: elapsed, distance
 
-    table = mirrors()
+    table = table_of_mirrors()
     if (.not. is_scattered(table)) error stop 'no mirrors'
     photon%x = [0.5_wp - table%urn(1)%periodic_line]
     photon%y = [0.1_wp]
@@ -43,12 +43,11 @@ contains
     call engine%particles(1, 1, photon)
     distance = hypot(photon%x(1) - sign(table%urn(1)%periodic_line, photon%x(1)), photon%y(1))
     print '(a, 1x, i0, 1x, f0.32, 1x, es9.1)', precision_name(), engine%collisions(), distance, &
-      abs(distance - answer)
+      abs(distance - published)
   end subroutine photon_main
 
-  !> A channel of width 6 and length 8 with mirrors where the photon could come to, and all lengths
-  !> whole numbers.
-  function mirrors() result(table)
+  !> Table whose channel 2 has the mirrors that the photon can reach; all its lengths are integers.
+  function table_of_mirrors() result(table)
     type(table_type) :: table
     real(wp) :: stand(3, 25)
     integer :: i
@@ -58,6 +57,6 @@ contains
     end do
     table = new_table(shape_circuit, [urn_type(radius=5.0_wp), urn_type(radius=5.0_wp)], &
       [channel_type(6.0_wp, 2.0_wp), channel_type(6.0_wp, 8.0_wp)], stand)
-  end function mirrors
+  end function table_of_mirrors
 
 end module battery_probe_photon

@@ -1,33 +1,33 @@
-!> What the probe of single visits needs to know where the urn is a polygon.
+!> Condition of single visits to a polygon, for the probe of visits.
 !>
-!> Walls are straight, so errors grow in proportion to the way: to first order each of the n wall
-!> hits turns a way by no more than twice the rounding of its side, and a turn by eps moves what is
-!> a length l ahead by l eps. With K_u = 1 + 2 n for the direction, a place on the way is off by no
-!> more than (l + r) K_u, l the length of the way and r the reach of the polygon. The opening cuts
-!> that at a slope: K_y = (l + r) K_u/|u_x|, and K_l = (l + r) K_u + |u_y| K_y.
+!> Walls are straight, so errors grow in proportion to the length: to first order each of the n wall
+!> hits changes the direction by at most twice the rounding error of its side, and a change of
+!> direction by eps moves a point at the distance l by l eps. With K_u = 1 + 2 n for the direction,
+!> a position is wrong by at most (l + r) K_u, with l the length of the path and r the reach of the
+!> polygon. The path meets the opening at a slope: K_y = (l + r) K_u/|u_x|, and K_l = (l + r) K_u +
+!> |u_y| K_y.
 module battery_probe_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, gated, ungated, facing
   use battery_corners, only: distance_to_side
-  use battery_polygon, only: polygon_type
-  use battery_polygon_walls, only: surely_next_side, reflect_from_side
+  use battery_polygon, only: polygon_type, surely_next_side, reflect_from_side
   use battery_table, only: table_type, new_table, shape_circuit, urn_type
   use battery_urn, only: shape_polygon
-  use battery_probe, only: given, stop_at
+  use battery_probe, only: rounded_to_bits, stop_with_message
   implicit none (type, external)
   private
   public :: polygon_table, polygon_conditions, polygon_tolerance, least_room_beside_corners
 
-  !> As `corner_tolerance` of the disc. So much of a place the polygon itself takes for rounding.
+  !> As `corner_tolerance` for discs; the polygon itself tolerates this much rounding of a position.
   real(wp), parameter :: polygon_tolerance = 128.0_wp
 
 contains
 
-  !> A circuit of two polygons that are mirror images, channels of length 1.
+  !> A circuit of two mirror-image polygons, with channels of length 1.
   function polygon_table(corners, bits, width) result(table)
-    !> x1,y1,x2,y2, ... in one word.
+    !> Corners x1,y1,x2,y2, ... in one word.
     character(len=*), intent(in) :: corners
-    !> To which they are rounded.
+    !> Bits to which they are rounded.
     integer, intent(in) :: bits
     real(wp), intent(in) :: width(2)
     type(table_type) :: table
@@ -38,19 +38,19 @@ contains
     allocate (numbers(1 + count([(corners(k:k) == ',', k=1, len(corners))])))
     read (corners, *, iostat=status) numbers
     if (status /= 0 .or. size(numbers) < 6 .or. modulo(size(numbers), 2) /= 0) &
-      call stop_at('the urn is disc, or corners x1,y1,x2,y2,...')
+      call stop_with_message('the urn is disc, or corners x1,y1,x2,y2,...')
     urn%shape = shape_polygon
-    urn%corner = reshape(given(numbers, bits), [2, size(numbers)/2])
+    urn%corner = reshape(rounded_to_bits(numbers, bits), [2, size(numbers)/2])
     table = new_table(shape_circuit, [urn, urn], [channel_type(width(gated), 1.0_wp), &
       channel_type(width(ungated), 1.0_wp)])
-    if (.not. table%urn(1)%fits) call stop_at('where the axis leaves the urn it must be '// &
-      'upright, and wide enough')
+    if (.not. table%urn(1)%fits) call &
+      stop_with_message('where the axis leaves the urn it must be '//'upright, and wide enough')
   end function polygon_table
 
-  !> Condition of the place, the direction and the length of a visit.
+  !> Condition of the height, the direction and the length at the end of a visit.
   pure function polygon_conditions(polygon, length, hits, along, across) result(k)
     type(polygon_type), intent(in) :: polygon
-    !> Length and wall hits; |u_x| and u_y at the way out.
+    !> Length and wall hits; |u_x| and u_y at the end.
     real(wp), intent(in) :: length, hits, along, across
     real(wp) :: k(3), beside
 
@@ -60,13 +60,13 @@ contains
     k(3) = beside + abs(across)*k(1)
   end function polygon_conditions
 
-  !> How close a visit comes to a corner, or to the end of an opening, over how far a change of the
-  !> way in has moved it there: the least on its way.
+  !> Least distance of a visit from a corner or from the end of an opening, relative to how far a
+  !> change of its start has moved the path there.
   function least_room_beside_corners(polygon, x, y, ux, uy, most_hits) result(room)
     type(polygon_type), intent(in) :: polygon
-    !> The way in, in the frame of the polygon.
+    !> Start of the visit, in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
-    !> Until this or the way out.
+    !> Largest number of hits that are followed.
     integer, intent(in) :: most_hits
     real(wp) :: room
     real(wp) :: place(2), next(2), velocity(2), wait, length
@@ -85,16 +85,16 @@ contains
       length = length + wait
       room = min(room, nearest_corner(polygon, place, next)/((length + polygon%reach) &
         *(1.0_wp + 2.0_wp*hits)))
-      if (abs(next(2)) < polygon%open_half(side)) return
+      if (abs(next(2)) < polygon%half_opening(side)) return
       place = next
       call reflect_from_side(polygon, side, place(1), place(2), velocity(1), velocity(2))
     end do
   end function least_room_beside_corners
 
-  !> How far the nearest corner or end of an opening is from a straight way.
+  !> Distance from a straight path to the nearest corner or end of an opening.
   pure function nearest_corner(polygon, here, there) result(distance)
     type(polygon_type), intent(in) :: polygon
-    !> Its ends, (x, y).
+    !> Ends of the path, (x, y).
     real(wp), intent(in) :: here(2), there(2)
     real(wp) :: distance
     integer :: k, up

@@ -1,43 +1,43 @@
-!> Probe of the places where methods fail: for one engine, a line for each case, with a number.
+!> Probe of the situations in which methods fail: for one engine, a line for each case.
 !>
-!> `value` is what the case is about; what it means, and against what it is held, is for the reader
-!> (`postproc/accuracy/stability.py`) to know. The rest is the same for all: how it ended
-!> (`done`; `stopped`: it took too long, `reached` is how far it got), particles lost or not a
-!> number, the greatest |u| - 1, how many are trapped, and wall hits.
+!> `value` is a number specific to the case; `postproc/accuracy/stability.py` says what it means and
+!> what it is compared with. The rest is the same for all cases: how it ended (`done`; or `stopped`,
+!> by the time limit, after the time `reached`), particles lost or not a number, the greatest | |u|
+!> - 1 |, trapped particles, and wall hits.
 module battery_probe_stability
   use battery_kinds, only: wp, dp, int64
   use battery_table, only: table_type
   use battery_event_record, only: event_record_type, event_entry
   use battery_engine, only: particles_type
   use battery_clocks, only: wall_seconds
-  use battery_probe, only: argument, real_argument, integer_argument, paper_table, started
-  use battery_probe_case, only: case_type, live, tell, crossings, alone, first_event, scattered, &
-    engine_name, step, most_seconds
+  use battery_probe, only: argument, real_argument, integer_argument, paper_table, start_engine
+  use battery_probe_case, only: case_type, run_case, print_case, crossings, one_particle_at, &
+    first_event_time, random_in_discs, engine_name, step, most_seconds
   implicit none (type, external)
   private
   public :: stability_main
 
 contains
 
-  !> `stability ENGINE COLLISIONS SECONDS`: all cases, none but the long run longer than so many
-  !> seconds; the long run has so many collisions.
+  !> `stability ENGINE COLLISIONS SECONDS`: runs all cases. SECONDS is the time limit of each but
+  !> the long run, which has COLLISIONS.
   subroutine stability_main()
     engine_name = argument(2)
     most_seconds = real(real_argument(4), dp)
-    call whispering()
-    call corners()
-    call along_the_axis()
-    call across_a_channel()
-    call diameter()
-    call ties()
-    call extremes()
-    call late_clock()
-    call long_run(integer_argument(3))
+    call probe_whispering()
+    call probe_corners()
+    call probe_along_the_axis()
+    call probe_across_a_channel()
+    call probe_diameter()
+    call probe_ties()
+    call probe_extremes()
+    call probe_late_clock()
+    call probe_long_run(integer_argument(3))
   end subroutine stability_main
 
-  !> From the top of urn 2, along the wall towards channel 1, at an angle to the wall: when it
-  !> enters its gate.
-  subroutine whispering()
+  !> A particle at the top of urn 2 moves along the wall towards channel 1, at an angle to the wall:
+  !> time of its entry into the gate.
+  subroutine probe_whispering()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: centre
@@ -49,20 +49,20 @@ contains
     centre = table%urn(1)%centre
     do k = 3, 12
       angle = 10.0_wp**(-k)
-      call live(one, 'whispering', angle, table, 10, alone(centre, 1.0_wp, &
+      call run_case(one, 'whispering', angle, table, 10, one_particle_at(centre, 1.0_wp, &
         -cos(angle), -sin(angle)), 3.0_wp, 0.5_wp/angle)
-      call tell(one, first_event(one))
+      call print_case(one, first_event_time(one))
     end do
-  end subroutine whispering
+  end subroutine probe_whispering
 
-  !> Shots from inside urn 2 at the corner of gate 2, and at 2**-k above and below: how many end on
-  !> the wrong side, and of those, at which distance the last did. Exactly at the corner nothing is
-  !> wrong but to be lost.
-  subroutine corners()
+  !> Shots from inside urn 2 at the corner of gate 2, and at 2**-k above and below it: number of
+  !> those that end on the wrong side, and greatest distance of one of these. A shot exactly at the
+  !> corner may end on either side, but must not be lost.
+  subroutine probe_corners()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: corner(2), from(2), off, worst
-    integer :: k, shot, side, wrong
+    integer :: k, shot, direction, wrong
     logical :: entered
 
     if (engine_name == 'reservoir') return
@@ -75,30 +75,30 @@ contains
       do k = 4, 60
         off = 0.5_wp**k
         if (k == 60) off = 0.0_wp
-        do side = -1, 1, 2
-          call live(one, 'corner', off, table, 10, alone(from(1), from(2), corner(1) - from(1), &
-            corner(2) + side*off - from(2)), 1.5_wp, 10.0_wp)
+        do direction = -1, 1, 2
+          call run_case(one, 'corner', off, table, 10, one_particle_at(from(1), from(2), corner(1) &
+            - from(1), corner(2) + direction*off - from(2)), 1.5_wp, 10.0_wp)
           entered = .false.
           if (one%events > 0) entered = one%kind(1) == event_entry
-          if (k < 60 .and. (entered .neqv. side < 0)) then
+          if (k < 60 .and. (entered .neqv. direction < 0)) then
             wrong = wrong + 1
             worst = max(worst, off)
           end if
-          if (k == 60 .and. shot == 10 .and. side == 1) then
+          if (k == 60 .and. shot == 10 .and. direction == 1) then
             one%name = 'corner exactly'
-            call tell(one, merge(1.0_wp, 0.0_wp, entered))
+            call print_case(one, merge(1.0_wp, 0.0_wp, entered))
           end if
         end do
       end do
     end do
     one%name = 'corner shots on the wrong side'
-    call tell(one, real(wrong, wp))
+    call print_case(one, real(wrong, wp))
     one%name = 'corner farthest wrong shot'
-    call tell(one, worst)
-  end subroutine corners
+    call print_case(one, worst)
+  end subroutine probe_corners
 
-  !> Round and round through both channels: height after 100 time units.
-  subroutine along_the_axis()
+  !> Round and round through both channels, nearly along the axis: height after 100 time units.
+  subroutine probe_along_the_axis()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: centre
@@ -111,14 +111,14 @@ contains
     do k = 3, 16
       slope = 10.0_wp**(-k)
       if (k == 16) slope = 0.0_wp
-      call live(one, 'along the axis', slope, table, 10, alone(centre, 0.0_wp, 1.0_wp, &
-        slope), 100.0_wp, 10.0_wp)
-      call tell(one, one%particles%y(1))
+      call run_case(one, 'along the axis', slope, table, 10, one_particle_at(centre, 0.0_wp, &
+        1.0_wp, slope), 100.0_wp, 10.0_wp)
+      call print_case(one, one%particles%y(1))
     end do
-  end subroutine along_the_axis
+  end subroutine probe_along_the_axis
 
-  !> Across channel 1, drifting to its middle: when it crosses that, over the exact time.
-  subroutine across_a_channel()
+  !> Across channel 1, drifting to its middle: time of the crossing, relative to the exact one.
+  subroutine probe_across_a_channel()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: drift, exact
@@ -130,14 +130,14 @@ contains
       if (k == 16) drift = 0.0_wp
       exact = 100.0_wp
       if (drift > 0.0_wp) exact = 0.25_wp*sqrt(1.0_wp + drift**2)/drift
-      call live(one, 'across a channel', drift, table, 10, alone(-0.25_wp, 0.0_wp, drift, 1.0_wp), &
-        1.001_wp*exact, 4.0_wp)
-      call tell(one, first_event(one)/exact - 1.0_wp)
+      call run_case(one, 'across a channel', drift, table, 10, one_particle_at(-0.25_wp, 0.0_wp, &
+        drift, 1.0_wp), 1.001_wp*exact, 4.0_wp)
+      call print_case(one, first_event_time(one)/exact - 1.0_wp)
     end do
-  end subroutine across_a_channel
+  end subroutine probe_across_a_channel
 
-  !> To and fro on a diameter of urn 2 that meets no opening: how far it is off after 2000.
-  subroutine diameter()
+  !> To and fro on a diameter of urn 2 that meets no opening: distance from it after the time 2000.
+  subroutine probe_diameter()
     type(case_type) :: one
     type(table_type) :: table
     real(wp) :: centre
@@ -145,17 +145,17 @@ contains
     if (engine_name == 'reservoir') return
     table = paper_table(0.3_wp, 0.01_wp)
     centre = table%urn(1)%centre
-    call live(one, 'upright diameter', 0.0_wp, table, 10, alone(centre, 0.0_wp, 0.0_wp, &
-      1.0_wp), 2000.0_wp, 10.0_wp)
-    call tell(one, abs(one%particles%x(1) - centre))
-    call live(one, 'slanted diameter', 1.0_wp, table, 10, alone(centre, 0.0_wp, 0.6_wp, &
-      0.8_wp), 2000.0_wp, 10.0_wp)
-    call tell(one, abs(0.8_wp*(one%particles%x(1) - centre) - 0.6_wp*one%particles%y(1)))
-  end subroutine diameter
+    call run_case(one, 'upright diameter', 0.0_wp, table, 10, one_particle_at(centre, 0.0_wp, &
+      0.0_wp, 1.0_wp), 2000.0_wp, 10.0_wp)
+    call print_case(one, abs(one%particles%x(1) - centre))
+    call run_case(one, 'slanted diameter', 1.0_wp, table, 10, one_particle_at(centre, 0.0_wp, &
+      0.6_wp, 0.8_wp), 2000.0_wp, 10.0_wp)
+    call print_case(one, abs(0.8_wp*(one%particles%x(1) - centre) - 0.6_wp*one%particles%y(1)))
+  end subroutine probe_diameter
 
-  !> Four particles enter gate 2 at one time, two by two exactly; T = 0, 1, 2 and 3. In how many of
-  !> the 24 orders in memory does any of them fare otherwise than in the first?
-  subroutine ties()
+  !> Four particles enter gate 2, two by two at exactly one time; T = 0, 1, 2 and 3. Number of the
+  !> 24 orders in memory for which any particle moves otherwise than for the first.
+  subroutine probe_ties()
     type(case_type) :: one, first
     type(table_type) :: table
     type(particles_type) :: particles
@@ -174,7 +174,8 @@ contains
         if (count(order == 4) /= 1) cycle
         particles = particles_type(spread(1.0_wp, 1, 4), heights(order), spread(-1.0_wp, 1, 4), &
           spread(0.0_wp, 1, 4))
-        call live(one, 'ties', real(threshold, wp), table, threshold, particles, 1.75_wp, 10.0_wp)
+        call run_case(one, 'ties', real(threshold, wp), table, threshold, particles, 1.75_wp, &
+          10.0_wp)
         if (untried) then
           first = one
           first_order = order
@@ -182,12 +183,12 @@ contains
         untried = .false.
         if (.not. same_fates(one, order, first, first_order)) differ = differ + 1
       end do
-      call tell(one, real(differ, wp))
+      call print_case(one, real(differ, wp))
     end do
-  end subroutine ties
+  end subroutine probe_ties
 
-  !> Whether each particle, whatever its number, has the same events at the same times and is at the
-  !> same place at the end.
+  !> Whether each particle has, in both orders, the same events at the same times and the same final
+  !> position.
   pure function same_fates(one, order, other, other_order) result(same)
     type(case_type), intent(in) :: one, other
     integer, intent(in) :: order(4), other_order(4)
@@ -209,18 +210,18 @@ contains
     end do
   end function same_fates
 
-  !> Tables and numbers at the edge of what is allowed, from random starts.
-  subroutine extremes()
-    call extreme('N = 1', 1, 7, 0.3_wp, 0.01_wp)
-    call extreme('T = 0', 100, 0, 0.3_wp, 0.01_wp)
-    call extreme('w'' = 0', 100, 3, 0.3_wp, 0.0_wp)
-    call extreme('w near 2r', 100, 3, nearest(2.0_wp, -1.0_wp), 0.01_wp)
-    call extreme('w and w'' near 2r', 100, 3, 1.9999_wp, 1.9999_wp)
-    call extreme('openings of 1e-9', 100, 3, 1.0e-9_wp, 1.0e-9_wp)
-  end subroutine extremes
+  !> Tables and numbers at the limits of what is allowed, from random starts.
+  subroutine probe_extremes()
+    call probe_extreme('N = 1', 1, 7, 0.3_wp, 0.01_wp)
+    call probe_extreme('T = 0', 100, 0, 0.3_wp, 0.01_wp)
+    call probe_extreme('w'' = 0', 100, 3, 0.3_wp, 0.0_wp)
+    call probe_extreme('w near 2r', 100, 3, nearest(2.0_wp, -1.0_wp), 0.01_wp)
+    call probe_extreme('w and w'' near 2r', 100, 3, 1.9999_wp, 1.9999_wp)
+    call probe_extreme('openings of 1e-9', 100, 3, 1.0e-9_wp, 1.0e-9_wp)
+  end subroutine probe_extremes
 
-  !> `value`: how many more or fewer are in half 1 than the crossings say.
-  subroutine extreme(name, number, threshold, width1, width2)
+  !> `value`: change of the number in half 1 less the net number of crossings.
+  subroutine probe_extreme(name, number, threshold, width1, width2)
     character(len=*), intent(in) :: name
     integer, intent(in) :: number, threshold
     real(wp), intent(in) :: width1, width2
@@ -230,71 +231,72 @@ contains
     integer :: first
 
     table = paper_table(width1, width2)
-    particles = scattered(table, number)
+    particles = random_in_discs(table, number)
     first = count(particles%x < 0.0_wp)
-    call live(one, name, 0.0_wp, table, threshold, particles, 300.0_wp, 2.0_wp*number)
-    call tell(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
+    call run_case(one, name, 0.0_wp, table, threshold, particles, 300.0_wp, 2.0_wp*number)
+    call print_case(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
       - one%crossings(2)), wp))
-  end subroutine extreme
+  end subroutine probe_extreme
 
-  !> The same run from the clock 0 and from 1e12: greatest difference of an event's time since the
-  !> start, -1 if the events themselves differ.
-  subroutine late_clock()
+  !> The same run with the clock starting at 0 and at 1e12: greatest difference of the times of
+  !> events since the start; -1 if the events differ.
+  subroutine probe_late_clock()
     type(case_type) :: early, late
     type(table_type) :: table
     type(particles_type) :: particles
     real(wp) :: apart
 
     table = paper_table(0.3_wp, 0.01_wp)
-    particles = scattered(table, 50)
-    ! Both to the end, or there is nothing to compare.
+    particles = random_in_discs(table, 50)
+    ! Both must reach the end to be compared.
     most_seconds = 60.0_dp*most_seconds
-    call live(early, 'clock at 1e12', 0.0_wp, table, 3, particles, 50.0_wp, 100.0_wp)
-    call live(late, 'clock at 1e12', 1.0e12_wp, table, 3, particles, 50.0_wp, 100.0_wp, 1.0e12_wp)
+    call run_case(early, 'clock at 1e12', 0.0_wp, table, 3, particles, 50.0_wp, 100.0_wp)
+    call run_case(late, 'clock at 1e12', 1.0e12_wp, table, 3, particles, 50.0_wp, 100.0_wp, &
+      1.0e12_wp)
     apart = -1.0_wp
     if (early%events == late%events) apart = maxval(abs(early%time - late%time))
-    call tell(late, apart)
+    call print_case(late, apart)
     most_seconds = most_seconds/60.0_dp
-  end subroutine late_clock
+  end subroutine probe_late_clock
 
-  !> One long run, N = 1000, T = 7: how far beyond a wall anybody is at its end; and how many more
-  !> or fewer are in half 1 than the crossings say.
-  subroutine long_run(collisions)
+  !> One long run, N = 1000, T = 7: greatest distance of a particle beyond a wall at its end; change
+  !> of the number in half 1 less the net number of crossings.
+  subroutine probe_long_run(collisions)
     integer(int64), intent(in) :: collisions
     type(case_type) :: one
     type(table_type) :: table
     type(particles_type) :: particles
     type(event_record_type) :: event_record
-    integer(int64) :: known
+    integer(int64) :: collisions_so_far
     real(dp) :: began
     integer :: first
 
     table = paper_table(0.3_wp, 0.01_wp)
-    particles = scattered(table, 1000)
+    particles = random_in_discs(table, 1000)
     first = count(particles%x < 0.0_wp)
     one%name = 'long run'
     one%parameter = real(collisions, wp)
     one%table = table
     one%number = 1000
-    call started(engine_name, table, 7, particles, step, one%engine)
-    known = 0
+    call start_engine(engine_name, table, 7, particles, step, one%engine)
+    collisions_so_far = 0
     began = wall_seconds()
-    do while (known < collisions)
+    do while (collisions_so_far < collisions)
       call one%engine%advance(huge(1.0_wp), event_record)
-      known = known + event_record%collisions
+      collisions_so_far = collisions_so_far + event_record%collisions
       one%reached = one%reached + event_record%duration
       one%crossings = one%crossings + [crossings(event_record, 1), crossings(event_record, 0)]
     end do
     one%seconds = wall_seconds() - began
     call one%engine%particles(1, 1000, one%particles)
-    call tell(one, beyond(table, one%particles))
+    call print_case(one, farthest_beyond_walls(table, one%particles))
     one%name = 'long run, count of half 1'
-    call tell(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
+    call print_case(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &
       - one%crossings(2)), wp))
-  end subroutine long_run
+  end subroutine probe_long_run
 
-  !> Greatest distance beyond the walls of the region somebody is in.
-  pure function beyond(table, particles) result(far)
+  !> Greatest distance of a particle beyond the walls of the chamber that it is in.
+  pure function farthest_beyond_walls(table, particles) result(far)
     type(table_type), intent(in) :: table
     type(particles_type), intent(in) :: particles
     real(wp) :: far
@@ -312,6 +314,6 @@ contains
         far = max(far, hypot(qx, particles%y(i)) - table%urn(1)%radius)
       end if
     end do
-  end function beyond
+  end function farthest_beyond_walls
 
 end module battery_probe_stability

@@ -1,5 +1,5 @@
-!> Probes of trajectories: where the particles are at given times and what it cost, and where they
-!> come back to when all velocities are turned.
+!> Probes of trajectories: positions at given times and their cost; and the distance to the start
+!> after a reversal of all velocities.
 module battery_probe_trajectory
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
@@ -9,15 +9,15 @@ module battery_probe_trajectory
   use battery_event_record, only: event_record_type
   use battery_initial_state, only: read_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    started, run_for, list, say, stop_at, now_seconds
+    start_engine, advance_for, json_list, print_json_line, stop_with_message, processor_seconds
   implicit none (type, external)
   private
   public :: trajectory_main, reversal_main
 
-  !> The cost is measured over at least so many seconds, unless one run takes longer.
+  !> The cost is measured over at least so many seconds.
   real(dp), parameter :: least_seconds = 0.1_dp
 
-  !> A case: from where, by which engine, how far.
+  !> A case: engine, table, initial state, times.
   type :: case_type
     character(len=:), allocatable :: engine
     real(wp) :: step = 0.0_wp
@@ -35,7 +35,7 @@ module battery_probe_trajectory
 
 contains
 
-  !> `trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...`: a line for each time, one with
+  !> `trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...`: prints a line for each time, one with
   !> the cost, and one with all events.
   subroutine trajectory_main()
     type(case_type) :: one
@@ -49,36 +49,36 @@ contains
 
     call read_case(one, 7)
     one%threshold = int(integer_argument(6))
-    call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+    call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
     event_record%logging = .true.
     allocate (log%time(0), log%kind(0), log%where(0), log%particle(0))
     elapsed = 0.0_wp
     spent = 0.0_dp
     do k = 1, size(one%times)
-      began = now_seconds()
+      began = processor_seconds()
       do while (one%times(k) - elapsed > 4.0_wp*epsilon(1.0_wp)*one%times(k))
         call engine%advance(one%times(k) - elapsed, event_record)
-        call append(log, event_record, elapsed)
+        call append_events(log, event_record, elapsed)
         elapsed = elapsed + event_record%duration
       end do
-      spent = spent + (now_seconds() - began)
+      spent = spent + (processor_seconds() - began)
       call engine%particles(1, engine%number, found)
-      call say('{"time": '//to_text(real(one%times(k), dp))//', "x": '//list(found%x)//', "y": ' &
-        //list(found%y)//'}')
+      call print_json_line('{"time": '//to_text(real(one%times(k), dp))//', "x": ' &
+        //json_list(found%x)//', "y": '//json_list(found%y)//'}')
     end do
     spent = spent/(elapsed*engine%number)
-    if (spent*elapsed*engine%number < least_seconds) spent = cost(one)
-    call say('{"precision": "'//precision_name()//'", "engine": "'//one%engine//'", "step": ' &
-      //to_text(real(one%step, dp))//', "threshold": '//to_text(one%threshold) &
+    if (spent*elapsed*engine%number < least_seconds) spent = seconds_per_particle_time(one)
+    call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//one%engine &
+      //'", "step": '//to_text(real(one%step, dp))//', "threshold": '//to_text(one%threshold) &
       //', "seconds_per_particle_time": '//to_text(spent)//', "trapped": ' &
       //to_text(engine%trapped())//'}')
-    call say('{"event_time": '//list(log%time)//', "kind": '//list(real(log%kind, wp)) &
-      //', "where": '//list(real(log%where, wp))//', "particle": '//list(real(log%particle, wp)) &
-      //'}')
+    call print_json_line('{"event_time": '//json_list(log%time)//', "kind": ' &
+      //json_list(real(log%kind, wp))//', "where": '//json_list(real(log%where, wp)) &
+      //', "particle": '//json_list(real(log%particle, wp))//'}')
   end subroutine trajectory_main
 
-  !> `reversal ENGINE STEP FILE NUMBER TIME ...`: for each time, the distance of each particle of
-  !> the free circuit from its start after going there and back.
+  !> `reversal ENGINE STEP FILE NUMBER TIME ...`: for each time, prints the distance of each
+  !> particle from its start, in the free circuit, after that time and as long back.
   subroutine reversal_main()
     type(case_type) :: one
     class(engine_type), allocatable :: engine
@@ -89,21 +89,21 @@ contains
     call read_case(one, 6)
     one%threshold = size(one%particles%x)
     do k = 1, size(one%times)
-      call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
-      call run_for(engine, one%times(k), event_record)
+      call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+      call advance_for(engine, one%times(k), event_record)
       call engine%particles(1, engine%number, found)
       found%ux = -found%ux
       found%uy = -found%uy
-      call started(one%engine, one%table, one%threshold, found, one%step, engine)
-      call run_for(engine, one%times(k), event_record)
+      call start_engine(one%engine, one%table, one%threshold, found, one%step, engine)
+      call advance_for(engine, one%times(k), event_record)
       call engine%particles(1, engine%number, found)
-      call say('{"precision": "'//precision_name()//'", "engine": "'//one%engine//'", "time": ' &
-        //to_text(real(one%times(k), dp))//', "error": '//list(hypot(found%x - one%particles%x, &
-        found%y - one%particles%y))//'}')
+      call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//one%engine &
+        //'", "time": '//to_text(real(one%times(k), dp))//', "error": '//json_list(hypot(found%x &
+        - one%particles%x, found%y - one%particles%y))//'}')
     end do
   end subroutine reversal_main
 
-  !> What the command line says; times begin at word `first`.
+  !> Reads a case from the command line; its times start at word `first`.
   subroutine read_case(one, first)
     type(case_type), intent(out) :: one
     integer, intent(in) :: first
@@ -114,12 +114,12 @@ contains
     one%step = real_argument(3)
     one%table = paper_table(0.3_wp, 0.01_wp)
     call read_particles(argument(4), one%table, int(integer_argument(5)), one%particles, error)
-    if (allocated(error)) call stop_at(error%message)
+    if (allocated(error)) call stop_with_message(error%message)
     one%times = [(real_argument(k), k=first, command_argument_count())]
   end subroutine read_case
 
-  !> Processor seconds per particle and time unit.
-  function cost(one) result(seconds)
+  !> Processor time per particle and time unit, in seconds.
+  function seconds_per_particle_time(one) result(seconds)
     type(case_type), intent(in) :: one
     real(dp) :: seconds
     class(engine_type), allocatable :: engine
@@ -129,17 +129,18 @@ contains
     spent = 0.0_dp
     time = 0.0_dp
     do
-      call started(one%engine, one%table, one%threshold, one%particles, one%step, engine)
-      began = now_seconds()
-      call run_for(engine, one%times(size(one%times)), event_record)
-      spent = spent + (now_seconds() - began)
+      call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
+      began = processor_seconds()
+      call advance_for(engine, one%times(size(one%times)), event_record)
+      spent = spent + (processor_seconds() - began)
       time = time + real(one%times(size(one%times)), dp)
       if (spent > least_seconds) exit
     end do
     seconds = spent/(time*size(one%particles%x))
-  end function cost
+  end function seconds_per_particle_time
 
-  subroutine append(log, event_record, since)
+  !> Appends the events of a window that started at the time `since`.
+  subroutine append_events(log, event_record, since)
     type(log_type), intent(inout) :: log
     type(event_record_type), intent(in) :: event_record
     real(wp), intent(in) :: since
@@ -151,6 +152,6 @@ contains
     log%kind = [log%kind, int(event_record%event_kind(:n))]
     log%where = [log%where, int(event_record%event_where(:n))]
     log%particle = [log%particle, int(event_record%event_particle(:n))]
-  end subroutine append
+  end subroutine append_events
 
 end module battery_probe_trajectory

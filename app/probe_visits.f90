@@ -1,14 +1,15 @@
-!> Probe of single visits to an urn: many random ones in one precision, held against another.
+!> Probe of single visits to an urn: many random ones, computed in one precision and compared with
+!> those of another.
 !>
-!> A visit is known by its way in, and its way out depends on that the more the longer it is. To
-!> first order, a change of the way in by eps turns the way out by K_u eps and moves it along the
-!> opening by K_y eps, and changes its length by K_l eps, with n the wall hits, s and c the sine and
-!> cosine of the incidence, q and u place and direction at the way out:
+!> A visit follows from its start; its end is the more sensitive to that, the longer it is. To first
+!> order, a change of the start by eps changes the direction at the end by K_u eps, the height by
+!> K_y eps, and the length by K_l eps. With n the wall hits, s and c the sine and cosine of the
+!> incidence, q and u position and direction at the end:
 !>   K_u = 1 + 2 n/c,  K_y = (|q.u| K_u + r)/|u_x|,  K_l = 2 r (n |s|/c + 1) + r K_u + |u_y| K_y.
-!> The error of a visit over these is what is held against the precision. (`battery_probe_polygon`
-!> has them for polygons.) Visits that end at another wall hit than the reference are told apart:
-!> those that come so close to a corner that the way in, known to `corner_tolerance`, cannot say on
-!> which side, and those that are wrong.
+!> The error of a visit relative to these conditions is compared with the precision.
+!> (`battery_probe_polygon` has them for polygons.) Visits that end at another wall hit than the
+!> reference are of two kinds: those that pass so close to a corner that a start known to
+!> `corner_tolerance` does not decide the side, and those that are wrong.
 module battery_probe_visits
   use battery_kinds, only: wp, dp, int64
   use battery_text, only: to_text
@@ -16,8 +17,8 @@ module battery_probe_visits
   use battery_random, only: hashed_uniform
   use battery_urn, only: compute_visits, shape_polygon
   use battery_visits, only: visits_type, reserve_visits
-  use battery_probe, only: argument, real_argument, integer_argument, given, precision_name, &
-    paper_table, say, stop_at, now_seconds
+  use battery_probe, only: argument, real_argument, integer_argument, rounded_to_bits, &
+    precision_name, paper_table, print_json_line, stop_with_message, processor_seconds
   use battery_probe_polygon, only: polygon_table, polygon_conditions, polygon_tolerance, &
     least_room_beside_corners
   implicit none (type, external)
@@ -25,32 +26,33 @@ module battery_probe_visits
   public :: visits_main
 
   integer, parameter :: chunk = 4096
-  !> Numbers of a visit in the file: opening (1, -1, or 0 if it was handed on before it came to
+  !> Numbers of a visit in the file: opening (1, -1, or 0 if it was truncated before it reached
   !> one), y, |u_x|, u_y, length, wall hits.
   integer, parameter :: numbers = 6
-  !> A tie at a corner, in units of the change of the way in.
+  !> Tolerance for a tie at a corner, in units of the change of the start.
   real(wp), parameter :: corner_tolerance = 8.0_wp
-  !> Errors are counted by their decimal logarithm, in tenths, from 10**-40 to 1.
+  !> Histogram of errors: bins of a tenth of their decimal logarithm, from 10**-40 to 1.
   integer, parameter :: bins = 400
 
-  !> What the comparison found.
+  !> Result of the comparison.
   type :: finding_type
     integer(int64) :: same = 0, corner = 0, wrong = 0, handed_on = 0
-    !> Farthest from a corner of those that end elsewhere, over its condition and the precision.
+    !> Visits with another end: greatest distance from a corner, relative to its condition and the
+    !> precision.
     real(wp) :: farthest = 0.0_wp
-    !> Greatest error over its condition, and greatest and mean log10 of the condition itself.
+    !> Greatest error relative to its condition; greatest condition.
     real(wp) :: worst = 0.0_wp, condition = 0.0_wp
-    !> The same by place, direction and time.
+    !> Greatest relative error of height, direction and length.
     real(wp) :: worst_of(3) = 0.0_wp
     integer(int64) :: histogram(bins) = 0
   end type finding_type
 
 contains
 
-  !> `visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]`: computes visits whose ways in have so
-  !> many bits and writes them to FILE; with OTHER, the FILE of the same visits in another
-  !> precision, tells how far the two are apart. URN is `disc`, or the corners x1,y1,x2,y2,... of a
-  !> polygon, in a word.
+  !> `visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]`: computes visits whose starts have so
+  !> many bits, and writes them to FILE; with OTHER, the FILE of the same visits in another
+  !> precision, prints how they differ. URN is `disc`, or the corners x1,y1,x2,y2,... of a polygon,
+  !> in a word.
   subroutine visits_main()
     type(table_type) :: table
     type(finding_type) :: finding
@@ -62,7 +64,7 @@ contains
     logical :: comparing
 
     bits = int(integer_argument(6))
-    width = [given(real_argument(3), bits), given(real_argument(4), bits)]
+    width = [rounded_to_bits(real_argument(3), bits), rounded_to_bits(real_argument(4), bits)]
     if (argument(2) == 'disc') then
       table = paper_table(width(1), width(2))
     else
@@ -78,22 +80,22 @@ contains
     do first = 0, count - 1, chunk
       n = int(min(int(chunk, int64), count - first))
       allocate (mine(numbers, n), other(numbers, n))
-      began = now_seconds()
-      call visit(table, first, n, bits, mine)
-      spent = spent + (now_seconds() - began)
+      began = processor_seconds()
+      call compute_drawn_visits(table, first, n, bits, mine)
+      spent = spent + (processor_seconds() - began)
       write (file) mine
       if (comparing) then
         read (other_file) other
-        call compare(table, first, bits, unit_error, mine, other, finding)
+        call compare_visits(table, first, bits, unit_error, mine, other, finding)
       end if
       deallocate (mine, other)
     end do
     close (file)
-    call tell(finding, count, bits, table, spent, comparing)
+    call print_finding(finding, count, bits, table, spent, comparing)
   end subroutine visits_main
 
-  !> The visits `first` + 1 ... `first` + n.
-  subroutine visit(table, first, n, bits, found)
+  !> Computes the visits `first` + 1 ... `first` + n.
+  subroutine compute_drawn_visits(table, first, n, bits, found)
     type(table_type), intent(in) :: table
     integer(int64), intent(in) :: first
     integer, intent(in) :: n, bits
@@ -109,18 +111,18 @@ contains
       visits%time(j) = 0.0_wp
       visits%passage(j) = 0.0_wp
       visits%hits(j) = 0.0_wp
-      call way_in(table, first + j, bits, visits%channel(j), visits%x(j), visits%y(j), &
+      call draw_entrance(table, first + j, bits, visits%channel(j), visits%x(j), visits%y(j), &
         visits%u_axial(j), visits%u_lateral(j))
     end do
     call compute_visits(table%urn(1), visits)
     do j = 1, n
-      found(:, j) = real([opening(visits%channel(j)), visits%y(j), &
+      found(:, j) = real([opening_sign(visits%channel(j)), visits%y(j), &
         visits%u_axial(j), visits%u_lateral(j), visits%length(j), visits%hits(j)], dp)
     end do
-  end subroutine visit
+  end subroutine compute_drawn_visits
 
-  !> How visit number `k` begins, in the frame of the urn.
-  subroutine way_in(table, k, bits, channel, x, y, ux, uy)
+  !> Start of visit number `k`, in the frame of the urn.
+  subroutine draw_entrance(table, k, bits, channel, x, y, ux, uy)
     type(table_type), intent(in) :: table
     integer(int64), intent(in) :: k
     integer, intent(in) :: bits
@@ -130,37 +132,37 @@ contains
 
     width1 = table%channel(1)%width
     width2 = table%channel(2)%width
-    place = (width1 + width2)*drawn(k, 1_int64, bits)
-    sine = 2.0_wp*drawn(k, 2_int64, bits) - 1.0_wp
+    place = (width1 + width2)*drawn_number(k, 1_int64, bits)
+    sine = 2.0_wp*drawn_number(k, 2_int64, bits) - 1.0_wp
     channel = merge(gated, ungated, place < width1)
     y = merge(place - 0.5_wp*width1, place - width1 - 0.5_wp*width2, place < width1)
     x = merge(table%urn(1)%chord(1), -table%urn(1)%chord(2), place < width1)
     ux = merge(-1.0_wp, 1.0_wp, place < width1)*sqrt((1.0_wp - sine)*(1.0_wp + sine))
     uy = sine
-  end subroutine way_in
+  end subroutine draw_entrance
 
-  !> What the file says of where a visit ended.
-  elemental function opening(channel) result(sign)
+  !> Opening through which a visit ends, as in the file.
+  elemental function opening_sign(channel) result(sign)
     integer(int64), intent(in) :: channel
     real(wp) :: sign
 
     sign = merge(1.0_wp, -1.0_wp, channel == gated)
     if (channel /= gated .and. channel /= ungated) sign = 0.0_wp
-  end function opening
+  end function opening_sign
 
-  !> A number in (0, 1) of so many bits: the same in each precision that has them.
-  elemental function drawn(visit, what, bits) result(number)
+  !> A random number in (0, 1) of so many bits: the same in each precision that has them.
+  elemental function drawn_number(visit, what, bits) result(number)
     integer(int64), intent(in) :: visit, what
     integer, intent(in) :: bits
     real(wp) :: number
 
     number = (aint(hashed_uniform(visit, what)*2.0_wp**bits) + 0.5_wp)*0.5_wp**bits
-  end function drawn
+  end function drawn_number
 
-  !> How far `other` is from `mine`, the reference.
-  subroutine compare(table, first, bits, unit_error, mine, other, finding)
+  !> Compares `other` with `mine`, the reference.
+  subroutine compare_visits(table, first, bits, unit_error, mine, other, finding)
     type(table_type), intent(in) :: table
-    !> The number of the visit before them; bits of their ways in.
+    !> Number of the visit before the first of them; bits of their starts.
     integer(int64), intent(in) :: first
     integer, intent(in) :: bits
     real(wp), intent(in) :: unit_error
@@ -179,10 +181,11 @@ contains
       same = nint(mine(1, j)) == nint(other(1, j)) &
         .and. nint(mine(6, j), int64) == nint(other(6, j), int64)
       if (same) then
-        k = conditions(table, mine(:, j))
+        k = visit_conditions(table, mine(:, j))
         error = abs([real(mine(2, j), wp) - other(2, j), hypot(real(mine(3, j), wp) - other(3, j), &
           real(mine(4, j), wp) - other(4, j)), real(mine(5, j), wp) - other(5, j)])/k
-        if (.not. all(error < 1.0_wp)) call stop_at('a visit is not a number, or wrong at all')
+        if (.not. all(error < 1.0_wp)) call &
+          stop_with_message('a visit is not a number, or wrong at all')
         finding%same = finding%same + 1
         finding%worst_of = max(finding%worst_of, error)
         finding%worst = max(finding%worst, maxval(error))
@@ -190,7 +193,7 @@ contains
         bin = bins + floor(10.0_wp*log10(max(maxval(error), 1.0e-37_wp)))
         finding%histogram(max(bin, 1)) = finding%histogram(max(bin, 1)) + 1
       else
-        room = least_room(table, first + j, bits, mine(:, j), other(:, j))/unit_error
+        room = room_beside_corner(table, first + j, bits, mine(:, j), other(:, j))/unit_error
         finding%farthest = max(finding%farthest, room)
         if (room <= tolerance) then
           finding%corner = finding%corner + 1
@@ -199,10 +202,10 @@ contains
         end if
       end if
     end do
-  end subroutine compare
+  end subroutine compare_visits
 
-  !> Condition of the place, the direction and the length of a visit.
-  function conditions(table, visit) result(k)
+  !> Condition of the height, the direction and the length at the end of a visit.
+  function visit_conditions(table, visit) result(k)
     type(table_type), intent(in) :: table
     real(dp), intent(in) :: visit(numbers)
     real(wp) :: k(3)
@@ -224,12 +227,12 @@ contains
     k(2) = 1.0_wp + 2.0_wp*n/c
     k(1) = (abs(x*ux + y*uy)*k(2) + radius)/abs(ux)
     k(3) = 2.0_wp*radius*(n*abs(s)/c + 1.0_wp) + radius*k(2) + abs(uy)*k(1)
-  end function conditions
+  end function visit_conditions
 
-  !> Distance from the corner of whichever of the two left first, over its condition.
-  function least_room(table, number, bits, mine, other) result(room)
+  !> Distance from a corner of the visit that left first, relative to its condition.
+  function room_beside_corner(table, number, bits, mine, other) result(room)
     type(table_type), intent(in) :: table
-    !> Which visit it is, and the bits of its way in.
+    !> Number of the visit, and bits of its start.
     integer(int64), intent(in) :: number
     integer, intent(in) :: bits
     real(dp), intent(in) :: mine(numbers), other(numbers)
@@ -238,18 +241,19 @@ contains
     integer(int64) :: channel
 
     if (table%urn(1)%shape == shape_polygon) then
-      call way_in(table, number, bits, channel, x, y, ux, uy)
+      call draw_entrance(table, number, bits, channel, x, y, ux, uy)
       room = least_room_beside_corners(table%urn(1)%polygon, x, y, ux, uy, nint(mine(6)))
       return
     end if
     first = mine
     if (other(6) < mine(6)) first = other
-    k = conditions(table, first)
+    k = visit_conditions(table, first)
     room = (0.5_wp*merge(table%channel(1)%width, table%channel(2)%width, first(1) > 0.0_dp) &
       - abs(first(2)))/k(1)
-  end function least_room
+  end function room_beside_corner
 
-  subroutine tell(finding, count, bits, table, spent, comparing)
+  !> Prints the line of the probe.
+  subroutine print_finding(finding, count, bits, table, spent, comparing)
     type(finding_type), intent(in) :: finding
     integer(int64), intent(in) :: count
     integer, intent(in) :: bits
@@ -278,7 +282,7 @@ contains
       end do
       text = text//']'
     end if
-    call say(text//'}')
-  end subroutine tell
+    call print_json_line(text//'}')
+  end subroutine print_finding
 
 end module battery_probe_visits

@@ -159,7 +159,8 @@ def run(
     if not isinstance(ranks, Integral) or ranks < 1:
         raise InputError(f"ranks = {ranks!r}: must be a whole number, at least 1")
     strange = isinstance(launcher, str) or not isinstance(launcher, Sequence)
-    if strange or not all(isinstance(word, str) and word for word in launcher):
+    lacking = ranks > 1 and not launcher
+    if strange or lacking or not all(isinstance(word, str) and word for word in launcher):
         raise InputError(f"launcher = {launcher!r}: must be a list of words")
     start = list(launcher) if ranks > 1 else []
     if ranks > (processors := os.cpu_count() or 1):  # launchers hang at a million

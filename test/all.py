@@ -58,8 +58,6 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     style += ["postproc", "test", "docs", "studies"]
     # A file goes to one worker, so that what its tests share is made once.
     python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "loadfile"]
-    # A cluster within this machine takes minutes and root: `make cluster`.
-    python += [f"--ignore=test/test_{name}.py" for name in ("slurm", "nodes")]
     if not arguments.full:
         python += ["-m", "not full"]
     flang = newest_flang() if arguments.full else ""

@@ -92,3 +92,31 @@ def test_what_is_missing_is_named_with_what_to_type(tmp_path: Path, tools: Path)
     assert "libhdf5-openmpi-dev" in apt
     assert "hdf5-openmpi-devel" in dnf
     assert "libhdf5-openmpi-dev" in switches(tools, "missing", "apt", HDF5=tmp_path).stdout.split()
+
+
+def test_a_library_that_is_there_is_not_missing_because_mpi_is(tools: Path) -> None:
+    (tools / "mpifort").unlink()
+    said = switches(tools, "missing").stdout
+    assert "mpi_f08" in said
+    assert "libcrypto" not in said
+
+
+def test_what_does_not_work_is_forgotten(tmp_path: Path) -> None:
+    for name in ("Makefile", "packaging/switches", "postproc/requirements.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    for name in ("src", "app"):
+        (tmp_path / name).mkdir()
+    script(tmp_path / "fpm", "echo 'Program: fpm(1)'")
+    outer = ("FPM", "MAKEFLAGS", "MFLAGS")
+    environment = {name: value for name, value in ENVIRONMENT.items() if name not in outer}
+
+    def make(*said: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(["make", "libraries", *said], cwd=tmp_path, env=environment,
+                              text=True, capture_output=True, check=False)  # fmt: skip
+
+    assert not make(f"FPM={tmp_path}/fpm").returncode
+    assert f"FPM ?= {tmp_path}/fpm" in (tmp_path / "build/choices").read_text(encoding="utf-8")
+    for wrong in ("FPM=true", f"FPM={tmp_path}/no_fpm"):
+        assert f"fpm 0.12: {wrong} is none" in make(wrong).stderr
+        assert not make().returncode

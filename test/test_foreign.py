@@ -12,7 +12,7 @@ import pytest
 from support.program import listing, namelist, run
 
 from postproc.tests.runs import edited
-from postproc.tests.test_foreign import SECRET, bomb, linked, outside, replaced, virtual
+from postproc.tests.test_foreign import SECRET, bomb, linked, outside, replaced, short, virtual
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,14 +69,21 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "external storage of states": ("/final/x", lambda file, secret: outside(
         file, "final/x", secret)),
     "virtual dataset": ("/chi", lambda file, secret: virtual(file, "chi", secret)),
-    "external link": ("/chi", lambda file, secret: linked(
-        file, "chi", h5py.ExternalLink(str(secret), "/chi"))),
-    "soft link": ("/final", lambda file, _: linked(file, "final", h5py.SoftLink("/snapshots"))),
+    # Whoever followed these links would find what fits.
+    "external link": ("/chi is a link", lambda file, secret: linked(
+        file, "chi", h5py.ExternalLink(str(secret.with_name("others.h5")), "/chi"))),
+    "external link to a group": ("is a link", lambda file, secret: linked(
+        file, "final", h5py.ExternalLink(str(secret.with_name("others.h5")), "/final"))),
+    "soft link": ("/chi is a link", lambda file, _: linked(
+        file, "chi", h5py.SoftLink("/current1"))),
     "another filter": ("/chi", lambda file, _: replaced(
         file, "chi", data=np.zeros((2, 2)), compression="lzf")),
     "huge pieces": ("/chi", lambda file, _: replaced(
         file, "chi", shape=(2, 2), maxshape=(None, None), chunks=(2**10, 2**14), dtype="f8")),
     "a piece that grows": ("/chi", lambda file, _: bomb(file, "chi")),
+    "a piece too short": ("/chi has pieces", lambda file, _: short(file, "chi")),
+    "a piece too short, as it is": ("/chi has pieces", lambda file, _: short(file, "chi", 1)),
+    "one of states too short": ("/final/x has pieces", lambda file, _: short(file, "final/x")),
     "text for numbers": ("/chi", lambda file, _: replaced(
         file, "chi", data=np.full((2, 2), b"nothing."))),
     "many texts": ("version", lambda file, _: file.attrs.__setitem__("version", ["0.2.0"] * 999)),
@@ -94,6 +101,7 @@ def test_what_the_program_does_not_write_does_not_grow(
     named, change = EDITS[edit]
     (tmp_path / "secret").write_bytes(SECRET)
     shutil.copy(ours, tmp_path)
+    shutil.copy(ours, tmp_path / "others.h5")
     with edited(tmp_path / "out.h5") as file:
         change(file, tmp_path / "secret")
     write(tmp_path, 3)

@@ -78,11 +78,13 @@ def fpm(*arguments: str, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("file", ["src/ensemble/communicator.f90", "src/store/hdf5_file.f90"])
+@pytest.mark.parametrize(
+    "file", ["src/ensemble/communicator.f90", "src/store/hdf5_file.f90", "src/interop/gsl.c"]
+)
 def test_without_switches_the_compiler_shows_what_to_type(file: str) -> None:
-    """`fpm build` alone ends at the first of these: it knows neither MPI nor HDF5."""
+    """`fpm build` alone ends at the first of these: it knows no MPI, HDF5 and GSL of modules."""
     done = subprocess.run(
-        ["gfortran", "-fsyntax-only", file],
+        ["gfortran", "-fsyntax-only", *(["-nostdinc"] if file.endswith(".c") else []), file],
         cwd=ROOT, env=WITHOUT_MAKE, check=False, text=True, capture_output=True,
     )  # fmt: skip
     assert 'type "fpm @release"' in done.stderr

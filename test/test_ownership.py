@@ -152,6 +152,29 @@ def test_nothing_is_taken_from_another_machine(tmp_path: Path) -> None:
     assert names(tmp_path) == ["case.nml", "out.h5"]
 
 
+@pytest.mark.parametrize("after_another", [False, True])
+def test_killed_while_it_writes_the_lock_file(tmp_path: Path, after_another: bool) -> None:
+    """Nothing is left that stops the next run: the file has its text before it has its name."""
+    source, library = tmp_path / "kill.c", tmp_path / "kill.so"
+    source.write_text("#include <signal.h>\nlong pwrite() { return raise(SIGKILL); }\n"
+                      "long pwrite64() { return raise(SIGKILL); }\n")  # fmt: skip
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source], check=True)
+    folder = tmp_path / "case"
+    folder.mkdir()
+    if after_another:
+        write(folder, collisions=LONG)
+        process, numbers = under_way(folder, "case.nml")
+        program.send(numbers, signal.SIGKILL)
+        program.finish(process)
+    write(folder)
+    preload = {"LD_PRELOAD": str(library)}
+    ended = program.run("--overwrite", "case.nml", folder=folder, environment=preload)
+    assert ended.returncode == -signal.SIGKILL, (ended.returncode, ended.stderr)
+    ended = program.run("--overwrite", "case.nml", folder=folder)
+    assert ended.returncode == 0, ended.stderr
+    assert names(folder) == ["case.nml", "out.h5"]
+
+
 def test_without_locks_nothing_is_taken_over(tmp_path: Path) -> None:
     """Nobody can know then whether an owner of this machine lives, either."""
     source, library = tmp_path / "no_locks.c", tmp_path / "no_locks.so"

@@ -164,6 +164,12 @@ def test_arguments_of_another_kind_are_input_errors(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_launcher_of_no_words_is_named(tmp_path: Path) -> None:
+    """The number of ranks is not taken for a program."""
+    with pytest.raises(InputError, match=r"launcher = \(\): must be a list of words"):
+        postproc.run(CASE, folder=tmp_path / "new", ranks=2, launcher=())
+
+
 def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match=r"cannot make folder .*file: File exists"):

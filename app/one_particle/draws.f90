@@ -1,15 +1,15 @@
-!> Random numbers one by one, drawn many at a time.
+!> Random numbers one by one, generated in blocks.
 module battery_draws
   use battery_kinds, only: wp, int64
   use battery_random, only: random_type, new_random, draw_uniform
   implicit none (type, external)
   private
-  public :: draws_type, new_draws, next
+  public :: draws_type, new_draws, next_uniform
 
-  !> So many are drawn at a time.
+  !> Numbers generated at a time.
   integer, parameter :: drawn_together = 4096
 
-  !> A generator, and what is left of the numbers drawn last.
+  !> A generator, and the numbers generated last.
   type :: draws_type
     private
     type(random_type) :: random
@@ -19,7 +19,7 @@ module battery_draws
 
 contains
 
-  !> The same seed gives the same numbers.
+  !> A generator; the same seed gives the same numbers.
   pure function new_draws(seed) result(draws)
     !> Any 64 bits.
     integer(int64), intent(in) :: seed
@@ -28,8 +28,8 @@ contains
     draws%random = new_random(seed)
   end function new_draws
 
-  !> A number uniform in (0, 1).
-  function next(draws) result(number)
+  !> The next number, uniform in (0, 1).
+  function next_uniform(draws) result(number)
     type(draws_type), intent(inout) :: draws
     real(wp) :: number
 
@@ -39,6 +39,6 @@ contains
     end if
     draws%used = draws%used + 1
     number = draws%number(draws%used)
-  end function next
+  end function next_uniform
 
 end module battery_draws

@@ -8,9 +8,9 @@
 !>     half2_number flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
 !>     fuller_number polarised_current
 !>
-!> in one, of a copy of the circuit, flows, entries, turned and current per unit time; the last two
-!> are of the half that is the fuller one at the time. Lengths and times are those of the
-!> namelist. Made for `postproc.theory.one_particle`.
+!> on one line, per copy of the circuit: flows, entries, particles turned back and the current per
+!> unit time. The last two are of the half that is fuller at the time. Lengths and times are those
+!> of the namelist. Called by `postproc.theory.one_particle`.
 program one_particle
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
   use battery_kinds, only: wp, int64
@@ -18,32 +18,32 @@ program one_particle
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit
   use battery_engine, only: particles_type
   use battery_initial_state, only: random_particles
-  use battery_walkers, only: walkers_type, new_walkers, walk_until
-  use battery_tally, only: entry_rate, crossing_rate, turned_rate, half2_mean, fuller_mean, &
+  use battery_walkers, only: walkers_type, new_walkers, advance_walkers
+  use battery_tally, only: entry_rate, crossing_rate, reversed_rate, half2_mean, fuller_mean, &
     polarised_current
   implicit none (type, external)
   integer :: number, threshold(2), copies, status
   real(wp) :: radius(2), width1, length1, width2, length2, share, transient, duration
   integer(int64) :: seed
   logical :: well_mixed
-  !> Of the line that was read last.
+  !> State for the line that was read last.
   type(walkers_type) :: walkers
 
   do
     read (input_unit, *, iostat=status) number, threshold, radius, width1, length1, width2, &
       length2, share, copies, transient, duration, seed, well_mixed
     if (status /= 0) exit
-    call live()
+    call run_walkers()
     write (output_unit, '(11es24.16)') half2_mean(walkers%tally), crossing_rate(walkers%tally), &
-      entry_rate(walkers%tally), turned_rate(walkers%tally), fuller_mean(walkers%tally, number), &
+      entry_rate(walkers%tally), reversed_rate(walkers%tally), fuller_mean(walkers%tally, number), &
       polarised_current(walkers%tally, number)
     flush (output_unit)
   end do
 
 contains
 
-  !> One batch of walkers, from the start to the end.
-  subroutine live()
+  !> Simulates one batch of walkers from start to end.
+  subroutine run_walkers()
     type(table_type) :: table
     type(particles_type) :: particles
     type(error_type), allocatable :: error
@@ -55,7 +55,7 @@ contains
     if (allocated(error)) error stop error%message
     call new_walkers(walkers, table, threshold, copies, particles, seed, well_mixed, transient, &
       transient + duration)
-    call walk_until(walkers, transient + duration)
-  end subroutine live
+    call advance_walkers(walkers, transient + duration)
+  end subroutine run_walkers
 
 end program one_particle

@@ -1,43 +1,45 @@
-!> What walkers are seen to do within a time: entries, crossings, and how many are in half 2.
+!> Counts of what walkers do within a time interval: entries, reversals, crossings, and the number
+!> in half 2.
 !>
-!> What has a polarity is told in blocks of time as well, for that may turn round.
+!> Quantities that depend on the polarity are also summed over blocks of time, since the polarity
+!> may change.
 module battery_tally
   use battery_kinds, only: wp, int64
   use battery_table, only: ungated
   implicit none (type, external)
   private
-  public :: tally_type, new_tally, add_entry, add_turned, add_crossing
-  public :: entry_rate, turned_rate, crossing_rate, half2_mean, fuller_mean, polarised_current
+  public :: tally_type, new_tally, add_entry, add_reversed, add_crossing
+  public :: entry_rate, reversed_rate, crossing_rate, half2_mean, fuller_mean, polarised_current
 
-  !> Length of a block of time, about.
+  !> Approximate length of a block of time.
   real(wp), parameter :: about = 100.0_wp
 
   !> Sums over all copies of the circuit.
   type :: tally_type
     private
-    !> Measured is what happens after `from`, up to `to`.
+    !> Start and end of the interval that is measured.
     real(wp) :: from = 0.0_wp, to = 0.0_wp
     integer :: copies = 1
-    !> Entries and turned back by gate, crossings by (side they come from, channel).
-    integer(int64) :: entries(2) = 0, turned(2) = 0, crossings(2, 2) = 0
-    !> Integral of the number in half 2.
+    !> Entries and particles turned back, by gate; crossings by (urn they come from, channel).
+    integer(int64) :: entries(2) = 0, reversed(2) = 0, crossings(2, 2) = 0
+    !> Time integral of the number in half 2.
     real(wp) :: half2_sum = 0.0_wp
-    !> How many start in half 2, and how long a block is.
+    !> Number in half 2 at the start; length of a block.
     integer :: second = 0
     real(wp) :: block = 0.0_wp
-    !> By block: change of the number in half 2 and its integral up to the block's end, crossings of
-    !> channel 2 from half 2 to 1 less those back.
+    !> By block: change of the number in half 2, the integral of this change up to the end of the
+    !> block, and crossings of channel 2 from half 2 to 1 less those in the other direction.
     integer, allocatable :: change(:), returned(:)
     real(wp), allocatable :: changed(:)
   end type tally_type
 
 contains
 
-  !> Nothing has been seen yet.
+  !> An empty tally.
   pure function new_tally(from, to, copies, second) result(tally)
-    !> Times since the start: measured is what happens after `from`, up to `to`.
+    !> Times since the start: what happens after `from`, up to `to`, is measured.
     real(wp), intent(in) :: from, to
-    !> How many copies of the circuit there are, and how many start in half 2 of any.
+    !> Number of copies of the circuit, and of walkers that start in half 2 of any of them.
     integer, intent(in) :: copies, second
     type(tally_type) :: tally
     integer :: blocks
@@ -53,59 +55,59 @@ contains
     allocate (tally%changed(blocks), source=0.0_wp)
   end function new_tally
 
-  !> One enters the gate of an urn.
-  pure subroutine add_entry(tally, side, time)
+  !> Adds an entry into the gate of an urn.
+  pure subroutine add_entry(tally, urn, time)
     type(tally_type), intent(inout) :: tally
-    !> 1 or 2.
-    integer, intent(in) :: side
-    !> Since the start.
+    !> The urn, 1 or 2.
+    integer, intent(in) :: urn
+    !> Time since the start.
     real(wp), intent(in) :: time
 
-    if (seen(tally, time)) tally%entries(side) = tally%entries(side) + 1
+    if (is_measured(tally, time)) tally%entries(urn) = tally%entries(urn) + 1
   end subroutine add_entry
 
-  !> The gate of an urn turns back so many.
-  pure subroutine add_turned(tally, side, time, number)
+  !> Adds particles that the gate of an urn turns back.
+  pure subroutine add_reversed(tally, urn, time, number)
     type(tally_type), intent(inout) :: tally
-    !> 1 or 2; how many.
-    integer, intent(in) :: side, number
-    !> Since the start.
+    !> The urn, 1 or 2; number of particles.
+    integer, intent(in) :: urn, number
+    !> Time since the start.
     real(wp), intent(in) :: time
 
-    if (seen(tally, time)) tally%turned(side) = tally%turned(side) + number
-  end subroutine add_turned
+    if (is_measured(tally, time)) tally%reversed(urn) = tally%reversed(urn) + number
+  end subroutine add_reversed
 
-  !> One crosses the line of a channel.
-  pure subroutine add_crossing(tally, side, channel, time)
+  !> Adds a crossing of the line of a channel.
+  pure subroutine add_crossing(tally, urn, channel, time)
     type(tally_type), intent(inout) :: tally
-    !> The side it comes from, 1 or 2; `gated` or `ungated`.
-    integer, intent(in) :: side, channel
-    !> Since the start; it may lie ahead.
+    !> Urn that the walker comes from, 1 or 2; `gated` or `ungated`.
+    integer, intent(in) :: urn, channel
+    !> Time since the start; it may lie ahead.
     real(wp), intent(in) :: time
     real(wp) :: at, rest
     integer :: k, gain
 
     at = min(max(time, tally%from), tally%to)
     rest = tally%to - at
-    tally%half2_sum = tally%half2_sum + merge(rest, -rest, side == 1)
-    gain = merge(1, -1, side == 1)
+    tally%half2_sum = tally%half2_sum + merge(rest, -rest, urn == 1)
+    gain = merge(1, -1, urn == 1)
     k = min(int((at - tally%from)/tally%block) + 1, size(tally%change))
     tally%change(k) = tally%change(k) + gain
     rest = tally%from + real(k, wp)*tally%block - at
     tally%changed(k) = tally%changed(k) + real(gain, wp)*rest
-    if (.not. seen(tally, time)) return
-    tally%crossings(side, channel) = tally%crossings(side, channel) + 1
+    if (.not. is_measured(tally, time)) return
+    tally%crossings(urn, channel) = tally%crossings(urn, channel) + 1
     if (channel == ungated) tally%returned(k) = tally%returned(k) - gain
   end subroutine add_crossing
 
-  !> Whether what happens then is measured.
-  pure function seen(tally, time)
+  !> Whether what happens at that time is measured.
+  pure function is_measured(tally, time)
     type(tally_type), intent(in) :: tally
     real(wp), intent(in) :: time
-    logical :: seen
+    logical :: is_measured
 
-    seen = time > tally%from .and. time <= tally%to
-  end function seen
+    is_measured = time > tally%from .and. time <= tally%to
+  end function is_measured
 
   !> Entries into the gate of each urn, per unit time and copy.
   pure function entry_rate(tally) result(rate)
@@ -115,15 +117,15 @@ contains
     rate = real(tally%entries, wp)/measured_time(tally)
   end function entry_rate
 
-  !> Walkers that each gate turned back, per unit time and copy.
-  pure function turned_rate(tally) result(rate)
+  !> Walkers turned back by each gate, per unit time and copy.
+  pure function reversed_rate(tally) result(rate)
     type(tally_type), intent(in) :: tally
     real(wp) :: rate(2)
 
-    rate = real(tally%turned, wp)/measured_time(tally)
-  end function turned_rate
+    rate = real(tally%reversed, wp)/measured_time(tally)
+  end function reversed_rate
 
-  !> Crossings by (side they come from, channel), per unit time and copy.
+  !> Crossings by (urn they come from, channel), per unit time and copy.
   pure function crossing_rate(tally) result(rate)
     type(tally_type), intent(in) :: tally
     real(wp) :: rate(2, 2)
@@ -131,7 +133,7 @@ contains
     rate = real(tally%crossings, wp)/measured_time(tally)
   end function crossing_rate
 
-  !> Mean number in half 2 of a copy, once all of the time measured has been lived.
+  !> Mean number in half 2 of a copy, at the end of the interval.
   pure function half2_mean(tally) result(number)
     type(tally_type), intent(in) :: tally
     real(wp) :: number
@@ -139,10 +141,10 @@ contains
     number = tally%half2_sum/measured_time(tally)
   end function half2_mean
 
-  !> Mean number in half 2 less half of all, in all copies, by block.
-  pure function excess(tally, number) result(more)
+  !> Mean number in half 2 less half of all walkers, over all copies, by block.
+  pure function excess_in_half2(tally, number) result(more)
     type(tally_type), intent(in) :: tally
-    !> In a copy, N.
+    !> Walkers of a copy, N.
     integer, intent(in) :: number
     real(wp), allocatable :: more(:)
     real(wp) :: half
@@ -155,30 +157,31 @@ contains
       more(k) = real(level, wp) - half + tally%changed(k)/tally%block
       level = level + tally%change(k)
     end do
-  end function excess
+  end function excess_in_half2
 
-  !> Mean number in the fuller half of a copy, whichever that is in a block of time.
+  !> Mean number in the fuller half of a copy; which one that is, is decided in each block.
   pure function fuller_mean(tally, number) result(fuller)
     type(tally_type), intent(in) :: tally
-    !> In a copy, N.
+    !> Walkers of a copy, N.
     integer, intent(in) :: number
     real(wp) :: fuller, more(size(tally%change))
 
-    more = excess(tally, number)
+    more = excess_in_half2(tally, number)
     fuller = 0.5_wp*real(number, wp) + sum(abs(more))/real(size(more)*tally%copies, wp)
   end function fuller_mean
 
-  !> Net current of channel 2 from the fuller half to the other, per unit time and copy.
+  !> Net current of channel 2 from the fuller half to the other one, per unit time and copy.
   pure function polarised_current(tally, number) result(current)
     type(tally_type), intent(in) :: tally
-    !> In a copy, N.
+    !> Walkers of a copy, N.
     integer, intent(in) :: number
     real(wp) :: current
 
-    current = sum(real(tally%returned, wp)*sign(1.0_wp, excess(tally, number)))/measured_time(tally)
+    current = sum(real(tally%returned, wp)*sign(1.0_wp, excess_in_half2(tally, &
+      number)))/measured_time(tally)
   end function polarised_current
 
-  !> Time measured, times the copies.
+  !> Length of the interval times the number of copies.
   pure function measured_time(tally) result(time)
     type(tally_type), intent(in) :: tally
     real(wp) :: time

@@ -1,23 +1,22 @@
-!> One particle between gates that are made of all the others: many walkers, each alone.
+!> One-particle theory by simulation: many independent walkers, each between gates that count all of
+!> them.
 !>
-!> Walkers fly exact visits. There are several `copies` of the circuit, with N walkers to each, and
-!> whoever enters a gate does so in a copy drawn by chance. So a walker meets a gate that knows
-!> nothing of its past: the archive of those who come to it is that of all copies thinned out,
-!> Poisson's in the limit of many, at the rate at which walkers come to gates, with the stays that
-!> are found there. That is the renewal gate, made self-consistent: rate, stays and the numbers in
-!> the urns are the walkers' own, and nobody is lost, since a walker is always somewhere. With a
-!> single copy nothing is drawn, and it is the circuit itself.
+!> Visits are exact. There are several `copies` of the circuit, with N walkers to each, and an entry
+!> into a gate takes place in a randomly drawn copy. So a gate is independent of the past of the
+!> walkers that enter it: the entries into one copy are a thinned sequence of all entries, a Poisson
+!> process in the limit of many copies, with the rate and the stays of the walkers themselves. That
+!> is the renewal gate, made self-consistent, and the number of walkers is conserved. With a single
+!> copy nothing is drawn, and the simulation is that of the circuit itself.
 !>
-!> Gates know their rule alone (`battery_gate`), visits the chambers. A window is as long as a
-!> particle needs at least from gate to gate: all who enter in it are known when it begins. Channel
-!> 2 has no gate, so who leaves through it goes on at once; crossings are written down with their
-!> times, which may lie ahead.
+!> A window is as long as the shortest excursion, so all entries in it are known at its start.
+!> Channel 2 has no gate: a walker that leaves through it begins its next visit at once, and its
+!> crossing is counted at a time that may lie ahead.
 !>
-!> With `well_mixed` a visit forgets what it began with: its end is drawn from the measure of
-!> entries, and its length, beyond the shortest way between gates, is exponential about the mean.
+!> With `well_mixed` a visit has no memory of its start: its end is drawn from the measure of
+!> entries, and its length, beyond the shortest excursion, is exponential about the mean.
 module battery_walkers
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: table_type, gated, ungated, side_at, x_direction, are_mirror_images, &
+  use battery_table, only: table_type, gated, ungated, urn_at, x_direction, are_mirror_images, &
     mean_visit, shortest_excursion
   use battery_engine, only: particles_type
   use battery_chamber, only: cross_channels
@@ -25,13 +24,13 @@ module battery_walkers
   use battery_visits, only: visits_type, reserve_visits, no_channel
   use battery_gate, only: gate_type, new_gate, enter_gate, must_reverse, uncount_first, &
     uncount_all, number_inside, counted_particle, next_crossing_time
-  use battery_tally, only: tally_type, new_tally, add_entry, add_turned, add_crossing
-  use battery_draws, only: draws_type, new_draws, next
+  use battery_tally, only: tally_type, new_tally, add_entry, add_reversed, add_crossing
+  use battery_draws, only: draws_type, new_draws, next_uniform
   implicit none (type, external)
   private
-  public :: walkers_type, new_walkers, walk_until
+  public :: walkers_type, new_walkers, advance_walkers
 
-  !> Walkers that enter gates in one window, at most about.
+  !> Largest number of entries in a window, about.
   integer, parameter :: batch = 4096
 
   !> Walkers, the copies of the gates, and what has been measured.
@@ -41,43 +40,45 @@ module battery_walkers
     integer :: copies = 1
     logical :: well_mixed = .false.
     real(wp) :: now = 0.0_wp
-    !> Those of (copy, side).
+    !> Gates by (copy, urn).
     type(gate_type), allocatable :: gate(:, :)
-    !> How each walker will enter its next gate, or entered the one that counts it: when (huge: it
-    !> never does), at which height, |u_x| and u_y, the time from end to end of the channel; and of
-    !> which urn the gate is.
+    !> How each walker will enter its next gate, or entered the one that counts it: time (huge:
+    !> never), height, |u_x| and u_y, duration of the passage through the whole channel; urn of that
+    !> gate.
     real(wp), allocatable :: time(:), y(:), u_axial(:), u_lateral(:), through(:)
     integer, allocatable :: urn(:)
-    !> Visits by chamber (urns that are alike share one), those under way and those to follow.
+    !> Visits by chamber (mirror-image urns share one): those to be computed, and those that follow
+    !> them.
     type(visits_type) :: visits(2, 2)
     integer :: chambers = 1, under_way = 1
-    !> Longest window; shortest and mean length of a visit where urns are well mixed.
+    !> Longest window; shortest and mean length of a visit if urns are well mixed.
     real(wp) :: window = 0.0_wp, shortest = 0.0_wp, mean(2) = 0.0_wp
     type(draws_type) :: draws
-    !> Who enters in a window, by gate and then by time: whose place begins where.
+    !> Walkers that enter in a window, by gate and then by time; index at which those of each gate
+    !> start.
     integer, allocatable :: who(:), first(:)
   end type walkers_type
 
 contains
 
-  !> Walkers that start as `particles`, all in the urns.
+  !> Sets up walkers in the state of `particles`, which are all in the urns.
   subroutine new_walkers(walkers, table, threshold, copies, particles, seed, well_mixed, from, to)
     type(walkers_type), intent(out) :: walkers
     !> A circuit.
     type(table_type), intent(in) :: table
-    !> Of the gates of urn 1 and 2.
+    !> Thresholds of the gates of urn 1 and 2.
     integer, intent(in) :: threshold(2)
-    !> How many copies of the circuit there are; each has its share of the particles.
+    !> Number of copies of the circuit; each has its share of the particles.
     integer, intent(in) :: copies
-    !> N for each copy.
+    !> N of them for each copy.
     type(particles_type), intent(in) :: particles
-    !> Of what is drawn by chance: any 64 bits.
+    !> Seed of the random numbers: any 64 bits.
     integer(int64), intent(in) :: seed
-    !> Whether visits forget what they began with.
+    !> Whether visits have no memory of their start.
     logical, intent(in) :: well_mixed
-    !> What is measured happens after `from`, up to `to`: times since the start.
+    !> Times since the start: what happens after `from`, up to `to`, is measured.
     real(wp), intent(in) :: from, to
-    integer :: number, side, copy
+    integer :: number, urn, copy
 
     number = size(particles%x)
     walkers%table = table
@@ -87,10 +88,10 @@ contains
     walkers%chambers = merge(1, 2, are_mirror_images(table%urn))
     walkers%shortest = shortest_excursion(table)
     allocate (walkers%gate(copies, 2))
-    do side = 1, 2
-      walkers%mean(side) = mean_visit(table%urn(side))
+    do urn = 1, 2
+      walkers%mean(urn) = mean_visit(table%urn(urn))
       do copy = 1, copies
-        call new_gate(walkers%gate(copy, side), threshold(side))
+        call new_gate(walkers%gate(copy, urn), threshold(urn))
       end do
     end do
     walkers%window = min(walkers%shortest, real(batch, wp)*minval(walkers%mean)/real(number, wp))
@@ -99,63 +100,63 @@ contains
       walkers%u_lateral(number), walkers%through(number), source=0.0_wp)
     allocate (walkers%urn(number), walkers%who(number), source=0)
     allocate (walkers%first(2*copies + 1), source=0)
-    call start(walkers, particles)
+    call begin_first_visits(walkers, particles)
   end subroutine new_walkers
 
-  !> The first visits, from within the urns.
-  subroutine start(walkers, particles)
+  !> Computes the first visits, which start inside the urns.
+  subroutine begin_first_visits(walkers, particles)
     type(walkers_type), intent(inout) :: walkers
     type(particles_type), intent(in) :: particles
-    integer :: i, side
+    integer :: i, urn
 
-    call reserve(walkers, 1, size(particles%x))
+    call reserve_batch(walkers, 1, size(particles%x))
     do i = 1, size(particles%x)
-      side = side_at(walkers%table, particles%x(i))
-      associate (v => walkers%visits(min(side, walkers%chambers), 1))
+      urn = urn_at(walkers%table, particles%x(i))
+      associate (v => walkers%visits(min(urn, walkers%chambers), 1))
         v%count = v%count + 1
         v%particle(v%count) = i
-        v%urn(v%count) = side
+        v%urn(v%count) = urn
         v%time(v%count) = 0.0_wp
         v%hits(v%count) = 0.0_wp
-        v%x(v%count) = walkers%table%urn(side)%centre - abs(particles%x(i))
+        v%x(v%count) = walkers%table%urn(urn)%centre - abs(particles%x(i))
         v%y(v%count) = particles%y(i)
-        v%u_axial(v%count) = -x_direction(side)*particles%ux(i)
+        v%u_axial(v%count) = -x_direction(urn)*particles%ux(i)
         v%u_lateral(v%count) = particles%uy(i)
       end associate
     end do
     walkers%under_way = 1
-    call finish(walkers)
-    call fly(walkers)
-  end subroutine start
+    call compute_visits_under_way(walkers)
+    call complete_visits(walkers)
+  end subroutine begin_first_visits
 
-  !> Goes on until a time since the start.
-  subroutine walk_until(walkers, time)
+  !> Advances all walkers to a time since the start.
+  subroutine advance_walkers(walkers, time)
     type(walkers_type), intent(inout) :: walkers
-    !> Later than where they are, or nothing happens.
+    !> If it lies in the past, nothing happens.
     real(wp), intent(in) :: time
     real(wp) :: ends
-    integer :: side, copy, bucket
+    integer :: urn, copy, bucket
 
     do while (walkers%now < time)
       ends = min(time, walkers%now + walkers%window)
       call find_entrants(walkers, ends)
-      ! At most those who enter and those who are in the gates begin a visit.
-      call reserve(walkers, walkers%under_way, walkers%first(2*walkers%copies + 1) &
+      ! At most the walkers that enter and those in the gates begin a visit.
+      call reserve_batch(walkers, walkers%under_way, walkers%first(2*walkers%copies + 1) &
         + sum(number_inside(walkers%gate)))
-      do side = 1, 2
+      do urn = 1, 2
         do copy = 1, walkers%copies
-          bucket = (side - 1)*walkers%copies + copy
-          call pass_gate(walkers, side, copy, walkers%who(walkers%first(bucket) &
+          bucket = (urn - 1)*walkers%copies + copy
+          call run_gate(walkers, urn, copy, walkers%who(walkers%first(bucket) &
             + 1:walkers%first(bucket + 1)), ends)
         end do
       end do
       walkers%now = ends
-      call fly(walkers)
+      call complete_visits(walkers)
     end do
-  end subroutine walk_until
+  end subroutine advance_walkers
 
-  !> Those who enter a gate before `ends`, in the copies that chance gives them: the places of a
-  !> gate in `who` follow `first`.
+  !> Finds the walkers that enter a gate before `ends`, and draws their copies: those of a gate are
+  !> `who(first + 1:)` up to the `first` of the next gate.
   subroutine find_entrants(walkers, ends)
     type(walkers_type), intent(inout) :: walkers
     real(wp), intent(in) :: ends
@@ -171,7 +172,8 @@ contains
     walkers%first = 0
     do k = 1, found
       bucket(k) = (walkers%urn(due(k)) - 1)*walkers%copies + 1
-      if (walkers%copies > 1) bucket(k) = bucket(k) + int(next(walkers%draws)*walkers%copies)
+      if (walkers%copies > 1) bucket(k) = bucket(k) &
+        + int(next_uniform(walkers%draws)*walkers%copies)
       walkers%first(bucket(k) + 1) = walkers%first(bucket(k) + 1) + 1
     end do
     do k = 2, size(walkers%first)
@@ -181,38 +183,38 @@ contains
       walkers%who(walkers%first(bucket(k) + 1)) = due(k)
       walkers%first(bucket(k) + 1) = walkers%first(bucket(k) + 1) - 1
     end do
-    ! Each `first` has come down to where its bucket begins, one place late.
+    ! Each `first` is now the start of its bucket, but one place late.
     walkers%first(:size(walkers%first) - 1) = walkers%first(2:)
     walkers%first(size(walkers%first)) = found
   end subroutine find_entrants
 
-  !> One copy of a gate until `ends`: who enters, in the order of time, who crosses, who turns back.
-  subroutine pass_gate(walkers, side, copy, who, ends)
+  !> Processes one copy of a gate until `ends`: entries in the order of time, crossings, reversals.
+  subroutine run_gate(walkers, urn, copy, who, ends)
     type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: side, copy
+    integer, intent(in) :: urn, copy
     integer, intent(inout) :: who(:)
     real(wp), intent(in) :: ends
     real(wp) :: time
     integer :: k
 
     call sort_by_time(who, walkers%time)
-    associate (gate => walkers%gate(copy, side))
+    associate (gate => walkers%gate(copy, urn))
       do k = 1, size(who)
         time = walkers%time(who(k))
         do while (next_crossing_time(gate) <= time)
-          call cross_middle(walkers, side, gate)
+          call cross_middle_line(walkers, urn, gate)
         end do
         call enter_gate(gate, time + 0.5_wp*walkers%through(who(k)), who(k))
-        call add_entry(walkers%tally, side, time)
-        if (must_reverse(gate)) call turn(walkers, side, gate, time)
+        call add_entry(walkers%tally, urn, time)
+        if (must_reverse(gate)) call reverse_gate(walkers, urn, gate, time)
       end do
       do while (next_crossing_time(gate) < ends)
-        call cross_middle(walkers, side, gate)
+        call cross_middle_line(walkers, urn, gate)
       end do
     end associate
-  end subroutine pass_gate
+  end subroutine run_gate
 
-  !> Puts those who enter a gate into the order of time: few, so by insertion.
+  !> Sorts the entries into a gate by time; few, so by insertion.
   pure subroutine sort_by_time(who, time)
     integer, intent(inout) :: who(:)
     real(wp), intent(in) :: time(:)
@@ -228,48 +230,51 @@ contains
     end do
   end subroutine sort_by_time
 
-  !> The first of those counted goes on to the other urn.
-  subroutine cross_middle(walkers, side, gate)
+  !> Takes the earliest counted walker across the middle line, and begins its visit to the other
+  !> urn.
+  subroutine cross_middle_line(walkers, urn, gate)
     type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: side
+    integer, intent(in) :: urn
     type(gate_type), intent(inout) :: gate
     integer :: i
 
     call uncount_first(gate, i)
-    call add_crossing(walkers%tally, side, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
-    call leave_gate(walkers, i, walkers%table%beyond(side), walkers%through(i))
-  end subroutine cross_middle
+    call add_crossing(walkers%tally, urn, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
+    call begin_visit_from_gate(walkers, i, walkers%table%beyond(urn), walkers%through(i))
+  end subroutine cross_middle_line
 
-  !> A gate turns all those counted back: each is as long on its way out as it was on its way in.
-  subroutine turn(walkers, side, gate, time)
+  !> Reverses a gate: each counted walker begins a visit to its own urn. The way out takes as long
+  !> as the way in.
+  subroutine reverse_gate(walkers, urn, gate, time)
     type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: side
+    integer, intent(in) :: urn
     type(gate_type), intent(inout) :: gate
     real(wp), intent(in) :: time
     integer :: k
 
     do k = 1, number_inside(gate)
       associate (i => counted_particle(gate, k))
-        call leave_gate(walkers, i, side, 2.0_wp*(time - walkers%time(i)))
+        call begin_visit_from_gate(walkers, i, urn, 2.0_wp*(time - walkers%time(i)))
       end associate
     end do
-    call add_turned(walkers%tally, side, time, number_inside(gate))
+    call add_reversed(walkers%tally, urn, time, number_inside(gate))
     call uncount_all(gate)
-  end subroutine turn
+  end subroutine reverse_gate
 
-  !> Out of channel 1 into an urn, `passage` after it entered the channel.
-  pure subroutine leave_gate(walkers, i, urn, passage)
+  !> Begins a visit from channel 1, which the walker leaves `passage` after it entered it.
+  pure subroutine begin_visit_from_gate(walkers, i, urn, passage)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: i, urn
     real(wp), intent(in) :: passage
 
-    call send(walkers%visits(min(urn, walkers%chambers), walkers%under_way), i, urn, gated, &
+    call add_visit(walkers%visits(min(urn, walkers%chambers), walkers%under_way), i, urn, gated, &
       walkers%time(i), passage, walkers%y(i), walkers%u_axial(i), walkers%u_lateral(i))
     walkers%time(i) = huge(1.0_wp)
-  end subroutine leave_gate
+  end subroutine begin_visit_from_gate
 
-  !> Adds to a batch one who entered a channel at `time`, so, and is in it for `passage`.
-  pure subroutine send(v, i, urn, channel, time, passage, y, u_axial, u_lateral)
+  !> Adds a visit to a batch: of a walker that entered a channel at `time`, and is in it for
+  !> `passage`.
+  pure subroutine add_visit(v, i, urn, channel, time, passage, y, u_axial, u_lateral)
     type(visits_type), intent(inout) :: v
     integer, intent(in) :: i, urn, channel
     real(wp), intent(in) :: time, passage, y, u_axial, u_lateral
@@ -283,10 +288,10 @@ contains
     v%y(v%count) = y
     v%u_axial(v%count) = u_axial
     v%u_lateral(v%count) = u_lateral
-  end subroutine send
+  end subroutine add_visit
 
-  !> All visits under way, and those that follow through channel 2, until everyone heads for a gate.
-  subroutine fly(walkers)
+  !> Computes visits, and those that follow through channel 2, until each walker heads for a gate.
+  subroutine complete_visits(walkers)
     type(walkers_type), intent(inout) :: walkers
     integer :: chamber
 
@@ -296,55 +301,56 @@ contains
           if (v%count > 0) call cross_channels(walkers%table%urn(chamber), v)
         end associate
       end do
-      call finish(walkers)
+      call compute_visits_under_way(walkers)
     end do
-  end subroutine fly
+  end subroutine complete_visits
 
-  !> From where the visits under way begin in the urns to the next channel; those who leave through
-  !> channel 2 are under way then.
-  subroutine finish(walkers)
+  !> Computes the visits of the present batch from the urn to the next channel; those that follow
+  !> through channel 2 become the present batch.
+  subroutine compute_visits_under_way(walkers)
     type(walkers_type), intent(inout) :: walkers
     integer :: chamber
 
-    call reserve(walkers, 3 - walkers%under_way, sum(walkers%visits(:, walkers%under_way)%count))
+    call reserve_batch(walkers, 3 - walkers%under_way, sum(walkers%visits(:, &
+      walkers%under_way)%count))
     do chamber = 1, walkers%chambers
       associate (v => walkers%visits(chamber, walkers%under_way))
         if (v%count == 0) cycle
         if (walkers%well_mixed) then
-          call forget(walkers, v)
+          call draw_visit_ends(walkers, v)
         else
           call compute_visits(walkers%table%urn(chamber), v)
         end if
-        call land(walkers, v)
+        call store_entries(walkers, v)
       end associate
     end do
     walkers%visits(:, walkers%under_way)%count = 0
     walkers%under_way = 3 - walkers%under_way
-  end subroutine finish
+  end subroutine compute_visits_under_way
 
-  !> Ends of visits drawn from the measure of entries in place of their own: the opening by its
-  !> width, the height even, the direction by the cosine law.
-  subroutine forget(walkers, v)
+  !> Draws the ends of visits from the measure of entries: the opening by its width, the height
+  !> uniform, the direction by the cosine law.
+  subroutine draw_visit_ends(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(inout) :: v
     integer :: j, channel
 
     associate (width => walkers%table%channel%width, length => walkers%table%channel%length)
       do j = 1, v%count
-        channel = merge(gated, ungated, next(walkers%draws)*sum(width) < width(gated))
+        channel = merge(gated, ungated, next_uniform(walkers%draws)*sum(width) < width(gated))
         v%channel(j) = channel
-        v%y(j) = (next(walkers%draws) - 0.5_wp)*width(channel)
-        v%u_lateral(j) = 2.0_wp*next(walkers%draws) - 1.0_wp
+        v%y(j) = (next_uniform(walkers%draws) - 0.5_wp)*width(channel)
+        v%u_lateral(j) = 2.0_wp*next_uniform(walkers%draws) - 1.0_wp
         v%u_axial(j) = sqrt((1.0_wp - v%u_lateral(j))*(1.0_wp + v%u_lateral(j)))
         v%through(j) = length(channel)/v%u_axial(j)
-        v%length(j) = walkers%shortest - log(next(walkers%draws))*max(walkers%mean(v%urn(j)) &
-          - walkers%shortest, 0.0_wp)
+        v%length(j) = walkers%shortest &
+          - log(next_uniform(walkers%draws))*max(walkers%mean(v%urn(j)) - walkers%shortest, 0.0_wp)
       end do
     end associate
-  end subroutine forget
+  end subroutine draw_visit_ends
 
-  !> Writes down how each of a batch enters its next gate, or sends it through channel 2.
-  subroutine land(walkers, v)
+  !> Stores how each walker of a batch enters its next gate, or adds its visit through channel 2.
+  subroutine store_entries(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(in) :: v
     integer :: j, i, urn, beyond
@@ -367,13 +373,13 @@ contains
       end if
       call add_crossing(walkers%tally, urn, ungated, leaves + 0.5_wp*v%through(j))
       beyond = walkers%table%beyond(urn)
-      call send(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%under_way), i, beyond, &
-        ungated, leaves, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
+      call add_visit(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%under_way), i, &
+        beyond, ungated, leaves, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
     end do
-  end subroutine land
+  end subroutine store_entries
 
-  !> Room for so many visits in each chamber.
-  subroutine reserve(walkers, which, room)
+  !> Empties the batches of all chambers, and allocates them for that many visits.
+  subroutine reserve_batch(walkers, which, room)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: which, room
     integer :: chamber
@@ -381,6 +387,6 @@ contains
     do chamber = 1, walkers%chambers
       call reserve_visits(walkers%visits(chamber, which), room)
     end do
-  end subroutine reserve
+  end subroutine reserve_batch
 
 end module battery_walkers

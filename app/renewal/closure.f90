@@ -1,8 +1,8 @@
-!> Share that renewal gates let through, without chance (`renewal_equations`). Reads lines `load
-!> threshold order cells time`, writes lines `load threshold share survivors`, lengths in units of
-!> l/2. Made for `postproc.renewal_fit`, which fits the results.
+!> Share of particles that renewal gates let through, without random numbers (`renewal_equations`).
+!> Reads lines `load threshold order cells time`, writes lines `load threshold share survivors`,
+!> lengths in units of l/2. Called by `postproc.renewal_fit`, which fits the results.
 program renewal_closure
-  use renewal_equations, only: wp, solve
+  use renewal_equations, only: wp, solve_gate
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
   implicit none (type, external)
   real(wp), parameter :: half_pi = 1.57079632679489661923_wp
@@ -11,7 +11,7 @@ program renewal_closure
   do
     read (input_unit, *, iostat=status) load, threshold, order, cells, longest
     if (status /= 0) exit
-    call solve(load/half_pi, threshold, order, cells, longest, share, left)
+    call solve_gate(load/half_pi, threshold, order, cells, longest, share, left)
     write (output_unit, '(es24.16,1x,i0,2(1x,es24.16))') load, threshold, share, left
     flush (output_unit)
   end do

@@ -1,48 +1,49 @@
-!> Share that a renewal gate lets through, without chance: moments of those inside, closed.
+!> Share of particles that a renewal gate lets through, from equations for the moments of those
+!> inside.
 !>
-!> Poisson entries at rate nu, each inside for (l/2)/cos(theta), cosine law; an entry that finds T
-!> inside empties the gate. From empty to the first emptying the number inside and the times at
-!> which they came, in cells of a width of 1/cells, obey linear equations: the probability p_n of n
-!> inside is changed by those who leave, so by the density of one of them over the cells, that one
-!> by pairs, and so on. The chain is cut at pairs (order 2) or triples (order 3): given n, joint
-!> cumulants of more are taken as zero. That is exact for T up to the order. Nobody leaves before
-!> time 1, so the equations start there, from a Poisson distribution; from then on they are
-!> integrated by Runge and Kutta's formula, in the square root of time within a cell, where the rate
-!> at which a cell that turns 1 old is left begins as a square root. Old cells are joined two by
-!> two. At the end of the time given, the survivors are emptied at the rate reached, with what its
-!> change leaves to expect. Lengths are in units of l/2, so tau = pi/2.
+!> Poisson entries at rate nu; each particle is inside for (l/2)/cos(theta), by the cosine law; an
+!> entry that finds T inside empties the gate. From empty to the first emptying, the number inside
+!> and the times of entry, in cells of the width 1/cells, obey linear equations: the probability p_n
+!> of n inside changes with the density of one of them over the cells, that density with the pair
+!> density, and so on. The hierarchy is closed at pairs (order 2) or triples (order 3): given n,
+!> higher joint cumulants are zero, which is exact for T up to the order. No particle leaves before
+!> time 1, so the integration starts there, from a Poisson distribution. It uses the Runge-Kutta
+!> formula, with the square root of time within a cell as the variable, since the rate at which a
+!> cell empties starts as a square root when the cell reaches age 1. Pairs of old cells are merged.
+!> At the end of the given time, the survival probability is extrapolated from the rate reached and
+!> its change. Lengths are in units of l/2, so tau = pi/2.
 module renewal_equations
   use, intrinsic :: iso_fortran_env, only: real64
   implicit none (type, external)
   private
-  public :: wp, solve
+  public :: wp, solve_gate
 
   integer, parameter :: wp = real64
-  integer, parameter :: most = 400 !< cells, at most
-  real(wp), parameter :: least_probability = 1e-250_wp !< below it nobody is asked who leaves
+  integer, parameter :: most = 400 !< Largest number of cells.
+  real(wp), parameter :: least_probability = 1e-250_wp !< States less likely are skipped.
 
 contains
 
-  !> Chance to be inside at that age
-  pure elemental function stays(age) result(chance)
+  !> Probability that a particle is still inside at that age.
+  pure elemental function stay_probability(age) result(chance)
     real(wp), intent(in) :: age
     real(wp) :: chance
     chance = 1.0_wp
     if (age > 1.0_wp) chance = 1.0_wp/(age**2 + age*sqrt((age - 1.0_wp)*(age + 1.0_wp)))
-  end function stays
+  end function stay_probability
 
-  !> Mean time inside up to that age
-  pure elemental function stayed(age) result(time)
+  !> Mean time inside up to that age.
+  pure elemental function mean_stay(age) result(time)
     real(wp), intent(in) :: age
     real(wp) :: time
     time = age
     if (age > 1.0_wp) time = 1.0_wp/(age + sqrt((age - 1.0_wp)*(age + 1.0_wp))) + acos(1.0_wp/age)
-  end function stayed
+  end function mean_stay
 
-  !> Integrates the equations of a gate fed at rate `nu` that holds `top` at most, with so many
-  !> `cells` to a unit of time, to the time `longest`; gives the `share` that gets through, and the
-  !> chance `left` that the gate lasts longer.
-  subroutine solve(nu, top, order, cells, longest, share, left)
+  !> Integrates the equations of a gate with entries at rate `nu` and threshold `top`, with so many
+  !> `cells` per unit of time, to the time `longest`; yields the `share` that is let through, and
+  !> the probability `left` that the gate lasts longer.
+  subroutine solve_gate(nu, top, order, cells, longest, share, left)
     real(wp), intent(in) :: nu, longest
     integer, intent(in) :: top, order, cells
     real(wp), intent(out) :: share, left
@@ -56,16 +57,16 @@ contains
       from(i) = (i - 1)*h
       to(i) = i*h
     end do
-    call begin(state, cycle, left, nu, k, top, order)
+    call set_initial_state(state, cycle, left, nu, k, top, order)
     t = 1.0_wp
     rate = 1.0_wp
     do while (t < longest .and. left > 1e-10_wp)
-      call append(state, from, to, k, top, order, t, h)
-      call pass_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
+      call open_cell(state, from, to, k, top, order, t, h)
+      call integrate_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
       before = rate
-      rate = nu*state(top*length(k, order) + 1)/left
+      rate = nu*state(top*state_length(k, order) + 1)/left
       t = t + h
-      call merge_old(state, from, to, k, top, order, t, h)
+      call merge_old_cells(state, from, to, k, top, order, t, h)
     end do
     limit = rate + (rate - before)*(t - h)/h
     if (limit > 0.5_wp*rate .and. limit < 2.0_wp*rate) then
@@ -73,11 +74,12 @@ contains
     end if
     cycle = cycle + left/rate
     share = 1.0_wp - (top + 1)/(nu*cycle)
-  end subroutine solve
+  end subroutine solve_gate
 
-  !> State at time 1, before which no one leaves: Poisson numbers, each at a place of its own. Also
-  !> the mean time `cycle` spent so far and the chance `left` that the gate was not emptied yet.
-  pure subroutine begin(state, cycle, left, nu, k, top, order)
+  !> Sets the state at time 1, before which no particle leaves: Poisson numbers, independent ages.
+  !> Also the mean time `cycle` so far, and the probability `left` that the gate has not been
+  !> emptied.
+  pure subroutine set_initial_state(state, cycle, left, nu, k, top, order)
     real(wp), allocatable, intent(out) :: state(:)
     real(wp), intent(out) :: cycle, left
     real(wp), intent(in) :: nu
@@ -85,21 +87,22 @@ contains
     real(wp) :: p
     integer :: n
 
-    allocate (state(length(k, order)*(top + 1)))
+    allocate (state(state_length(k, order)*(top + 1)))
     p = exp(-nu)
     cycle = 0.0_wp
     left = 0.0_wp
     do n = 0, top
       left = left + p
       cycle = cycle + (1.0_wp - left)/nu
-      call fill(state(n*length(k, order) + 1:(n + 1)*length(k, order)), p, n, k, order)
+      call fill_independent(state(n*state_length(k, order) + 1:(n + 1)*state_length(k, order)), p, &
+        n, k, order)
       p = p*nu/(n + 1)
     end do
-  end subroutine begin
+  end subroutine set_initial_state
 
-  !> Integrates from `t` over the cell that has just been opened, `h` long, by Runge and Kutta's
-  !> formula; adds the mean time that the gate lasts within it to `cycle`, updates `left`.
-  subroutine pass_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
+  !> Integrates from `t` over the newest cell, of the length `h`, by the Runge-Kutta formula; adds
+  !> the mean time that the gate lasts within it to `cycle`, and updates `left`.
+  subroutine integrate_cell(state, cycle, left, from, to, t, h, nu, k, top, order)
     real(wp), intent(inout) :: state(:), cycle, left
     real(wp), intent(in) :: from(:), to(:), t, h, nu
     integer, intent(in) :: k, top, order
@@ -112,39 +115,39 @@ contains
     do at = 0, steps - 1
       u = at*du
       s0 = survival(state, k, order, top)
-      call rates(state, slope, t, h, u, from, to, k, nu, top, order)
+      call state_slopes(state, slope, t, h, u, from, to, k, nu, top, order)
       d0 = survival(slope, k, order, top)
       total = slope
       mid = state + 0.5_wp*du*slope
-      call rates(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
+      call state_slopes(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
       total = total + 2.0_wp*slope
       mid = state + 0.5_wp*du*slope
-      call rates(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
+      call state_slopes(mid, slope, t, h, u + 0.5_wp*du, from, to, k, nu, top, order)
       total = total + 2.0_wp*slope
       mid = state + du*slope
-      call rates(mid, slope, t, h, u + du, from, to, k, nu, top, order)
+      call state_slopes(mid, slope, t, h, u + du, from, to, k, nu, top, order)
       state = state + du/6.0_wp*(total + slope)
       left = survival(state, k, order, top)
-      d1 = -nu*state(top*length(k, order) + 1)*2.0_wp*h*(u + du)
+      d1 = -nu*state(top*state_length(k, order) + 1)*2.0_wp*h*(u + du)
       w0 = 2.0_wp*h*u
       w1 = 2.0_wp*h*(u + du)
-      ! Simpson's rule, the middle by Hermite's interpolation
+      ! Simpson's rule, with the middle by Hermite interpolation.
       cycle = cycle + du/6.0_wp*(w0*s0 + w1*left &
         + 2.0_wp*(w0 + w1)*(0.5_wp*(s0 + left) + du/8.0_wp*(d0 - d1)))
     end do
-  end subroutine pass_cell
+  end subroutine integrate_cell
 
-  !> Numbers kept for each n: probability, density, pairs, triples
-  pure function length(k, order) result(count)
+  !> Numbers stored for each n: probability, density, pairs, triples.
+  pure function state_length(k, order) result(count)
     integer, intent(in) :: k, order
     integer :: count
     count = 1 + k
     if (order > 1) count = count + k*k
     if (order > 2) count = count + k*k*k
-  end function length
+  end function state_length
 
-  !> n independent ones, spread evenly
-  pure subroutine fill(part, p, n, k, order)
+  !> Sets the moments of n independent particles, uniform over the cells.
+  pure subroutine fill_independent(part, p, n, k, order)
     real(wp), intent(out) :: part(:)
     real(wp), intent(in) :: p
     integer, intent(in) :: n, k, order
@@ -152,9 +155,9 @@ contains
     part(2:k + 1) = p*n/k
     if (order > 1) part(k + 2:k + 1 + k*k) = p*n*(n - 1)/real(k, wp)**2
     if (order > 2) part(k + 2 + k*k:) = p*n*(n - 1.0_wp)*(n - 2)/real(k, wp)**3
-  end subroutine fill
+  end subroutine fill_independent
 
-  !> Chance that the gate was not emptied yet
+  !> Probability that the gate has not been emptied.
   pure function survival(state, k, order, top) result(total)
     real(wp), intent(in) :: state(:)
     integer, intent(in) :: k, order, top
@@ -162,12 +165,12 @@ contains
     integer :: n
     total = 0.0_wp
     do n = 0, top
-      total = total + state(n*length(k, order) + 1)
+      total = total + state(n*state_length(k, order) + 1)
     end do
   end function survival
 
-  !> Opens the cell of those who come now
-  subroutine append(state, from, to, k, top, order, t, h)
+  !> Adds the cell of the particles that enter now.
+  subroutine open_cell(state, from, to, k, top, order, t, h)
     real(wp), allocatable, intent(inout) :: state(:)
     real(wp), intent(inout) :: from(:), to(:)
     integer, intent(inout) :: k
@@ -179,12 +182,12 @@ contains
     end do
     from(k + 1) = t
     to(k + 1) = t + h
-    call regroup(state, group, k, k + 1, top, order)
+    call regroup_cells(state, group, k, k + 1, top, order)
     k = k + 1
-  end subroutine append
+  end subroutine open_cell
 
-  !> Joins pairs of old cells
-  subroutine merge_old(state, from, to, k, top, order, t, h)
+  !> Merges pairs of old cells.
+  subroutine merge_old_cells(state, from, to, k, top, order, t, h)
     real(wp), allocatable, intent(inout) :: state(:)
     real(wp), intent(inout) :: from(:), to(:)
     integer, intent(inout) :: k
@@ -215,20 +218,20 @@ contains
     if (made == k) return
     from(:made) = begins(:made)
     to(:made) = ends(:made)
-    call regroup(state, group, k, made, top, order)
+    call regroup_cells(state, group, k, made, top, order)
     k = made
-  end subroutine merge_old
+  end subroutine merge_old_cells
 
-  !> Sums what is in cells of one group
-  subroutine regroup(state, group, k, made, top, order)
+  !> Sums the moments over the cells of each group.
+  subroutine regroup_cells(state, group, k, made, top, order)
     real(wp), allocatable, intent(inout) :: state(:)
     integer, intent(in) :: group(:), k, made, top, order
     real(wp), allocatable :: new(:)
     integer :: n, a, b, i, j, l, place
-    allocate (new(length(made, order)*(top + 1)), source=0.0_wp)
+    allocate (new(state_length(made, order)*(top + 1)), source=0.0_wp)
     do n = 0, top
-      a = n*length(k, order) + 1
-      b = n*length(made, order) + 1
+      a = n*state_length(k, order) + 1
+      b = n*state_length(made, order) + 1
       new(b) = state(a)
       do i = 1, k
         new(b + group(i)) = new(b + group(i)) + state(a + i)
@@ -245,14 +248,14 @@ contains
       end do
     end do
     call move_alloc(new, state)
-  end subroutine regroup
+  end subroutine regroup_cells
 
-  !> Slopes at a place u within the current cell, t = t0 + h u^2
-  subroutine rates(state, slope, t0, h, u, from, to, k, nu, top, order)
+  !> Time derivative of the state at the position u within the present cell, t = t0 + h u^2.
+  subroutine state_slopes(state, slope, t0, h, u, from, to, k, nu, top, order)
     integer, intent(in) :: k, top, order
-    real(wp), intent(in) :: state(length(k, order), 0:top), t0, h, u, from(:), to(:), nu
-    real(wp), intent(out) :: slope(length(k, order), 0:top)
-    real(wp) :: mu(k), t, out(length(k, order)), weight, own
+    real(wp), intent(in) :: state(state_length(k, order), 0:top), t0, h, u, from(:), to(:), nu
+    real(wp), intent(out) :: slope(state_length(k, order), 0:top)
+    real(wp) :: mu(k), t, out(state_length(k, order)), weight, own
     integer :: i, n
     t = t0 + h*u*u
     weight = 2.0_wp*h*u
@@ -260,23 +263,24 @@ contains
       mu(i) = 0.0_wp
       if (t - from(i) > 1.0_wp) then
         own = min(to(i), t)
-        mu(i) = (stays(t - own) - stays(t - from(i)))/(stayed(t - from(i)) - stayed(t - own))
+        mu(i) = (stay_probability(t - own) - stay_probability(t - from(i)))/(mean_stay(t &
+          - from(i)) - mean_stay(t - own))
       end if
     end do
     slope = 0.0_wp
     do n = 0, top
-      call leaving(state(:, n), out, mu, n, k, order)
+      call untagged_rates(state(:, n), out, mu, n, k, order)
       slope(:, n) = slope(:, n) - nu*state(:, n) - out
       if (n > 0) slope(:, n - 1) = slope(:, n - 1) + out
       if (n > 0) slope(:, n) = slope(:, n) + nu*state(:, n - 1)
-      call tagged_leave(state(:, n), slope(:, n), mu, k, order)
-      if (n > 0) call tag(state(:, n - 1), slope(:, n), nu, k, order)
+      call remove_tagged(state(:, n), slope(:, n), mu, k, order)
+      if (n > 0) call tag_arrivals(state(:, n - 1), slope(:, n), nu, k, order)
     end do
     slope = slope*weight
-  end subroutine rates
+  end subroutine state_slopes
 
-  !> Those tagged leave themselves, at the rates `mu` of their cells.
-  pure subroutine tagged_leave(state, slope, mu, k, order)
+  !> Subtracts the tagged particles that leave, at the rates `mu` of their cells.
+  pure subroutine remove_tagged(state, slope, mu, k, order)
     real(wp), intent(in) :: state(:), mu(:)
     real(wp), intent(inout) :: slope(:)
     integer, intent(in) :: k, order
@@ -300,10 +304,10 @@ contains
         end do
       end do
     end if
-  end subroutine tagged_leave
+  end subroutine remove_tagged
 
-  !> Those who come to a state with one fewer are tagged: in the youngest cell, `k`.
-  pure subroutine tag(state, slope, nu, k, order)
+  !> Adds the tagged particles that enter, to a state with one fewer, into the newest cell, `k`.
+  pure subroutine tag_arrivals(state, slope, nu, k, order)
     real(wp), intent(in) :: state(:), nu
     real(wp), intent(inout) :: slope(:)
     integer, intent(in) :: k, order
@@ -323,23 +327,24 @@ contains
         do i = 1, k
           own = nu*state(1 + k + i + k*(j - 1))
           a = 1 + k + k*k
-          call add(slope(a + i + k*(j - 1) + k*k*(k - 1)), own)
-          call add(slope(a + i + k*(k - 1) + k*k*(j - 1)), own)
-          call add(slope(a + k + k*(i - 1) + k*k*(j - 1)), own)
+          call add_to(slope(a + i + k*(j - 1) + k*k*(k - 1)), own)
+          call add_to(slope(a + i + k*(k - 1) + k*k*(j - 1)), own)
+          call add_to(slope(a + k + k*(i - 1) + k*k*(j - 1)), own)
         end do
       end do
     end if
-  end subroutine tag
+  end subroutine tag_arrivals
 
-  pure subroutine add(sum, more)
+  !> Increases a sum.
+  pure subroutine add_to(sum, more)
     real(wp), intent(inout) :: sum
     real(wp), intent(in) :: more
 
     sum = sum + more
-  end subroutine add
+  end subroutine add_to
 
-  !> Rate at which untagged ones leave, tagged places kept
-  pure subroutine leaving(state, out, mu, n, k, order)
+  !> Rate at which untagged particles leave, with the tagged ones fixed.
+  pure subroutine untagged_rates(state, out, mu, n, k, order)
     integer, intent(in) :: n, k, order
     real(wp), intent(in) :: state(:), mu(:)
     real(wp), intent(out) :: out(:)
@@ -393,5 +398,5 @@ contains
           + ms(:, j)*p(l) + ms(:, l)*p(j) + ms(j, l)*p)
       end do
     end do
-  end subroutine leaving
+  end subroutine untagged_rates
 end module renewal_equations

@@ -1,6 +1,6 @@
 !> Simulates the renewal gate alone: Poisson entries at rate nu, each inside for (l/2)/cos(theta),
-!> cosine law, all thrown out by an entry that finds T inside. Reads a seed, then lines
-!> `load threshold entries`, writes lines `load threshold cycles sum sum_of_squares`, the sums over
+!> by the cosine law; all are turned back by an entry that finds T inside. Reads a seed, then lines
+!> `load threshold entries`; writes lines `load threshold cycles sum sum_of_squares`, the sums over
 !> the entries of a cycle. Lengths are in units of l/2, so tau = pi/2. Checks `renewal_closure`.
 program renewal_gate
   use, intrinsic :: iso_fortran_env, only: int64, real64, input_unit, output_unit
@@ -18,7 +18,7 @@ program renewal_gate
   do
     read (input_unit, *, iostat=status) load, threshold, entries
     if (status /= 0) exit
-    call simulate(load/half_pi, threshold, entries, cycles, total, squares)
+    call simulate_cycles(load/half_pi, threshold, entries, cycles, total, squares)
     write (output_unit, '(es24.16,1x,i0,1x,i0,2(1x,es24.16))') &
       load, threshold, cycles, total, squares
     flush (output_unit)
@@ -38,8 +38,8 @@ contains
     number = 1.0_real64 - buffer(used)
   end function uniform
 
-  !> Whole cycles, each from empty to the reversal, until about `entries` have come.
-  subroutine simulate(rate, threshold, entries, cycles, total, squares)
+  !> Simulates whole cycles, each from empty to the reversal, until about `entries` have come.
+  subroutine simulate_cycles(rate, threshold, entries, cycles, total, squares)
     real(real64), intent(in) :: rate
     integer, intent(in) :: threshold
     integer(int64), intent(in) :: entries
@@ -73,6 +73,6 @@ contains
       total = total + real(count, real64)
       squares = squares + real(count, real64)**2
     end do
-  end subroutine simulate
+  end subroutine simulate_cycles
 
 end program renewal_gate

@@ -66,8 +66,7 @@ class Scenes:
 
 def read_scenes(results: Results, point: int, replica: int) -> Scenes:
     """Return what a file has for a film of one task."""
-    times = results.snapshot_times()
-    snapshots = [results.snapshot(point, replica, index) for index in range(times.size)]
+    snapshots = results.snapshots(point, replica)
     if len(snapshots) < 2:
         raise cli.InputError(f"{results.path}: a film needs at least two snapshots")
     scenes = Scenes(results.any_circuit(point), snapshots)

@@ -12,6 +12,7 @@ import math
 import os
 import re
 import resource
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +24,7 @@ from h5py import h5d, h5s, h5t, h5z
 from postproc.cli import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 # Keys that can be scanned.
 SCANNED = (
@@ -160,8 +161,8 @@ def _dataset(path: Path, group: h5py.Group, name: str) -> h5py.Dataset:
     ways = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
     if stored.get_layout() not in ways or stored.get_external_count() > 0:
         raise InputError(f"{path}: {name} does not lie in the file itself")
-    filters = {stored.get_filter(at)[0] for at in range(stored.get_nfilters())}
-    if not filters <= FILTERS:
+    filters = [stored.get_filter(at)[0] for at in range(stored.get_nfilters())]
+    if not FILTERS.issuperset(filters) or h5z.FILTER_DEFLATE in filters[:-1]:
         raise InputError(f"{path}: {name} was made with a filter that battery does not use")
     kinds = {"i": h5t.TypeIntegerID, "f": h5t.TypeFloatID}
     if not isinstance(of_type, kinds[DATASETS[name].kind]) or of_type.committed():
@@ -176,9 +177,10 @@ def _dataset(path: Path, group: h5py.Group, name: str) -> h5py.Dataset:
 
 
 def _check_pieces(path: Path, name: str, dataset: h5py.Dataset) -> None:
-    """Pieces are no larger than the program's, and no longer in the file than compression has it.
+    """Pieces are no larger than the program's, and each has the bytes of its values, inflated.
 
-    What is longer grows without bound when it is read.
+    What is longer in the file than compression has it grows without bound when it is read; beyond
+    the end of what is shorter HDF5 reads what else lies in memory.
     """
     piece = math.prod(dataset.chunks) * dataset.dtype.itemsize
     if piece > PIECE:
@@ -186,6 +188,20 @@ def _check_pieces(path: Path, name: str, dataset: h5py.Dataset) -> None:
     pieces = math.prod(n // m + 1 for n, m in zip(dataset.shape, dataset.chunks, strict=True))
     if dataset.id.get_storage_size() > pieces * (1.01 * piece + 64):
         raise InputError(f"{path}: {name} takes more of the file than its values do")
+    found: list[h5d.StoreInfo] = []
+    dataset.id.chunk_iter(found.append)
+    last = dataset.id.get_create_plist().get_nfilters() - 1
+    for one in found:
+        whole = one.size == piece
+        if one.size <= 2 * piece + 64 and last >= 0 and not one.filter_mask & 1 << last:
+            inflating = zlib.decompressobj()
+            _, raw = dataset.id.read_direct_chunk(one.chunk_offset)
+            try:
+                whole = len(inflating.decompress(raw, piece + 1)) == piece
+            except zlib.error:
+                whole = False
+        if not whole:
+            raise InputError(f"{path}: {name} has pieces of another length than its values")
 
 
 def _check_shapes(path: Path, found: dict[str, h5py.Dataset]) -> None:
@@ -212,9 +228,18 @@ def _check_shapes(path: Path, found: dict[str, h5py.Dataset]) -> None:
             dataset.nbytes > SMALLER * (dataset.id.get_storage_size() + 64)
         ):  # fmt: skip
             raise InputError(f"{path}: {name} says it has more values than there are in the file")
-    largest = max((one.nbytes for one in found.values()), default=0)
-    if largest > (left := memory_left()):
-        raise InputError(f"{path}: needs {largest:.3g} bytes of memory, there are {left:.3g}")
+    # The root is read whole; of groups, `Results.dataset` asks for what it reads at once.
+    check_memory(path, [one for name, one in found.items() if "/" not in name])
+    for name, one in found.items():
+        if "/" in name:
+            check_memory(path, [one])
+
+
+def check_memory(path: Path, datasets: Iterable[h5py.Dataset]) -> None:
+    """Raise `InputError` if datasets that are read together do not fit into memory."""
+    needed = sum(one.nbytes for one in datasets)
+    if needed > (left := memory_left()):
+        raise InputError(f"{path}: needs {needed:.3g} bytes of memory, there are {left:.3g}")
 
 
 def memory_left() -> float:

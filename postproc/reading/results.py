@@ -24,6 +24,7 @@ from postproc.reading.layout import (
     TEXTS,
     VERSION,
     check_layout,
+    check_memory,
     text_of,
 )
 from postproc.reading.seal import check_seal
@@ -93,8 +94,8 @@ class Results:
         self._kept: dict[str, NDArray[np.generic]] = {}
         try:
             self._check()
-        except BaseException:
-            self._file.close()
+        except BaseException as problem:
+            self.__exit__(type(problem), problem, None)
             raise
 
     def _check(self) -> None:
@@ -150,9 +151,13 @@ class Results:
         """Return itself."""
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Close the file."""
+    def __exit__(self, _: object, problem: BaseException | None, __: object) -> None:
+        """Close the file; raise `InputError` where HDF5 could not read from it."""
         self._file.close()
+        # What the system says has a number, what HDF5 says has none.
+        if isinstance(problem, OSError) and problem.errno is None:
+            reason = " ".join(str(problem).split())
+            raise InputError(f"{self.path}: cannot be read ({reason})") from problem
 
     @cached_property
     def attributes(self) -> dict[str, str]:
@@ -162,16 +167,18 @@ class Results:
     def dataset(self, group: str | None = None) -> xr.Dataset:
         """Return the datasets of the root or of a group, with dimensions as the list has them."""
         inside = "" if group is None else f"{group}/"
-        variables = {}
-        for path, declared in DATASETS.items():
+        read = {}
+        for path in DATASETS:
             name = path.removeprefix(inside)
             if path.startswith(inside) and "/" not in name and path in self._file:
-                attributes = self._file[path].attrs
-                told = {key: text_of(attributes[key]) for key in TEXTS if key in attributes}
-                told |= {key: attributes[key] for key in NUMBERS if key in attributes}
-                if path != "events/event":
-                    values = self._file[path][()]
-                    variables[name] = (declared.dims, values, told)
+                read[name] = self._file[path]
+        read.pop("event", None)
+        check_memory(self.path, read.values())
+        variables = {}
+        for name, one in read.items():
+            told = {key: text_of(one.attrs[key]) for key in TEXTS if key in one.attrs}
+            told |= {key: one.attrs[key] for key in NUMBERS if key in one.attrs}
+            variables[name] = (DATASETS[inside + name].dims, one[()], told)
         return xr.decode_cf(xr.Dataset(variables), decode_times=False)
 
     def has(self, name: str) -> bool:
@@ -313,10 +320,10 @@ class Results:
             return {}
         root = self._file.attrs
         if "urn_sides" in root:
-            sides = int(np.ravel(root["urn_sides"])[0])
-            if not 4 <= sides <= CORNERS or sides % 2:
+            sides = np.ravel(root["urn_sides"])[0].item()
+            if not (4 <= sides <= CORNERS and sides % 2 == 0):
                 raise InputError(f"{self.path}: urn_sides is {sides}")
-            one, two = (regular(sides, radius) for radius in radii)
+            one, two = (regular(int(sides), radius) for radius in radii)
         else:
             one, two = (
                 outline_of(self._corners(name)) for name in ("urn_vertices", "urn2_vertices")
@@ -436,12 +443,26 @@ class Results:
             raise InputError(f"{self.path}: has {times.size} snapshots, there is no such one")
         self._check_task(point, replica)
         index %= times.size
-        self._need("snapshots", ("x", "y", "ux", "uy"))
-        group, count = self._file["snapshots"], int(self._file["number"][point])
-        state = [group[name][point, replica, index][:count] for name in ("x", "y", "ux", "uy")]
-        if not np.isfinite(state[0]).all():
-            raise InputError(f"{self.path}: the snapshot at time {times[index]:g} was not reached")
-        return Snapshot(float(times[index]), *(np.asarray(part, float) for part in state))
+        return self._snapshots(point, replica, slice(index, index + 1))[0]
+
+    def snapshots(self, point: int, replica: int) -> list[Snapshot]:
+        """Return all snapshots of a task; of a file with thousands, much sooner than one by one."""
+        self._check_task(point, replica)
+        return self._snapshots(point, replica, slice(None))
+
+    def _snapshots(self, point: int, replica: int, part: slice) -> list[Snapshot]:
+        names = ("x", "y", "ux", "uy")
+        self._need("snapshots", names)
+        times = self.snapshot_times()[part]
+        count = int(self._file["number"][point])
+        states = np.array(
+            [self._file[f"snapshots/{name}"][point, replica, part, :count] for name in names], float
+        )
+        reached = np.isfinite(states[0]).all(axis=1)
+        if not reached.all():
+            first = times[~reached][0]
+            raise InputError(f"{self.path}: the snapshot at time {first:g} was not reached")
+        return [Snapshot(float(time), *states[:, k]) for k, time in enumerate(times)]
 
     def events(self) -> dict[str, NDArray[np.float64]]:
         """Return the event log (time, kind, where, particle), empty if there is none."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import zlib
 from pathlib import Path
@@ -14,6 +15,7 @@ from selenium import webdriver
 
 from postproc import open_results
 from postproc.cli import InputError
+from postproc.reading import layout
 from postproc.reading.layout import DATASETS, ROOT_TEXTS
 from postproc.report import page as report_page
 from postproc.tests.commands import call
@@ -51,6 +53,7 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def theirs(ours: Path, tmp_path: Path) -> Path:
     (tmp_path / "secret").write_bytes(SECRET)
+    shutil.copy(ours, tmp_path / "others.h5")
     return Path(shutil.copy(ours, tmp_path))
 
 
@@ -109,6 +112,24 @@ def bomb(file: h5py.File, name: str) -> None:
     file[name].id.write_direct_chunk((0,) * len(shape), zlib.compress(bytes(1 << 28), 9))
 
 
+def stored(file: h5py.File, name: str, piece: bytes, left_out: int = 0) -> None:
+    """Store a dataset as one piece, deflated unless its filter is left out."""
+    shape, dtype = file[name].shape, file[name].dtype
+    replaced(file, name, shape=shape, dtype=dtype, chunks=shape, compression="gzip")
+    file[name].id.write_direct_chunk((0,) * len(shape), piece, left_out)
+
+
+def spoilt(file: h5py.File, name: str) -> None:
+    """Store a dataset as a piece that cannot be inflated."""
+    stored(file, name, b"spoilt")
+
+
+def short(file: h5py.File, name: str, left_out: int = 0) -> None:
+    """Store a dataset as a piece that lacks its last value: HDF5 would read beyond its end."""
+    piece = file[name][:].tobytes()[: -file[name].dtype.itemsize]
+    stored(file, name, piece if left_out else zlib.compress(piece), left_out)
+
+
 def linked(file: h5py.File, name: str, link: object) -> None:
     """Put a link in the place of a dataset."""
     del file[name]
@@ -118,12 +139,13 @@ def linked(file: h5py.File, name: str, link: object) -> None:
 EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "external storage": ("chi", lambda file, secret: outside(file, "chi", secret)),
     "virtual dataset": ("chi", lambda file, secret: virtual(file, "chi", secret)),
-    "external link": ("chi", lambda file, secret: linked(
-        file, "chi", h5py.ExternalLink(str(secret), "/chi"))),
-    "soft link": ("final/x", lambda file, _: linked(
-        file, "final/x", h5py.SoftLink("/snapshots/x"))),
-    "group by a link": ("final", lambda file, _: linked(
-        file, "final", h5py.SoftLink("/snapshots"))),
+    # Whoever followed these links would find what fits.
+    "external link": ("chi is a link", lambda file, secret: linked(
+        file, "chi", h5py.ExternalLink(str(secret.with_name("others.h5")), "/chi"))),
+    "soft link": ("chi is a link", lambda file, _: linked(
+        file, "chi", h5py.SoftLink("/current1"))),
+    "group by a link": ("final is a link", lambda file, secret: linked(
+        file, "final", h5py.ExternalLink(str(secret.with_name("others.h5")), "/final"))),
     "a group for a dataset": ("chi", lambda file, _: (
         file.__delitem__("chi"), file.create_group("chi"))),
     "another filter": ("chi", lambda file, _: replaced(
@@ -141,9 +163,17 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "huge pieces": ("chi", lambda file, _: replaced(
         file, "chi", shape=(2, 2), maxshape=(None, None), chunks=(2**10, 2**14), dtype="f8")),
     "a piece that grows": ("chi", lambda file, _: bomb(file, "chi")),
+    "a piece that is no deflated one": ("chi", lambda file, _: spoilt(file, "chi")),
+    "one of what is read first": ("task_status", lambda file, _: spoilt(file, "task_status")),
+    "a piece too short": ("chi has pieces", lambda file, _: short(file, "chi")),
+    "a piece too short, as it is": ("chi has pieces", lambda file, _: short(file, "chi", 1)),
     "no particles": ("number", lambda file, _: file["number"].__setitem__(..., 0)),
     "a width that is none": ("channel1_width", lambda file, _: (
         file["channel1_width"].__setitem__(..., np.nan))),
+    "sides that are no number": ("urn_sides", lambda file, _: file.attrs.update(
+        urn_shape="polygon", urn_sides=np.nan)),
+    "sides without end": ("urn_sides", lambda file, _: file.attrs.update(
+        urn_shape="polygon", urn_sides=np.inf)),
     "a time without end": ("series/time", lambda file, _: (
         file["series/time"].__setitem__(-1, np.inf))),
     "unknown name": ("<b>", lambda file, _: file.__setitem__("<b>", 1.0)),
@@ -162,6 +192,23 @@ def test_what_the_program_does_not_write_is_refused(theirs: Path, edit: str) -> 
         change(file, theirs.parent / "secret")
     with pytest.raises(InputError, match=f"{theirs.name}.*{named}"):
         open_results(theirs)
+
+
+@pytest.mark.parametrize("group", [None, "snapshots"])
+def test_what_is_read_together_fits_into_memory(
+    theirs: Path, monkeypatch: pytest.MonkeyPatch, group: str | None
+) -> None:
+    """Datasets none of which is large may be too large together, in a file of a few kB."""
+    with edited(theirs) as file:
+        if group is None:
+            for name in ("series", "snapshots", "final"):
+                del file[name]
+        columns = file[group or "/"].values()
+        sizes = [one.nbytes for one in columns if isinstance(one, h5py.Dataset)]
+    monkeypatch.setattr(layout, "memory_left", lambda: max(sizes))
+    needs = re.escape(f"{theirs.name}: needs {sum(sizes):.3g} bytes of memory")
+    with pytest.raises(InputError, match=needs):
+        open_results(theirs, group=group)
 
 
 def test_error_lines_have_no_escape_sequences(

@@ -94,7 +94,7 @@ def test_what_a_theory_refuses_is_said_before_it_is_asked(
         assert bool(model.refusal(unlike)) == (model.unlike is None)
     assert "up to N = 3000" in MODELS["renewal_chain"].refusal(Circuit(10**8, 7))
     monkeypatch.setattr(programs, "FOLDER", tmp_path)
-    assert "no such file" in MODELS["one_particle"].refusal(Circuit(1000, 7))
+    assert "no such program" in MODELS["one_particle"].refusal(Circuit(1000, 7))
 
 
 def test_lifetimes_are_not_those_of_another_theory(capsys: pytest.CaptureFixture[str]) -> None:

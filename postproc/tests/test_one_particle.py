@@ -249,5 +249,5 @@ def test_a_program_that_is_not_there_is_told(
 ) -> None:
     """One line says what is missing and what builds it."""
     monkeypatch.setattr(programs, "FOLDER", tmp_path)
-    with pytest.raises(InputError, match=r"one_particle: no such file .*make build"):
+    with pytest.raises(InputError, match=r"one_particle: no such .*make build.*make install"):
         stationary_states(PAPER, QUICK)

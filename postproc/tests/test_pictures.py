@@ -222,6 +222,28 @@ def test_scatterers_are_drawn_and_no_theory_is_asked(
     assert sorted(x for x, _ in discs) == pytest.approx([-line + 0.01, line - 0.2, line + 0.01])
 
 
+def test_a_film_reads_its_snapshots_at_once(
+    run_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One by one each of thousands would unpack a piece of the file that holds hundreds."""
+    read, get = [], h5py.Dataset.__getitem__
+
+    def counted(dataset: h5py.Dataset, *which: object, **more: object) -> object:
+        read.append(dataset.name)
+        return get(dataset, *which, **more)
+
+    with Results(run_file) as results:
+        single = [results.snapshot(0, 0, k) for k in range(results.snapshot_times().size)]
+        monkeypatch.setattr(h5py.Dataset, "__getitem__", counted)
+        together = film.read_scenes(results, 0, 0).snapshots
+    assert len(together) == len(single) > 1
+    for one, other in zip(together, single, strict=True):
+        assert one.time == other.time
+        for name in ("x", "y", "ux", "uy"):
+            assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    assert read.count("/snapshots/x") == 1
+
+
 def test_no_such_task(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("currents", [str(run_file), "--point", "9"]) == 2
     assert "2 point(s)" in capsys.readouterr().err

@@ -373,3 +373,12 @@ def test_gates_that_let_nobody_or_everybody_pass_have_no_battery(
         assert call("theory", words) == 0
         printed = json.loads(capsys.readouterr().out)
         assert (printed["homogeneous"], printed["roots"]) == ("stable", [])
+
+
+def test_next_to_equal_widths_unlike_gates_have_one_stable_state() -> None:
+    # 1 + a - 2 P12 changes its sign there, and with it what urns send apart
+    for width in (0.28, 0.3, 0.31):
+        circuit = replace(PAPER, threshold=4, gate2_threshold=40, channel2_width=width)
+        kinds = [kind for _, kind in two_port._roots(circuit, ports.disc)]
+        assert kinds == ["stable"], width
+        assert two_port.growth(replace(PAPER, channel2_width=width)) < 0.0

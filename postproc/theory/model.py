@@ -27,7 +27,7 @@ from postproc.theory.circuit import (
     transition_width,
 )
 from postproc.theory.kept import kept
-from postproc.theory.programs import FOLDER, there
+from postproc.theory.programs import absence
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import WELL_MIXED, State
 from postproc.theory.tricritical import cubic
@@ -128,9 +128,7 @@ class Model:
             return f"theory {self.name}: it wants two equal urns and gates"
         if self.largest < math.inf and float(circuit.number) > self.largest:
             return f"theory {self.name}: it is asked up to N = {self.largest:g}"
-        if self.program and not there(self.program):
-            return f"{FOLDER / self.program}: no such file (make build builds it)"
-        return ""
+        return absence(self.program) if self.program else ""
 
     def of(self, circuit: Circuit) -> Circuit:
         """Return the circuit as this theory has it; raise `InputError` if it refuses."""

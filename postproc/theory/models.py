@@ -68,7 +68,7 @@ _CHAIN_TO = 3000.0  # N; a state of 10000 takes 1.6 s, and time grows faster tha
 
 DECLARED = (
     Model(
-        "window", "window (the paper's)", "the paper's gate, a window of time tau",
+        "window", "window (the paper's)", "the paper's gate, a window of fixed time",
         "to see where a circuit may polarise, and to repeat the paper", 1e-3, "--", "P",
         "vermilion", changes={"gate": WINDOW}, unlike=_MIXED_UNLIKE, mixed=True,
     ),

@@ -32,6 +32,13 @@ def there(name: str) -> bool:
     return place_of(name).is_file()
 
 
+def absence(name: str) -> str:
+    """Return where a program was looked for and what makes it; empty: it is there."""
+    if there(name):
+        return ""
+    return f"{name}: no such program in {FOLDER} (make build) or {INSTALLED} (make install)"
+
+
 def answers(name: str, lines: Sequence[str]) -> NDArray[np.float64]:
     """Ask a program; return the numbers of its answer, a row a line.
 
@@ -41,8 +48,8 @@ def answers(name: str, lines: Sequence[str]) -> NDArray[np.float64]:
     """
     text = "".join(f"{line}\n" for line in lines)
     program = place_of(name)
-    if not there(name):
-        raise InputError(f"{program}: no such file (make build builds it)")
+    if absent := absence(name):
+        raise InputError(absent)
     try:
         done = subprocess.run(
             ended_with_python([program]), input=text, capture_output=True, text=True, check=True

@@ -7,9 +7,9 @@ of e_i that its gate lets through at load e_i pi l/4, j the other urn, and the p
     e_i = (1 - P12) b_i + (1 - a) f_j   f_i = P12 b_i + a f_j              n_i = t1 b_i + t2 f_j
 
 Where the urns are stationary channel 2 carries J = f_2 - f_1 and channel 1 as much, b_1 = e_1 - J
-and b_2 = e_2 + J; these are linear in e_1, e_2, for equal urns J = P12 (e_2 - e_1)/(1 + a - 2 P12)
-or J = G (n_2 - n_1) with G = k/(t1 + k (2 t1 - t2)), k = P12/(1 + a - 2 P12), P12 = (w'/w)(1 - a).
-So every ratio e_1/e_2 is a pair of urns held against each other, and a state of the circuit where
+and b_2 = e_2 + J; all are linear in b_1, b_2. For equal urns P12 (e_2 - e_1) = (1 + a - 2 P12) J
+and J = G (n_2 - n_1) with G = k/(t1 + k (2 t1 - t2)), k = P12/(1 + a - 2 P12), P12 = (w'/w)(1 - a).
+So every ratio b_1/b_2 is a pair of urns held against each other, and a state of the circuit where
 the gates send J as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007) back, and
 G = w'/(pi A).
 """
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 STEP = 1e-5  # relative, of N1, next to equal urns
 WIDTHS_TRIED = 24  # of channel 2, where a transition is looked for
+FEWEST = 1e-9  # of the particles that channel 1 brings, to one urn
 ROUNDS = 60  # at most, of the iteration that finds how many fly
 
 
@@ -85,19 +86,18 @@ class Balance:
         return np.logaddexp(sent[0], current[0]) - np.logaddexp(sent[1], current[1])
 
 
-def held(circuit: Circuit, entries: Floats, memory: Memory = ports.disc) -> Balance:
-    """Return two urns that send `entries`, shape (urn, case), into channel 1, held as they are."""
+def held(circuit: Circuit, arriving1: Floats, memory: Memory = ports.disc) -> Balance:
+    """Return two urns, held as they are, into which channel 1 brings `arriving1`, (urn, case)."""
     sides = circuit.sides
     own = [memory(side) for side in sides]
     back, across, stay1, stay2 = np.array(
         [[one.return_chance, one.across, one.stay1, one.stay2] for one in own]
     ).T[:, :, None]
-    # what arrives through channel 2 is (P12 e_i +- P11 J)/(1 - a), above for urn 1
-    arriving, turned = across * entries / (1.0 - back), (1.0 - across) / (1.0 - back)
-    current = (arriving[1] - arriving[0]) / (turned[0] + turned[1] - 1.0)
-    current = current * np.array([[1.0], [-1.0]])
-    arriving = arriving + turned * current
-    in_urn = stay1 * (entries - current) + stay2 * arriving
+    leaving2 = across * arriving1
+    leaving2 = (leaving2 + back * leaving2[::-1]) / (1.0 - back[0] * back[1])
+    arriving2 = leaving2[::-1]
+    entries = (1.0 - across) * arriving1 + (1.0 - back) * arriving2
+    in_urn = stay1 * arriving1 + stay2 * arriving2
     loads = 0.25 * np.pi * float(circuit.channel1_length) * entries
     log_share = np.stack(
         [side.gate.log_share(side.threshold, load) for side, load in zip(sides, loads, strict=True)]
@@ -105,16 +105,18 @@ def held(circuit: Circuit, entries: Floats, memory: Memory = ports.disc) -> Bala
     in_half = in_urn
     if circuit.occupation:
         share, thresholds = np.exp(log_share), np.array([[float(one.threshold)] for one in sides])
-        beyond = share * loads + 0.25 * np.pi * float(circuit.channel2_length) * arriving[::-1]
+        beyond = share * loads + 0.25 * np.pi * float(circuit.channel2_length) * leaving2
         turning = (1.0 - share) * np.minimum(thresholds, loads)
         in_half = in_urn + turning + beyond + beyond[::-1]
-    return Balance(entries, arriving[::-1], log_share, in_urn, in_half)
+    return Balance(entries, leaving2, log_share, in_urn, in_half)
 
 
 def balance(circuit: Circuit, first: ArrayLike, memory: Memory = ports.disc) -> Balance:
-    """Return all N particles held so that urn 1 sends the share `first`/N of what both send.
+    """Return all N particles held so that channel 1 brings the share `first`/N of all to urn 1.
 
-    `first` is of shape (case,) or a number; it would be N1 if urns of one size were well mixed.
+    `first` is of shape (case,) or a number; with a narrow channel 2 it is nearly N1. Of what urns
+    send, the share would not do: it is the same for all states of two equal urns at w' = w, in
+    the limit of narrow openings.
     """
     number = float(circuit.number)
     one = np.atleast_1d(np.asarray(first, float))
@@ -165,11 +167,13 @@ def _roots(circuit: Circuit, memory: Memory) -> list[tuple[float, str]]:
         mirrored = number - places_of(two, 0.5 * number)
         places = np.unique(np.concatenate([places, mirrored, [0.5 * number]]))[::-1]
         places = places[(places > 0.0) & (places < number)]
+    closed = float(circuit.channel2_width) == 0.0
+    if not closed:  # an urn that channel 1 brings less has what channel 2 keeps in it
+        places = places[(places > FEWEST * number) & (places < (1.0 - FEWEST) * number)]
     values = excess(places)
     if circuit.alike:
         values[0] = 1.0 if growth(circuit, memory) > 0.0 else -1.0
     roots = crossings(excess, places, values)
-    closed = float(circuit.channel2_width) == 0.0
     if closed and values[-1] > 0.0 and float(one.threshold) > 0.0:
         roots.append((0.0, "stable"))  # too few to be told
     return roots
@@ -222,7 +226,7 @@ def _with_number2(circuit: Circuit, number2: float) -> Balance:
     def excess(first: float) -> float:
         return float(balance(circuit, first).in_half[1, 0]) - number2
 
-    fewest, most = 1e-9 * number, (1.0 - 1e-9) * number
+    fewest, most = FEWEST * number, (1.0 - FEWEST) * number
     if excess(fewest) <= 0.0:  # so many do not fit in there beside those that fly
         return balance(circuit, fewest)
     return balance(circuit, optimize.brentq(excess, fewest, most, rtol=1e-12))

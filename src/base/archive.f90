@@ -1,4 +1,4 @@
-!> The stream of a state: what a type must keep to go on to the same last bit.
+!> Archive of a state: what a type must save for the run to continue to the same last bit.
 !>
 !> A type passes its components through an archive once, in one procedure for both ways: into an
 !> archive that is written they are copied, out of one that is read they are taken. So nobody counts
@@ -23,14 +23,14 @@ module battery_archive
 
   !> A state as words, on its way to the disk or back.
   type :: archive_type
-    !> Whether components are taken out of it, or put into it.
+    !> Whether components are read from it, or written to it.
     logical :: reading = .false.
-    !> Whether it only counts the words that it would take, so that the next has room for them.
+    !> Whether it only counts words, so that the archive written next can be allocated.
     logical :: measuring = .false.
-    !> What has been passed, `word(:length)`.
+    !> The words written or read so far are `word(:length)`.
     integer(int64) :: length = 0
     integer(int64), allocatable :: word(:)
-    !> What does not fit; not allocated: nothing.
+    !> The first item that does not match; not allocated: all match.
     character(len=:), allocatable :: problem
   contains
     procedure, private :: serialize_logical, serialize_int32, serialize_int64, serialize_real
@@ -48,18 +48,18 @@ module battery_archive
     !> the `name` an archive of something else is found out. Lists of real numbers may stand in a
     !> row, up to four with their names.
     generic :: serialize_list => serialize_int32_list, serialize_real_list
-    !> Whether something did not fit.
+    !> Whether an item did not match what was expected.
     procedure :: failed
     !> Whether all that was written has been read.
     procedure :: at_end
-    procedure, private :: open_item, serialize_words, room_for, serialize_size
+    procedure, private :: open_item, serialize_words, reserve_words, serialize_size
   end type archive_type
 
 contains
 
-  !> An empty stream, to be written.
+  !> An empty archive, to be written.
   pure type(archive_type) function new_archive(room) result(archive)
-    !> Words that it will take, where that is known.
+    !> Number of words to allocate, where that is known.
     integer(int64), intent(in), optional :: room
 
     archive%length = 2
@@ -71,14 +71,14 @@ contains
     archive%word(:2) = [format_number, int(storage_size(1.0_wp), int64)]
   end function new_archive
 
-  !> A stream that is only to tell, by `length`, how many words it would take.
+  !> An archive that stores nothing: its `length` counts the words of the state.
   pure type(archive_type) function measuring_archive() result(archive)
 
     archive = new_archive()
     archive%measuring = .true.
   end function measuring_archive
 
-  !> A stream to be read, of words that were written.
+  !> An archive to be read, from words that were written.
   pure type(archive_type) function archive_of(word) result(archive)
     !> `word(:length)` of the archive that was written.
     integer(int64), intent(in) :: word(:)
@@ -109,21 +109,21 @@ contains
     at_end = self%length == size(self%word)
   end function at_end
 
-  !> The head of an item. On reading it must be that which was written, and whole.
+  !> Writes or checks the head of an item: on reading, name, kind and size must be those written.
   pure subroutine open_item(self, name, kind, bytes, items)
     class(archive_type), intent(inout) :: self
     !> Name of the component and of its kind.
     character(len=*), intent(in) :: name, kind
     !> Bytes of one item.
     integer, intent(in) :: bytes
-    !> How many.
+    !> Number of items.
     integer(int64), intent(in) :: items
     integer(int64) :: mark
 
     if (self%failed()) return
     mark = fingerprint_of(kind//' '//name)
     if (.not. self%reading) then
-      call self%room_for(2 + (items*bytes + word_bytes - 1)/word_bytes)
+      call self%reserve_words(2 + (items*bytes + word_bytes - 1)/word_bytes)
       if (.not. self%measuring) self%word(self%length + 1:self%length + 2) = [mark, items]
       self%length = self%length + 2
       return
@@ -141,8 +141,8 @@ contains
     end if
   end subroutine open_item
 
-  !> Makes room for so many words more.
-  pure subroutine room_for(self, words)
+  !> Ensures that `words` more words fit into the array.
+  pure subroutine reserve_words(self, words)
     class(archive_type), intent(inout) :: self
     integer(int64), intent(in) :: words
     integer(int64), allocatable :: more(:)
@@ -151,7 +151,7 @@ contains
     allocate (more(max(self%length + words, 2*self%length)), source=0_int64)
     more(:self%length) = self%word(:self%length)
     call move_alloc(more, self%word)
-  end subroutine room_for
+  end subroutine reserve_words
 
   !> An item as words, the last of them filled up with zeros: they are put into the archive, or what
   !> is in the archive is put into them.
@@ -176,7 +176,7 @@ contains
     self%length = last
   end subroutine serialize_words
 
-  !> One logical value.
+  !> Passes one logical value.
   pure subroutine serialize_logical(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -273,9 +273,9 @@ contains
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), intent(inout) :: values(:)
-    !> Those that follow, each with its name.
+    !> Names of the arrays that follow.
     character(len=*), intent(in), optional :: name2, name3, name4, name5
-    !> Theirs.
+    !> The arrays that follow, in the order of their names.
     real(wp), intent(inout), optional :: values2(:), values3(:), values4(:), values5(:)
     integer(int64), allocatable :: words(:)
 
@@ -305,9 +305,9 @@ contains
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
     real(wp), allocatable, intent(inout) :: values(:)
-    !> Those that follow, each with its name.
+    !> Names of the arrays that follow.
     character(len=*), intent(in), optional :: name2, name3, name4
-    !> Theirs.
+    !> The arrays that follow, in the order of their names.
     real(wp), allocatable, intent(inout), optional :: values2(:), values3(:), values4(:)
     integer :: items
 
@@ -317,7 +317,7 @@ contains
     if (self%failed()) return
     if (size(values) /= items) values = spread(0.0_wp, 1, items)
     call self%serialize_reals(name, values)
-    ! Given, and not whether it is allocated: that is what `name2` tells.
+    ! Passed whether or not it is allocated; `name2` says whether it counts.
     if (present(name2)) call self%serialize_real_list(name2, values2, name3, values3, name4, &
       values4)
   end subroutine serialize_real_list
@@ -325,9 +325,9 @@ contains
   !> A text of any length and of any bytes.
   pure subroutine serialize_text(self, name, text)
     class(archive_type), intent(inout) :: self
-    !> Of the component: by it an archive of something else is found out.
+    !> Name of the component: by it an archive of something else is found out.
     character(len=*), intent(in) :: name
-    !> On reading it becomes as long as what was written.
+    !> Text, which on reading becomes as long as what was written.
     character(len=:), allocatable, intent(inout) :: text
     integer(int8), allocatable :: letters(:)
     integer :: length

@@ -5,10 +5,10 @@ module battery_build_information
   private
   public :: program_version, git_commit
 
-  !> As in fpm.toml (test/test_fpm.py).
+  !> Version of the program, the same as in fpm.toml (test/test_fpm.py).
   character(len=*), parameter :: program_version = '0.3.0'
 
-  !> `commit.c` has it.
+  !> Git commit, compiled into `commit.c`.
   character(kind=c_char), bind(c, name='battery_commit'), protected :: commit(48)
 
 contains

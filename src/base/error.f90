@@ -8,7 +8,7 @@ module battery_error
   integer, parameter :: exit_success = 0, exit_failure = 1, exit_bad_input = 2, &
     exit_stopped_early = 3
 
-  !> What went wrong, where, and what would be right; not allocated: nothing did.
+  !> An error: what is wrong, where, and what would be right. Not allocated: no error.
   type :: error_type
     !> Exit code the program should end with.
     integer :: code = exit_failure

@@ -13,11 +13,11 @@ module battery_fingerprint
 
 contains
 
-  !> Takes one more word into a fingerprint.
+  !> Mixes one more word into a fingerprint.
   pure subroutine mix_word(fingerprint, word)
-    !> `fingerprint_start`, or what came of the words before.
+    !> `fingerprint_start`, or the fingerprint of the words before.
     integer(int64), intent(inout) :: fingerprint
-    !> Any 64 bits.
+    !> Word to mix in: any 64 bits.
     integer(int64), intent(in) :: word
 
     fingerprint = ieor(fingerprint, word)*prime
@@ -26,7 +26,7 @@ contains
 
   !> The fingerprint of a text.
   pure integer(int64) function fingerprint_of(text) result(fingerprint)
-    !> Any bytes; a blank at the end counts.
+    !> Text of any bytes; a blank at the end counts.
     character(len=*), intent(in) :: text
     integer :: k
 
@@ -39,7 +39,7 @@ contains
 
   !> A fingerprint in sixteen hexadecimal digits.
   pure function fingerprint_text(fingerprint) result(text)
-    !> Any 64 bits.
+    !> Fingerprint: any 64 bits.
     integer(int64), intent(in) :: fingerprint
     character(len=16) :: text
 

@@ -9,7 +9,7 @@ module battery_random
   use battery_kinds, only: wp, int64
   implicit none (type, external)
   private
-  public :: random_type, lanes, new_random, draw_uniform, hashed_uniform, mixed
+  public :: random_type, lanes, new_random, draw_uniform, hashed_uniform, splitmix64
 
   !> Generators side by side; numbers are drawn in multiples of this.
   integer, parameter :: lanes = 8
@@ -21,7 +21,7 @@ module battery_random
   !> The odd number next to 2**64 over the golden ratio, as a signed integer.
   integer(int64), parameter :: golden = -7046029254386353131_int64
 
-  !> A generator of its own numbers; copies go on apart.
+  !> State of a generator; a copy is an independent generator with the same state.
   type :: random_type
     integer(int64) :: state(lanes, 4) = 0
   end type random_type
@@ -30,13 +30,13 @@ contains
 
   !> A generator; the same seed gives the same numbers.
   pure type(random_type) function new_random(seed) result(random)
-    !> Any 64 bits.
+    !> Seed: any 64 bits.
     integer(int64), intent(in) :: seed
     integer :: lane, word
 
     do word = 1, 4
       do lane = 1, lanes
-        random%state(lane, word) = mixed(mixed(seed) + golden*(4*lane + word))
+        random%state(lane, word) = splitmix64(splitmix64(seed) + golden*(4*lane + word))
       end do
     end do
   end function new_random
@@ -69,10 +69,10 @@ contains
 
   !> A number uniform in (0, 1) that belongs to two whole numbers, without a state.
   elemental real(wp) function hashed_uniform(key, count) result(number)
-    !> Any 64 bits: whose number it is, and which.
+    !> Key of the sequence and index of the number in it: any 64 bits each.
     integer(int64), intent(in) :: key, count
 
-    number = uniform(mixed(mixed(key) + golden*count))
+    number = uniform(splitmix64(splitmix64(key) + golden*count))
   end function hashed_uniform
 
   !> The highest bits of a word as a number in (0, 1).
@@ -83,14 +83,14 @@ contains
   end function uniform
 
   !> SplitMix64 without its counter: one to one on 64 bits. Products wrap around.
-  elemental integer(int64) function mixed(word) result(z)
-    !> Any 64 bits.
+  elemental integer(int64) function splitmix64(word) result(z)
+    !> Word: any 64 bits.
     integer(int64), intent(in) :: word
 
     z = word
     z = ieor(z, shiftr(z, 30))*(-4658895280553007687_int64)
     z = ieor(z, shiftr(z, 27))*(-7723592293110705685_int64)
     z = ieor(z, shiftr(z, 31))
-  end function mixed
+  end function splitmix64
 
 end module battery_random

@@ -4,7 +4,7 @@ module battery_text
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, lines_of, closest_word, is_one_of
-  public :: new_line_character, printable, counted
+  public :: new_line_character, printable, count_text
 
   character(len=1), parameter :: new_line_character = achar(10)
 
@@ -134,9 +134,9 @@ contains
     end if
   end function plain_notation
 
-  !> The text with A to Z made small.
+  !> The text with A to Z in lower case.
   pure function lower_case(text) result(lower)
-    !> Of any letters.
+    !> Text of any letters.
     character(len=*), intent(in) :: text
     character(len=len(text)) :: lower
     integer :: at
@@ -171,7 +171,7 @@ contains
   !> for the user. In UTF-8 the bytes 80 to 9F continue a character; alone, or behind C2, they are
   !> control characters too.
   pure function printable(text) result(clean)
-    !> Of any origin, in ASCII or UTF-8.
+    !> Text of any origin, in ASCII or UTF-8.
     character(len=*), intent(in) :: text
     character(len=:), allocatable :: clean
     logical :: control(len(text))
@@ -209,7 +209,7 @@ contains
 
   !> All texts of a list, with a separator between them.
   pure function join(list, separator) result(text)
-    !> In the order of the text.
+    !> Texts to join, in this order.
     type(string_type), intent(in) :: list(:)
     !> Stands between two, not at the ends.
     character(len=*), intent(in) :: separator
@@ -236,7 +236,7 @@ contains
   pure logical function is_one_of(word, list) result(found)
     !> Blanks at its end count.
     character(len=*), intent(in) :: word
-    !> What it may be.
+    !> Allowed texts.
     type(string_type), intent(in) :: list(:)
     integer :: at
 
@@ -248,7 +248,7 @@ contains
 
   !> The word of a list that was probably meant; empty if none is near.
   pure function closest_word(word, list) result(closest)
-    !> As it was written.
+    !> Word as it was written.
     character(len=*), intent(in) :: word
     !> What may have been meant.
     type(string_type), intent(in) :: list(:)
@@ -266,7 +266,7 @@ contains
     end do
   end function closest_word
 
-  !> How many letters must be put in, left out or changed to get from one word to the other.
+  !> Levenshtein distance: letters inserted, deleted or replaced from one word to the other.
   pure integer function edit_distance(one, other) result(distance)
     character(len=*), intent(in) :: one, other
     integer :: row(0:len(other)), diagonal, above, first, second
@@ -286,15 +286,15 @@ contains
   end function edit_distance
 
   !> A number of things: `1 point`, `2 points`.
-  pure function counted(number, noun) result(text)
-    !> How many.
+  pure function count_text(number, noun) result(text)
+    !> Number of things counted.
     integer, intent(in) :: number
-    !> One of them; its plural ends with s.
+    !> Noun in the singular; its plural ends with s.
     character(len=*), intent(in) :: noun
     character(len=:), allocatable :: text
 
     text = to_text(number)//' '//noun
     if (number /= 1) text = text//'s'
-  end function counted
+  end function count_text
 
 end module battery_text

@@ -1,11 +1,11 @@
-!> The base type of all engines: start, advance by about one window, tell where particles are.
+!> The base type of all engines: start, advance by about one window, locate particles.
 !>
 !> An engine owns the particles, the gates and the clock. It writes what happened in a window to an
 !> `event_record_type`, which the observers read. Extensions add how particles move.
 !>
-!> **The clock.** Time counts within an epoch, a power of two, so that it resolves the same however
-!> long the run has been; at the end of an epoch all times are reduced by its length, which is
-!> exact.
+!> **The clock.** Time counts within an epoch, a power of two, so that its resolution does not
+!> depend on the length of the run; at the end of an epoch all times are reduced by its length,
+!> which is exact.
 module battery_engine
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
@@ -39,7 +39,7 @@ module battery_engine
     real(wp) :: clock_start = 0.0_wp
   contains
     procedure, private :: start_with_threshold, start_with_thresholds
-    !> `start(table, threshold, particles, clock)` loads particles at time `clock`.
+    !> `start(table, threshold, particles, clock)` loads the particles at time `clock`.
     generic :: start => start_with_threshold, start_with_thresholds
     procedure, non_overridable :: advance
     procedure, non_overridable :: clock
@@ -115,11 +115,11 @@ module battery_engine
 
 contains
 
-  !> Starts with one threshold for both gates.
+  !> Starts with the same threshold at both gates.
   subroutine start_with_threshold(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
-    !> Of both gates.
+    !> Threshold of both gates.
     integer, intent(in) :: threshold
     type(particles_type), intent(inout) :: particles
     real(wp), intent(in) :: clock
@@ -131,14 +131,14 @@ contains
   subroutine start_with_thresholds(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
-    !> Of the gates of urn 1 and 2.
+    !> Thresholds of the gates of urn 1 and 2.
     integer, intent(in) :: threshold(2)
     !> Positions and velocities, which have been checked; freed.
     type(particles_type), intent(inout) :: particles
     !> Clock time at the start, in time units.
     real(wp), intent(in) :: clock
 
-    call set_up(self, table, threshold, size(particles%x))
+    call set_up_engine(self, table, threshold, size(particles%x))
     self%clock_start = clock
     call self%load_particles(particles)
     call forget_entries(self%gate)
@@ -146,21 +146,21 @@ contains
   end subroutine start_with_thresholds
 
   !> Sets table, gates and number; no particle is loaded yet.
-  subroutine set_up(self, table, threshold, number)
+  subroutine set_up_engine(self, table, threshold, number)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold(2), number
-    integer :: side
+    integer :: urn
 
     self%table = table
     self%number = number
-    do side = 1, 2
-      call new_gate(self%gate(side), threshold(side))
+    do urn = 1, 2
+      call new_gate(self%gate(urn), threshold(urn))
     end do
     self%now = 0.0_wp
     self%epochs = 0
     call self%prepare_engine()
-  end subroutine set_up
+  end subroutine set_up_engine
 
   !> Advances by at most one window and at most `duration`.
   subroutine advance(self, duration, event_record)
@@ -177,16 +177,16 @@ contains
   !> Reduces the clock and the times of the gates by the length of the epoch.
   subroutine rebase_gates_and_clock(self)
     class(engine_type), intent(inout) :: self
-    integer :: side
+    integer :: urn
 
-    do side = 1, 2
-      call rebase_gate(self%gate(side), self%epoch)
+    do urn = 1, 2
+      call rebase_gate(self%gate(urn), self%epoch)
     end do
     self%now = self%now - self%epoch
     self%epochs = self%epochs + 1
   end subroutine rebase_gates_and_clock
 
-  !> Time now, in the precision of an absolute clock.
+  !> Time now; its resolution is that of an absolute clock.
   function clock(self) result(time)
     class(engine_type), intent(in) :: self
     real(wp) :: time
@@ -204,7 +204,7 @@ contains
     if (self%time_step < 0.0_wp) reason = 'its time_step is below 0'
   end function supports
 
-  !> The requirement of every engine that `table` does not meet, in words for the user; or empty.
+  !> Requirement of all engines that `table` does not meet, in words for the user; or empty.
   pure function unmet_requirement(table) result(reason)
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
@@ -213,26 +213,26 @@ contains
     if (.not. all(table%urn%fits)) reason = 'its openings must be narrower than either urn'
   end function unmet_requirement
 
-  !> Serialises all that is needed to continue to the same last bit. If the archive does not fit, it
-  !> says so, and the engine must not be used.
+  !> Serialises all that is needed to continue to the same last bit. If an archive does not fit, it
+  !> reports that, and the engine must not be used.
   subroutine serialize_state(self, table, threshold, archive)
     class(engine_type), intent(inout) :: self
-    !> What is simulated, the same in both ways: it is not part of the archive.
+    !> Table, the same for both directions: it is not part of the archive.
     type(table_type), intent(in) :: table
-    !> Of the gates of urn 1 and 2.
+    !> Thresholds of the gates of urn 1 and 2.
     integer, intent(in) :: threshold(2)
     type(archive_type), intent(inout) :: archive
-    integer :: number, side
+    integer :: number, urn
 
     number = self%number
     call archive%serialize('number', number)
     if (archive%failed()) return
-    if (archive%reading) call set_up(self, table, threshold, number)
+    if (archive%reading) call set_up_engine(self, table, threshold, number)
     call archive%serialize('now', self%now)
     call archive%serialize('pages', self%epochs)
     call archive%serialize('clock_start', self%clock_start)
-    do side = 1, 2
-      call serialize_gate(self%gate(side), archive)
+    do urn = 1, 2
+      call serialize_gate(self%gate(urn), archive)
     end do
     if (.not. archive%failed()) call self%serialize_own_state(archive)
   end subroutine serialize_state
@@ -241,7 +241,7 @@ contains
   subroutine particles(self, first, last, found)
     class(engine_type), intent(in) :: self
     integer, intent(in) :: first, last
-    !> Those from `first` on.
+    !> The particles from `first` on.
     type(particles_type), intent(out) :: found
     real(wp) :: state(4)
     integer :: i, k
@@ -260,7 +260,7 @@ contains
   !> Allocates the arrays.
   pure subroutine allocate_particles(particles, number)
     type(particles_type), intent(out) :: particles
-    !> How many.
+    !> Number of particles.
     integer, intent(in) :: number
 
     allocate (particles%x(number), particles%y(number), particles%ux(number), particles%uy(number))

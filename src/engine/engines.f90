@@ -1,4 +1,4 @@
-!> The engines by the names they have in the namelist: the only list of them.
+!> The engines by their names in the namelist: the only list of them.
 module battery_engines
   use battery_kinds, only: wp, dp
   use battery_error, only: error_type, fatal_error, exit_bad_input
@@ -13,13 +13,13 @@ module battery_engines
   private
   public :: engine_names, new_engine, engine_choices, has_step, bytes_a_particle, explain_refusal
 
-  !> What is known of an engine that has not been made.
+  !> An engine, described before it is made.
   type :: entry_type
     character(len=11) :: name
-    !> Bytes that it takes for each particle at most, with the positions and velocities that it
-    !> starts from, where memory is taken in powers of two, and with two copies of its state while
-    !> that is saved or read, as may happen at any time. Measured: 196, 177, 140, 109, 244; without
-    !> a state 93, 87, 93, 65, 89.
+    !> Bytes that it takes for each particle at most: with the initial positions and velocities,
+    !> with arrays whose size is a power of two, and with two copies of its state while that is
+    !> saved or read, as may happen at any time. Measured: 196, 177, 140, 109, 244; without a state
+    !> 93, 87, 93, 65, 89.
     real(dp) :: bytes
     !> Whether it takes `time_step`.
     logical :: has_step
@@ -37,7 +37,7 @@ module battery_engines
 
 contains
 
-  !> The engine called `name`, not yet started.
+  !> Makes the engine called `name`, not yet started.
   subroutine new_engine(name, engine, error)
     character(len=*), intent(in) :: name
     class(engine_type), allocatable, intent(out) :: engine
@@ -59,7 +59,7 @@ contains
     end select
   end subroutine new_engine
 
-  !> All names, set apart by blanks.
+  !> All names, separated by blanks.
   pure function engine_choices() result(names)
     character(len=:), allocatable :: names
     integer :: at
@@ -79,7 +79,7 @@ contains
     has_step = any(engines%has_step .and. engine_names == name)
   end function has_step
 
-  !> Bytes that an engine takes for each particle at most.
+  !> Largest number of bytes that an engine takes for each particle.
   pure function bytes_a_particle(name) result(bytes)
     !> As in the namelist.
     character(len=*), intent(in) :: name
@@ -91,7 +91,7 @@ contains
   !> Why an engine cannot simulate a table: `reason`, in words for the user, empty if it can; and
   !> the engines that can: `others`.
   subroutine explain_refusal(engine, table, reason, others)
-    !> With its step.
+    !> Engine whose step is set.
     class(engine_type), intent(in) :: engine
     type(table_type), intent(in) :: table
     character(len=:), allocatable, intent(out) :: reason, others

@@ -34,7 +34,7 @@ module battery_event_record
     real(wp) :: duration = 0.0_wp
     !> Crossings in the order of time: when, and which (`channel1_12` ...).
     integer :: crossings = 0
-    !> How many `grow_event_record` has made room for; before, less than anybody asks for.
+    !> Size of the arrays of crossings; below 0 before they are allocated.
     integer, private :: room = -1
     real(wp), allocatable :: crossing_time(:)
     integer(int8), allocatable :: crossing(:)
@@ -63,7 +63,7 @@ contains
     channel = merge(gated, ungated, crossing == channel1_12 .or. crossing == channel1_21)
   end function channel_of
 
-  !> Empties the record and makes room for `crossings` crossings and `events` events.
+  !> Empties the record, and allocates it for `crossings` crossings and `events` events.
   subroutine reserve_event_record(event_record, crossings, events)
     type(event_record_type), intent(inout) :: event_record
     integer, intent(in) :: crossings, events
@@ -80,7 +80,7 @@ contains
       grow_event_record(event_record, crossings, events)
   end subroutine reserve_event_record
 
-  !> Makes room for that many crossings and events, at least doubling what must grow.
+  !> Enlarges the arrays for that many crossings and events, at least doubling those that must grow.
   subroutine grow_event_record(event_record, crossings, events)
     type(event_record_type), intent(inout) :: event_record
     !> Total number to fit; events only if they are logged.

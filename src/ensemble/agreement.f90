@@ -6,12 +6,12 @@ module battery_agreement
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_kinds, only: dp
   use battery_machine, only: host_name
-  use battery_lock_file, only: lock_type, create_marker, remove_marker, sees_marker
-  use battery_signals, only: stop_requested, stopped_before_start
+  use battery_lock_file, only: lock_type, create_marker, remove_marker, is_marker_visible
+  use battery_signals, only: stop_requested, set_stop_error
   use battery_text, only: string_type, to_text, join
   implicit none (type, external)
   private
-  public :: check_command_lines, check_place
+  public :: check_command_lines, check_output_folder
 
   !> Seconds that a file system may take to show to one machine what another has made, and between
   !> two looks.
@@ -22,7 +22,7 @@ contains
   !> Ranks with other words would do other things, and wait for one another for ever. Collective.
   subroutine check_command_lines(communicator, words, error)
     type(communicator_type), intent(in) :: communicator
-    !> Of this rank.
+    !> Command line of this rank, word by word.
     type(string_type), intent(in) :: words(:)
     !> The same on all ranks; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
@@ -41,7 +41,7 @@ contains
 
   !> A list of words as it would be typed.
   pure function shown(list) result(text)
-    !> With a null sign behind each.
+    !> Texts, with a null character behind each.
     character(len=*), intent(in) :: list
     character(len=:), allocatable :: text
     integer :: at
@@ -56,9 +56,9 @@ contains
   !> Every rank must see, by its own path, what rank 0 makes beside the output: a rank that was
   !> started in another folder would write into another run's journal. Numbers of devices and inodes
   !> tell nothing, since they differ between machines. Collective.
-  subroutine check_place(communicator, lock, file, error)
+  subroutine check_output_folder(communicator, lock, file, error)
     type(communicator_type), intent(in) :: communicator
-    !> That of rank 0.
+    !> Lock of rank 0.
     type(lock_type), intent(in) :: lock
     !> The output.
     character(len=*), intent(in) :: file
@@ -72,9 +72,9 @@ contains
     call share_error(communicator, error)
     if (allocated(error)) return
     began = wall_seconds()
-    do while (.not. (sees_marker(lock) .or. allocated(error)))
+    do while (.not. (is_marker_visible(lock) .or. allocated(error)))
       if (stop_requested()) then
-        call stopped_before_start(error)
+        call set_stop_error(error)
       else if (wall_seconds() - began > patience) then
         call fatal_error(error, file//': rank '//to_text(communicator%rank)//', on '//host_name() &
           //', does not see the folder that rank 0 writes to; start all ranks in one folder that ' &
@@ -87,6 +87,6 @@ contains
     if (communicator%rank == 0) call remove_marker(lock, trouble)
     call share_error(communicator, trouble)
     if (allocated(trouble) .and. .not. allocated(error)) call move_alloc(trouble, error)
-  end subroutine check_place
+  end subroutine check_output_folder
 
 end module battery_agreement

@@ -1,11 +1,11 @@
-!> The ranks of a run, and the board they share. This module alone knows MPI.
+!> The ranks of a run, and the task queue that they share. This module alone calls MPI.
 !>
-!> The board is a few counters in the memory of rank 0 that every rank changes by one-sided atomic
+!> The queue is a few counters in the memory of rank 0 that every rank changes by one-sided atomic
 !> operations: the next task, tasks finished, collisions done, and whether to stop; behind them the
 !> list of the tasks to be done, of which a rank reads one entry at a time. So no rank waits for a
 !> master, no other rank holds a list of tasks, no message grows with the number of ranks or tasks,
-!> and rank 0 computes too; it only has to enter MPI now and then (`drive_mpi_progress`) where the
-!> network needs a hand from the processor.
+!> and rank 0 computes too; it only calls MPI now and then (`drive_mpi_progress`) where the
+!> network completes one-sided operations only inside a call of rank 0.
 module battery_communicator
   use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_status_type, ieee_get_status, &
     ieee_set_status, ieee_set_halting_mode
@@ -28,16 +28,16 @@ module battery_communicator
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: ranks_on_node, output_is_terminal
-  public :: share_words, wait_for_all, summary_of, mpi_library
+  public :: share_words, wait_for_all, least_mean_greatest, mpi_library
   public :: task_queue_type, open_task_queue, close_task_queue, add_to_counter, read_counter
-  public :: take_task, drive_mpi_progress, mpi_progress_interval
+  public :: fetch_task, drive_mpi_progress, mpi_progress_interval
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
 
-  !> Seconds between two hands that rank 0 lends the network while it computes
-  !> (`drive_mpi_progress`).
+  !> Seconds between two calls of MPI by rank 0 while it computes, so that one-sided requests
+  !> proceed (`drive_mpi_progress`).
   real(dp), parameter :: mpi_progress_interval = 2.5e-4_dp
 
-  !> Entries of the board.
+  !> Counters of the queue.
   integer, parameter :: next_task = 1, tasks_finished = 2, tasks_failed = 3, collisions_done = 4, &
     stop_wanted = 5, counter_count = 5
 
@@ -49,12 +49,12 @@ module battery_communicator
     logical :: mine = .false.
   end type communicator_type
 
-  !> The board as one rank sees it.
+  !> The task queue as one rank accesses it.
   type :: task_queue_type
     type(MPI_Win) :: window
-    !> Tasks on the list.
+    !> Number of tasks in the list.
     integer :: tasks = 0
-    !> The ranks that look at it; rank 0 holds it.
+    !> Ranks that access it; it lies in the memory of rank 0.
     type(communicator_type) :: communicator
   end type task_queue_type
 
@@ -101,7 +101,7 @@ contains
     if (communicator%mine) call MPI_Finalize()
   end subroutine close_communicator
 
-  !> Every rank gets the error of the lowest rank that has one.
+  !> Gives every rank the error of the lowest rank that has one. Collective.
   subroutine share_error(communicator, error)
     type(communicator_type), intent(in) :: communicator
     type(error_type), allocatable, intent(inout) :: error
@@ -172,9 +172,9 @@ contains
   end function output_is_terminal
 
   !> Least, mean and greatest of one value a rank.
-  function summary_of(communicator, value) result(summary)
+  function least_mean_greatest(communicator, value) result(summary)
     type(communicator_type), intent(in) :: communicator
-    !> This rank's.
+    !> Value of this rank.
     real(dp), intent(in) :: value
     real(dp) :: summary(3)
 
@@ -182,7 +182,7 @@ contains
     call MPI_Allreduce(value, summary(2), 1, MPI_DOUBLE_PRECISION, MPI_SUM, communicator%ranks)
     call MPI_Allreduce(value, summary(3), 1, MPI_DOUBLE_PRECISION, MPI_MAX, communicator%ranks)
     summary(2) = summary(2)/real(communicator%size, dp)
-  end function summary_of
+  end function least_mean_greatest
 
   !> Name and version of the MPI library; what else it says of itself stands behind a comma or in
   !> further lines, and a tab may stand for a blank.
@@ -197,7 +197,7 @@ contains
     if (tab > 0) name(tab:tab) = ' '
   end function mpi_library
 
-  !> Sets up the board, all entries 0, with the list of tasks that rank 0 has. Collective.
+  !> Creates the queue, all counters 0, with the list of tasks of rank 0. Collective.
   subroutine open_task_queue(task_queue, communicator, tasks, error)
     type(task_queue_type), intent(out) :: task_queue
     type(communicator_type), intent(in) :: communicator
@@ -239,9 +239,9 @@ contains
   end subroutine open_task_queue
 
   !> The next task of the list; 0 if there are no more.
-  subroutine take_task(task_queue, task)
+  subroutine fetch_task(task_queue, task)
     type(task_queue_type), intent(in) :: task_queue
-    !> Its number in the plan, from 1.
+    !> Number of the task in the plan, from 1.
     integer, intent(out) :: task
     integer(int64) :: place
     integer(int64), asynchronous :: entry
@@ -253,7 +253,7 @@ contains
       MPI_INTEGER8, task_queue%window)
     call MPI_Win_flush(0, task_queue%window)
     task = int(entry)
-  end subroutine take_task
+  end subroutine fetch_task
 
   !> Where the network cannot reach into the memory of rank 0 by itself, operations of the others
   !> wait until rank 0 enters MPI: so it does, often.
@@ -273,14 +273,14 @@ contains
     call MPI_Win_free(task_queue%window)
   end subroutine close_task_queue
 
-  !> Adds to an entry and tells what it was before.
+  !> Adds to a counter atomically and returns its value before.
   subroutine add_to_counter(task_queue, entry, amount, before)
     type(task_queue_type), intent(in) :: task_queue
-    !> One of the names above, such as `next_task`.
+    !> Entry of the task queue: one of the constants above, such as `next_task`.
     integer, intent(in) :: entry
-    !> Of either sign.
+    !> Amount to add, of either sign.
     integer(int64), intent(in) :: amount
-    !> Its value before.
+    !> Value of the entry before.
     integer(int64), intent(out), optional :: before
     integer(int64), asynchronous :: found
 
@@ -290,10 +290,10 @@ contains
     if (present(before)) before = found
   end subroutine add_to_counter
 
-  !> An entry as it is now.
+  !> Present value of a counter.
   function read_counter(task_queue, entry) result(value)
     type(task_queue_type), intent(in) :: task_queue
-    !> One of the names above, such as `next_task`.
+    !> Entry of the task queue: one of the constants above, such as `next_task`.
     integer, intent(in) :: entry
     integer(int64) :: value
 

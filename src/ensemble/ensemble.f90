@@ -1,15 +1,14 @@
-!> An ensemble: all tasks of a plan on any number of ranks, so that nothing that happens can spoil
-!> it.
+!> An ensemble: all tasks of a plan on any number of ranks, safe from kills and restarts.
 !>
-!> Every rank takes the next task from the board when it is free, writes its result to the journal
+!> Every rank takes the next task from the queue when it is free, writes its result to the journal
 !> at once, and in the end rank 0 merges the journal into the results file. A run that is stopped or
 !> killed goes on from its journal; results depend on the plan alone, not on ranks, order or stops.
 module battery_ensemble
   use battery_kinds, only: wp, dp, int64
-  use battery_agreement, only: check_place
+  use battery_agreement, only: check_output_folder
   use battery_clocks, only: wall_seconds, utc_now
   use battery_communicator, only: communicator_type, task_queue_type, open_task_queue, &
-    close_task_queue, read_counter, share_error, share_text, summary_of, tasks_finished, &
+    close_task_queue, read_counter, share_error, share_text, least_mean_greatest, tasks_finished, &
     tasks_failed, collisions_done
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, check_lock
@@ -20,10 +19,10 @@ module battery_ensemble
   use battery_plan, only: plan_type
   use battery_startup, only: find_pending_tasks
   use battery_results, only: results_type, all_complete
-  use battery_signals, only: stop_after
+  use battery_signals, only: request_stop_after
   use battery_summary, only: print_summary
   use battery_text, only: string_type
-  use battery_work, only: watch_type, run_tasks
+  use battery_task_loop, only: monitor_type, run_tasks
   implicit none (type, external)
   private
   public :: run_ensemble, set_time_limit
@@ -43,7 +42,7 @@ contains
     integer, allocatable :: pending(:)
     type(journal_type) :: journal
     type(task_queue_type) :: task_queue
-    type(watch_type) :: watch
+    type(monitor_type) :: monitor
     real(dp) :: began
     integer(int64) :: collisions
     character(len=20) :: begun
@@ -56,7 +55,7 @@ contains
     if (allocated(error)) return
     call share_text(communicator, lock%path, 0)
     call share_text(communicator, lock%text, 0)
-    call check_place(communicator, lock, plan%file, error)
+    call check_output_folder(communicator, lock, plan%file, error)
     if (allocated(error)) then
       call release_lock(lock)
       return
@@ -64,7 +63,7 @@ contains
     began = wall_seconds()
     begun = utc_now()
     if (plan%checkpoint_minutes > 0.0_dp) &
-      watch%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
+      monitor%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
     ! Results may ask for more replicas, until nothing is pending.
     goes_on = .false.
     collisions = 0
@@ -76,7 +75,7 @@ contains
       journal%lock = lock
       call open_task_queue(task_queue, communicator, pending, error)
       if (allocated(error)) exit
-      call run_tasks(plan, journal, task_queue, watch, quiet, error)
+      call run_tasks(plan, journal, task_queue, monitor, quiet, error)
       call share_error(communicator, error)
       goes_on = .not. allocated(error) .and. any(plan%precision > 0.0_wp) .and. task_queue%tasks &
         > 0 .and. read_counter(task_queue, tasks_finished) >= task_queue%tasks &
@@ -84,7 +83,7 @@ contains
       if (.not. allocated(error)) collisions = collisions + read_counter(task_queue, &
         collisions_done)
       if (.not. (goes_on .or. allocated(error))) call finish_ensemble(plan, journal, task_queue, &
-        collisions, watch%busy, began, begun, quiet, exit_code, error)
+        collisions, monitor%busy, began, begun, quiet, exit_code, error)
       call close_task_queue(task_queue)
       if (.not. goes_on) exit
     end do
@@ -98,7 +97,7 @@ contains
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     type(task_queue_type), intent(in) :: task_queue
-    !> Of this start, on all ranks.
+    !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
     !> What this rank spent in tasks, and when it began on the clock of `wall_seconds`.
     real(dp), intent(in) :: busy_seconds, began
@@ -114,7 +113,8 @@ contains
     real(dp) :: busy(3)
     logical :: all_done
 
-    busy = summary_of(task_queue%communicator, busy_seconds/max(wall_seconds() - began, 1.0e-9_dp))
+    busy = least_mean_greatest(task_queue%communicator, busy_seconds/max(wall_seconds() - began, &
+      1.0e-9_dp))
     all_done = read_counter(task_queue, tasks_finished) >= task_queue%tasks
     exit_code = exit_success
     if (read_counter(task_queue, tasks_failed) > 0) exit_code = exit_failure
@@ -146,7 +146,7 @@ contains
 
     seconds = 60.0_dp*real(plan%wall_minutes, dp)
     ! To save states and to write results takes time as well.
-    if (seconds > 0.0_dp) call stop_after(seconds - min(20.0_dp, 0.1_dp*seconds))
+    if (seconds > 0.0_dp) call request_stop_after(seconds - min(20.0_dp, 0.1_dp*seconds))
   end subroutine set_time_limit
 
 end module battery_ensemble

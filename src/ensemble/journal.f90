@@ -1,14 +1,14 @@
-!> What an ensemble has on disk while it is under way, in the folder `FILE.h5.tasks`:
+!> The journal: files of an ensemble that is not complete, in the folder `FILE.h5.tasks`:
 !>
 !> - `plan`: the namelist, and the fingerprint of the initial file;
 !> - `rank_N`: results of finished tasks, appended one by one; each rank of each start has its own;
 !> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole;
-!>   N is what the task is known by, since its number changes as a scan grows.
+!>   N is the task identifier, since the number of a task changes as a scan grows.
 !>
-!> All are record files with checksums: what is cut short or damaged is found out and done again.
-!> Every record carries what its task is known by (`battery_identity`): what others have left is
-!> never taken for this run's. A state says besides what it holds (`battery_archive`): one that is
-!> of another format is left alone, and its task begins anew.
+!> All are record files with checksums: a truncated or damaged record is detected, its task
+!> repeated. Every record carries its task identifier (`battery_identity`): a record of another
+!> input is never taken for this run's. A state names besides its components (`battery_archive`):
+!> one of another format is left alone, and its task begins anew.
 module battery_journal
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
@@ -16,11 +16,11 @@ module battery_journal
   use battery_text, only: string_type, to_text
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
-    files_like
+    files_matching
   use battery_journal_folder, only: numbers_in
   use battery_lock_file, only: lock_type, is_lock_lost, lock_lost_text
-  use battery_record_file, only: record_type, append_record, write_single, read_single, &
-    record_reader_type, open_records, next_record
+  use battery_record_file, only: record_type, append_record, write_single_record, &
+    read_single_record, record_reader_type, open_records, next_record
   use battery_task_result, only: task_result_type, to_record, from_record
   use battery_simulation, only: simulation_type, setup_type, serialize_simulation
   use battery_tasks, only: task_type
@@ -77,9 +77,9 @@ contains
   !> Looks for the journal of an earlier start: its namelist, and the fingerprint of its initial
   !> file. `found` is false where there is none that can be read.
   subroutine read_plan(folder, namelist, initial_fingerprint, found, rank_files)
-    !> Of the journal.
+    !> Folder of the journal.
     character(len=*), intent(in) :: folder
-    !> Its text; empty if not found.
+    !> Text of the namelist; empty if not found.
     character(len=:), allocatable, intent(out) :: namelist
     !> 0 if there was no initial file.
     integer(int64), intent(out) :: initial_fingerprint
@@ -90,7 +90,7 @@ contains
     type(archive_type) :: archive
     integer :: files
 
-    call read_single(folder//'/plan', record, found)
+    call read_single_record(folder//'/plan', record, found)
     files = 0
     initial_fingerprint = 0
     namelist = ''
@@ -117,7 +117,7 @@ contains
   !> The next free number of a rank file: beyond any that is there, and beyond those that earlier
   !> starts had for their ranks, whether they were used or not.
   function rank_files_in(folder) result(rank_files)
-    !> Of the journal.
+    !> Folder of the journal.
     character(len=*), intent(in) :: folder
     integer :: rank_files
     character(len=:), allocatable :: namelist
@@ -140,10 +140,10 @@ contains
       journal%ranks - 1)]
   end function rank_files_of
 
-  !> What the tasks are known by of the first good record of every file but the plan: what else can
-  !> tell whose journal this is.
+  !> Task identifiers of the first good record of every file but the plan: without a plan they
+  !> tell to which input the journal belongs.
   function task_ids_in(folder) result(task_id)
-    !> Of the journal.
+    !> Folder of the journal.
     character(len=*), intent(in) :: folder
     integer(int64), allocatable :: task_id(:)
     type(string_type), allocatable :: names(:)
@@ -151,12 +151,12 @@ contains
     logical :: found
     integer :: k, good
 
-    names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
-      files_like(folder, 'task_*.b')]
+    names = [files_matching(folder, 'rank_*'), files_matching(folder, 'task_*.a'), &
+      files_matching(folder, 'task_*.b')]
     allocate (task_id(size(names)))
     good = 0
     do k = 1, size(names)
-      call read_single(folder//'/'//names(k)%text, record, found)
+      call read_single_record(folder//'/'//names(k)%text, record, found)
       if (.not. found) cycle
       good = good + 1
       task_id(good) = record%owner
@@ -166,11 +166,11 @@ contains
 
   !> Rank 0 writes the plan before any rank writes anything else.
   subroutine begin_journal(folder, namelist, initial_fingerprint, rank_files, error)
-    !> Of the journal, and the text of the namelist.
+    !> Folder of the journal, and the text of the namelist.
     character(len=*), intent(in) :: folder, namelist
     !> 0 if there is no initial file.
     integer(int64), intent(in) :: initial_fingerprint
-    !> Those that this start's ranks may make included.
+    !> Number of rank files, those included that the ranks of this start may make.
     integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
     type(archive_type) :: archive
@@ -185,14 +185,15 @@ contains
     files = rank_files
     archive = new_archive()
     call serialize_plan(text, fingerprint, files, archive)
-    call write_single(folder//'/plan.new', record_type(word=archive%word(:archive%length)), error)
+    call write_single_record(folder//'/plan.new', record_type(word=archive%word(:archive%length)), &
+      error)
     if (.not. allocated(error)) call publish_file(folder//'/plan.new', folder//'/plan', error)
   end subroutine begin_journal
 
   !> Every rank, then: `rank_files` as before this start.
   subroutine join_journal(journal, folder, rank_files, rank, ranks)
     type(journal_type), intent(out) :: journal
-    !> Of the journal.
+    !> Folder of the journal.
     character(len=*), intent(in) :: folder
     !> And which rank of how many this is.
     integer, intent(in) :: rank_files, rank, ranks
@@ -206,9 +207,9 @@ contains
   !> Opens the rank file of that number, for `next_result`; one that is not there has none.
   subroutine open_rank_file(journal, file, reader)
     type(journal_type), intent(in) :: journal
-    !> Its number.
+    !> Number of the rank file.
     integer, intent(in) :: file
-    !> To be closed with `close_records`.
+    !> Reader of the rank file, to be closed with `close_records`.
     type(record_reader_type), intent(out) :: reader
 
     call open_records(reader, rank_file(journal, file))
@@ -216,13 +217,13 @@ contains
 
   !> The next good result of a rank file.
   subroutine next_result(reader, result, at, found)
-    !> Open.
+    !> Reader of a record file, open.
     type(record_reader_type), intent(inout) :: reader
-    !> Whatever task's it is.
+    !> Result of the next task in the file.
     type(task_result_type), intent(out) :: result
-    !> Where in the file it stands: `reader%at` may be set to this.
+    !> Bytes of the file before the record: `reader%at` may be set to this.
     integer(int64), intent(out) :: at
-    !> Whether there is one.
+    !> Whether there is such a record.
     logical, intent(out) :: found
     type(record_type) :: record
 
@@ -261,7 +262,7 @@ contains
   !> Waits until all results of this rank are on the disk.
   subroutine sync_finished(journal, error)
     type(journal_type), intent(inout) :: journal
-    !> They may not be.
+    !> Results that could not be written to the disk.
     type(error_type), allocatable, intent(out) :: error
     !> Seconds between two syncs at least, and the share of the time that they may take.
     real(dp), parameter :: interval = 0.1_dp, share = 0.02_dp
@@ -300,7 +301,7 @@ contains
     type(journal_type), intent(inout) :: journal
     type(task_type), intent(in) :: task
     type(simulation_type), intent(inout) :: simulation
-    !> Of a processor, spent on the task so far.
+    !> Processor time spent on the task so far.
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
     type(archive_type) :: archive
@@ -324,7 +325,7 @@ contains
     record%generation = journal%generation
     call move_alloc(archive%word, record%word)
     name = state_file(journal, task%task_id)//generations(2 - mod(journal%generation, 2_int64))
-    call write_single(name, record, error)
+    call write_single_record(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
 
@@ -345,9 +346,9 @@ contains
     type(journal_type), intent(inout) :: journal
     type(task_type), intent(in) :: task
     type(simulation_type), intent(out) :: simulation
-    !> Of a processor, spent on the task before.
+    !> Processor time spent on the task before.
     real(dp), intent(out) :: cpu_seconds
-    !> Whether there is one.
+    !> Whether there is a whole state of the task.
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: state(2)
@@ -356,7 +357,7 @@ contains
 
     cpu_seconds = 0.0_dp
     do k = 1, 2
-      call read_single(state_file(journal, task%task_id)//generations(k), state(k), found)
+      call read_single_record(state_file(journal, task%task_id)//generations(k), state(k), found)
       if (state(k)%owner /= task%task_id) state(k) = record_type()
     end do
     ! Where there is none, or the result of a task, the generation is 0.

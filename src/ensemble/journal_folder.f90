@@ -1,7 +1,7 @@
 !> The files of a journal by their names: which are there, which are in the way, their removal.
 module battery_journal_folder
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: files_like, remove_file
+  use battery_files, only: files_matching, remove_file
   use battery_paths, only: is_folder
   use battery_text, only: string_type, to_text
   implicit none (type, external)
@@ -13,13 +13,13 @@ contains
   !> Numbers of the rank files in the folder, in any order. Names with anything else than a
   !> number that a rank can have are not ours.
   function numbers_in(folder) result(numbers)
-    !> Of a journal; need not be there.
+    !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
     integer, allocatable :: numbers(:)
     type(string_type), allocatable :: names(:)
     integer :: k, found, status
 
-    names = files_like(folder, 'rank_*')
+    names = files_matching(folder, 'rank_*')
     allocate (numbers(size(names)))
     found = 0
     do k = 1, size(names)
@@ -33,7 +33,7 @@ contains
 
   !> A folder under the name of one of our files is in the way of all that follows.
   subroutine check_journal(folder, error)
-    !> Of a journal; need not be there.
+    !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
     type(error_type), allocatable, intent(out) :: error
     type(string_type), allocatable :: names(:)
@@ -53,13 +53,14 @@ contains
     character(len=*), intent(in) :: folder
     type(string_type), allocatable :: names(:)
 
-    names = [files_like(folder, 'rank_*'), files_like(folder, 'task_*.a'), &
-      files_like(folder, 'task_*.b'), files_like(folder, 'plan.new'), files_like(folder, 'plan')]
+    names = [files_matching(folder, 'rank_*'), files_matching(folder, 'task_*.a'), &
+      files_matching(folder, 'task_*.b'), files_matching(folder, 'plan.new'), &
+      files_matching(folder, 'plan')]
   end function files_of_ours
 
   !> Removes the journal with all its files, the plan last. A folder that holds anything else stays.
   subroutine remove_journal(folder, error)
-    !> Of a journal; need not be there.
+    !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
     type(error_type), allocatable, intent(out) :: error
     type(string_type), allocatable :: names(:)
@@ -71,7 +72,7 @@ contains
       call remove_file(folder//'/'//names(k)%text, error)
       if (allocated(error)) return
     end do
-    if (size(files_like(folder, '*')) == 0) call remove_file(folder, error)
+    if (size(files_matching(folder, '*')) == 0) call remove_file(folder, error)
   end subroutine remove_journal
 
 end module battery_journal_folder

@@ -3,7 +3,7 @@ module battery_memory_estimate
   use battery_kinds, only: wp, dp, pi
   use battery_engines, only: bytes_a_particle
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_memory_limits, only: memory_type, memory_left, bytes_an_entry, bytes_a_state, &
+  use battery_memory_limits, only: free_memory_type, memory_left, bytes_an_entry, bytes_a_state, &
     bytes_an_event, bytes_a_task, merged_entry, merged_state, base_bytes, most_numbers, size_text
   use battery_plan, only: plan_type, point_type, point_of, table_of, is_scanned
   use battery_table, only: table_type, gated, ungated
@@ -11,7 +11,8 @@ module battery_memory_estimate
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
-  public :: estimate_type, estimate_of, bytes_a_rank, bytes_at_the_end, check_estimate, check_start
+  public :: estimate_type, estimate_of, bytes_a_rank, bytes_at_the_end, check_estimate, &
+    check_memory_for_mpi
 
   !> Address space that MPI takes while it starts: most of Open MPI 4.1 is 54 MB. Where it has less,
   !> some versions crash in a few of their parts.
@@ -39,7 +40,7 @@ contains
   !> What a plan needs where `left` is all that a rank can have.
   function estimate_of(plan, left) result(estimate)
     type(plan_type), intent(in) :: plan
-    type(memory_type), intent(in) :: left
+    type(free_memory_type), intent(in) :: left
     type(estimate_type) :: estimate
     type(point_type) :: point
     real(dp) :: others, tasks
@@ -81,7 +82,7 @@ contains
 
   !> Bytes that a rank takes while it runs.
   pure real(dp) function bytes_a_rank(estimate) result(bytes)
-    !> Of the plan.
+    !> Memory estimate of the plan.
     type(estimate_type), intent(in) :: estimate
 
     bytes = taken + base_bytes + estimate%particles + estimate%series + estimate%estimated_series &
@@ -90,7 +91,7 @@ contains
 
   !> Bytes that rank 0 takes at the end.
   pure real(dp) function bytes_at_the_end(estimate) result(bytes)
-    !> Of the plan.
+    !> Memory estimate of the plan.
     type(estimate_type), intent(in) :: estimate
 
     bytes = taken + base_bytes + estimate%merge
@@ -124,15 +125,15 @@ contains
   end function events_of
 
   !> Whether there is memory enough for MPI to start. To be called before it does, by every rank.
-  subroutine check_start(error)
+  subroutine check_memory_for_mpi(error)
     type(error_type), allocatable, intent(out) :: error
-    type(memory_type) :: left
+    type(free_memory_type) :: left
 
     left = memory_left(1)
     if (left%bytes < start_bytes) call fatal_error(error, 'battery: MPI needs ' &
       //size_text(start_bytes)//' of memory to start; there are '//size_text(left%bytes)//' ('// &
       left%limit//')', exit_bad_input)
-  end subroutine check_start
+  end subroutine check_memory_for_mpi
 
   !> An error that names the keys which ask for more than `left`: more for one task, more for rank 0
   !> at the end, or more than can be counted. Points of a scan that are too large for the memory
@@ -142,7 +143,7 @@ contains
     !> Ranks that share the machine's memory.
     integer, intent(in) :: sharing
     type(error_type), allocatable, intent(out) :: error
-    type(memory_type) :: left
+    type(free_memory_type) :: left
     type(estimate_type) :: estimate
     character(len=:), allocatable :: problems
 
@@ -154,14 +155,14 @@ contains
         to_text(estimate%least)//' particles', estimate%particles + base_bytes)
     else
       if (estimate%entries > most_numbers .and. estimate%series > 0.0_dp) then
-        call add_text('&output series_interval asks for more entries than can be counted; ' &
+        call append_line('&output series_interval asks for more entries than can be counted; ' &
           //'allowed: '//to_text(nint(most_numbers)))
       else
         call check('series_interval', 'a series of '//to_text(nint(min(estimate%entries, &
           most_numbers)))//' entries', estimate%series, merged_entry/bytes_an_entry)
       end if
       if (real(size(plan%snapshot_times), dp)*estimate%number > most_numbers) then
-        call add_text('&output snapshot_times asks for more states than can be counted; ' &
+        call append_line('&output snapshot_times asks for more states than can be counted; ' &
           //'allowed: '//to_text(nint(most_numbers))//', snapshots times particles')
       else
         call check('snapshot_times', to_text(size(plan%snapshot_times))//' snapshots', &
@@ -198,16 +199,16 @@ contains
       character(len=*), intent(in) :: group, key, what
       real(dp), intent(in) :: bytes
 
-      call add_text('&'//trim(group)//' '//key//': '//what//' need '//size_text(bytes) &
+      call append_line('&'//trim(group)//' '//key//': '//what//' need '//size_text(bytes) &
         //' of memory; there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
     end subroutine add
 
-    subroutine add_text(text)
+    subroutine append_line(text)
       character(len=*), intent(in) :: text
 
       if (problems /= '') problems = problems//new_line_character
       problems = problems//plan%input_file//': '//text
-    end subroutine add_text
+    end subroutine append_line
 
   end subroutine check_estimate
 

@@ -1,25 +1,26 @@
-!> From the journal of an ensemble to its results file.
+!> Merges the journal of an ensemble into its results file.
 !>
-!> A result goes straight. First all records are read once, one in memory at a time: the numbers of
-!> each task go into arrays, the place of its record is noted, and so is the most that any course
+!> First all records are read once, one in memory at a time: the numbers of
+!> each task go into arrays, the place of its record is noted, and so is the most that any output
 !> takes (`collect_results`). Of what the journal does not have the same is taken from the results
 !> file of before. With that the new file is made and its datasets are prepared. Then, in the order
-!> of the tasks, each course goes from its place into its hyperslab (`move_courses`), the only one
-!> in memory. The old file is replaced when the new one is complete.
+!> of the tasks, each output goes from its place into its hyperslab (`move_task_outputs`), the only
+!> one in memory. The old file is replaced when the new one is complete.
 module battery_merge
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp, dp, int64
-  use battery_courses, only: courses_type, extents_type, prepare_courses, &
-    write_course, read_course, close_courses, write_events
+  use battery_task_output, only: output_datasets_type, output_extents_type, &
+    prepare_output_datasets, write_task_output, read_task_output, close_output_datasets, &
+    write_events
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: file_exists, is_as_seen
+  use battery_files, only: file_exists, has_identity
   use battery_fingerprint, only: fingerprint_text
   use battery_hdf5_file, only: hdf5_file_type
   use battery_journal, only: journal_type, open_rank_file, next_result, rank_files_of
-  use battery_metadata, only: metadata_type, add_text
+  use battery_metadata, only: metadata_type, add_text_metadata
   use battery_plan, only: plan_type, point_of
   use battery_precision, only: decide_replicas
-  use battery_provenance, only: add_origin, command_text
+  use battery_provenance, only: add_build_metadata, command_text
   use battery_quantities, only: counted_quantities, place_of, unknown_real, unknown_count
   use battery_record_file, only: record_reader_type, close_records
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
@@ -33,26 +34,26 @@ module battery_merge
   private
   public :: merge_results, collect_results, sources_type, close_sources
 
-  !> Where the course of a task is: a record in a rank file, or columns of the old results file.
+  !> Place of a task's output: a record in a rank file, or columns of the old results file.
   type :: place_type
     private
     !> Number of the rank file, and where in it the record stands; below 0: it is in none.
     integer :: rank_file = -1
     integer(int64) :: at = 0
-    !> In the old file, from 1; 0: it is not there.
+    !> Replica and point in the old file, from 1; 0: the output is not there.
     integer :: replica = 0, point = 0
   end type place_type
 
-  !> Where the courses of all tasks are.
+  !> Places of the outputs of all tasks.
   type :: sources_type
     private
     !> (task).
     type(place_type), allocatable :: place(:)
     !> What they take at most.
-    type(extents_type) :: most
+    type(output_extents_type) :: most
     !> The old results file; open if it has something that the journal does not.
     type(hdf5_file_type) :: file
-    type(courses_type) :: courses
+    type(output_datasets_type) :: output_datasets
   end type sources_type
 
 contains
@@ -71,7 +72,7 @@ contains
     type(sources_type) :: sources
     type(hdf5_file_type) :: file
     type(metadata_type) :: metadata
-    type(courses_type) :: courses
+    type(output_datasets_type) :: output_datasets
     integer, allocatable :: wanted(:)
 
     call collect_results(plan, journal, .true., results, failures, wanted, sources, error)
@@ -79,10 +80,10 @@ contains
     call drop_unwanted_replicas(results, wanted)
     call describe_sources(plan, journal, begun, results, metadata)
     call create_results(plan%file, results, metadata, file, error)
-    call prepare_courses(file, sources%most, real(plan%series_interval, dp), &
-      real(plan%snapshot_times, dp), courses, error)
-    call move_courses(plan, journal, sources, file, courses, results, error)
-    call close_courses(file, courses, error)
+    call prepare_output_datasets(file, sources%most, real(plan%series_interval, dp), &
+      real(plan%snapshot_times, dp), output_datasets, error)
+    call move_task_outputs(plan, journal, sources, file, output_datasets, results, error)
+    call close_output_datasets(file, output_datasets, error)
     call close_sources(sources)
     call publish_results(plan%file, file, journal%lock%before, error)
   end subroutine merge_results
@@ -95,22 +96,22 @@ contains
     type(results_type), intent(in) :: results
     type(metadata_type), intent(out) :: metadata
 
-    call add_origin(metadata)
-    call add_text(metadata, 'namelist', plan%text)
-    call add_text(metadata, 'initial_file_fingerprint', trim(merge(repeat(' ', 16), &
+    call add_build_metadata(metadata)
+    call add_text_metadata(metadata, 'namelist', plan%text)
+    call add_text_metadata(metadata, 'initial_file_fingerprint', trim(merge(repeat(' ', 16), &
       fingerprint_text(plan%initial_fingerprint), plan%initial_file == '')))
-    call add_text(metadata, 'status', trim(merge('complete', 'partial ', &
+    call add_text_metadata(metadata, 'status', trim(merge('complete', 'partial ', &
       all_complete(results))))
-    call add_text(metadata, 'shape', plan%shape)
-    call add_text(metadata, 'urn_shape', plan%urn_shape)
+    call add_text_metadata(metadata, 'shape', plan%shape)
+    call add_text_metadata(metadata, 'urn_shape', plan%urn_shape)
     metadata%urn_sides = plan%urn_sides
     if (allocated(plan%outline(1)%corner)) then
       metadata%urn_vertices = real(plan%outline(1)%corner, dp)
       metadata%urn2_vertices = real(plan%outline(2)%corner, dp)
     end if
-    if (size(plan%scatterers) > 0) call add_text(metadata, 'scatterers', &
+    if (size(plan%scatterers) > 0) call add_text_metadata(metadata, 'scatterers', &
       numbers_text(plan%scatterers))
-    call add_text(metadata, 'engine', plan%engine)
+    call add_text_metadata(metadata, 'engine', plan%engine)
     metadata%command_line = command_text()
     metadata%begun = begun
     metadata%hosts = join(results%host, new_line_character)
@@ -131,8 +132,8 @@ contains
     text = join(words, ' ')
   end function numbers_text
 
-  !> The numbers of all results there are, and where their courses are. A file that is there is read
-  !> only where the journal does not have all.
+  !> The numbers of all results there are, and where their outputs over time are. A file that is
+  !> there is read only where the journal does not have all.
   subroutine collect_results(plan, journal, whole, results, failures, wanted, sources, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
@@ -144,7 +145,7 @@ contains
     type(string_type), allocatable, intent(out) :: failures(:)
     !> Replicas that are asked for, (point).
     integer, allocatable, intent(out) :: wanted(:)
-    !> To be closed with `close_sources`; not open after an error.
+    !> Sources, to be closed with `close_sources`; not open after an error.
     type(sources_type), intent(out) :: sources
     !> The file is whole, but not what this program writes; one that is damaged is passed over.
     type(error_type), allocatable, intent(out) :: error
@@ -184,11 +185,11 @@ contains
       call close_records(reader)
     end do
     old = file_exists(plan%file)
-    if (whole .and. old) old = is_as_seen(plan%file, journal%lock%before)
+    if (whole .and. old) old = has_identity(plan%file, journal%lock%before)
     if (old .and. any(results%task_status /= task_complete)) then
-      call open_results(plan%file, sources%file, before, sources%courses, error)
+      call open_results(plan%file, sources%file, before, sources%output_datasets, error)
       if (.not. allocated(error)) then
-        call add_results_of_file(before, sources%courses%most)
+        call add_results_of_file(before, sources%output_datasets%most)
       else if (error%code == exit_bad_input) then
         return
       else
@@ -202,7 +203,7 @@ contains
     !> Takes all complete tasks of the old file.
     subroutine add_results_of_file(before, most)
       type(results_type), intent(in) :: before
-      type(extents_type), intent(in) :: most
+      type(output_extents_type), intent(in) :: most
       integer :: r, p
 
       do p = 1, size(before%task_status, 2)
@@ -217,7 +218,7 @@ contains
     end subroutine add_results_of_file
 
     !> Takes the numbers of a result if it is one of this plan, and there is none already; notes
-    !> where its course is, and how much that takes.
+    !> where its output is, and how much that takes.
     subroutine add_result(one, place, entries, has_snapshots, has_final_state)
       type(task_result_type), intent(in) :: one
       type(place_type), intent(in) :: place
@@ -263,21 +264,21 @@ contains
 
   !> Closes the old results file, if it is open.
   subroutine close_sources(sources)
-    !> From `collect_results`.
+    !> Sources from `collect_results`.
     type(sources_type), intent(inout) :: sources
 
-    call close_results(sources%file, sources%courses)
+    call close_results(sources%file, sources%output_datasets)
   end subroutine close_sources
 
-  !> Moves the course of every task to its place in a new file, in the order of the tasks. Does
+  !> Moves the output of every task to its place in a new file, in the order of the tasks. Does
   !> nothing after an error.
-  subroutine move_courses(plan, journal, sources, file, courses, results, error)
+  subroutine move_task_outputs(plan, journal, sources, file, output_datasets, results, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     type(sources_type), intent(in) :: sources
     type(hdf5_file_type), intent(in) :: file
-    type(courses_type), intent(in) :: courses
-    !> With the statuses of the tasks; takes how many were short.
+    type(output_datasets_type), intent(in) :: output_datasets
+    !> Results with the statuses of the tasks; the number of short ones is set here.
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     type(task_result_type) :: found
@@ -296,8 +297,8 @@ contains
       if (all(results%task_status(task%replica, task%point) /= [task_complete, task_failed])) cycle
       associate (place => sources%place(k))
         if (place%replica > 0) then
-          call read_course(sources%file, sources%courses, place%replica, place%point, &
-            task%number, found%course_type, error)
+          call read_task_output(sources%file, sources%output_datasets, place%replica, place%point, &
+            task%number, found%task_output_type, error)
         else
           if (place%rank_file /= open_file) then
             call close_records(reader)
@@ -311,25 +312,26 @@ contains
         end if
       end associate
       if (allocated(error)) exit
-      call write_course(file, courses, task%replica, task%point, found%course_type, error)
-      if (plan%event_log) call write_events(file, found%course_type, error)
-      if (is_short(found%snapshots, size(plan%snapshot_times))) &
+      call write_task_output(file, output_datasets, task%replica, task%point, &
+        found%task_output_type, error)
+      if (plan%event_log) call write_events(file, found%task_output_type, error)
+      if (ended_early(found%snapshots, size(plan%snapshot_times))) &
         results%short_tasks = results%short_tasks + 1
     end do
     call close_records(reader)
-  end subroutine move_courses
+  end subroutine move_task_outputs
 
   !> Whether a run by collisions has ended before the last snapshot: that has no x of the first
   !> particle.
-  pure logical function is_short(snapshots, times)
-    !> As in a course; how many there are.
+  pure logical function ended_early(snapshots, times)
+    !> States at the snapshots, as in an output; number of snapshots.
     real(dp), intent(in) :: snapshots(:)
     integer, intent(in) :: times
 
-    is_short = .false.
-    if (size(snapshots) > 0) is_short = ieee_is_nan(snapshots(1 + size(snapshots)/times &
+    ended_early = .false.
+    if (size(snapshots) > 0) ended_early = ieee_is_nan(snapshots(1 + size(snapshots)/times &
       *(times - 1)))
-  end function is_short
+  end function ended_early
 
   !> Replicas that nobody asks for, of points that are decided, are as if they had never been: they
   !> may be left from a run that asked for more.

@@ -5,19 +5,19 @@ module battery_plan_report
   use battery_clocks, only: cpu_seconds
   use battery_engine, only: particles_type
   use battery_error, only: error_type
-  use battery_answer, only: write_plan_answer
+  use battery_json_report, only: write_plan_json
   use battery_memory_estimate, only: estimate_type, estimate_of, bytes_a_rank, bytes_at_the_end
-  use battery_memory_limits, only: memory_type, memory_left, size_text
+  use battery_memory_limits, only: free_memory_type, memory_left, size_text
   use battery_startup, only: progress_type, inspect_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
-  use battery_screen, only: duration_text, rate_text
-  use battery_signals, only: stop_requested, stopped_before_start
+  use battery_progress_line, only: duration_text, rate_text
+  use battery_signals, only: stop_requested, set_stop_error
   use battery_simulation, only: simulation_type, begin_simulation, advance_simulation
   use battery_table, only: gated, ungated
-  use battery_tasks, only: task_type, task_count, task_of, place_particles
+  use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_line
-  use battery_text, only: string_type, to_text, counted
+  use battery_text, only: string_type, to_text, count_text
   implicit none (type, external)
   private
   public :: print_plan_report
@@ -37,7 +37,7 @@ contains
     !> JSON file for tasks, time and memory; empty: none.
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
-    type(memory_type) :: left
+    type(free_memory_type) :: left
     type(estimate_type) :: estimate
     type(progress_type) :: progress
     character(len=:), allocatable :: remark
@@ -60,18 +60,18 @@ contains
     do at = 1, size(remarks)
       call print_line('remark:     '//remarks(at)%text)
     end do
-    call print_line('finished:   '//counted(progress%finished, 'task')//'; to be done: ' &
+    call print_line('finished:   '//count_text(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
     call calibrate(plan, progress%pending, estimate%number, seconds, rate, error)
     if (allocated(error)) return
     if (rate > 0.0_dp) &
       call print_line('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
     if (size(progress%pending) > 0) call print_line('time:       about '//time_text(0.0_dp) &
-      //' on ' //counted(ranks, 'rank')//further_time())
+      //' on ' //count_text(ranks, 'rank')//further_time())
     call print_memory(estimate, left)
     call print_line('results:    '//plan%file)
     call print_line('nothing was written')
-    call write_plan_answer(json, task_count(plan), size(progress%pending), seconds, &
+    call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
       bytes_a_rank(estimate), error)
 
   contains
@@ -111,14 +111,14 @@ contains
   !> What a rank takes while it runs, what rank 0 takes at the end, and what there is.
   subroutine print_memory(estimate, left)
     type(estimate_type), intent(in) :: estimate
-    type(memory_type), intent(in) :: left
+    type(free_memory_type), intent(in) :: left
 
     call print_line('memory:     about '//size_text(bytes_a_rank(estimate)) &
       //' a rank; rank 0 about ' //size_text(bytes_at_the_end(estimate))//' at the end; ' &
       //'there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
     if (estimate%events > 0.0_dp) call print_line('            events take about ' &
       //size_text(estimate%events) //' of it; a run whose events outgrow the memory fails')
-    if (estimate%too_large > 0) call print_line('            '//counted(estimate%too_large, &
+    if (estimate%too_large > 0) call print_line('            '//count_text(estimate%too_large, &
       'point') //' with up to '//to_text(estimate%greatest) &
       //' particles need more: their tasks will fail')
   end subroutine print_memory
@@ -133,29 +133,29 @@ contains
     extent(2, :) = -huge(1.0_wp)
     do at = 1, plan%point_count
       point = point_of(plan, at)
-      call widen([real(point%number, wp), real(point%threshold, wp), point%urn_radius, &
+      call widen_range([real(point%number, wp), real(point%threshold, wp), point%urn_radius, &
         point%channel(gated)%width, point%channel(gated)%length, point%channel(ungated)%width, &
         point%channel(ungated)%length, real(point%urn1_number, wp)])
     end do
     call print_line('tasks:      '//to_text(task_count(plan))//' (' &
-      //counted(plan%point_count, 'point')//', '//counted(plan%replicas, 'replica')//' each)')
+      //count_text(plan%point_count, 'point')//', '//count_text(plan%replicas, 'replica')//' each)')
     if (plan%first_replicas < plan%replicas) call print_line('precision:  the first ' &
       //to_text(plan%first_replicas)//' replicas of a point determine its number, up to ' &
       //to_text(plan%replicas)//'')
     call print_line('engine:     '//plan%engine)
     if (plan%urn_shape == 'disc') then
-      call print_line('shape:      '//plan%shape//', urn radius '//both(4))
+      call print_line('shape:      '//plan%shape//', urn radius '//pair_text(4))
     else
       call print_line('shape:      '//plan%shape//', '//outline_text(plan)//', urn radius ' &
-        //both(4))
+        //pair_text(4))
     end if
     call print_line('channel 1:  w = '//range_text(6)//', l = '//range_text(7))
     if (plan%shape /= 'urn') &
       call print_line('channel 2:  w'' = '//range_text(8)//', l'' = '//range_text(9))
     if (size(plan%scatterers) > 0) &
-      call print_line('            with '//counted(size(plan%scatterers)/3, 'scatterer'))
+      call print_line('            with '//count_text(size(plan%scatterers)/3, 'scatterer'))
     call print_line('N:          '//range_text(1))
-    call print_line('T:          '//both(2))
+    call print_line('T:          '//pair_text(2))
     call print_line('urn 1:      '//range_text(10)//' particles at the start')
     if (plan%duration > 0.0_wp) then
       call print_line('length:     '//to_text(plan%duration) &
@@ -168,12 +168,12 @@ contains
 
   contains
 
-    subroutine widen(values)
+    subroutine widen_range(values)
       real(wp), intent(in) :: values(:)
 
       extent(1, :) = min(extent(1, :), values)
       extent(2, :) = max(extent(2, :), values)
-    end subroutine widen
+    end subroutine widen_range
 
     !> Least and greatest value of one quantity.
     function range_text(k) result(text)
@@ -185,14 +185,14 @@ contains
     end function range_text
 
     !> A pair of quantities, once if they are equal.
-    function both(k) result(text)
+    function pair_text(k) result(text)
       integer, intent(in) :: k
       character(len=:), allocatable :: text
 
       text = range_text(k)
       if (plan%shape /= 'urn' .and. range_text(k + 1) /= text) &
         text = text//' and '//range_text(k + 1)
-    end function both
+    end function pair_text
 
   end subroutine print_parameters
 
@@ -203,10 +203,10 @@ contains
     integer :: urn
 
     if (plan%urn_sides > 0) then
-      text = 'regular polygons of '//counted(plan%urn_sides, 'side')
+      text = 'regular polygons of '//count_text(plan%urn_sides, 'side')
       return
     end if
-    text = 'polygons of '//counted(size(plan%outline(1)%corner, 2), 'side')
+    text = 'polygons of '//count_text(size(plan%outline(1)%corner, 2), 'side')
     if (size(plan%outline(1)%corner, 2) /= size(plan%outline(2)%corner, 2)) text = text//' and ' &
       //to_text(size(plan%outline(2)%corner, 2))
     do urn = 1, merge(1, 2, plan%shape == 'urn')
@@ -224,7 +224,7 @@ contains
     integer, intent(in) :: pending(:)
     !> Particles of the largest task that there is memory for; larger ones are passed over.
     integer, intent(in) :: most
-    !> Of a processor a task; collisions a second.
+    !> Processor seconds a task; wall collisions a second.
     real(dp), intent(out) :: seconds, rate
     type(error_type), allocatable, intent(out) :: error
     type(task_type) :: task
@@ -242,7 +242,7 @@ contains
       task = task_of(plan, pending(1 + int(int(size(pending) - 1, int64)*(k - 1) &
         /max(tries - 1, 1))))
       if (task%number > most) cycle
-      call place_particles(task, plan%start, particles, error)
+      call initial_particles(task, plan%start, particles, error)
       if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
       if (allocated(error)) return
       began = cpu_seconds()
@@ -251,7 +251,7 @@ contains
       do
         call advance_simulation(simulation)
         spent = cpu_seconds() - began
-        if (stop_requested()) call stopped_before_start(error)
+        if (stop_requested()) call set_stop_error(error)
         if (allocated(error)) return
         if (spent > try_seconds .or. simulation%done) exit
       end do

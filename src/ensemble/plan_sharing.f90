@@ -6,7 +6,7 @@ module battery_plan_sharing
   use battery_input_files, only: read_namelist
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type
-  use battery_signals, only: stop_requested, stopped_before_start
+  use battery_signals, only: stop_requested, set_stop_error
   use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
   implicit none (type, external)
   private
@@ -28,7 +28,7 @@ contains
 
     if (communicator%rank == 0) then
       call read_namelist(file, plan, error)
-      if (stop_requested()) call stopped_before_start(error)
+      if (stop_requested()) call set_stop_error(error)
     end if
     call share_error(communicator, error)
     if (allocated(error) .or. communicator%size == 1) return

@@ -15,7 +15,7 @@ module battery_precision
     point_two_states, point_undecided
   implicit none (type, external)
   private
-  public :: decide_replicas, two_states, cut_of
+  public :: decide_replicas, has_two_states, cut_between_groups
 
   !> Share of the normal distribution below one standard deviation.
   real(dp), parameter :: below_one = 0.841344746068543_dp
@@ -30,9 +30,9 @@ contains
   !> How many replicas each point gets, from its first ones if all of them are complete.
   subroutine decide_replicas(plan, results, wanted)
     type(plan_type), intent(in) :: plan
-    !> Takes how the points stand.
+    !> Results, in which the status and the errors of each point are set.
     type(results_type), intent(inout) :: results
-    !> (point).
+    !> Number of replicas, (point).
     integer, allocatable, intent(out) :: wanted(:)
     real(dp) :: factor, scatter(2), needed
     integer :: place(2), n, p, k
@@ -50,7 +50,7 @@ contains
     do p = 1, plan%point_count
       if (any(results%task_status(:n, p) /= task_complete)) cycle
       results%point_status(p) = point_two_states
-      if (two_states(results%average(:n, p, place(1)))) cycle
+      if (has_two_states(results%average(:n, p, place(1)))) cycle
       do k = 1, 2
         associate (values => results%average(:n, p, place(k)))
           scatter(k) = factor*sqrt(sum((values - sum(values)/n)**2)/(n - 1))
@@ -64,7 +64,7 @@ contains
         wanted(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
       end if
       if (any(results%task_status(:wanted(p), p) /= task_complete)) cycle
-      if (two_states(results%average(:wanted(p), p, place(1)))) then
+      if (has_two_states(results%average(:wanted(p), p, place(1)))) then
         results%point_status(p) = point_two_states
       else
         results%replica_error(p, :) = scatter/sqrt(real(wanted(p), dp))
@@ -73,23 +73,23 @@ contains
   end subroutine decide_replicas
 
   !> Whether values fall into two groups, each of one or more.
-  logical function two_states(values) result(yes)
-    !> Finite, one or more.
+  logical function has_two_states(values) result(yes)
+    !> Values, finite, one or more.
     real(dp), intent(in) :: values(:)
-    !> Equal values differ by this share of the greatest at most.
+    !> Relative tolerance: equal values differ by at most this share of the greatest.
     real(dp), parameter :: rounding = 1.0e-12_dp
     real(dp) :: cut
 
-    cut = cut_of(values)
-    yes = squares(values) > size(values)*(rounding*maxval(abs(values)))**2 .and. &
-      squares(pack(values, values <= cut)) + squares(pack(values, values > cut)) &
-      < within*squares(values)
-  end function two_states
+    cut = cut_between_groups(values)
+    yes = squared_deviations(values) > size(values)*(rounding*maxval(abs(values)))**2 &
+      .and. squared_deviations(pack(values, values <= cut)) + squared_deviations(pack(values, &
+      values > cut)) < within*squared_deviations(values)
+  end function has_two_states
 
   !> The greatest value of the lower group, where values are best cut into two. That takes
   !> n d**2/(k (n - k)) off their squares, d the sum of the distances of the lowest k.
-  function cut_of(values) result(cut)
-    !> Finite, one or more.
+  function cut_between_groups(values) result(cut)
+    !> Values, finite, one or more.
     real(dp), intent(in) :: values(:)
     real(dp) :: cut
     integer(c_size_t) :: order(size(values))
@@ -109,13 +109,13 @@ contains
       most = taken
       cut = values(order(k) + 1)
     end do
-  end function cut_of
+  end function cut_between_groups
 
   !> Sum of the squared distances from the mean.
-  pure real(dp) function squares(values)
+  pure real(dp) function squared_deviations(values)
     real(dp), intent(in) :: values(:)
 
-    squares = sum((values - sum(values)/max(size(values), 1))**2)
-  end function squares
+    squared_deviations = sum((values - sum(values)/max(size(values), 1))**2)
+  end function squared_deviations
 
 end module battery_precision

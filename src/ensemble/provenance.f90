@@ -5,27 +5,27 @@ module battery_provenance
   use battery_communicator, only: mpi_library
   use battery_gsl, only: gsl_library
   use battery_hdf5_file, only: hdf5_library
-  use battery_metadata, only: metadata_type, add_text
+  use battery_metadata, only: metadata_type, add_text_metadata
   use battery_text, only: new_line_character
   implicit none (type, external)
   private
-  public :: add_origin, version_text, command_text
+  public :: add_build_metadata, version_text, command_text
 
 contains
 
   !> Adds attributes that say what the program was made of.
-  subroutine add_origin(metadata)
+  subroutine add_build_metadata(metadata)
     type(metadata_type), intent(inout) :: metadata
 
-    call add_text(metadata, 'program', 'battery')
-    call add_text(metadata, 'version', program_version)
-    call add_text(metadata, 'git_commit', git_commit())
-    call add_text(metadata, 'compiler', compiler_version())
-    call add_text(metadata, 'compiler_options', compiler_options())
-    call add_text(metadata, 'mpi_library', mpi_library())
-    call add_text(metadata, 'hdf5_library', hdf5_library())
-    call add_text(metadata, 'gsl_library', gsl_library())
-  end subroutine add_origin
+    call add_text_metadata(metadata, 'program', 'battery')
+    call add_text_metadata(metadata, 'version', program_version)
+    call add_text_metadata(metadata, 'git_commit', git_commit())
+    call add_text_metadata(metadata, 'compiler', compiler_version())
+    call add_text_metadata(metadata, 'compiler_options', compiler_options())
+    call add_text_metadata(metadata, 'mpi_library', mpi_library())
+    call add_text_metadata(metadata, 'hdf5_library', hdf5_library())
+    call add_text_metadata(metadata, 'gsl_library', gsl_library())
+  end subroutine add_build_metadata
 
   !> Name, version and commit, and below them the same attributes, one a line.
   function version_text() result(text)
@@ -34,7 +34,7 @@ contains
     integer :: k
 
     text = 'battery '//program_version//' (commit '//git_commit()//')'
-    call add_origin(metadata)
+    call add_build_metadata(metadata)
     do k = 4, size(metadata%texts)
       text = text//new_line_character//metadata%texts(k)%name//': '//metadata%texts(k)%text
     end do

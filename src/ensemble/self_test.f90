@@ -7,7 +7,7 @@ module battery_self_test
   use battery_build_information, only: program_version, git_commit
   use battery_ensemble, only: run_ensemble
   use battery_error, only: error_type, fatal_error, exit_success
-  use battery_courses, only: course_type, courses_type, read_course
+  use battery_task_output, only: task_output_type, output_datasets_type, read_task_output
   use battery_files, only: remove_file
   use battery_frozen_log, only: frozen_log_type, read_frozen_log, what_differs, is_final_state
   use battery_frozen_logs, only: exact_circuit, exact_urn, timestep_circuit, reservoir_circuit
@@ -21,7 +21,7 @@ module battery_self_test
   use battery_results_file, only: open_results, close_results
   use battery_table, only: gated, ungated
   use battery_terminal, only: print_line
-  use battery_text, only: to_text, counted, new_line_character
+  use battery_text, only: to_text, count_text, new_line_character
   implicit none (type, external)
   private
   public :: run_self_test
@@ -45,25 +45,25 @@ contains
     tests = 0
     failed = 0
     if (communicator%rank == 0) call print_line('battery '//program_version//' (commit ' &
-      //git_commit() //') on '//counted(communicator%size, 'rank'))
-    call try_engines('two urns', exact_circuit, exact)
-    call try_engines('two urns', timestep_circuit, ['timestep'])
-    call try_engines('two urns', reservoir_circuit, ['reservoir'])
-    call try_engines('one urn', exact_urn, exact)
+      //git_commit() //') on '//count_text(communicator%size, 'rank'))
+    call test_engines('two urns', exact_circuit, exact)
+    call test_engines('two urns', timestep_circuit, ['timestep'])
+    call test_engines('two urns', reservoir_circuit, ['reservoir'])
+    call test_engines('one urn', exact_urn, exact)
     call read_frozen_log(exact_circuit, circuit)
-    call try_file(communicator, circuit, error)
-    call print_outcome(counted(tasks_a_rank*communicator%size, 'task') &
+    call test_ensemble_file(communicator, circuit, error)
+    call print_outcome(count_text(tasks_a_rank*communicator%size, 'task') &
       //', results file written and read back', error)
     if (failed > 0) then
-      call fatal_error(error, 'battery: '//to_text(failed)//' of '//counted(tests, 'test') &
+      call fatal_error(error, 'battery: '//to_text(failed)//' of '//count_text(tests, 'test') &
         //' failed')
     else if (communicator%rank == 0) then
-      call print_line('all '//counted(tests, 'test')//' passed')
+      call print_line('all '//count_text(tests, 'test')//' passed')
     end if
 
   contains
 
-    subroutine try_engines(name, lines, engines)
+    subroutine test_engines(name, lines, engines)
       !> Name of the table; its log; the engines that found it.
       character(len=*), intent(in) :: name, lines(:), engines(:)
       type(frozen_log_type) :: log
@@ -77,10 +77,10 @@ contains
         if (problem /= '') call fatal_error(difference, problem//' (rank ' &
           //to_text(communicator%rank)//')')
         call share_error(communicator, difference)
-        call print_outcome(trim(engines(k))//', '//name//', '//counted(size(log%times), 'event'), &
-          difference)
+        call print_outcome(trim(engines(k))//', '//name//', '//count_text(size(log%times), &
+          'event'), difference)
       end do
-    end subroutine try_engines
+    end subroutine test_engines
 
     !> Rank 0 prints how a test ended, which is then forgotten.
     subroutine print_outcome(what, problem)
@@ -104,7 +104,7 @@ contains
 
   !> Runs an ensemble of the particles of a log, in the present folder. Each of its tasks must end
   !> where the log ends, as the results file has it.
-  subroutine try_file(communicator, log, error)
+  subroutine test_ensemble_file(communicator, log, error)
     type(communicator_type), intent(in) :: communicator
     type(frozen_log_type), intent(in) :: log
     !> What is wrong; the same on all ranks.
@@ -135,7 +135,7 @@ contains
       call remove_file(name, other)
     end if
     call share_error(communicator, error)
-  end subroutine try_file
+  end subroutine test_ensemble_file
 
   !> The run of a log as a namelist.
   function namelist_of(log, name, replicas) result(text)
@@ -168,26 +168,26 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
     type(hdf5_file_type) :: file
-    type(courses_type) :: courses
-    type(course_type) :: course
+    type(output_datasets_type) :: output_datasets
+    type(task_output_type) :: task_output
     integer :: number, k
 
-    call open_results(name, file, results, courses, error)
+    call open_results(name, file, results, output_datasets, error)
     if (allocated(error)) return
     if (results%replicas /= replicas .or. .not. all_complete(results)) &
       call fatal_error(error, 'not all tasks are in the file')
     number = size(log%start%x)
     do k = 1, replicas
       if (allocated(error)) exit
-      call read_course(file, courses, k, 1, number, course, error)
+      call read_task_output(file, output_datasets, k, 1, number, task_output, error)
       if (allocated(error)) exit
-      associate (final => course%final_state)
+      associate (final => task_output%final_state)
         if (.not. is_final_state(log, final(:number), final(number + 1:2*number), &
           final(2*number + 1:3*number), final(3*number + 1:))) call fatal_error(error, &
           'the final state of task '//to_text(k)//' in the file differs')
       end associate
     end do
-    call close_results(file, courses)
+    call close_results(file, output_datasets)
   end subroutine compare_with_log
 
 end module battery_self_test

@@ -14,7 +14,7 @@ module battery_startup
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_results, only: results_type, task_complete, point_undecided
-  use battery_tasks, only: task_type, task_count, task_of, put_longest_first, task_index_type, &
+  use battery_tasks, only: task_type, task_count, task_of, sort_longest_first, task_index_type, &
     task_index_of, task_number_of
   use battery_terminal, only: print_line
   use battery_text, only: string_type, to_text, new_line_character
@@ -51,7 +51,7 @@ contains
     !> Whether to discard what is there; whether rank 0 says nothing.
     logical, intent(in) :: overwrite, quiet
     type(journal_type), intent(out) :: journal
-    !> On rank 0 the tasks that are to be done, longest first; empty on the others.
+    !> Numbers of the tasks to be done, longest first, on rank 0; empty on the others.
     integer, allocatable, intent(out) :: pending(:)
     !> Whether nothing is left to be done.
     logical, intent(out) :: complete
@@ -104,7 +104,7 @@ contains
       if (remark /= '' .and. .not. quiet) call print_line('remark: '//remark)
       rank_files = rank_files_in(journal_folder(plan))
       call open_journal(plan, ranks, rank_files, error)
-      call put_longest_first(plan, pending)
+      call sort_longest_first(plan, pending)
     end if
   end subroutine begin_on_rank0
 
@@ -314,7 +314,7 @@ contains
     yes = .not. allocated(error)
     ! Without a precision all replicas are asked for.
     if (yes) yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
-      >= old%first_replicas .and. (all(finer(plan%precision, old%precision)) &
+      >= old%first_replicas .and. (all(is_finer(plan%precision, old%precision)) &
       .or. .not. any(plan%precision > 0.0_wp))
     if (.not. yes) return
     old%initial_fingerprint = initial_fingerprint
@@ -327,10 +327,10 @@ contains
   end function has_all_of
 
   !> Whether a precision is as fine as that of before, or finer; 0: any will do.
-  elemental logical function finer(precision, before) result(yes)
+  elemental logical function is_finer(precision, before) result(yes)
     real(wp), intent(in) :: precision, before
 
     yes = .not. before > 0.0_wp .or. (precision > 0.0_wp .and. precision <= before)
-  end function finer
+  end function is_finer
 
 end module battery_startup

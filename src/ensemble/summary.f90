@@ -5,11 +5,11 @@ module battery_summary
   use battery_plan, only: plan_type
   use battery_table, only: gated, ungated
   use battery_tasks, only: task_count
-  use battery_precision, only: cut_of
+  use battery_precision, only: cut_between_groups
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of
   use battery_results, only: results_type, scatter_of, task_complete, task_not_asked, &
     point_two_states, point_not_precise
-  use battery_screen, only: duration_text, rate_text
+  use battery_progress_line, only: duration_text, rate_text
   use battery_terminal, only: print_line
   use battery_command_line, only: ways_to_stop
   use battery_text, only: string_type, to_text, new_line_character
@@ -30,11 +30,11 @@ contains
     type(results_type), intent(in) :: results
     !> Why a task failed, (task); not allocated where it did not.
     type(string_type), intent(in) :: failures(:)
-    !> How many ran.
+    !> Number of ranks.
     integer, intent(in) :: ranks
-    !> See above; and how long the run took in seconds.
+    !> Least, mean and greatest share of time in tasks; duration of the run in seconds.
     real(dp), intent(in) :: busy(3), seconds
-    !> Of this start, on all ranks.
+    !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
     !> Whether no task is left; whether only failures are told.
     logical, intent(in) :: all_done, quiet
@@ -51,8 +51,8 @@ contains
         //'    current 1  +-error    current 2  +-error')
       do point = 1, size(results%point)
         do replica = 1, plan%replicas
-          if (results%task_status(replica, point) == task_complete) call print_row(results, point, &
-            replica)
+          if (results%task_status(replica, point) == task_complete) call print_task_row(results, &
+            point, replica)
         end do
       end do
     end if
@@ -185,7 +185,7 @@ contains
 
     chi = pack(results%average(:, p, place_of('chi', averaged_quantities())), &
       results%task_status(:, p) == task_complete)
-    cut = cut_of(chi)
+    cut = cut_between_groups(chi)
     text = '   two states:'
     do k = 1, 2
       group = pack(chi, (chi > cut) .eqv. k == 2)
@@ -195,8 +195,8 @@ contains
     text = trim(text)
   end function states_text
 
-  !> One task: averages and their errors.
-  subroutine print_row(results, p, r)
+  !> Prints one task: its averages and their errors.
+  subroutine print_task_row(results, p, r)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, r
     character(len=*), parameter :: shown(3) = [character(len=8) :: 'chi', 'current1', 'current2']
@@ -208,7 +208,7 @@ contains
       pairs(:, k) = [results%average(r, p, place), results%error(r, p, place)]
     end do
     call print_line(line_head(results, p, r)//pairs_text(pairs))
-  end subroutine print_row
+  end subroutine print_task_row
 
   !> How the line of a point begins; `which` is the replica, or how many.
   pure function line_head(results, p, which) result(text)

@@ -1,8 +1,8 @@
-!> What one task of an ensemble brings home, as a value and as a record for the disk.
+!> Result of one task of an ensemble, as a value and as a record for the disk.
 module battery_task_result
   use battery_kinds, only: dp, int32, int64
   use battery_clocks, only: utc_seconds
-  use battery_courses, only: course_type
+  use battery_task_output, only: task_output_type
   use battery_engine, only: particles_type
   use battery_machine, only: machine_text
   use battery_observer, only: get_measured
@@ -17,8 +17,8 @@ module battery_task_result
   private
   public :: task_result_type, result_of, failed_result, to_record, from_record
 
-  !> What one task has measured, with its course, or why it could not.
-  type, extends(course_type) :: task_result_type
+  !> What one task has measured, with its output, or why it could not.
+  type, extends(task_output_type) :: task_result_type
     !> Number of the task, from 1, and how it ended.
     integer :: task = 0
     integer :: status = task_not_done
@@ -35,7 +35,7 @@ contains
   function result_of(task, simulation, cpu_seconds, begun) result(found)
     type(task_type), intent(in) :: task
     type(simulation_type), intent(in) :: simulation
-    !> Of a processor, spent on the task; on the clock of `utc_seconds`, when it began here.
+    !> Processor time spent on the task; its start here, on the clock of `utc_seconds`.
     real(dp), intent(in) :: cpu_seconds, begun
     type(task_result_type) :: found
     type(particles_type) :: particles
@@ -89,7 +89,7 @@ contains
   !> The result of a task that could not be done, with the reason.
   function failed_result(task, message) result(failed)
     type(task_type), intent(in) :: task
-    !> The reason.
+    !> Why the task failed.
     character(len=*), intent(in) :: message
     type(task_result_type) :: failed
 
@@ -103,7 +103,7 @@ contains
 
   !> A result as a record.
   function to_record(found) result(record)
-    !> Of a task that ended in whatever way.
+    !> Result of a task, however that ended.
     type(task_result_type), intent(in) :: found
     type(record_type) :: record
     type(task_result_type) :: copy
@@ -136,7 +136,7 @@ contains
     found%task_id = record%owner
   end subroutine from_record
 
-  !> All that a result holds, into an archive or out of it.
+  !> Writes a result to an archive or reads it.
   subroutine serialize_result(found, archive)
     type(task_result_type), intent(inout) :: found
     type(archive_type), intent(inout) :: archive

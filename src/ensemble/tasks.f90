@@ -13,7 +13,7 @@ module battery_tasks
   use battery_table, only: table_type
   implicit none (type, external)
   private
-  public :: task_type, task_count, task_of, put_longest_first, place_particles
+  public :: task_type, task_count, task_of, sort_longest_first, initial_particles
   public :: task_index_type, task_index_of, task_number_of, task_id_in_results
 
   !> One task: a point of the scan, one of its replicas.
@@ -22,12 +22,12 @@ module battery_tasks
     integer :: task = 0, point = 0, replica = 0
     type(setup_type) :: setup
     integer :: number = 0, urn1_number = 0
-    !> Known by this is what is kept of the task: its result, and its state on the way.
+    !> Identifier of the task in records of its result and of its saved state.
     integer(int64) :: task_id = 0
     logical :: final_state = .false.
   end type task_type
 
-  !> The tasks of a plan by what they are known by: a hash table with room to spare.
+  !> Tasks of a plan by their identifiers: a hash table that is at most partly filled.
   type :: task_index_type
     private
     integer(int64), allocatable :: task_id(:)
@@ -63,10 +63,10 @@ contains
     task%task_id = task_id_with(task%setup%seed, task%setup, task%final_state)
   end function task_of
 
-  !> What a task is known by whose results file has its seed and was made from a plan.
+  !> Task identifier, reconstructed from the seed in a results file and the plan it was made from.
   integer(int64) function task_id_in_results(plan, seed) result(task_id)
     type(plan_type), intent(in) :: plan
-    !> As in the file.
+    !> Seed, as in the results file.
     integer(int64), intent(in) :: seed
 
     task_id = task_id_with(seed, plan, plan%final_state)
@@ -83,23 +83,23 @@ contains
     allocate (task_index%task_id(0:ubound(task_index%number, 1)))
     do k = 1, task_count(plan)
       task = task_of(plan, k)
-      at = place_in(task_index, task%task_id)
+      at = slot_of(task_index, task%task_id)
       task_index%task_id(at) = task%task_id
       task_index%number(at) = k
     end do
   end function task_index_of
 
-  !> Number of the task of which something was kept; 0 if it is none of the plan.
+  !> Number of the task with an identifier; 0 if the plan has no such task.
   pure integer function task_number_of(task_index, task_id) result(number)
     type(task_index_type), intent(in) :: task_index
-    !> `task_type%task_id` of the task that it was kept of.
+    !> Identifier, `task_type%task_id`.
     integer(int64), intent(in) :: task_id
 
-    number = task_index%number(place_in(task_index, task_id))
+    number = task_index%number(slot_of(task_index, task_id))
   end function task_number_of
 
-  !> Where a task is in the table, or would be.
-  pure integer function place_in(task_index, task_id) result(at)
+  !> Slot of a task in the hash table: the one that it has, or would get.
+  pure integer function slot_of(task_index, task_id) result(at)
     type(task_index_type), intent(in) :: task_index
     integer(int64), intent(in) :: task_id
     integer :: last
@@ -110,7 +110,7 @@ contains
       if (task_index%task_id(at) == task_id) exit
       at = iand(at + 1, last)
     end do
-  end function place_in
+  end function slot_of
 
   !> What a task is expected to cost, in units of a wall collision. A visit to an urn costs as much
   !> as so many collisions besides its own (measured: 70 ns against 2 ns); how many visits there are
@@ -137,7 +137,7 @@ contains
   end function cost_of
 
   !> Orders tasks by their expected cost, the dearest first, else as they are.
-  pure subroutine put_longest_first(plan, tasks)
+  pure subroutine sort_longest_first(plan, tasks)
     type(plan_type), intent(in) :: plan
     !> Their numbers, in any order.
     integer, intent(inout) :: tasks(:)
@@ -148,7 +148,7 @@ contains
       cost(k) = cost_of(plan, tasks(k))
     end do
     if (size(tasks) > 1) call sort_by_cost(tasks, cost)
-  end subroutine put_longest_first
+  end subroutine sort_longest_first
 
   !> Stable merge sort of `tasks` by falling `cost`.
   pure recursive subroutine sort_by_cost(tasks, cost)
@@ -182,8 +182,8 @@ contains
     end do
   end subroutine sort_by_cost
 
-  !> Where the particles of a task start.
-  subroutine place_particles(task, start, particles, error)
+  !> Initial positions and velocities of the particles of a task.
+  subroutine initial_particles(task, start, particles, error)
     type(task_type), intent(in) :: task
     !> What the initial file says; no arrays: at random.
     type(particles_type), intent(in) :: start
@@ -196,6 +196,6 @@ contains
       call random_particles(task%setup%table, task%number, task%urn1_number, task%setup%seed, &
         particles, error)
     end if
-  end subroutine place_particles
+  end subroutine initial_particles
 
 end module battery_tasks

@@ -13,16 +13,17 @@ module battery_calendar
   use battery_ordering, only: sort_by_time, insert_sorted
   implicit none (type, external)
   private
-  public :: calendar_type, idle, new_calendar, epoch_for, flight_type, schedule, schedule_all, &
-    open_until, next_due, due_before, drop_done, rebase_calendar
+  public :: calendar_type, idle_flight, new_calendar, epoch_for, flight_type, schedule_event, &
+    schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
+    rebase_calendar
 
   !> A particle between two of its events. The calendar uses `due` only; the engine uses the rest. A
   !> record fills one cache line: with many particles the cost is that of reading one line a
   !> particle.
   type :: flight_type
     real(wp) :: due
-    !> Heading, and the urn it leaves, 1 or 2.
-    integer(int16) :: heading, urn
+    !> Kind of its next event (`battery_flight`), and the urn it leaves, 1 or 2.
+    integer(int16) :: next_event, urn
     !> Slot of the visit that follows, if it was computed ahead; else 0.
     integer(int32) :: lookahead_slot
     !> When it enters the channel (entered it, if it is inside), at which height, with |u_x| and
@@ -34,8 +35,8 @@ module battery_calendar
 
   !> A flight without an event. Not by default, since large arrays choose their memory pages before
   !> they are written to.
-  type(flight_type), parameter :: idle = flight_type(0.0_wp, 0_int16, 0_int16, 0_int32, 0.0_wp, &
-    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
+  type(flight_type), parameter :: idle_flight = flight_type(0.0_wp, 0_int16, 0_int16, 0_int32, &
+    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
 
   !> Events of a block, a power of two. A block is a cache line: with few buckets all lines being
   !> written to stay in the cache, however many particles there are.
@@ -61,7 +62,7 @@ module battery_calendar
     !> Number of open buckets; all events before `opened_until` are sorted or done.
     integer :: opened = 0
     real(wp) :: opened_until = 0.0_wp
-    !> Sorted events: `due_time(:sorted)` and their particles; room for all particles.
+    !> Sorted events: `due_time(:sorted)` and their particles; large enough for all particles.
     integer :: sorted = 0
     real(wp), allocatable :: due_time(:)
     integer, allocatable :: particle(:)
@@ -102,19 +103,19 @@ contains
   end function epoch_for
 
   !> Schedules the event of `particle` at `time`.
-  pure subroutine schedule(calendar, flight, particle, time)
+  pure subroutine schedule_event(calendar, flight, particle, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)
     integer, intent(in) :: particle
     real(wp), intent(in) :: time
 
     flight(particle)%due = time
-    call schedule_all(calendar, 1, [particle], [time])
-  end subroutine schedule
+    call schedule_events(calendar, 1, [particle], [time])
+  end subroutine schedule_event
 
   !> Schedules the events of `particle(:count)` at `time(:count)`, which their flights have as `due`
   !> already; one whose time is huge never comes.
-  pure subroutine schedule_all(calendar, count, particle, time)
+  pure subroutine schedule_events(calendar, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
     !> Number of events.
     integer, intent(in) :: count
@@ -133,9 +134,9 @@ contains
       if (time(k) < calendar%opened_until) call insert_sorted(size(calendar%particle), &
         calendar%due_time, calendar%particle, calendar%sorted, time(k), particle(k))
     end do
-  end subroutine schedule_all
+  end subroutine schedule_events
 
-  !> Schedules the events that are not due before `opened_until`; tells whether there are others.
+  !> Schedules the events that are not due before `opened_until`; `some_at_once`: there are others.
   pure subroutine fill_buckets(count, particle, time, per_width, opened_until, epoch, &
     next_place, whose, block_before, free_blocks, free_block, some_at_once)
     integer, intent(in) :: count, particle(count)
@@ -169,7 +170,7 @@ contains
   end subroutine fill_buckets
 
   !> Opens buckets until all events before `time` are sorted.
-  pure subroutine open_until(calendar, flight, time)
+  pure subroutine open_buckets_until(calendar, flight, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(in) :: flight(:)
     real(wp), intent(in) :: time
@@ -184,7 +185,7 @@ contains
       calendar%particle)
     calendar%opened = target
     calendar%opened_until = real(target, wp)*calendar%width
-  end subroutine open_until
+  end subroutine open_buckets_until
 
   !> Moves the events of some buckets to the sorted events, which are all earlier.
   pure subroutine open_buckets(number, flight, buckets, next_place, whose, block_before, &
@@ -226,7 +227,7 @@ contains
   end subroutine open_buckets
 
   !> Time of the next event; opens buckets as needed; not beyond `horizon`, nor beyond the epoch.
-  pure subroutine next_due(calendar, flight, horizon, time)
+  pure subroutine next_due_time(calendar, flight, horizon, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(in) :: flight(:)
     real(wp), intent(in) :: horizon
@@ -238,14 +239,14 @@ contains
       do bucket = calendar%opened + 1, calendar%buckets
         if (calendar%next_place(bucket) > 0) exit
       end do
-      call open_until(calendar, flight, min(horizon, real(bucket, wp)*calendar%width))
+      call open_buckets_until(calendar, flight, min(horizon, real(bucket, wp)*calendar%width))
     end if
     time = min(horizon, calendar%epoch)
     if (calendar%sorted > 0) time = min(time, calendar%due_time(1))
-  end subroutine next_due
+  end subroutine next_due_time
 
   !> How many of the sorted events are due before `instant`.
-  pure function due_before(sorted, due_time, instant) result(due)
+  pure function count_due_before(sorted, due_time, instant) result(due)
     !> Number of sorted events.
     integer, intent(in) :: sorted
     !> Time of each, ascending; on the same clock.
@@ -253,10 +254,10 @@ contains
     integer :: due
 
     due = int(count(due_time < instant, kind=int64))
-  end function due_before
+  end function count_due_before
 
   !> Removes the first `done` of the sorted events.
-  pure subroutine drop_done(calendar, done)
+  pure subroutine drop_done_events(calendar, done)
     type(calendar_type), intent(inout) :: calendar
     integer, intent(in) :: done
     integer :: k
@@ -266,7 +267,7 @@ contains
       calendar%particle(k) = calendar%particle(k + done)
     end do
     calendar%sorted = calendar%sorted - done
-  end subroutine drop_done
+  end subroutine drop_done_events
 
   !> Starts a new epoch: reduces all times by its length and schedules the events due in the new
   !> one. Particles without an event have a time before it.
@@ -280,7 +281,7 @@ contains
     calendar%opened_until = 0.0_wp
     do i = 1, size(flight)
       flight(i)%due = flight(i)%due - calendar%epoch
-      if (flight(i)%due >= 0.0_wp) call schedule(calendar, flight, i, flight(i)%due)
+      if (flight(i)%due >= 0.0_wp) call schedule_event(calendar, flight, i, flight(i)%due)
     end do
   end subroutine rebase_calendar
 

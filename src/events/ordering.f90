@@ -11,10 +11,11 @@ module battery_ordering
   !> Number of times that are compared with another at once.
   integer, parameter :: block = 8
   !> Longest list that is sorted by counting.
-  integer, parameter, public :: longest = 16*block
-  !> Lists longer than `short` are first put into bins for about `share` events each.
-  integer, parameter, public :: short = 32
-  integer, parameter :: share = 10
+  integer, parameter, public :: longest_counted = 16*block
+  !> Lists longer than `longest_unbinned` are first put into bins for about `events_a_bin` events
+  !> each.
+  integer, parameter, public :: longest_unbinned = 32
+  integer, parameter :: events_a_bin = 10
 
 contains
 
@@ -28,14 +29,14 @@ contains
     integer, intent(inout) :: number(n)
     real(wp) :: least, most
 
-    if (n <= short) then
+    if (n <= longest_unbinned) then
       call order_by_counting(n, time, number)
       return
     end if
     least = minval(time)
     most = maxval(time)
     if (most > least) then
-      call sort_in_bins(n, time, number, least, (real(n/share, wp) - 0.5_wp)/(most - least))
+      call sort_in_bins(n, time, number, least, (real(n/events_a_bin, wp) - 0.5_wp)/(most - least))
     else
       call insertion_sort(n, time, number)
     end if
@@ -52,7 +53,7 @@ contains
     integer, allocatable :: whose(:), bin(:), place(:)
     integer :: k, at, first, bins
 
-    bins = n/share
+    bins = n/events_a_bin
     was = time
     whose = number
     allocate (bin(n), place(0:bins))
@@ -74,7 +75,7 @@ contains
     first = 1
     do k = 0, bins - 1
       at = place(k)
-      if (at - first < longest) then
+      if (at - first < longest_counted) then
         call order_by_counting(at - first + 1, time(first:at), number(first:at))
       else
         call insertion_sort(at - first + 1, time(first:at), number(first:at))
@@ -83,13 +84,13 @@ contains
     end do
   end subroutine sort_in_bins
 
-  !> Sorts a list no longer than `longest`: the place of each is the number of earlier ones.
+  !> Sorts a list no longer than `longest_counted`: the place of each is the number of earlier ones.
   pure subroutine order_by_counting(n, time, number)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
     integer, intent(inout) :: number(n)
-    real(wp) :: was(longest)
-    integer :: whose(longest), place
+    real(wp) :: was(longest_counted)
+    integer :: whose(longest_counted), place
     integer(int64) :: earlier(block), total
     integer :: first, k
 
@@ -98,7 +99,7 @@ contains
       was(k) = time(k)
       whose(k) = number(k)
     end do
-    do k = n + 1, min(n + block - 1, longest)
+    do k = n + 1, min(n + block - 1, longest_counted)
       was(k) = huge(1.0_wp)
     end do
     total = 0

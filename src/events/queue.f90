@@ -8,12 +8,12 @@ module battery_queue
   use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove, rebase_queue, &
+  public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, rebase_queue, &
     serialize_queue
 
-  !> Particles, each with a time; `time` and `who` have room for `room` of them.
+  !> Particles, each with a time; the arrays `time` and `who` have the size `room`.
   type :: queue_type
-    !> Number of particles in it, and room.
+    !> Number of particles in it, and size of the arrays.
     integer :: count = 0, room = 0
     !> Time of the first of them; huge if the queue is empty.
     real(wp) :: next = huge(1.0_wp)
@@ -23,29 +23,29 @@ module battery_queue
     integer, allocatable :: who(:)
   end type queue_type
 
-  !> A list no longer than this is taken out as a whole: selecting costs more than putting back the
-  !> rest.
+  !> A list no longer than this is removed as a whole: selecting costs more than adding the rest
+  !> again.
   integer, parameter :: short_list = 256
 
 contains
 
-  !> Removes all.
+  !> Removes all particles.
   pure subroutine empty_queue(queue)
     type(queue_type), intent(inout) :: queue
 
-    if (queue%room == 0) call grow(queue)
+    if (queue%room == 0) call grow_queue(queue)
     queue%count = 0
     queue%next = huge(1.0_wp)
     queue%in_order = .false.
   end subroutine empty_queue
 
-  !> Adds `who` at `time`. Short, so that it is inlined.
+  !> Adds the particle `who` at `time`. Short, so that it is inlined.
   pure subroutine push(queue, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: time
     integer, intent(in) :: who
 
-    if (queue%count == queue%room) call grow(queue)
+    if (queue%count == queue%room) call grow_queue(queue)
     queue%count = queue%count + 1
     queue%next = min(queue%next, time)
     queue%time(queue%count) = time
@@ -72,7 +72,7 @@ contains
     end if
     is_before = queue%count
     do while (queue%room < is_before + count)
-      call grow(queue)
+      call grow_queue(queue)
     end do
     queue%time(is_before + 1:is_before + count) = time
     queue%who(is_before + 1:is_before + count) = who
@@ -80,7 +80,8 @@ contains
     queue%next = min(queue%next, minval(time))
   end subroutine push_all
 
-  pure subroutine grow(queue)
+  !> Allocates the arrays, or doubles them.
+  pure subroutine grow_queue(queue)
     type(queue_type), intent(inout) :: queue
 
     if (queue%room == 0) then
@@ -91,7 +92,7 @@ contains
       queue%who = [queue%who, queue%who]
       queue%room = size(queue%time)
     end if
-  end subroutine grow
+  end subroutine grow_queue
 
   !> Restores the heap after one was added at its end.
   pure subroutine sift_up_last(queue)
@@ -112,7 +113,7 @@ contains
     queue%who(at) = who
   end subroutine sift_up_last
 
-  !> The first leaves the queue, which is not empty.
+  !> Removes the first particle of the queue, which is not empty.
   pure subroutine pop(queue, who)
     type(queue_type), intent(inout) :: queue
     !> Its number.
@@ -123,36 +124,36 @@ contains
     call remove_at(queue, 1)
   end subroutine pop
 
-  !> Removes all that are due before `until`, and possibly others, in no order. The arrays have room
-  !> for the whole queue.
-  pure subroutine pop_due(queue, until, taken, time, who)
+  !> Removes all that are due before `until`, and possibly others, in no order. The arrays are
+  !> large enough for the whole queue.
+  pure subroutine pop_due(queue, until, removed, time, who)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: until
     !> Number removed.
-    integer, intent(out) :: taken
+    integer, intent(out) :: removed
     !> Time of each,
     real(wp), intent(inout) :: time(:)
     !> and its number.
     integer, intent(inout) :: who(:)
 
-    taken = 0
+    removed = 0
     if (queue%count == 0) return
     if (queue%count <= short_list) then
-      taken = queue%count
-      time(:taken) = queue%time(:taken)
-      who(:taken) = queue%who(:taken)
+      removed = queue%count
+      time(:removed) = queue%time(:removed)
+      who(:removed) = queue%who(:removed)
       call empty_queue(queue)
     else
       do while (queue%next < until)
-        taken = taken + 1
-        time(taken) = queue%next
-        call pop(queue, who(taken))
+        removed = removed + 1
+        time(removed) = queue%next
+        call pop(queue, who(removed))
       end do
     end if
   end subroutine pop_due
 
-  !> Removes `who`, which is in the queue and among the first.
-  pure subroutine remove(queue, who)
+  !> Removes the particle `who`, which is in the queue and near its front.
+  pure subroutine remove_particle(queue, who)
     type(queue_type), intent(inout) :: queue
     integer, intent(in) :: who
     integer :: place
@@ -163,7 +164,7 @@ contains
       place = place + 1
     end do
     call remove_at(queue, place)
-  end subroutine remove
+  end subroutine remove_particle
 
   !> Makes the list a heap.
   pure subroutine make_heap(queue)
@@ -254,7 +255,7 @@ contains
     call archive%serialize('in_order', queue%in_order)
     if (archive%failed()) return
     do while (queue%room < max(queue%count, 1))
-      call grow(queue)
+      call grow_queue(queue)
     end do
     call archive%serialize('time', queue%time(:queue%count))
     call archive%serialize('who', queue%who(:queue%count))

@@ -2,7 +2,7 @@
 !>
 !> The particles sit at the leaves, from left to right by index; every node holds the earlier of its
 !> two children; the root, node 1, holds the next event of all. A new time is compared upwards from
-!> its leaf with one sibling a level. All siblings are known from the leaf and loaded ahead, so the
+!> its leaf with one sibling a level. All siblings follow from the leaf and are loaded ahead, so the
 !> dependent work at each level is one comparison and a selection without a branch. Of events at one
 !> time the left one comes first: that of the particle with the lowest index.
 !>
@@ -12,7 +12,7 @@ module battery_tournament
   use battery_kinds, only: wp, int32, int64, bits_kind
   implicit none (type, external)
   private
-  public :: tournament_type, new_tournament, set_time, time_of, rebase_tournament
+  public :: tournament_type, new_tournament, set_event_time, event_time_of, rebase_tournament
 
   !> Time and particle side by side: one cache line holds both nodes of a comparison.
   type :: node_type
@@ -44,7 +44,7 @@ contains
     if (allocated(tournament%node)) deallocate (tournament%node)
     allocate (tournament%node(2*n - 1))
     do i = 1, n
-      tournament%node(leaf(tournament, i)) = node_type(time(i), int(i, int32))
+      tournament%node(leaf_of(tournament, i)) = node_type(time(i), int(i, int32))
     end do
     do k = n - 1, 1, -1
       winner = 2*k
@@ -53,25 +53,25 @@ contains
     end do
   end subroutine new_tournament
 
-  !> Node of a particle. Particles for which the lowest level has no room sit one level above.
-  elemental function leaf(tournament, particle) result(k)
+  !> Node of a particle: on the lowest level, or one level above if that is full.
+  elemental function leaf_of(tournament, particle) result(k)
     type(tournament_type), intent(in) :: tournament
     integer, intent(in) :: particle
     integer :: k
 
     k = tournament%first - 1 + particle
     if (k >= 2*tournament%number) k = k - tournament%number
-  end function leaf
+  end function leaf_of
 
   !> Sets the event of `particle` to `time`.
-  pure subroutine set_time(tournament, particle, time)
+  pure subroutine set_event_time(tournament, particle, time)
     type(tournament_type), intent(inout) :: tournament
     integer, intent(in) :: particle
     real(wp), intent(in) :: time
 
-    call play_matches(tournament%number, tournament%node, leaf(tournament, particle), &
+    call play_matches(tournament%number, tournament%node, leaf_of(tournament, particle), &
       int(particle, int32), time)
-  end subroutine set_time
+  end subroutine set_event_time
 
   !> Updates the nodes from a leaf to the root.
   pure subroutine play_matches(number, node, leaf, particle, time)
@@ -104,13 +104,13 @@ contains
   end subroutine play_matches
 
   !> Time of the event of `particle`.
-  elemental function time_of(tournament, particle) result(time)
+  elemental function event_time_of(tournament, particle) result(time)
     type(tournament_type), intent(in) :: tournament
     integer, intent(in) :: particle
     real(wp) :: time
 
-    time = tournament%node(leaf(tournament, particle))%time
-  end function time_of
+    time = tournament%node(leaf_of(tournament, particle))%time
+  end function event_time_of
 
   !> Subtracts `shift` from all times. Winners stay winners if the times remain exact, as they do
   !> for a power of two that is not much longer than they are.

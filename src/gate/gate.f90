@@ -17,7 +17,7 @@
 !> rule.
 module battery_gate
   use battery_kinds, only: wp, int64
-  use battery_queue, only: queue_type, empty_queue, push, push_all, pop, pop_due, remove, &
+  use battery_queue, only: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, &
     rebase_queue, serialize_queue
   use battery_archive, only: archive_type
   implicit none (type, external)
@@ -142,21 +142,21 @@ contains
   end function has_undecided_entries
 
   !> At the end of an instant: decides whether the gate reverses.
-  pure subroutine decide_reversal(gate, turns)
+  pure subroutine decide_reversal(gate, reverses)
     type(gate_type), intent(inout) :: gate
     !> Whether all counted particles (`counted_particle`) are to be turned back.
-    logical, intent(out) :: turns
+    logical, intent(out) :: reverses
 
-    turns = gate%entered .and. must_reverse(gate)
+    reverses = gate%entered .and. must_reverse(gate)
     gate%entered = .false.
   end subroutine decide_reversal
 
   !> The gate whose earliest crossing of the middle line comes first.
-  pure function gate_crossed_first(gate) result(side)
+  pure function gate_crossed_first(gate) result(urn)
     type(gate_type), intent(in) :: gate(2)
-    integer :: side
+    integer :: urn
 
-    side = merge(1, 2, gate(1)%counted%next <= gate(2)%counted%next)
+    urn = merge(1, 2, gate(1)%counted%next <= gate(2)%counted%next)
   end function gate_crossed_first
 
   !> Removes the counted particle that crosses the middle line first.
@@ -174,7 +174,7 @@ contains
     !> Its index.
     integer, intent(in) :: particle
 
-    call remove(gate%counted, particle)
+    call remove_particle(gate%counted, particle)
   end subroutine uncount_particle
 
   !> Removes all counted particles: they have been turned back.
@@ -185,7 +185,7 @@ contains
     gate%entered = .false.
   end subroutine uncount_all
 
-  !> Makes room for the entries of a window and the particles counted before.
+  !> Allocates the arrays for the entries of a window and the particles counted before.
   subroutine reserve_stretch(stretch, number)
     type(stretch_type), intent(inout) :: stretch
     !> The largest number of both together.

@@ -1,13 +1,13 @@
 !> A key of a namelist: its type, what it may hold, its default, its unit and its meaning.
 !>
-!> Which keys there are is for the program to say, in one list; reading, checking, comparing and
-!> the help text all go by that list.
+!> The program declares its keys in one list (`battery_keys`); reading, checking, comparing and
+!> the help text use that list.
 module battery_key
   use battery_kinds, only: wp, int64
   use battery_text, only: string_type, to_text, is_one_of, new_line_character
   implicit none (type, external)
   private
-  public :: key_type, find_key, different, is_beyond, allowed_text
+  public :: key_type, find_key, distinct_names, is_beyond, allowed_text
   public :: choices_text, keys_text
   public :: whole_key, real_key, text_key, logical_key
 
@@ -21,24 +21,24 @@ module battery_key
   type :: key_type
     character(len=32) :: group = '', name = ''
     integer :: kind = whole_key
-    !> As it would be written; empty if there is none.
+    !> Default value, as a user would write it; empty if there is none.
     character(len=16) :: default = ''
-    !> What it means.
+    !> Meaning, one line of the help text.
     character(len=80) :: meaning = ''
     !> Least number that is allowed, and whether it is itself forbidden; greatest number, of
     !> numbers that are not whole only where it is below `huge(1)`.
     real(wp) :: least = -huge(1.0_wp)
     logical :: above = .false.
     integer(int64) :: greatest = huge(1)
-    !> How many values it takes at the most.
+    !> Greatest number of values.
     integer :: most_values = 1
     !> Whether its three values are `first, last, how many`.
     logical :: is_range = .false.
-    !> Words that are allowed, set apart by blanks; empty: any.
+    !> Allowed words, separated by blanks; empty: any text.
     character(len=80) :: choices = ''
     !> Unit, and symbol in the paper; empty if there is none.
     character(len=8) :: unit = '', symbol = ''
-    !> Whether it changes the results; if not, a run may go on with another value.
+    !> Whether it changes the results; if not, a run may be resumed with another value.
     logical :: decides = .true.
   end type key_type
 
@@ -46,9 +46,9 @@ contains
 
   !> Place of a key in a list of keys; 0 if it is not there.
   pure integer function find_key(keys, group, name) result(place)
-    !> All there are.
+    !> List of all keys.
     type(key_type), intent(in) :: keys(:)
-    !> In small letters.
+    !> Group and key in small letters.
     character(len=*), intent(in) :: group, name
 
     do place = size(keys), 1, -1
@@ -57,7 +57,7 @@ contains
   end function find_key
 
   !> The different names of a list, in their order, without the blanks at their ends.
-  pure function different(list) result(names)
+  pure function distinct_names(list) result(names)
     !> Groups, or keys of a group.
     character(len=*), intent(in) :: list(:)
     type(string_type), allocatable :: names(:)
@@ -69,12 +69,12 @@ contains
       name%text = trim(list(at))
       if (.not. is_one_of(name%text, names)) names = [names, name]
     end do
-  end function different
+  end function distinct_names
 
   !> Whether a number is greater than a key allows.
   elemental logical function is_beyond(key, number)
     type(key_type), intent(in) :: key
-    !> Or `huge`, to ask whether there is a greatest number at all.
+    !> The number, or `huge` to ask whether there is a greatest number at all.
     real(wp), intent(in) :: number
 
     is_beyond = number > key%greatest .and. (key%kind == whole_key .or. key%greatest < huge(1))
@@ -87,9 +87,9 @@ contains
 
     select case (key%kind)
     case (whole_key)
-      text = counted(key, 'whole number')//bound_text(key)
+      text = value_count_text(key, 'whole number')//bound_text(key)
     case (real_key)
-      text = counted(key, 'number')//bound_text(key)
+      text = value_count_text(key, 'number')//bound_text(key)
     case (logical_key)
       text = '.true. or .false.'
     case default
@@ -99,7 +99,7 @@ contains
   end function allowed_text
 
   !> `one number`, `one number or two`, `numbers`, or what a range holds.
-  pure function counted(key, what) result(text)
+  pure function value_count_text(key, what) result(text)
     type(key_type), intent(in) :: key
     character(len=*), intent(in) :: what
     character(len=:), allocatable :: text
@@ -113,7 +113,7 @@ contains
     else
       text = what//'s'
     end if
-  end function counted
+  end function value_count_text
 
   pure function bound_text(key) result(text)
     type(key_type), intent(in) :: key
@@ -128,9 +128,9 @@ contains
 
   !> `a b c` as `'a', 'b', 'c'`.
   pure function choices_text(choices, quote) result(text)
-    !> Words set apart by single blanks.
+    !> Words separated by single blanks.
     character(len=*), intent(in) :: choices
-    !> What stands around each.
+    !> Quotation mark around each word.
     character(len=1), intent(in) :: quote
     character(len=:), allocatable :: text
     integer :: at
@@ -148,7 +148,7 @@ contains
 
   !> All groups and keys with defaults and meanings, for the help text.
   pure function keys_text(keys) result(text)
-    !> All there are.
+    !> List of all keys.
     type(key_type), intent(in) :: keys(:)
     character(len=:), allocatable :: text
     character(len=16) :: default
@@ -160,18 +160,18 @@ contains
         text = text//'&'//trim(keys(at)%group)//new_line_character
       default = keys(at)%default
       if (default == '') default = 'none'
-      text = text//'  '//padded(trim(keys(at)%name), 26)//padded(trim(default), 13) &
+      text = text//'  '//padded_to(trim(keys(at)%name), 26)//padded_to(trim(default), 13) &
         //'! '//trim(keys(at)%meaning)//'; '//allowed_text(keys(at))//new_line_character
       if (all(keys(at + 1:)%group /= keys(at)%group)) text = text//'/'//new_line_character
     end do
   end function keys_text
 
-  pure function padded(word, width) result(text)
+  pure function padded_to(word, width) result(text)
     character(len=*), intent(in) :: word
     integer, intent(in) :: width
     character(len=:), allocatable :: text
 
     text = word//repeat(' ', max(1, width - len(word)))
-  end function padded
+  end function padded_to
 
 end module battery_key

@@ -4,7 +4,7 @@
 !> `/` or `&end`, any case), but lines are remembered, and the reading goes on after a mistake.
 module battery_namelist_text
   use battery_text, only: to_text, lower_case
-  use battery_remarks, only: remarks_type, add_remark, shown_text
+  use battery_remarks, only: remarks_type, add_remark, displayable_text
   implicit none (type, external)
   private
   public :: value_type, entry_type, group_type, split_namelist, written_text
@@ -22,7 +22,7 @@ module battery_namelist_text
 
   !> `key = values`.
   type :: entry_type
-    !> In small letters.
+    !> Group and key in small letters.
     character(len=:), allocatable :: group, key
     integer :: line = 0
     type(value_type), allocatable :: values(:)
@@ -34,7 +34,7 @@ module battery_namelist_text
     integer :: line = 0
   end type group_type
 
-  !> Where the reading is, and what was read so far.
+  !> Position of the reader in the text, and the groups and entries read so far.
   type :: reader_type
     character(len=:), allocatable :: text
     integer :: at = 1, line = 1
@@ -42,7 +42,7 @@ module battery_namelist_text
     type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
     integer :: group_count = 0, entry_count = 0
-    !> Those of the key that is being read.
+    !> Values of the key that is being read.
     type(value_type), allocatable :: values(:)
     type(remarks_type) :: remarks
   end type reader_type
@@ -88,7 +88,7 @@ contains
 
   !> Values as they were written, shortened if there are many.
   pure function written_text(values) result(text)
-    !> Of one key.
+    !> Values of one key.
     type(value_type), intent(in) :: values(:)
     character(len=:), allocatable :: text
     integer, parameter :: shown = 80
@@ -116,7 +116,7 @@ contains
 
     reader%at = reader%at + 1
     group%line = reader%line
-    call take_before(reader, verify(reader%text(reader%at:), name_signs), group%name)
+    call read_before(reader, verify(reader%text(reader%at:), name_signs), group%name)
     group%name = lower_case(group%name)
     reader%group_count = reader%group_count + 1
     reader%groups(reader%group_count) = group
@@ -136,7 +136,7 @@ contains
         call read_entry(reader, group%name)
       end select
     end do
-    call add_remark(reader%remarks, group%line, '&'//shown_text(group%name) &
+    call add_remark(reader%remarks, group%line, '&'//displayable_text(group%name) &
       //': the / that ends the group is missing')
   end subroutine read_group
 
@@ -149,19 +149,19 @@ contains
 
     entry%group = group
     entry%line = reader%line
-    call take_before(reader, verify(reader%text(reader%at:), name_signs), entry%key)
+    call read_before(reader, verify(reader%text(reader%at:), name_signs), entry%key)
     entry%key = lower_case(entry%key)
-    name = '&'//shown_text(group)//' '//shown_text(entry%key)
+    name = '&'//displayable_text(group)//' '//displayable_text(entry%key)
     if (entry%key == '') then
       call add_remark(reader%remarks, reader%line, &
-        '&'//shown_text(group)//': a key was expected at: '//rest_of_line(reader))
+        '&'//displayable_text(group)//': a key was expected at: '//rest_of_line(reader))
       call skip_line(reader)
       return
     end if
     call skip_blanks(reader)
     if (next_sign(reader) == '(' .or. next_sign(reader) == '%') then
       call add_remark(reader%remarks, reader%line, name//': parts of a key cannot be set; ' &
-        //'allowed: the whole list, '//shown_text(entry%key)//' = 1, 2, ...')
+        //'allowed: the whole list, '//displayable_text(entry%key)//' = 1, 2, ...')
       call skip_line(reader)
       return
     end if
@@ -252,11 +252,11 @@ contains
 
     problem = ''
     repeats = 1
-    call take_before(reader, scan(reader%text(reader%at:), value_ends), word)
+    call read_before(reader, scan(reader%text(reader%at:), value_ends), word)
     star = index(word, '*')
     if (star > 1 .and. verify(word(:star - 1), '0123456789') == 0) then
       if (star > 8) then
-        problem = 'too many values: '//shown_text(word)
+        problem = 'too many values: '//displayable_text(word)
         return
       end if
       read (word(:star - 1), *) repeats
@@ -289,7 +289,7 @@ contains
     count = 0
     do
       if (at_end(reader) .or. next_sign(reader) == line_end) then
-        problem = 'the quote that ends '//quote//shown_text(letters(:count)) &
+        problem = 'the quote that ends '//quote//displayable_text(letters(:count)) &
           //' is missing in its line'
         exit
       end if
@@ -313,12 +313,12 @@ contains
     follows = .false.
     if (scan(next_sign(reader), letters) == 0) return
     ahead%text = reader%text(reader%at:min(len(reader%text), reader%at + 1000))
-    call take_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
+    call read_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
     call skip_blanks(ahead)
     follows = next_sign(ahead) == '=' .or. next_sign(ahead) == '(' .or. next_sign(ahead) == '%'
   end function key_follows
 
-  !> Passes over blanks, ends of lines and comments, and over commas if asked to.
+  !> Skips blanks, ends of lines and comments, and commas if `commas`.
   pure subroutine skip_blanks(reader, commas)
     type(reader_type), intent(inout) :: reader
     logical, intent(in), optional :: commas
@@ -341,7 +341,7 @@ contains
     end do
   end subroutine skip_blanks
 
-  !> Passes over the rest of a line, but not over its end.
+  !> Skips the rest of a line up to its end.
   pure subroutine skip_line(reader)
     type(reader_type), intent(inout) :: reader
 
@@ -353,7 +353,7 @@ contains
     type(reader_type), intent(in) :: reader
     character(len=:), allocatable :: rest
 
-    rest = shown_text(trim(reader%text(reader%at:reader%at + line_length(reader) - 1)))
+    rest = displayable_text(trim(reader%text(reader%at:reader%at + line_length(reader) - 1)))
     if (rest == '') rest = 'the end of the line'
   end function rest_of_line
 
@@ -365,8 +365,8 @@ contains
     if (length < 0) length = len(reader%text) - reader%at + 1
   end function line_length
 
-  !> Takes what stands before sign number `next` from here; all that is left if that is 0.
-  subroutine take_before(reader, next, text)
+  !> Reads the text from here to before character `next`; all that is left if that is 0.
+  subroutine read_before(reader, next, text)
     type(reader_type), intent(inout) :: reader
     integer, intent(in) :: next
     character(len=:), allocatable, intent(out) :: text
@@ -376,7 +376,7 @@ contains
     if (next > 0) last = reader%at + next - 2
     text = reader%text(reader%at:last)
     reader%at = last + 1
-  end subroutine take_before
+  end subroutine read_before
 
   !> The next sign; a null sign at the end.
   pure function next_sign(reader) result(sign)

@@ -20,7 +20,7 @@ contains
 
   !> A whole number: digits, with or without a sign.
   pure subroutine read_whole(text, number, wrong)
-    !> Without blanks.
+    !> Text of a number, without blanks.
     character(len=*), intent(in) :: text
     !> 0 if something is wrong.
     integer(int64), intent(out) :: number
@@ -41,7 +41,7 @@ contains
   !> A number: a sign or none, digits with a point or without, and an exponent or none: e or d, a
   !> sign or none, digits. It must be neither too large nor so small that it would become 0.
   subroutine read_decimal(text, number, wrong)
-    !> Without blanks.
+    !> Text of a number, without blanks.
     character(len=*), intent(in) :: text
     !> 0 if something is wrong.
     real(wp), intent(out) :: number

@@ -1,37 +1,37 @@
-!> What is wrong with an input file, with its lines; collected, and told in their order.
+!> Problems of an input file with their lines; collected, and reported in the order of lines.
 module battery_remarks
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
-  public :: remarks_type, add_remark, remarks_text, shown_text
+  public :: remarks_type, add_remark, remarks_text, displayable_text
 
-  !> So many are told one by one, beyond that only how many there are.
+  !> Problems that are reported one by one; of more, only the number.
   integer, parameter, public :: most_reported = 50
 
   !> Most letters of a word of the file that a remark repeats.
   integer, parameter :: most_letters = 80
 
-  !> One thing that is wrong, and its line; 0: it has none.
+  !> One problem and its line; 0: it concerns the whole file.
   type :: remark_type
     integer :: line = 0
     character(len=:), allocatable :: text
   end type remark_type
 
-  !> All that is wrong.
+  !> All problems of one file.
   type :: remarks_type
     integer :: count = 0
-    !> Those that are told: the first of all, in the order of their lines, and the last.
+    !> Problems that are reported: the first ones in the order of lines, and the last one.
     type(remark_type), private :: first(most_reported), last
   end type remarks_type
 
 contains
 
-  !> Adds what is wrong with a line, or with the whole file if the line is 0.
+  !> Adds a problem of a line, or of the whole file if `line` is 0.
   pure subroutine add_remark(remarks, line, text)
     type(remarks_type), intent(inout) :: remarks
-    !> From 1.
+    !> Line of the namelist, from 1.
     integer, intent(in) :: line
-    !> What, where in the line, and what is allowed.
+    !> What is wrong, where in the line, and what is allowed.
     character(len=*), intent(in) :: text
     type(remark_type) :: remark
     integer :: place, told
@@ -49,7 +49,7 @@ contains
     remarks%count = remarks%count + 1
   end subroutine add_remark
 
-  !> All remarks about the file `name`, one a line in the order of its lines, those without a line
+  !> All problems of the file `name`, one a line in the order of its lines, those without a line
   !> first; of many, the first ones, the last one and how many there are. Empty: none.
   pure function remarks_text(remarks, name) result(text)
     type(remarks_type), intent(in) :: remarks
@@ -76,9 +76,9 @@ contains
     text = text//': '//remark%text
   end function one_text
 
-  !> A word of a file as it may be shown: shortened, and without signs that steer a terminal.
-  pure function shown_text(word) result(shown)
-    !> As it stands there.
+  !> A word of a file made safe to print: shortened, control characters replaced by `?`.
+  pure function displayable_text(word) result(shown)
+    !> The word as it stands in the file.
     character(len=*), intent(in) :: word
     character(len=:), allocatable :: shown
     integer :: at
@@ -88,6 +88,6 @@ contains
       if (iachar(shown(at:at)) < 32 .or. iachar(shown(at:at)) == 127) shown(at:at) = '?'
     end do
     if (len(word) > most_letters) shown = shown//' ...'
-  end function shown_text
+  end function displayable_text
 
 end module battery_remarks

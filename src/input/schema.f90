@@ -55,7 +55,7 @@ contains
   !> What a key may hold.
   pure function type_text(key, bounds) result(text)
     type(key_type), intent(in) :: key
-    !> Of its numbers.
+    !> Bounds of the key's numbers, in words.
     character(len=*), intent(in) :: bounds
     character(len=:), allocatable :: text, one
 

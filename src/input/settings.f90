@@ -1,20 +1,20 @@
 !> Gives every key of a namelist its value: checks groups, keys, types and bounds, and takes the
 !> default for what is not there. All problems are collected, each with its line.
 !>
-!> Which keys there are is in the list that it is given.
+!> The list of keys is an argument.
 module battery_settings
   use battery_kinds, only: wp, int32, int64
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
-  use battery_remarks, only: remarks_type, add_remark, shown_text
+  use battery_remarks, only: remarks_type, add_remark, displayable_text
   use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist, &
     written_text
-  use battery_key, only: key_type, different, find_key, allowed_text, is_beyond, whole_key, &
+  use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
     real_key, text_key, logical_key, longest_text, longest_range
   implicit none (type, external)
   private
   public :: setting_type, settings_type, read_settings, find_setting
-  public :: take, take_list, take_text
+  public :: get_value, get_list, get_text
 
   !> The value of one key; which component counts depends on its type.
   type :: setting_type
@@ -27,7 +27,7 @@ module battery_settings
     real(wp), allocatable :: reals(:)
     character(len=:), allocatable :: text
     logical :: flag = .false.
-    !> Its values in one way of writing, to be compared.
+    !> The values in one way of writing, so that settings can be compared.
     character(len=:), allocatable :: canonical
   end type setting_type
 
@@ -37,11 +37,11 @@ module battery_settings
     type(remarks_type) :: problems
   end type settings_type
 
-  !> Takes the `value` of a key, which stays as it was where there is none; `group` and `name` are
+  !> Gets the `value` of a key; without one, `value` keeps what it had. `group` and `name` are
   !> in small letters. Of two numbers, one that is given counts for both.
-  interface take
-    module procedure :: take_one, take_two
-  end interface take
+  interface get_value
+    module procedure :: get_one_value, get_two_values
+  end interface get_value
 
 contains
 
@@ -54,7 +54,7 @@ contains
     type(settings_type), intent(out) :: settings
     type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
-    !> The key that was meant by each entry that is none; 0: that is not known.
+    !> Place of the key probably meant by each unknown entry; 0: none is similar.
     integer, allocatable :: meant(:)
     integer :: at, place
 
@@ -62,7 +62,7 @@ contains
     call check_groups(keys, groups, settings%problems)
     allocate (settings%all(size(keys)))
     do at = 1, size(keys)
-      call take_default(keys(at), settings%all(at))
+      call set_default(keys(at), settings%all(at))
     end do
     allocate (meant(size(entries)), source=0)
     do at = 1, size(entries)
@@ -71,11 +71,11 @@ contains
         meant(at) = meant_key(keys, entries(at))
         call refuse_key(keys, entries(at), meant(at), settings%problems)
       else if (settings%all(place)%given) then
-        call add_remark(settings%problems, entries(at)%line, name_of(entries(at)) &
+        call add_remark(settings%problems, entries(at)%line, entry_name(entries(at)) &
           //' = '//written_text(entries(at)%values)//': is given again; allowed: once (line ' &
           //to_text(settings%all(place)%line)//')')
       else
-        call take_entry(entries(at), settings%all(place), settings%problems)
+        call set_from_entry(entries(at), settings%all(place), settings%problems)
       end if
     end do
     ! A key that is misspelt counts as given and refused, so it is not told to be missing as well.
@@ -100,14 +100,14 @@ contains
     integer, allocatable :: first_line(:)
     integer :: at, name
 
-    names = different(keys%group)
+    names = distinct_names(keys%group)
     allocate (first_line(size(names)), source=0)
     do at = 1, size(groups)
       do name = 1, size(names)
         if (names(name)%text == groups(at)%name) exit
       end do
       if (name > size(names)) then
-        call add_remark(problems, groups(at)%line, '&'//shown_text(groups(at)%name) &
+        call add_remark(problems, groups(at)%line, '&'//displayable_text(groups(at)%name) &
           //': there is no such group'//suggestion('&', closest_word(groups(at)%name, names)) &
           //'; allowed: &'//join(names, ', &'))
       else if (first_line(name) > 0) then
@@ -129,14 +129,14 @@ contains
     integer :: at
 
     group = entry%group
-    if (all(keys%group /= group)) group = closest_word(group, different(keys%group))
+    if (all(keys%group /= group)) group = closest_word(group, distinct_names(keys%group))
     place = find_key(keys, group, entry%key)
     if (place == 0) place = findloc(keys%name == entry%key, .true., dim=1)
     is_symbol = keys%symbol /= '' .and. [(written_symbol(keys(at)) == entry%key, at=1, size(keys))]
     if (place == 0) place = findloc(is_symbol .and. keys%group == group, .true., dim=1)
     if (place == 0) place = findloc(is_symbol, .true., dim=1)
     if (place == 0) place = find_key(keys, group, closest_word(entry%key, &
-      different(pack(keys%name, keys%group == group))))
+      distinct_names(pack(keys%name, keys%group == group))))
   end function meant_key
 
   !> The symbol of a key as a name: `n` for N, `w_prime` for w'.
@@ -168,9 +168,9 @@ contains
         hint = suggestion('&', trim(keys(meant)%group)//' '//trim(keys(meant)%name))
       end if
     end if
-    call add_remark(problems, entry%line, name_of(entry)//' = '//written_text(entry%values) &
+    call add_remark(problems, entry%line, entry_name(entry)//' = '//written_text(entry%values) &
       //': there is no such key'//hint//'; allowed: ' &
-      //join(different(pack(keys%name, keys%group == entry%group)), ', '))
+      //join(distinct_names(pack(keys%name, keys%group == entry%group)), ', '))
   end subroutine refuse_key
 
   !> The name that may have been meant, behind its sign, as a question; empty: none.
@@ -182,15 +182,15 @@ contains
     if (name /= '') text = ' (did you mean '//sign//name//'?)'
   end function suggestion
 
-  pure function name_of(entry) result(name)
+  pure function entry_name(entry) result(name)
     type(entry_type), intent(in) :: entry
     character(len=:), allocatable :: name
 
-    name = '&'//entry%group//' '//shown_text(entry%key)
-  end function name_of
+    name = '&'//entry%group//' '//displayable_text(entry%key)
+  end function entry_name
 
   !> The default of a key; it goes through the same reading as an input.
-  subroutine take_default(key, setting)
+  subroutine set_default(key, setting)
     type(key_type), intent(in) :: key
     type(setting_type), intent(out) :: setting
     type(entry_type) :: entry
@@ -207,12 +207,12 @@ contains
     entry%values(1)%quoted = key%kind == text_key
     entry%values(1)%text = trim(key%default)
     if (key%kind == text_key) entry%values(1)%text = key%default(2:len_trim(key%default) - 1)
-    call take_entry(entry, setting, problems)
+    call set_from_entry(entry, setting, problems)
     setting%given = .false.
-  end subroutine take_default
+  end subroutine set_default
 
   !> The values of a key as they were given.
-  subroutine take_entry(entry, setting, problems)
+  subroutine set_from_entry(entry, setting, problems)
     type(entry_type), intent(in) :: entry
     type(setting_type), intent(inout) :: setting
     type(remarks_type), intent(inout) :: problems
@@ -229,17 +229,17 @@ contains
         setting%reals = [(0.0_wp, at=1, merge(count, 0, key%kind == real_key))]
         allocate (written(count))
         do at = 1, count
-          call take_value(entry%values(at), at, setting, written(at)%text, wrong)
+          call set_value_at(entry%values(at), at, setting, written(at)%text, wrong)
           if (wrong /= '') exit
         end do
       end if
       if (wrong == '') setting%canonical = join(written, ' ')
       if (wrong == '' .and. key%is_range) wrong = wrong_range(setting%reals)
       setting%known = wrong == ''
-      if (wrong /= '') call add_remark(problems, entry%line, name_of(entry)//' = ' &
+      if (wrong /= '') call add_remark(problems, entry%line, entry_name(entry)//' = ' &
         //written_text(entry%values)//': '//wrong//'; allowed: '//allowed_text(key))
     end associate
-  end subroutine take_entry
+  end subroutine set_from_entry
 
   !> What is wrong with the number of values; empty: nothing.
   pure function wrong_count(key, count) result(wrong)
@@ -259,9 +259,9 @@ contains
     end if
   end function wrong_count
 
-  !> Puts value number `at` into a setting; `written` is its one way of writing, `wrong` says what
+  !> Sets value number `at` of a setting; `written` is its canonical text, `wrong` says what
   !> is wrong with it.
-  subroutine take_value(value, at, setting, written, wrong)
+  subroutine set_value_at(value, at, setting, written, wrong)
     type(value_type), intent(in) :: value
     integer, intent(in) :: at
     type(setting_type), intent(inout) :: setting
@@ -289,7 +289,7 @@ contains
         if (wrong == '') setting%text = trim(value%text)
       end select
     end associate
-  end subroutine take_value
+  end subroutine set_value_at
 
   pure function out_of_bounds(key, number) result(wrong)
     type(key_type), intent(in) :: key
@@ -344,7 +344,7 @@ contains
     end if
   end function wrong_text
 
-  !> Whether a text has a sign in it that is not to be seen: a tab, a line end, a delete.
+  !> Whether a text has a control character: a tab, a line end, a delete.
   pure logical function has_control_sign(text) result(yes)
     character(len=*), intent(in) :: text
     integer, parameter :: first_visible = 32, delete = 127
@@ -369,34 +369,34 @@ contains
   !> Place of a key in the settings, which must have it.
   pure integer function find_setting(settings, group, name) result(place)
     type(settings_type), intent(in) :: settings
-    !> In small letters.
+    !> Group and key in small letters.
     character(len=*), intent(in) :: group, name
 
     place = find_key(settings%all%key, group, name)
     if (place == 0) error stop 'a key is asked for that is not declared'
   end function find_setting
 
-  pure subroutine take_one(settings, group, name, value)
+  pure subroutine get_one_value(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name
     class(*), intent(inout) :: value
 
-    call take_at(settings%all(find_setting(settings, group, name)), 1, value)
-  end subroutine take_one
+    call get_value_at(settings%all(find_setting(settings, group, name)), 1, value)
+  end subroutine get_one_value
 
-  pure subroutine take_two(settings, group, name, value)
+  pure subroutine get_two_values(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name
     class(*), intent(inout) :: value(2)
 
     associate (setting => settings%all(find_setting(settings, group, name)))
-      call take_at(setting, 1, value(1))
-      call take_at(setting, size(setting%integers) + size(setting%reals), value(2))
+      call get_value_at(setting, 1, value(1))
+      call get_value_at(setting, size(setting%integers) + size(setting%reals), value(2))
     end associate
-  end subroutine take_two
+  end subroutine get_two_values
 
-  !> Takes value number `at` of a setting.
-  pure subroutine take_at(setting, at, value)
+  !> Gets value number `at` of a setting.
+  pure subroutine get_value_at(setting, at, value)
     type(setting_type), intent(in) :: setting
     integer, intent(in) :: at
     class(*), intent(inout) :: value
@@ -414,24 +414,24 @@ contains
     class default
       error stop 'no key has a value of this type'
     end select
-  end subroutine take_at
+  end subroutine get_value_at
 
-  !> Takes all values of a key of numbers, `name` in its `group`, as `value`.
-  pure subroutine take_list(settings, group, name, value)
+  !> Gets all values of a key of numbers, `name` in its `group`, as `value`.
+  pure subroutine get_list(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name
     real(wp), allocatable, intent(inout) :: value(:)
 
     value = settings%all(find_setting(settings, group, name))%reals
-  end subroutine take_list
+  end subroutine get_list
 
-  !> Takes the text of a key, `name` in its `group`, as `value`.
-  pure subroutine take_text(settings, group, name, value)
+  !> Gets the text of a key, `name` in its `group`, as `value`.
+  pure subroutine get_text(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name
     character(len=:), allocatable, intent(inout) :: value
 
     value = settings%all(find_setting(settings, group, name))%text
-  end subroutine take_text
+  end subroutine get_text
 
 end module battery_settings

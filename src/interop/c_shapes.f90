@@ -1,4 +1,4 @@
-!> Shapes of C procedures: what takes and gives the same is declared by one of them.
+!> Interfaces of C procedures, one for each list of arguments and type of result.
 !>
 !> Texts that go to C end with a null sign; what C writes goes into `room` bytes. What takes a
 !> number alone has no shape: where a procedure is declared by one, gfortran 12 passes the address
@@ -8,44 +8,44 @@ module battery_c_shapes
   implicit none (type, external)
   private
   public :: action, action_on_address
-  public :: number_known, number_of_address, number_of_path, number_of_paths
+  public :: returns_number, number_of_address, number_of_path, number_of_paths
   public :: number_of_text, number_of_path_and_text, size_of_address
-  public :: address_known, address_of_path, address_of_number
+  public :: returns_address, address_of_path, address_of_number
 
   abstract interface
-    !> Does something.
+    !> No argument, no result.
     subroutine action() bind(c)
       implicit none (type, external)
     end subroutine action
 
-    !> Does something with what stands at an address.
+    !> An address, no result.
     subroutine action_on_address(address) bind(c)
       import :: c_ptr
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: address
     end subroutine action_on_address
 
-    !> A number that C knows.
-    integer(c_int) function number_known() bind(c)
+    !> No argument; returns an integer.
+    integer(c_int) function returns_number() bind(c)
       import :: c_int
       implicit none (type, external)
-    end function number_known
+    end function returns_number
 
-    !> A number that belongs to what stands at an address.
+    !> Returns an integer for the object at an address.
     integer(c_int) function number_of_address(address) bind(c)
       import :: c_int, c_ptr
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: address
     end function number_of_address
 
-    !> A number that belongs to a path.
+    !> Returns an integer for a path.
     integer(c_int) function number_of_path(path) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
     end function number_of_path
 
-    !> A number that belongs to two paths.
+    !> Returns an integer for two paths.
     integer(c_int) function number_of_paths(one, other) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
@@ -69,27 +69,27 @@ module battery_c_shapes
       character(kind=c_char), intent(inout) :: text(room)
     end function number_of_path_and_text
 
-    !> A size that belongs to what stands at an address.
+    !> Returns the size of the object at an address.
     integer(c_size_t) function size_of_address(address) bind(c)
       import :: c_ptr, c_size_t
       implicit none (type, external)
       type(c_ptr), value, intent(in) :: address
     end function size_of_address
 
-    !> An address that C knows.
-    type(c_ptr) function address_known() bind(c)
+    !> No argument; returns an address.
+    type(c_ptr) function returns_address() bind(c)
       import :: c_ptr
       implicit none (type, external)
-    end function address_known
+    end function returns_address
 
-    !> An address of what stands at a path.
+    !> Returns the address of an object for a path.
     type(c_ptr) function address_of_path(path) bind(c)
       import :: c_char, c_ptr
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
     end function address_of_path
 
-    !> An address of what belongs to a number, which goes by its own address.
+    !> Returns an address for an integer, which is passed by reference.
     type(c_ptr) function address_of_number(number) bind(c)
       import :: c_int, c_ptr
       implicit none (type, external)

@@ -51,7 +51,7 @@ contains
 
   !> Leaves the processor to others for a while, up to a second; a signal may end it early.
   subroutine sleep_for(seconds)
-    !> At most 0.99 of them count.
+    !> Time to sleep; more than 0.99 s counts as 0.99 s.
     real(dp), intent(in) :: seconds
     integer(c_int) :: status
 

@@ -2,7 +2,7 @@
 !> Python's `hashlib` give the same digits.
 module battery_digest
   use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_int8_t, c_ptr, c_null_ptr, c_associated
-  use battery_c_shapes, only: address_known, action_on_address
+  use battery_c_shapes, only: returns_address, action_on_address
   use battery_kinds, only: int8
   use battery_text, only: lower_case
   implicit none (type, external)
@@ -12,16 +12,16 @@ module battery_digest
   !> Hexadecimal digits of a digest.
   integer, parameter :: digest_length = 64
 
-  !> A digest under way.
+  !> A digest being computed.
   type :: digest_type
     private
     type(c_ptr) :: context = c_null_ptr
-    !> Whether the library has done all that it was asked for.
+    !> Whether all calls of the library have succeeded.
     logical :: is_good = .false.
   end type digest_type
 
-  procedure(address_known), bind(c, name='EVP_sha256') :: c_sha256
-  procedure(address_known), bind(c, name='EVP_MD_CTX_new') :: c_new
+  procedure(returns_address), bind(c, name='EVP_sha256') :: c_sha256
+  procedure(returns_address), bind(c, name='EVP_MD_CTX_new') :: c_new
   procedure(action_on_address), bind(c, name='EVP_MD_CTX_free') :: c_free
 
   interface
@@ -52,7 +52,7 @@ contains
 
   !> Starts a digest; `end_digest` must follow.
   subroutine begin_digest(digest)
-    !> What is started.
+    !> Digest, ready for its first bytes.
     type(digest_type), intent(out) :: digest
 
     digest%context = c_new()
@@ -60,11 +60,11 @@ contains
     if (digest%is_good) digest%is_good = c_init(digest%context, c_sha256(), c_null_ptr) == 1
   end subroutine begin_digest
 
-  !> Takes more bytes into a digest.
+  !> Adds bytes to a digest.
   subroutine add_to_digest(digest, bytes)
     !> A digest that was begun.
     type(digest_type), intent(inout) :: digest
-    !> What comes next, of any number.
+    !> The next bytes, any number of them.
     integer(int8), intent(in), contiguous :: bytes(:)
 
     if (digest%is_good) digest%is_good = &
@@ -73,7 +73,7 @@ contains
 
   !> Ends a digest.
   subroutine end_digest(digest, text)
-    !> A digest that was begun; it cannot be gone on with.
+    !> A digest that was begun; nothing can be added afterwards.
     type(digest_type), intent(inout) :: digest
     !> `digest_length` hexadecimal digits, in small letters; empty if the library has failed, which
     !> lack of memory can do.

@@ -9,7 +9,7 @@ module battery_file_text
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: read_text, read_input
+  public :: read_file, read_input
 
   !> What `read_some` says besides a number of bytes: at the end, not yet.
   integer(int64), parameter :: at_end = 0, not_yet = -2
@@ -42,10 +42,10 @@ module battery_file_text
 contains
 
   !> The whole of a file as one text, its line ends as they are.
-  subroutine read_text(path, text, error)
-    !> Of a file, and of nothing else.
+  subroutine read_file(path, text, error)
+    !> Path of a file; a pipe or a device is an error.
     character(len=*), intent(in) :: path
-    !> Its bytes; empty after an error.
+    !> Bytes of the file; empty after an error.
     character(len=:), allocatable, intent(out) :: text
     type(error_type), allocatable, intent(out) :: error
 
@@ -55,14 +55,14 @@ contains
     else
       call read_input(path, huge(0_int64), text, error)
     end if
-  end subroutine read_text
+  end subroutine read_file
 
   !> The whole of a file, or of what comes through a pipe, up to `most` bytes.
   subroutine read_input(path, most, text, error)
-    !> Of a file or a pipe.
+    !> Path of a file or a pipe.
     character(len=*), intent(in) :: path
     integer(int64), intent(in) :: most
-    !> Its bytes, up to the error if there is one.
+    !> Bytes of the file, up to the error if there is one.
     character(len=:), allocatable, intent(out) :: text
     !> Code `exit_stopped_early` if a signal came while nothing came through the pipe.
     type(error_type), allocatable, intent(out) :: error

@@ -3,21 +3,21 @@
 module battery_files
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_ptr, c_null_char, c_associated
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_c_shapes, only: number_known, number_of_path, number_of_paths, number_of_address, &
+  use battery_c_shapes, only: returns_number, number_of_path, number_of_paths, number_of_address, &
     address_of_path
-  use battery_paths, only: is_folder, folder_of, system_message, fail_with, text_at
+  use battery_paths, only: is_folder, folder_of, system_message, set_system_error, c_text_at
   use battery_text, only: string_type
   implicit none (type, external)
   private
-  public :: file_exists, is_readable, is_writable, is_disk_error, files_like
+  public :: file_exists, is_readable, is_writable, is_disk_error, files_matching
   public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
-  public :: seen_type, seen_at, is_as_seen, put_in_place
+  public :: file_identity_type, file_identity_at, has_identity, publish_unless_replaced
 
-  !> What a name stood for when it was looked at; as it begins: nothing.
-  type :: seen_type
+  !> Identity of the file that a name referred to at one time; initially: no file.
+  type :: file_identity_type
     private
     integer(c_int64_t) :: mark(5) = 0
-  end type seen_type
+  end type file_identity_type
 
   procedure(number_of_path), bind(c, name='battery_exists') :: c_exists
   procedure(number_of_path), bind(c, name='battery_may_read') :: c_may_read
@@ -27,7 +27,7 @@ module battery_files
   procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
   procedure(number_of_path), bind(c, name='battery_create_new') :: c_create_new
   procedure(number_of_paths), bind(c, name='rename') :: c_rename
-  procedure(number_known), bind(c, name='battery_is_disk_error') :: c_is_disk_error
+  procedure(returns_number), bind(c, name='battery_is_disk_error') :: c_is_disk_error
   procedure(address_of_path), bind(c, name='opendir') :: c_opendir
   procedure(number_of_address), bind(c, name='closedir') :: c_closedir
 
@@ -82,17 +82,17 @@ contains
 
   !> Waits until the file, or the entries of the folder, are on the disk.
   subroutine sync_file(path, error)
-    !> Of a file or a folder.
+    !> Path of a file or a folder.
     character(len=*), intent(in) :: path
-    !> It is not there, or the disk has failed.
+    !> Error if the file is not there, or the disk has failed.
     type(error_type), allocatable, intent(out) :: error
 
-    call fail_with(c_sync(path//c_null_char), path//': cannot be written to the disk', error)
+    call set_system_error(c_sync(path//c_null_char), path//': cannot be written to the disk', error)
   end subroutine sync_file
 
   !> Gives a file another name in one step; what had that name is gone.
   subroutine rename_file(old, new, error)
-    !> On one file system.
+    !> Old and new path, on one file system.
     character(len=*), intent(in) :: old, new
     type(error_type), allocatable, intent(out) :: error
 
@@ -103,7 +103,7 @@ contains
   !> Puts a finished temporary file under its final name, so that after a crash there is either the
   !> old file or the new one, whole.
   subroutine publish_file(temporary, final, error)
-    !> In one folder.
+    !> Paths of the two files, in one folder.
     character(len=*), intent(in) :: temporary, final
     type(error_type), allocatable, intent(out) :: error
 
@@ -114,35 +114,35 @@ contains
     call sync_file(folder_of(final), error)
   end subroutine publish_file
 
-  !> What a name stands for now: by this it is known whether it stands for something else later.
-  function seen_at(path) result(seen)
+  !> Identity of the file that a name refers to now, to detect later that it was replaced.
+  function file_identity_at(path) result(seen)
     !> Links are not followed.
     character(len=*), intent(in) :: path
-    type(seen_type) :: seen
+    type(file_identity_type) :: seen
 
     call c_look_at(path//c_null_char, seen%mark)
-  end function seen_at
+  end function file_identity_at
 
-  !> Whether a name stands for what it stood for before.
-  function is_as_seen(path, before) result(yes)
+  !> Whether a name still refers to the file that it referred to before.
+  function has_identity(path, before) result(yes)
     !> Links are not followed.
     character(len=*), intent(in) :: path
-    !> What it stood for.
-    type(seen_type), intent(in) :: before
+    !> Identity before, from `file_identity_at`.
+    type(file_identity_type), intent(in) :: before
     logical :: yes
-    type(seen_type) :: now
+    type(file_identity_type) :: now
 
-    now = seen_at(path)
+    now = file_identity_at(path)
     yes = all(now%mark == before%mark)
-  end function is_as_seen
+  end function has_identity
 
   !> As `publish_file`, for a temporary file that is on the disk, but replaces nothing that was not
   !> there before: then the file stays under its temporary name, and the error says so.
-  subroutine put_in_place(temporary, final, before, error)
-    !> In one folder.
+  subroutine publish_unless_replaced(temporary, final, before, error)
+    !> Paths of the two files, in one folder.
     character(len=*), intent(in) :: temporary, final
-    !> What may be replaced.
-    type(seen_type), intent(in) :: before
+    !> Identity of the file that may be replaced.
+    type(file_identity_type), intent(in) :: before
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: what
     integer :: status
@@ -153,10 +153,10 @@ contains
       call fatal_error(error, what//', since '//final//' is something else now than it was when ' &
         //'the run began; move that away, and the same command goes on')
     else
-      call fail_with(status, what//'; it cannot be renamed to '//final, error)
+      call set_system_error(status, what//'; it cannot be renamed to '//final, error)
     end if
     if (.not. allocated(error)) call sync_file(folder_of(final), error)
-  end subroutine put_in_place
+  end subroutine publish_unless_replaced
 
   !> Removes a file or an empty folder; one that is not there is no error.
   subroutine remove_file(path, error)
@@ -164,13 +164,13 @@ contains
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
 
-    call fail_with(c_remove(path//c_null_char), path//': cannot be removed', error)
+    call set_system_error(c_remove(path//c_null_char), path//': cannot be removed', error)
   end subroutine remove_file
 
   !> Makes a folder; one that is there already is no error. The error's code is `exit_bad_input`
   !> unless the disk is at fault.
   subroutine make_folder(path, error)
-    !> In a folder that is there.
+    !> Path of the new folder, within a folder that is there.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
@@ -188,14 +188,14 @@ contains
   !> Makes an empty file anew. What had that name is removed, a link too: nothing is ever written
   !> through one.
   subroutine create_new_file(path, error)
-    !> In a folder that is there.
+    !> Path of the new file, in a folder that is there.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
 
-    call fail_with(c_create_new(path//c_null_char), path//': cannot be made anew', error)
+    call set_system_error(c_create_new(path//c_null_char), path//': cannot be made anew', error)
   end subroutine create_new_file
 
-  !> Whether the disk is at fault for what failed last, and not a name or a right.
+  !> Whether the last failure was one of the disk, not of a name or of permissions.
   logical function is_disk_error() result(yes)
 
     yes = c_is_disk_error() /= 0
@@ -203,8 +203,8 @@ contains
 
   !> Names, without the folder, of what there is in a folder that matches a pattern with `*` and
   !> `?`; none if there is no such folder. Their order is arbitrary.
-  function files_like(folder, pattern) result(names)
-    !> Where to look, and what for.
+  function files_matching(folder, pattern) result(names)
+    !> Folder to look in, and pattern of the names.
     character(len=*), intent(in) :: folder, pattern
     type(string_type), allocatable :: names(:)
     type(string_type), allocatable :: more(:)
@@ -225,11 +225,11 @@ contains
           call move_alloc(more, names)
         end if
         found = found + 1
-        names(found)%text = text_at(name)
+        names(found)%text = c_text_at(name)
       end do
       status = c_closedir(open_folder)
     end if
     names = names(:found)
-  end function files_like
+  end function files_matching
 
 end module battery_files

@@ -3,11 +3,11 @@
    In C, since GSL's generators are variables, of which a Fortran program would get a copy of its
    own, empty. */
 
-#include <stdint.h>
-#include <stdlib.h>
-#include <gsl/gsl_errno.h>
+#include <gsl/gsl_errno.h> /* type "fpm @release": "fpm build" has no switches (docs/install.md) */
 #include <gsl/gsl_rng.h>
 #include <gsl/gsl_version.h>
+#include <stdint.h>
+#include <stdlib.h>
 
 /* Version of the library that is there at run time. */
 const char *battery_gsl_version(void) { return gsl_version; }

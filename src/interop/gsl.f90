@@ -7,8 +7,8 @@
 module battery_gsl
   use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_double, c_int64_t, c_size_t, &
     c_associated
-  use battery_c_shapes, only: action_on_address, address_known
-  use battery_paths, only: text_at
+  use battery_c_shapes, only: action_on_address, returns_address
+  use battery_paths, only: c_text_at
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
   implicit none (type, external)
@@ -23,7 +23,7 @@ module battery_gsl
   end type generator_type
 
   procedure(action_on_address), bind(c, name='battery_generator_free') :: c_free
-  procedure(address_known), bind(c, name='battery_gsl_version') :: c_version
+  procedure(returns_address), bind(c, name='battery_gsl_version') :: c_version
 
   interface
     type(c_ptr) function c_new(seed) bind(c, name='battery_generator_new')
@@ -32,7 +32,7 @@ module battery_gsl
       integer(c_int64_t), value, intent(in) :: seed
     end function c_new
 
-    !> Below this lies a share of Student's distribution with so many degrees of freedom.
+    !> Quantile of Student's distribution with `freedom` degrees: `share` of it lies below.
     real(c_double) function student_quantile(share, freedom) bind(c, name='gsl_cdf_tdist_Pinv')
       import :: c_double
       implicit none (type, external)
@@ -62,13 +62,13 @@ contains
   function gsl_library() result(version)
     character(len=:), allocatable :: version
 
-    version = text_at(c_version())
+    version = c_text_at(c_version())
   end function gsl_library
 
   !> A generator, to be given back with `free_generator`; an error if there is no memory.
   subroutine new_generator(generator, seed, error)
     type(generator_type), intent(out) :: generator
-    !> Any 64 bits.
+    !> Seed: any 64 bits.
     integer(int64), intent(in) :: seed
     type(error_type), allocatable, intent(out) :: error
 

@@ -6,12 +6,13 @@
 #include <fcntl.h>
 #include <limits.h>
 #include <stdint.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
-/* What an attempt came to. */
+/* Outcomes of an attempt to own a file, and of an attempt to lock it. */
 enum { taken = 0, held = 1, unknown = 2, again = 3, failed = 4, not_a_file = 5 };
 enum { locked, locked_by_another, no_locks };
 
@@ -68,64 +69,99 @@ static int is_of_an_owner(const char *found) {
   return 1;
 }
 
-/* Writes who owns the file. */
-static int settle(const char *path, const char *text, int descriptor, owner_type **result) {
-  ssize_t length = (ssize_t)strlen(text);
-  owner_type *owner = calloc(1, sizeof *owner);
-  int status = ENOMEM;
-  if (owner != NULL) {
-    errno = EIO;
-    status = ftruncate(descriptor, 0) == 0 && pwrite(descriptor, text, (size_t)length, 0) == length
-      && fsync(descriptor) == 0 ? 0 : errno;
-    owner->descriptor = descriptor;
-    strncpy(owner->path, path, sizeof owner->path - 1);
-  }
-  if (status == 0) {
-    *result = owner;
-    return taken;
-  }
-  unlink(path);
-  close(descriptor);
-  free(owner);
-  errno = status;
-  return failed;
-}
-
-/* Tries to own the file `path`, which then says `text` ("host process time"). Where it is another's,
-   or may be, `holder` (`room` bytes) is what it says. */
-int battery_own(const char *path, const char *text, char *holder, int room, owner_type **owner) {
-  int is_new = 1;
-  int descriptor = open(path, O_RDWR | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
-  holder[0] = '\0';
-  if (descriptor < 0 && errno == EEXIST) {
-    is_new = 0;
-    descriptor = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK);
-    if (descriptor < 0 && errno == ENOENT) return again;
-    if (descriptor < 0 && (errno == ELOOP || errno == EISDIR || errno == ENXIO)) return not_a_file;
-  }
-  if (descriptor < 0) return failed;
+/* Removes the file of a run of this machine that has ended, and is `taken` if there is none now.
+   Where it is another's, or may be, `holder` (`room` bytes) is what it says. */
+static int remove_of_ended(const char *path, const char *text, char *holder, int room) {
+  int descriptor = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK), outcome = taken, got;
   struct stat found;
-  if (fstat(descriptor, &found) != 0 || !S_ISREG(found.st_mode)) {
-    close(descriptor);
-    return not_a_file;
+  holder[0] = '\0';
+  if (descriptor < 0) {
+    if (errno == ENOENT) return taken;
+    return errno == ELOOP || errno == EISDIR || errno == ENXIO ? not_a_file : failed;
   }
-  int length = battery_read_owner(path, holder, room), outcome = taken, got;
-  if (length > 0 && (strlen(holder) != (size_t)length || !is_of_an_owner(holder)))
+  int length = battery_read_owner(path, holder, room);
+  if (fstat(descriptor, &found) != 0 || !S_ISREG(found.st_mode)) outcome = not_a_file;
+  else if (length > 0 && (strlen(holder) != (size_t)length || !is_of_an_owner(holder)))
     outcome = not_a_file;
-  /* An empty one is what a kill may leave, or what another machine is about to write to: a network
-     disk may show it empty for many seconds. */
-  else if (!is_new && !same_host(holder, text))
+  /* An empty one may be what another machine is about to write to: a network disk may show it empty
+     for many seconds. */
+  else if (!same_host(holder, text))
     outcome = unknown;
   if (outcome == taken) {
     got = lock(descriptor);
     /* Who gives a file up removes it: then the lock is one on a file without a name. */
-    if (!names(path, descriptor)) outcome = again;
-    else if (got == locked_by_another) outcome = held;
-    else if (got == no_locks && !is_new) outcome = unknown;
+    if (!names(path, descriptor)) {
+      holder[0] = '\0';
+      outcome = again;
+    }
+    else if (got != locked) outcome = got == locked_by_another ? held : unknown;
+    else if (unlink(path) != 0) outcome = failed;
   }
-  if (outcome == taken) return settle(path, text, descriptor, owner);
+  int status = errno;
   close(descriptor);
+  errno = status;
   return outcome;
+}
+
+/* Locks the new file, and writes who owns it; 0, or an error number. */
+static int write_owner(int descriptor, const char *text) {
+  ssize_t length = (ssize_t)strlen(text);
+  lock(descriptor);
+  errno = EIO;
+  return pwrite(descriptor, text, (size_t)length, 0) == length && fsync(descriptor) == 0 ? 0 : errno;
+}
+
+/* Creates the file, locked and with its text; gives its descriptor, or -1. It is written before it
+   has a name, so that a kill leaves all of it or nothing. */
+static int create_at_once(const char *path, const char *text) {
+  char folder[PATH_MAX], unnamed[64];
+  const char *slash = strrchr(path, '/');
+  int length = slash == NULL ? 0 : (int)(slash - path) + 1, status;
+  if (snprintf(folder, sizeof folder, "%.*s.", length, path) >= (int)sizeof folder) return -1;
+  int descriptor = open(folder, O_TMPFILE | O_RDWR | O_CLOEXEC, 0666);
+  if (descriptor < 0) return -1;
+  snprintf(unnamed, sizeof unnamed, "/proc/self/fd/%d", descriptor);
+  status = write_owner(descriptor, text);
+  if (status == 0 && linkat(AT_FDCWD, unnamed, AT_FDCWD, path, AT_SYMLINK_FOLLOW) == 0)
+    return descriptor;
+  if (status == 0) status = errno;
+  close(descriptor);
+  errno = status;
+  return -1;
+}
+
+/* The same where a file system knows no file without a name: for a moment it is empty. */
+static int create_and_write(const char *path, const char *text) {
+  int descriptor = open(path, O_RDWR | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
+  if (descriptor < 0) return -1;
+  int status = write_owner(descriptor, text);
+  if (status == 0) return descriptor;
+  unlink(path);
+  close(descriptor);
+  errno = status;
+  return -1;
+}
+
+/* Tries to own the file `path`, which then says `text` ("host process time"). Where it is another's,
+   or may be, `holder` (`room` bytes) is what it says. If it was of a run of this machine that has
+   ended, it is removed, `holder` is what it said, and the outcome is `again`. */
+int battery_own(const char *path, const char *text, char *holder, int room, owner_type **result) {
+  int outcome = remove_of_ended(path, text, holder, room);
+  if (outcome != taken) return outcome;
+  if (holder[0] != '\0') return again;
+  owner_type *owner = calloc(1, sizeof *owner);
+  if (owner == NULL) return failed;
+  strncpy(owner->path, path, sizeof owner->path - 1);
+  owner->descriptor = create_at_once(path, text);
+  if (owner->descriptor < 0 && errno != EEXIST) owner->descriptor = create_and_write(path, text);
+  if (owner->descriptor >= 0) {
+    *result = owner;
+    return taken;
+  }
+  int status = errno;
+  free(owner);
+  errno = status;
+  return status == EEXIST ? again : failed;
 }
 
 /* Removes the file if it is still there, and ends the lock. */

@@ -15,8 +15,8 @@ module battery_lock_file
   use battery_c_shapes, only: action_on_address, number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
-  use battery_files, only: is_disk_error, file_exists, create_new_file, remove_file, seen_type, &
-    seen_at
+  use battery_files, only: is_disk_error, file_exists, create_new_file, remove_file, &
+    file_identity_type, file_identity_at
   use battery_fingerprint, only: fingerprint_of, fingerprint_text
   use battery_paths, only: system_message, folder_of
   use battery_clocks, only: wall_seconds, sleep_for
@@ -27,9 +27,9 @@ module battery_lock_file
   implicit none (type, external)
   private
   public :: lock_type, acquire_lock, release_lock, is_lock_lost
-  public :: lock_lost_text, create_marker, remove_marker, sees_marker
+  public :: lock_lost_text, create_marker, remove_marker, is_marker_visible
 
-  !> What an attempt came to, as in `lock_file.c`.
+  !> Outcomes of an attempt to lock, as in `lock_file.c`.
   integer(c_int), parameter :: taken = 0, held = 1, unknown = 2, again = 3, not_a_file = 5
 
   !> Bytes of the longest text of an owner, and of the name of a machine in it.
@@ -42,8 +42,8 @@ module battery_lock_file
   type :: lock_type
     !> The file, and what it says while this run owns it; not allocated: nothing is owned.
     character(len=:), allocatable :: path, text
-    !> What the output was when it was taken, on rank 0 alone.
-    type(seen_type) :: before
+    !> Identity of the output file when the lock was acquired, on rank 0 alone.
+    type(file_identity_type) :: before
     !> The file, on rank 0 alone.
     type(c_ptr), private :: handle = c_null_ptr
   end type lock_type
@@ -92,20 +92,21 @@ contains
         longest_text, lock%handle)
       select case (outcome)
       case (taken)
-        ! A run that was killed may have left its mark as well.
-        if (words_of(holder) /= '') call remove_file(marker_of(lock%path, words_of(holder)), &
-          no_matter)
-        lock%before = seen_at(file)
+        lock%before = file_identity_at(file)
         return
       case (held, unknown)
         if (wall_seconds() > last_attempt) then
-          call fatal_error(error, file//': '//owned_by(holder)//what_to_do(outcome == held, &
+          call fatal_error(error, file//': '//owner_phrase(holder)//remedy_text(outcome == held, &
             lock%path), exit_bad_input)
           if (present(hint)) error%message = error%message//hint
           return
         end if
       case (again)
-        continue
+        ! A run that was killed may have left its marker file as well as its lock file.
+        if (words_of(holder) /= '') then
+          call remove_file(marker_of(lock%path, words_of(holder)), no_matter)
+          cycle
+        end if
       case (not_a_file)
         call fatal_error(error, lock%path//': is not a file that a run has left; remove it, ' &
           //'or name another output file', exit_bad_input)
@@ -116,14 +117,15 @@ contains
         return
       end select
       if (stop_requested()) then
-        call fatal_error(error, 'stopped while it waited: '//owned_by(holder), exit_stopped_early)
+        call fatal_error(error, 'stopped while it waited: '//owner_phrase(holder), &
+          exit_stopped_early)
         return
       end if
       call sleep_for(pause)
     end do
   end subroutine acquire_lock
 
-  !> The output is free for others; without an ownership, does nothing.
+  !> Releases the lock; without one, does nothing.
   subroutine release_lock(lock)
     type(lock_type), intent(inout) :: lock
 
@@ -144,8 +146,8 @@ contains
     yes = length > 0 .and. now(:length) /= lock%text
   end function is_lock_lost
 
-  !> Makes a file beside the output of a name that no other run has: who sees it sees the folder
-  !> that this run writes to.
+  !> Creates a file beside the output with a name unique to this run: a rank that sees it sees the
+  !> folder that this run writes to.
   subroutine create_marker(lock, error)
     type(lock_type), intent(in) :: lock
     type(error_type), allocatable, intent(out) :: error
@@ -153,7 +155,7 @@ contains
     call create_new_file(marker_of(lock%path, lock%text), error)
   end subroutine create_marker
 
-  !> The end of what `create_marker` made.
+  !> Removes the file that `create_marker` made.
   subroutine remove_marker(lock, error)
     type(lock_type), intent(in) :: lock
     type(error_type), allocatable, intent(out) :: error
@@ -161,12 +163,12 @@ contains
     call remove_file(marker_of(lock%path, lock%text), error)
   end subroutine remove_marker
 
-  !> Whether a rank sees the mark of the rank that owns the output.
-  logical function sees_marker(lock) result(yes)
+  !> Whether this rank sees the marker file of the rank that owns the output.
+  logical function is_marker_visible(lock) result(yes)
     type(lock_type), intent(in) :: lock
 
     yes = file_exists(marker_of(lock%path, lock%text))
-  end function sees_marker
+  end function is_marker_visible
 
   !> The mark of a run: its name does not depend on that of the output, which may be as long as
   !> names can be.
@@ -178,7 +180,7 @@ contains
     mark = folder_of(path)//'/.battery_'//fingerprint_text(fingerprint_of(text))
   end function marker_of
 
-  !> What a run says that has lost its output.
+  !> Message of a run that has lost its lock.
   pure function lock_lost_text(lock) result(text)
     type(lock_type), intent(in) :: lock
     character(len=:), allocatable :: text
@@ -206,7 +208,7 @@ contains
   end function words_of
 
   !> Who owns an output since when, in words.
-  pure function owned_by(holder) result(words)
+  pure function owner_phrase(holder) result(words)
     character(len=*), intent(in) :: holder
     character(len=:), allocatable :: words
     character(len=:), allocatable :: rest
@@ -220,19 +222,19 @@ contains
     rest = rest(blank + 1:)
     blank = index(rest, ' ')
     if (blank > 0) words = words//', process '//rest(:blank - 1)//', since '//rest(blank + 1:)
-  end function owned_by
+  end function owner_phrase
 
-  !> What a user can do about another owner.
-  function what_to_do(lives, path) result(words)
-    !> Whether it is known to be at work.
+  !> What the user can do about a lock that another run holds.
+  function remedy_text(lives, path) result(words)
+    !> Whether the other run is known to be alive.
     logical, intent(in) :: lives
-    !> Of its file.
+    !> Path of the lock file.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: words
 
     words = '; wait for its end, or stop it'
     if (.not. lives) words = words//'; whether it still runs cannot be known on ' &
       //host_name()//': if it has ended for certain, remove '//path
-  end function what_to_do
+  end function remedy_text
 
 end module battery_lock_file

@@ -11,7 +11,7 @@ module battery_machine
 
 contains
 
-  !> Its name, without blanks.
+  !> Name of this machine, without blanks.
   function host_name() result(name)
     character(len=:), allocatable :: name
     character(len=128) :: text
@@ -21,7 +21,7 @@ contains
     name = text(:length)
   end function host_name
 
-  !> Its name and the model of its processor: `name (model)`. The system is asked once.
+  !> Name of this machine and model of its processor, `name (model)`; the system is asked once.
   function machine_text() result(name)
     character(len=:), allocatable :: name
     character(len=:), allocatable, save :: known

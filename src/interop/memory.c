@@ -1,4 +1,4 @@
-/* Where arrays lie in memory, for memory.f90. */
+/* Alignment and page size of arrays in memory, for memory.f90. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <sys/mman.h>

@@ -1,4 +1,4 @@
-!> Where arrays lie in memory.
+!> Alignment and page size of arrays in memory.
 module battery_memory
   use, intrinsic :: iso_c_binding, only: c_ptr, c_size_t, c_int
   implicit none (type, external)
@@ -15,9 +15,9 @@ module battery_memory
     subroutine prefer_large_pages(address, bytes) bind(c, name='battery_prefer_large_pages')
       import :: c_ptr, c_size_t
       implicit none (type, external)
-      !> Where the array begins.
+      !> Address of the array.
       type(c_ptr), value, intent(in) :: address
-      !> Its length in bytes.
+      !> Length of the array in bytes.
       integer(c_size_t), value, intent(in) :: bytes
     end subroutine prefer_large_pages
 
@@ -25,9 +25,9 @@ module battery_memory
     pure function bytes_to_next_line(array) result(bytes) bind(c, name='battery_bytes_to_next_line')
       import :: c_int
       implicit none (type, external)
-      !> Of any kind.
+      !> Array of any type.
       type(*), intent(in) :: array(*)
-      !> From 0 to 63.
+      !> Number of bytes, 0 to 63.
       integer(c_int) :: bytes
     end function bytes_to_next_line
   end interface

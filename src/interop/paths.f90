@@ -2,24 +2,24 @@
 module battery_paths
   use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer, &
     c_associated
-  use battery_c_shapes, only: number_known, number_of_path, number_of_paths, number_of_text, &
+  use battery_c_shapes, only: returns_number, number_of_path, number_of_paths, number_of_text, &
     number_of_path_and_text, size_of_address, address_of_number
   use battery_error, only: error_type, fatal_error, exit_bad_input
   implicit none (type, external)
   private
   public :: is_file, is_folder, is_pipe_or_device, same_file, folder_of
   public :: real_folder_of, follow_links
-  public :: system_message, text_at, fail_with
+  public :: system_message, c_text_at, set_system_error
 
   !> What a path names.
   integer(c_int), parameter :: a_file = 1, a_folder = 2, something_else = 3
 
   procedure(number_of_path), bind(c, name='battery_kind_of') :: c_kind_of
   procedure(number_of_paths), bind(c, name='battery_same_file') :: c_same_file
-  procedure(number_known), bind(c, name='battery_longest_path') :: c_longest_path
+  procedure(returns_number), bind(c, name='battery_longest_path') :: c_longest_path
   procedure(number_of_text), bind(c, name='battery_follow') :: c_follow
   procedure(number_of_path_and_text), bind(c, name='battery_real_folder') :: c_real_folder
-  procedure(number_known), bind(c, name='battery_errno') :: c_errno
+  procedure(returns_number), bind(c, name='battery_errno') :: c_errno
   procedure(address_of_number), bind(c, name='battery_message') :: c_message
   procedure(size_of_address), bind(c, name='strlen') :: c_strlen
 
@@ -58,7 +58,7 @@ contains
 
   !> Whether two paths name one and the same file, by whatever link.
   logical function same_file(one, other) result(yes)
-    !> Where either is not there, they are not the same.
+    !> The two paths; where either is not there, they are not the same file.
     character(len=*), intent(in) :: one, other
 
     yes = c_same_file(one//c_null_char, other//c_null_char) /= 0
@@ -81,7 +81,7 @@ contains
 
   !> The folder in which a file really lies, its links resolved; empty if it is not there.
   function real_folder_of(path) result(folder)
-    !> Of a file.
+    !> Path of a file.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: folder
     integer :: length
@@ -101,7 +101,7 @@ contains
 
     if (len(path) >= c_longest_path()) return
     final = path//repeat(c_null_char, c_longest_path() - len(path))
-    call fail_with(c_follow(final, c_longest_path()), 'the link cannot be followed', error)
+    call set_system_error(c_follow(final, c_longest_path()), 'the link cannot be followed', error)
     if (allocated(error)) then
       error%code = exit_bad_input
     else
@@ -113,23 +113,23 @@ contains
   function system_message() result(message)
     character(len=:), allocatable :: message
 
-    message = text_at(c_message(c_errno()))
+    message = c_text_at(c_message(c_errno()))
   end function system_message
 
   !> An error if what C was asked for came to the number of one: its text follows `what`.
-  subroutine fail_with(number, what, error)
+  subroutine set_system_error(number, what, error)
     !> What C calls `errno`; 0: all is well.
     integer, intent(in) :: number
     !> What failed, with the name of its file.
     character(len=*), intent(in) :: what
     type(error_type), allocatable, intent(out) :: error
 
-    if (number /= 0) call fatal_error(error, what//': '//text_at(c_message(number)))
-  end subroutine fail_with
+    if (number /= 0) call fatal_error(error, what//': '//c_text_at(c_message(number)))
+  end subroutine set_system_error
 
   !> The text of C that an address points to.
-  function text_at(address) result(text)
-    !> Of bytes that end with a zero; null: the text is empty.
+  function c_text_at(address) result(text)
+    !> Address of bytes that end with a zero; null: the text is empty.
     type(c_ptr), intent(in) :: address
     character(len=:), allocatable :: text
     character(kind=c_char), pointer :: letters(:)
@@ -138,6 +138,6 @@ contains
     if (.not. c_associated(address)) return
     call c_f_pointer(address, letters, [c_strlen(address)])
     text = transfer(letters, repeat(' ', size(letters)))
-  end function text_at
+  end function c_text_at
 
 end module battery_paths

@@ -1,10 +1,10 @@
 !> This process: its number, and its end.
 module battery_process
   use, intrinsic :: iso_c_binding, only: c_int
-  use battery_c_shapes, only: number_known
+  use battery_c_shapes, only: returns_number
   implicit none (type, external)
   private
-  public :: exit_process, leave_after, process_number
+  public :: exit_process, exit_after, process_number
 
   interface
     !> Ends the program, without the word `STOP` that Fortran prints.
@@ -16,17 +16,17 @@ module battery_process
     end subroutine exit_process
 
     !> Ends the program after that time, whatever it is doing then.
-    subroutine leave_after(seconds, code) bind(c, name='process_leave_after')
+    subroutine exit_after(seconds, code) bind(c, name='process_leave_after')
       import :: c_int
       implicit none (type, external)
-      !> From now on.
+      !> Time from now on.
       integer(c_int), value, intent(in) :: seconds
       !> What the shell is told, 0 to 255.
       integer(c_int), value, intent(in) :: code
-    end subroutine leave_after
+    end subroutine exit_after
   end interface
 
   !> Number of this process, as the system has it.
-  procedure(number_known), bind(c, name='getpid') :: process_number
+  procedure(returns_number), bind(c, name='getpid') :: process_number
 
 end module battery_process

@@ -4,13 +4,13 @@
 !> program at once. Signals within half a second of the first count as that one: `timeout` and some
 !> batch systems send each signal to the process and to its group.
 module battery_signals
-  use battery_c_shapes, only: action, number_known
+  use battery_c_shapes, only: action, returns_number
   use battery_kinds, only: dp
   use battery_clocks, only: wall_seconds
   use battery_error, only: error_type, fatal_error, exit_stopped_early
   implicit none (type, external)
   private
-  public :: watch_signals, stop_requested, stop_after, clear_stop_request, stopped_before_start, &
+  public :: watch_signals, stop_requested, request_stop_after, clear_stop_request, set_stop_error, &
     signals_watch
 
   !> Names of the signals, as C numbers them.
@@ -21,7 +21,7 @@ module battery_signals
 
   ! The first alone takes the signals back from a library; time limits stay.
   procedure(action), bind(c) :: signals_watch, signals_forget
-  procedure(number_known), bind(c) :: signals_received
+  procedure(returns_number), bind(c) :: signals_received
 
 contains
 
@@ -34,12 +34,12 @@ contains
   end subroutine watch_signals
 
   !> Asks for a stop once so many seconds have passed since `watch_signals`.
-  subroutine stop_after(seconds)
-    !> From `watch_signals` on.
+  subroutine request_stop_after(seconds)
+    !> Time since the call of `watch_signals`.
     real(dp), intent(in) :: seconds
 
     deadline = began + seconds
-  end subroutine stop_after
+  end subroutine request_stop_after
 
   !> Whether a signal or the time limit has asked for a stop.
   logical function stop_requested() result(requested)
@@ -48,8 +48,8 @@ contains
     if (.not. requested .and. deadline < huge(1.0_dp)) requested = wall_seconds() >= deadline
   end function stop_requested
 
-  !> What is said where a stop was asked for before there was anything to save.
-  subroutine stopped_before_start(error)
+  !> Error of a run that was asked to stop before it had anything to save.
+  subroutine set_stop_error(error)
     !> Code `exit_stopped_early`; its message names the signal or the time limit.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
@@ -59,7 +59,7 @@ contains
     reason = '&limits wall_minutes'
     if (which > 0) reason = trim(names(which))
     call fatal_error(error, 'stopped by '//reason//'; nothing was written', exit_stopped_early)
-  end subroutine stopped_before_start
+  end subroutine set_stop_error
 
   !> Forgets what asked for a stop; for tests.
   subroutine clear_stop_request()

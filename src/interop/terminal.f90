@@ -1,8 +1,8 @@
-!> What the program prints. What could not be printed is remembered, and makes the run fail.
+!> Standard output and standard error. A failed write is remembered, and makes the run fail.
 !> Control characters are printed as `printable` shows them, whatever file they came from.
 module battery_terminal
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_size_t
-  use battery_c_shapes, only: action, number_known
+  use battery_c_shapes, only: action, returns_number
   use battery_text, only: printable
   implicit none (type, external)
   private
@@ -16,7 +16,7 @@ module battery_terminal
   !> a closed standard output or standard error.
   procedure(action), bind(c, name='terminal_guard') :: guard_streams
 
-  procedure(number_known), bind(c) :: terminal_output, terminal_parent_output
+  procedure(returns_number), bind(c) :: terminal_output, terminal_parent_output
 
   interface
     integer(c_int) function terminal_write(to_errors, text, length) bind(c)
@@ -32,7 +32,7 @@ contains
 
   !> Prints a line, or several, on standard output.
   subroutine print_line(text)
-    !> Without a line end.
+    !> Text to print, without its line end.
     character(len=*), intent(in) :: text
 
     call print_text(printable(text)//new_line('a'))
@@ -40,7 +40,7 @@ contains
 
   !> Prints on standard output, as it is, without ending the line.
   subroutine print_text(text)
-    !> Without a line end.
+    !> Text to print, without its line end.
     character(len=*), intent(in) :: text
 
     ! After a failure nothing more is tried: a text with a hole in it would say something else.
@@ -49,7 +49,7 @@ contains
 
   !> Prints a line, or several, on standard error; where that fails nobody can be told.
   subroutine print_error(text)
-    !> Without a line end.
+    !> Text to print, without its line end.
     character(len=*), intent(in) :: text
     character(len=:), allocatable :: line
     integer :: status
@@ -58,7 +58,7 @@ contains
     status = terminal_write(1_c_int, line, len(line, c_size_t))
   end subroutine print_error
 
-  !> Whether all that was said has been printed.
+  !> Whether every text so far has been printed.
   logical function all_was_printed()
 
     all_was_printed = printed

@@ -1,28 +1,28 @@
-!> Standard errors from blocks of a time series whose length is not known beforehand.
+!> Standard errors from block averages of a time series whose length is not known beforehand.
 !>
-!> The averages of equal blocks of time are kept; when there are `most_blocks`, neighbours are
-!> merged and the blocks become twice as long. So between half of that many and all of them are
-!> there at the end.
+!> **Blocks.** Averages over blocks of equal length are stored. When there are `most_blocks`,
+!> neighbours are merged, and blocks become twice as long: at the end there are at least half that
+!> many.
 !>
-!> What a mean over the run varies by is the spectral density of the series at frequencies below one
-!> over the run. So the standard error comes from the slowest components of the series alone, not
-!> from the scatter of the blocks, which would have to be longer than the memory of the process. The
-!> components are those of the discrete cosine transform of the blocks: orthogonal to each other
-!> and to the mean, and of equal variance where the spectrum is flat (Lazarus, Lewis, Stock and
-!> Watson, J. Bus. Econ. Stat. 36, 541 (2018)).
+!> **Error.** The variance of the mean over a run is the spectral density of the series at
+!> frequencies below one over the run. So the standard error is computed from the slowest components
+!> of the series, not from the scatter of the blocks, which would have to be longer than the memory
+!> of the process. The components are those of the discrete cosine transform of the blocks:
+!> orthogonal to each other and to the mean, and of equal variance where the spectrum is flat
+!> (Lazarus, Lewis, Stock and Watson, J. Bus. Econ. Stat. 36, 541 (2018)).
 !>
-!> With memories of all lengths, as particles that circulate have them, the spectrum goes on rising
-!> below the slowest component, and that component alone is too small. So from the slowest two to
-!> frequency 0 the spectrum is taken to rise as much again as it rose to these two from the faster
-!> ones; where it did not rise, the mean of the two is taken. A factor makes up for what so few
-!> components scatter by, as Student's does for his t.
+!> **Long memory.** If memories have all lengths, as with particles that circulate, the spectrum
+!> still rises below the slowest component, which alone would be too small. So the spectrum is
+!> extrapolated: it rises from the slowest two components to frequency 0 by as much as it rose from
+!> the faster ones to these two; if it did not rise, the mean of the two is taken. A factor accounts
+!> for the scatter of so few components, as in Student's t.
 !>
-!> Where the series is skew, because rare events make up its mean, a run that has seen few of them
-!> has both a mean too small and components too small. So the square of the error grows with that
-!> of the blocks' skewness, up to twice itself.
+!> **Skewness.** If rare events make up the mean, a run that has seen few of them underestimates
+!> both the mean and the components. So the square of the error grows with the squared skewness of
+!> the blocks, by a factor of two at most.
 !>
-!> A run that is not longer than its memory has nearly all of its variance in the slowest two
-!> components: then there is no error.
+!> A run that is no longer than its memory has nearly all of its variance in the slowest two
+!> components: then no error is given.
 module battery_blocks
   use battery_kinds, only: wp, dp, pi
   use battery_quantities, only: unknown_real
@@ -34,9 +34,9 @@ module battery_blocks
 
   integer, parameter :: most_blocks = 64
 
-  !> Averages over blocks of a run, all equally long.
+  !> Averages over the blocks of a run, all of equal length.
   type :: blocks_type
-    !> Length of a block in time units, and how many are complete.
+    !> Length of a block in time units; number of complete blocks.
     real(wp) :: length = 1.0_wp
     integer :: count = 0
     real(wp) :: average(most_blocks) = 0.0_wp
@@ -44,37 +44,37 @@ module battery_blocks
 
 contains
 
-  !> Adds the average over the block just completed; merges when all places are taken.
+  !> Adds the average over the block just completed; merges the blocks when there are `most_blocks`.
   pure subroutine add_block(blocks, average)
     type(blocks_type), intent(inout) :: blocks
     !> In the unit of the quantity.
     real(wp), intent(in) :: average
-    integer :: half
+    integer :: half_count
 
     blocks%count = blocks%count + 1
     blocks%average(blocks%count) = average
     if (blocks%count < most_blocks) return
-    half = most_blocks/2
-    blocks%average(:half) = 0.5_wp*(blocks%average(1:most_blocks:2) &
+    half_count = most_blocks/2
+    blocks%average(:half_count) = 0.5_wp*(blocks%average(1:most_blocks:2) &
       + blocks%average(2:most_blocks:2))
-    blocks%count = half
+    blocks%count = half_count
     blocks%length = 2.0_wp*blocks%length
   end subroutine add_block
 
-  !> Standard error of the mean, in the unit of the quantity: the half width of an interval that
-  !> covers it in 70 % of runs. NaN where it cannot be told: with fewer than `most_blocks`/2 blocks,
-  !> of blocks without scatter, and of a run that is not longer than its memory.
+  !> Standard error of the mean, in the unit of the quantity: half the width of an interval that
+  !> covers the mean in 70 % of runs. NaN if there are fewer than `most_blocks`/2 blocks, if they do
+  !> not scatter, or if the run is no longer than its memory.
   pure function standard_error(blocks) result(error)
     type(blocks_type), intent(in) :: blocks
     real(dp) :: error
-    !> Components that are looked at; the last of the slow and the first of the fast ones.
+    !> Number of components; the last of the slow and the first of the fast ones.
     integer, parameter :: components = 16, slow = 2, fast = 5
-    !> How much more the slow ones may vary than the fast ones.
+    !> Greatest variance of the slow components relative to the fast ones.
     real(dp), parameter :: steepest = 12.0_dp
-    !> Makes 70 % of the intervals cover the mean of white noise of 32 to 63 blocks (1.25: 68.3 %),
-    !> drawn 4e5 times.
+    !> Factor with which 70 % of the intervals cover the mean of white noise of 32 to 63 blocks
+    !> (1.25: 68.3 %), from 4e5 samples.
     real(dp), parameter :: factor = 1.31_dp
-    !> Scatter up to this share of the blocks is none.
+    !> Scatter up to this fraction of the blocks is rounding.
     real(wp), parameter :: rounding = 1024.0_wp*epsilon(1.0_wp)
     !> Square of the skewness that makes the square of the error twice as large.
     real(dp), parameter :: very_skew = 5.0_dp
@@ -86,7 +86,7 @@ contains
     if (n < most_blocks/2) return
     if (.not. maxval(blocks%average(:n)) - minval(blocks%average(:n)) &
       > rounding*maxval(abs(blocks%average(:n)))) return
-    power = powers_of(real(blocks%average(:n), dp), components)
+    power = cosine_powers(real(blocks%average(:n), dp), components)
     near = sum(power(:slow))/slow
     far = sum(power(fast:))/(components - fast + 1)
     if (near > steepest*far) return
@@ -104,17 +104,17 @@ contains
     n = size(values)
     deviations = values - sum(values)/n
     deviations = deviations/maxval(abs(deviations))
-    ! Kept before they are summed, as in `error_of_mean`.
+    ! Stored before they are summed, as in `error_of_mean`.
     squares = deviations**2
     cubes = deviations*squares
     square = n*sum(cubes)**2/sum(squares)**3
   end function squared_skewness
 
-  !> Squares of the slowest components of the cosine transform of a series: each is its variance
-  !> where the spectrum is flat.
-  pure function powers_of(values, components) result(power)
+  !> Squares of the slowest components of the cosine transform of a series: each estimates its
+  !> variance where the spectrum is flat.
+  pure function cosine_powers(values, components) result(power)
     real(dp), intent(in) :: values(:)
-    !> How many.
+    !> Number of components.
     integer, intent(in) :: components
     real(dp) :: power(components)
     real(dp), parameter :: digits = 2.0_dp**30
@@ -123,16 +123,16 @@ contains
 
     n = size(values)
     do j = 1, components
-      ! Kept before they are summed, as in `error_of_mean`; and the cosine without its last digits,
-      ! for libraries differ in those.
+      ! Stored before they are summed, as in `error_of_mean`; the cosine without its last digits, in
+      ! which libraries differ.
       term = (values - sum(values)/n)*[(anint(digits*cos(pi*j*(k - 0.5_dp)/n))/digits, k=1, n)]
       power(j) = 2*sum(term)**2/n
     end do
-  end function powers_of
+  end function cosine_powers
 
-  !> Standard error of the mean of independent values, from their scatter; NaN of fewer than two.
+  !> Standard error of the mean of independent values, from their scatter; NaN for fewer than two.
   pure function error_of_mean(values) result(error)
-    !> Any number of them, in the unit of the quantity, as the error is.
+    !> In the unit of the quantity, as the error.
     real(dp), intent(in) :: values(:)
     real(dp) :: error
     real(dp), allocatable :: squares(:)
@@ -141,13 +141,13 @@ contains
     error = unknown_real()
     n = size(values)
     if (n < 2) return
-    ! Kept before they are summed: whether a sum of products is of fused ones, and which, would
-    ! depend on the length of the processor's vectors, and so would the last bit.
+    ! Stored before they are summed: otherwise the last bit would depend on which products are fused
+    ! with sums, and so on the length of the processor's vectors.
     squares = (values - sum(values)/n)**2
     error = sqrt(sum(squares)/(real(n, dp)*real(n - 1, dp)))
   end function error_of_mean
 
-  !> Through an archive.
+  !> Serialises the blocks.
   pure subroutine serialize_blocks(blocks, archive)
     type(blocks_type), intent(inout) :: blocks
     type(archive_type), intent(inout) :: archive

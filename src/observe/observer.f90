@@ -1,25 +1,24 @@
-!> What is measured while an engine runs: mass spread, flows, and their course in time.
+!> What is measured while an engine runs: mass spread, flows, and their time series.
 !>
 !> An observer reads the event record of each window. It follows N1 from crossing to crossing, so
 !> time averages are exact integrals over the windows. Averages count from `begin_measuring` on, the
 !> series from the start. Source: mass spread eq. (mass), net current eq. (netJ), with its sign:
 !> (n12 - n21)/t.
 !>
-!> The polarised current counts each crossing from the fuller half to the emptier as 1, each the
-!> other way as -1, and 0 where N1 - N2 is 0 on average over before and after. So a crossing changes
-!> |N1 - N2| by -2 times what it counts, and over any time the crossings of both channels count
-!> (|N1 - N2| at its start less that at its end)/2: through channel 2 down the polarisation flows
-!> what flows up through channel 1, but for that.
+!> **Polarised current.** A crossing from the fuller half to the emptier one counts 1, one in the
+!> other direction -1, and 0 if N1 - N2 averages to 0 over before and after. So a crossing changes
+!> |N1 - N2| by -2 times its count, and over any time the counts of both channels add up to (|N1 -
+!> N2| at the start less that at the end)/2: up to that, the current down the polarisation through
+!> channel 2 equals the one up through channel 1.
 !>
-!> The standard error of an average comes from the run itself (`battery_blocks`), and is NaN where
-!> the run is known to be too short for it:
-!> - it is shorter than ten relaxation times of the directions of flight, for all averages;
-!> - a polarised state was seen in which the sparse urn's gate hardly ever reverses, for currents:
-!>   particles that circulate along the axis carry a part of the current, and go on until that gate
-!>   turns them back, so a run that has not seen it do so many times has not seen their mean;
-!> - N1 - N2 did not change its sign many times, for currents from urn 1 to urn 2: their mean is
-!>   over both polarities, of which such a run has seen one, or each too few times. The polarised
-!>   current has an error all the same.
+!> **Standard errors** come from the run itself (`battery_blocks`). They are NaN if the run is known
+!> to be too short:
+!> - for all averages, if it is shorter than ten relaxation times of the directions of flight;
+!> - for currents, if it saw a polarised state in which the gate of the sparse urn hardly ever
+!>   reverses: particles that circulate along the axis carry part of the current until that gate
+!>   turns them back, so the run must have seen this several times;
+!> - for currents from urn 1 to urn 2, if N1 - N2 changed its sign only a few times: their mean is
+!>   over both polarities. The polarised current still has an error.
 module battery_observer
   use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, serialize_blocks
@@ -34,75 +33,77 @@ module battery_observer
   public :: get_measured
   public :: serialize_observer
 
-  !> Averages that are taken of blocks as well, for their errors.
+  !> Averages that are also taken of blocks, for their standard errors.
   integer, parameter, public :: of_chi = 1, of_current1 = 2, of_current2 = 3, of_polarised = 4, &
     of_difference = 5
 
-  !> Relaxation times that a run must last for its errors, reversals that the gate of the sparse urn
-  !> must have made, and how often N1 - N2 must have changed its sign.
+  !> For an error: least number of relaxation times in the run, of reversals of the sparse urn's
+  !> gate, and of sign changes of N1 - N2.
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
   integer, parameter :: least_changes = 6
-  !> Gates are unlike if one reverses so many times as often as the other.
+  !> Gates are unlike if one reverses this many times as often as the other.
   integer(int64), parameter :: unlike = 10
 
   !> What has been measured of a run so far.
   type :: observer_type
     integer :: number = 0
-    !> Number in half 1 now.
+    !> Number of particles in half 1 now.
     integer :: urn1_number = 0
-    !> False for the single urn: there is only one half, and a crossing moves nobody.
+    !> False for the single urn: it has one half, and a crossing does not change N1.
     logical :: two_halves = .true.
-    !> Whether there is a channel 2, and so a current through it.
+    !> Whether channel 2 is open, so that a current can flow through it.
     logical :: circuit_closed = .true.
-    !> Time in which directions of flight relax.
+    !> Relaxation time of the directions of flight.
     real(wp) :: relaxation = 0.0_wp
-    !> Over all the run: reversals of each gate, particles turned back, collisions known.
+    !> Since the start: reversals of each gate, particles turned back, wall collisions reported.
     integer(int64) :: reversals(2) = 0, bounce_backs = 0, collisions = 0
-    !> Those of the gates before measuring began.
+    !> Reversals of each gate before measuring began.
     integer(int64) :: transient_reversals(2) = 0
 
     logical :: measuring = .false.
-    !> Sums since measuring began, the block that is under way excluded for `time`, `spread`
-    !> and `downward`.
+    !> Sums since measuring began; those of `time`, `spread` and `downward` exclude the present
+    !> block.
     real(wp) :: time = 0.0_wp, spread = 0.0_wp
     integer(int64) :: crossings(4) = 0
-    !> Of channel 2, from the fuller half to the emptier less those back.
+    !> Crossings of channel 2 from the fuller half to the emptier one, less those in the other
+    !> direction.
     integer(int64) :: downward = 0
     integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
-    !> The block under way: what is left of it, its time, integrals of |N1 - N2| and of N1 - N2, net
-    !> crossings, and those of channel 2 down the polarisation.
+    !> The present block: time left, its time, integrals of |N1 - N2| and of N1 - N2, net crossings,
+    !> and crossings of channel 2 down the polarisation.
     real(wp) :: block_left = huge(1.0_wp), block_time = 0.0_wp, block_spread = 0.0_wp
     real(wp) :: block_difference = 0.0_wp
     integer(int64) :: block_net(2) = 0, block_downward = 0
     type(blocks_type) :: blocks(5)
 
-    !> The series: interval (0: none), what is left of it, entries so far.
+    !> The series: interval (0: none), time left until the next entry, number of entries.
     real(wp) :: series_interval = 0.0_wp, series_left = huge(1.0_wp)
     integer :: entries = 0
-    !> Whether the series could not be made longer; then it stays as it is.
+    !> Whether memory for a longer series was refused; then no entries are added.
     logical :: out_of_room = .false.
     integer(int64) :: series_crossings(4) = 0
-    !> N1 at each entry; flows since the entry before, (4, entry).
+    !> N1 at each entry; flows since the previous entry, (4, entry).
     integer, allocatable :: series_urn1_number(:)
     real(wp), allocatable :: series_flow(:, :)
   end type observer_type
 
 contains
 
-  !> An observer of `number` particles, `urn1_number` of them in half 1; a series if
-  !> `series_interval` > 0, whose first entry is the start. Blocks begin `unit` long (if
-  !> absent, 1): a length of the table, so that one scaled by a power of two has the same blocks.
+  !> An observer of `number` particles, `urn1_number` of them in half 1. If `series_interval` > 0 it
+  !> records a series, whose first entry is the start. Blocks start with the length `unit` (if
+  !> absent, 1): a length of the table, so that a table scaled by a power of two has the same
+  !> blocks.
   pure function new_observer(number, urn1_number, two_halves, series_interval, unit, &
     circuit_closed, relaxation) result(observer)
     integer, intent(in) :: number, urn1_number
-    !> Whether there are two urns, and so a difference between them.
+    !> Whether the table has two urns, and so a difference between them.
     logical, intent(in) :: two_halves
     real(wp), intent(in) :: series_interval
     real(wp), intent(in), optional :: unit
-    !> Whether channel 2 is there (if absent, it is).
+    !> Whether channel 2 is open; true if absent.
     logical, intent(in), optional :: circuit_closed
-    !> Time in which directions of flight relax (if absent, 0: at once).
+    !> Relaxation time of the directions of flight; 0 if absent.
     real(wp), intent(in), optional :: relaxation
     type(observer_type) :: observer
 
@@ -116,11 +117,11 @@ contains
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
     if (series_interval > 0.0_wp) then
       observer%series_left = series_interval
-      call write_entry(observer)
+      call add_series_entry(observer)
     end if
   end function new_observer
 
-  !> Averages begin now.
+  !> Starts the averages.
   pure subroutine begin_measuring(observer)
     type(observer_type), intent(inout) :: observer
 
@@ -129,17 +130,16 @@ contains
     observer%block_left = observer%blocks(of_chi)%length
   end subroutine begin_measuring
 
-  !> The run is over: an entry that is due now, but for the rounding of the times between crossings
-  !> (up to `rounding`), is written.
+  !> Ends the series: adds an entry that is due now, up to `rounding` of the sum of times.
   pure subroutine end_series(observer, rounding)
     type(observer_type), intent(inout) :: observer
     real(wp), intent(in) :: rounding
 
     if (observer%series_interval > 0.0_wp .and. observer%series_left <= rounding) &
-      call write_entry(observer)
+      call add_series_entry(observer)
   end subroutine end_series
 
-  !> Takes in one window.
+  !> Adds one window.
   pure subroutine observe_window(observer, event_record)
     type(observer_type), intent(inout) :: observer
     type(event_record_type), intent(in) :: event_record
@@ -153,7 +153,7 @@ contains
       crossing = event_record%crossing(k)
       observer%series_crossings(crossing) = observer%series_crossings(crossing) + 1
       way = merge(1, -1, crossing == channel1_12 .or. crossing == channel2_12)
-      ! Of the sign of N1 - N2, the mean of before and after the crossing.
+      ! Sign of the mean of N1 - N2 over before and after the crossing.
       down = way*max(-1, min(1, 2*observer%urn1_number - observer%number - way))
       if (observer%two_halves) observer%urn1_number = observer%urn1_number - way
       if (observer%measuring) then
@@ -174,7 +174,8 @@ contains
     end if
   end subroutine observe_window
 
-  !> `duration` goes by without a crossing; ends blocks and writes entries on the way.
+  !> Integrates over `duration`, in which there is no crossing; ends blocks and adds entries on the
+  !> way.
   pure subroutine integrate_interval(observer, duration)
     type(observer_type), intent(inout) :: observer
     real(wp), intent(in) :: duration
@@ -193,13 +194,14 @@ contains
       end if
       if (observer%series_interval > 0.0_wp) then
         observer%series_left = observer%series_left - step
-        if (observer%series_left <= 0.0_wp) call write_entry(observer)
+        if (observer%series_left <= 0.0_wp) call add_series_entry(observer)
       end if
       rest = rest - step
       if (rest <= 0.0_wp) exit
     end do
   end subroutine integrate_interval
 
+  !> Ends a block: adds its averages to the blocks, and its sums to those of the run.
   pure subroutine end_block(observer)
     type(observer_type), intent(inout) :: observer
 
@@ -224,7 +226,8 @@ contains
     observer%block_left = observer%blocks(of_chi)%length
   end subroutine end_block
 
-  pure subroutine write_entry(observer)
+  !> Adds an entry to the series.
+  pure subroutine add_series_entry(observer)
     type(observer_type), intent(inout) :: observer
 
     if (observer%entries == size(observer%series_urn1_number)) call lengthen_series(observer)
@@ -235,9 +238,9 @@ contains
     observer%series_flow(:, observer%entries) = &
       real(observer%series_crossings, wp)/observer%series_interval
     observer%series_crossings = 0
-  end subroutine write_entry
+  end subroutine add_series_entry
 
-  !> Makes the series twice as long, if there is memory for it.
+  !> Doubles the capacity of the series, if there is memory for it.
   pure subroutine lengthen_series(observer)
     type(observer_type), intent(inout) :: observer
     integer, allocatable :: urn1_number(:)
@@ -255,7 +258,7 @@ contains
     call move_alloc(flow, observer%series_flow)
   end subroutine lengthen_series
 
-  !> What it has measured so far; what it does not know stays as it is.
+  !> What has been measured so far; the rest of `measured` does not change.
   pure subroutine get_measured(observer, measured)
     type(observer_type), intent(in) :: observer
     type(measured_type), intent(inout) :: measured
@@ -287,32 +290,32 @@ contains
     end associate
   end subroutine get_measured
 
-  !> Standard error of an average; NaN where the run is known to be too short for it.
+  !> Standard error of an average; NaN if the run is known to be too short for it.
   pure function error_of(observer, which) result(error)
     type(observer_type), intent(in) :: observer
     !> `of_chi` ...
     integer, intent(in) :: which
     real(dp) :: error
-    logical :: told
+    logical :: is_reliable
 
     associate (o => observer)
-      told = o%time/least_relaxations >= o%relaxation
+      is_reliable = o%time/least_relaxations >= o%relaxation
       if (which /= of_chi .and. o%two_halves .and. o%circuit_closed) &
-        told = told .and. .not. circulates(o%reversals - o%transient_reversals)
+        is_reliable = is_reliable .and. .not. may_circulate(o%reversals - o%transient_reversals)
       if ((which == of_current1 .or. which == of_current2) .and. o%two_halves) &
-        told = told .and. polarity_resolved(o%blocks(of_difference))
+        is_reliable = is_reliable .and. polarity_resolved(o%blocks(of_difference))
       error = unknown_real()
-      if (told) error = standard_error(o%blocks(which))
+      if (is_reliable) error = standard_error(o%blocks(which))
     end associate
   end function error_of
 
-  !> Whether particles may have circulated for as long as the run, from the reversals of both gates.
-  pure logical function circulates(reversals)
+  !> Whether, from the reversals of both gates, particles may have circulated throughout the run.
+  pure logical function may_circulate(reversals)
     integer(int64), intent(in) :: reversals(2)
 
-    circulates = minval(reversals) < least_reversals .and. &
+    may_circulate = minval(reversals) < least_reversals .and. &
       maxval(reversals) > unlike*max(minval(reversals), unlike)
-  end function circulates
+  end function may_circulate
 
   !> Whether blocks of N1 - N2 changed their sign many times.
   pure logical function polarity_resolved(blocks)
@@ -323,7 +326,7 @@ contains
     polarity_resolved = count(positive(2:) .neqv. positive(:size(positive) - 1)) >= least_changes
   end function polarity_resolved
 
-  !> All that is needed to go on observing to the same last bit, into an archive or out of it.
+  !> Serialises all that is needed to continue observing to the same last bit.
   pure subroutine serialize_observer(observer, archive)
     type(observer_type), intent(inout) :: observer
     type(archive_type), intent(inout) :: archive

@@ -1,8 +1,8 @@
-!> What a run measures: every quantity declared once, by name, unit and meaning.
+!> The quantities that a run measures, each declared once by name, unit and meaning.
 !>
-!> A new quantity is its line here and the line that measures it (`set_average` or `set_count`).
-!> Records, results file and summary go by these lists. Lengths are in the unit of the namelist,
-!> times in lengths over the speed.
+!> A new quantity needs its line here and the line that sets it (`set_average` or `set_count`).
+!> Records, results files and the summary are written from these lists. Lengths are in the unit of
+!> the namelist, times in lengths over the speed.
 module battery_quantities
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   use battery_kinds, only: dp, int64
@@ -13,13 +13,13 @@ module battery_quantities
   public :: measured_type, new_measured, set_average, set_count
   public :: fingerprint_of_quantities, flow_names, unknown_real, unknown_count
 
-  !> Something that is measured. Texts have a length: of lists of allocatable ones gfortran 12 frees
-  !> only a part, and the lists are made for every task.
+  !> A measured quantity. Texts have a fixed length: gfortran 12 leaks memory from lists of
+  !> allocatable ones, and the lists are made for each task.
   type :: quantity_type
     character(len=24) :: name = ''
     character(len=40) :: unit = ''
     character(len=80) :: meaning = ''
-    !> Whether it has a standard error of its own, from the run (`error_of` of `battery_observer`).
+    !> Whether its standard error is computed from the run (`error_of` of `battery_observer`).
     logical :: has_error = .false.
   end type quantity_type
 
@@ -35,12 +35,12 @@ module battery_quantities
   !> Unit of the time of day.
   character(len=*), parameter :: since_1970 = 'seconds since 1970-01-01T00:00:00Z'
 
-  !> Stands for a count that is not known.
+  !> Stands for an unknown count.
   integer(int64), parameter :: unknown_count = -1
 
 contains
 
-  !> All quantities that are reals.
+  !> All real quantities.
   pure function averaged_quantities() result(list)
     type(quantity_type), allocatable :: list(:)
 
@@ -69,7 +69,7 @@ contains
       quantity_type('provenance/ended', since_1970, 'when the task ended')]
   end function averaged_quantities
 
-  !> All quantities that are whole numbers.
+  !> All integer quantities.
   pure function counted_quantities() result(list)
     type(quantity_type), allocatable :: list(:)
 
@@ -82,9 +82,9 @@ contains
       quantity_type('provenance/host', '1', 'line of the attribute hosts of /provenance, from 0')]
   end function counted_quantities
 
-  !> Place of a quantity in a list; 0 if it is not there.
+  !> Index of a quantity in a list; 0 if it is not there.
   pure function place_of(name, list) result(place)
-    !> As it is in results files.
+    !> As in results files.
     character(len=*), intent(in) :: name
     !> One of the two lists.
     type(quantity_type), intent(in) :: list(:)
@@ -95,7 +95,7 @@ contains
     end do
   end function place_of
 
-  !> Nothing is known yet.
+  !> Values of a run, all unknown.
   pure function new_measured() result(measured)
     type(measured_type) :: measured
 
@@ -104,14 +104,14 @@ contains
     allocate (measured%counted(size(counted_quantities())), source=unknown_count)
   end function new_measured
 
-  !> One average has been measured.
+  !> Sets an average.
   pure subroutine set_average(measured, name, value, error)
     type(measured_type), intent(inout) :: measured
-    !> Name of the quantity, in the list of the averaged ones.
+    !> Name in the list of averaged quantities.
     character(len=*), intent(in) :: name
-    !> In the unit of the quantity; NaN if it is not known.
+    !> In the unit of the quantity; NaN if unknown.
     real(dp), intent(in) :: value
-    !> Its standard error; NaN if it is not known.
+    !> Its standard error; NaN if unknown.
     real(dp), intent(in), optional :: error
     integer :: place
 
@@ -121,12 +121,12 @@ contains
     if (present(error)) measured%error(place) = error
   end subroutine set_average
 
-  !> Something has been counted.
+  !> Sets a count.
   pure subroutine set_count(measured, name, count)
     type(measured_type), intent(inout) :: measured
-    !> Name of the quantity, in the list of the counted ones.
+    !> Name in the list of counted quantities.
     character(len=*), intent(in) :: name
-    !> How often, or how many.
+    !> The count.
     integer(int64), intent(in) :: count
     integer :: place
 
@@ -135,11 +135,11 @@ contains
     measured%counted(place) = count
   end subroutine set_count
 
-  !> A fingerprint of all names in their order, and of what they mean: values that were kept with
-  !> another are of other lists.
+  !> Fingerprint of all names in their order, and of their meaning: values stored with another
+  !> fingerprint belong to other lists.
   pure function fingerprint_of_quantities() result(fingerprint)
     integer(int64) :: fingerprint
-    !> Grows when a quantity or its error becomes another under the same name.
+    !> Incremented when a quantity or its error changes under the same name.
     integer(int64), parameter :: meaning = 2
     type(quantity_type), allocatable :: list(:)
     integer :: k
@@ -152,7 +152,7 @@ contains
     end do
   end function fingerprint_of_quantities
 
-  !> NaN, which stands for a real that is not known.
+  !> NaN, which stands for an unknown real.
   pure function unknown_real() result(value)
     real(dp) :: value
 

@@ -1,8 +1,8 @@
-!> What the user asks for on the command line.
+!> The command line: options and the namelist file.
 module battery_command_line
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: string_type, closest_word, is_one_of, join, new_line_character
-  use battery_key, only: keys_text, different
+  use battery_key, only: keys_text, distinct_names
   use battery_keys, only: all_keys
   use battery_schema, only: schema_text
   implicit none (type, external)
@@ -27,12 +27,12 @@ module battery_command_line
 
   !> What is to be done.
   type :: command_line_type
-    !> The namelist file; empty if there is an answer.
+    !> The namelist file; empty if `text_to_print` is not.
     character(len=:), allocatable :: file
     !> The JSON file for scripts; empty: none.
     character(len=:), allocatable :: json
     !> What is printed instead of a run: help or schema; empty if neither.
-    character(len=:), allocatable :: answer
+    character(len=:), allocatable :: text_to_print
     !> Print the version instead.
     logical :: version = .false.
     !> Test what is installed instead.
@@ -64,7 +64,7 @@ contains
   subroutine parse_arguments(words, command, error)
     !> One an argument, without the name of the program.
     type(string_type), intent(in) :: words(:)
-    !> What was asked for.
+    !> Options and the path of the namelist.
     type(command_line_type), intent(out) :: command
     !> Code `exit_bad_input`; all problems.
     type(error_type), allocatable, intent(out) :: error
@@ -75,7 +75,7 @@ contains
 
     command%file = ''
     command%json = ''
-    command%answer = ''
+    command%text_to_print = ''
     problems = ''
     only_files = .false.
     json_next = .false.
@@ -89,7 +89,7 @@ contains
       else if (words(at)%text == '--json' .and. .not. only_files) then
         json_next = .true.
       else if (index(words(at)%text, '-') == 1 .and. .not. only_files) then
-        call take_option(words(at)%text, command, problems)
+        call read_option(words(at)%text, command, problems)
       else if (words(at)%text == '') then
         call add(problems, 'an empty name of a file; allowed: FILE.nml')
       else if (command%file /= '') then
@@ -99,9 +99,9 @@ contains
       end if
     end do
     if (json_next) call add(problems, nameless)
-    if (command%answer == '' .and. .not. (command%version .or. command%self_test) .and. &
+    if (command%text_to_print == '' .and. .not. (command%version .or. command%self_test) .and. &
       command%file == '' .and. problems == '') call add(problems, 'the namelist file is missing')
-    if (command%answer /= '' .and. command%file /= '' .and. is_one_of('--schema', words)) &
+    if (command%text_to_print /= '' .and. command%file /= '' .and. is_one_of('--schema', words)) &
       call add(problems, command%file//': --schema takes no file; it is the same for all')
     if (command%self_test .and. command%file /= '') &
       call add(problems, command%file//': --self-test takes no file')
@@ -110,7 +110,7 @@ contains
   end subroutine parse_arguments
 
   !> One option.
-  subroutine take_option(word, command, problems)
+  subroutine read_option(word, command, problems)
     character(len=*), intent(in) :: word
     type(command_line_type), intent(inout) :: command
     character(len=:), allocatable, intent(inout) :: problems
@@ -124,20 +124,20 @@ contains
     case ('--quiet')
       command%quiet = .true.
     case ('--help', '-h')
-      command%answer = usage_text()
+      command%text_to_print = usage_text()
     case ('--version')
       command%version = .true.
     case ('--schema')
-      command%answer = schema_text(all_keys())
+      command%text_to_print = schema_text(all_keys())
     case ('--self-test')
       command%self_test = .true.
     case default
-      meant = closest_word(word, different(options))
+      meant = closest_word(word, distinct_names(options))
       if (meant /= '') meant = ' (did you mean '//meant//'?)'
       call add(problems, word//': there is no such option'//meant//'; allowed: ' &
-        //join(different(options), ', '))
+        //join(distinct_names(options), ', '))
     end select
-  end subroutine take_option
+  end subroutine read_option
 
   pure subroutine add(problems, text)
     character(len=:), allocatable, intent(inout) :: problems

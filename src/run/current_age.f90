@@ -22,7 +22,7 @@ module battery_current_age
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: circulation_type, circulation_at, lacking, transient_for, current_remark
+  public :: circulation_type, circulation_at, lacking_share, transient_for, current_remark
 
   !> Circulation at a parameter point.
   type :: circulation_type
@@ -75,7 +75,7 @@ contains
     do at = 1, plan%point_count, 1 + (plan%point_count - 1)/most_points
       point = point_of(plan, at)
       here = circulation_at(point)
-      lacks = lacking(here, ages_measured(plan, point))
+      lacks = lacking_share(here, ages_measured(plan, point))
       if (lacks <= most) cycle
       most = lacks
       worst = here
@@ -145,13 +145,13 @@ contains
     sparse = 0.5_dp*number
     do at = 1, steps - 1
       high = 0.5_dp*number*real(at, dp)/real(steps, dp)
-      if (excess(high) <= 0.0_dp) exit
+      if (net_inflow(high) <= 0.0_dp) exit
     end do
     if (at == steps) return
     low = 0.5_dp*number*real(at - 1, dp)/real(steps, dp)
     do at = 1, halvings
       middle = 0.5_dp*(low + high)
-      if (excess(middle) > 0.0_dp) then
+      if (net_inflow(middle) > 0.0_dp) then
         low = middle
       else
         high = middle
@@ -162,19 +162,19 @@ contains
   contains
 
     !> What flows into the sparse urn less what flows out, in units of one particle's flow.
-    pure real(dp) function excess(in_sparse)
+    pure real(dp) function net_inflow(in_sparse)
       real(dp), intent(in) :: in_sparse
       real(dp) :: in_dense
 
       in_dense = number - in_sparse
-      excess = (in_dense - in_sparse)*widths + in_dense*below(threshold, dense_load*load*in_dense) &
-        - in_sparse*below(threshold, load*in_sparse)
-    end function excess
+      net_inflow = (in_dense - in_sparse)*widths + in_dense*chance_below(threshold, &
+        dense_load*load*in_dense) - in_sparse*chance_below(threshold, load*in_sparse)
+    end function net_inflow
 
   end function sparse_number
 
   !> Chance that a Poisson number of that mean is below `threshold`.
-  pure real(dp) function below(threshold, mean) result(chance)
+  pure real(dp) function chance_below(threshold, mean) result(chance)
     integer, intent(in) :: threshold
     real(dp), intent(in) :: mean
     real(dp) :: term
@@ -186,7 +186,7 @@ contains
       term = term*mean/real(k, dp)
       chance = chance + term
     end do
-  end function below
+  end function chance_below
 
   !> Share of entries that a gate reverses whose visits last exponentially long: (T + 1) over the
   !> sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
@@ -208,9 +208,9 @@ contains
   end function reversed_share
 
   !> The part of its stationary value that a current lacks, (1) averaged over ages.
-  pure real(dp) function lacking(circulation, ages)
+  pure real(dp) function lacking_share(circulation, ages)
     type(circulation_type), intent(in) :: circulation
-    !> The first and the last, in time units.
+    !> First and last age of the average, in time units.
     real(dp), intent(in) :: ages(2)
     integer, parameter :: parts = 16
     real(dp) :: age(parts)
@@ -219,14 +219,14 @@ contains
     age = (ages(1) + (ages(2) - ages(1))*[((real(k, dp) - 0.5_dp)/real(parts, dp), k=1, parts)]) &
       /circulation%lifetime
     age = max(age, tiny(1.0_dp))
-    lacking = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/real(parts, dp)
-  end function lacking
+    lacking_share = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/real(parts, dp)
+  end function lacking_share
 
   !> The transient, to two digits, behind which runs that measure twice as long lack no more than
   !> `part` of their current.
   pure real(dp) function transient_for(circulation, part) result(transient)
     type(circulation_type), intent(in) :: circulation
-    !> Above 0.
+    !> Greatest part of the current that may be lacking, above 0.
     real(dp), intent(in) :: part
     integer, parameter :: halvings = 60
     real(dp) :: low, high, unit
@@ -237,7 +237,7 @@ contains
     high = 2.0_dp
     do at = 1, halvings
       transient = circulation%lifetime*10.0_dp**(0.5_dp*(low + high))
-      if (lacking(circulation, [1.0_dp, 1.0_dp + measured]*transient) > part) then
+      if (lacking_share(circulation, [1.0_dp, 1.0_dp + measured]*transient) > part) then
         low = 0.5_dp*(low + high)
       else
         high = 0.5_dp*(low + high)

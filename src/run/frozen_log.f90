@@ -40,7 +40,7 @@ contains
   subroutine read_frozen_log(lines, log)
     !> As described above; they are the project's own, so they are good.
     character(len=*), intent(in) :: lines(:)
-    !> What they hold.
+    !> Contents of the log.
     type(frozen_log_type), intent(out) :: log
     real(wp) :: lengths(5)
     real(wp), allocatable :: start(:, :)

@@ -1,4 +1,4 @@
-!> What a task is known by: a fingerprint of all that decides its result.
+!> Task identifier: a fingerprint of all that decides the result of a task.
 !>
 !> By value, never by its place in a scan: numbers that are equal to 12 digits are equal, and what
 !> is given is the same as what is so by default. So a point has the same random numbers however
@@ -8,7 +8,7 @@ module battery_identity
   use battery_kinds, only: wp, int64
   use battery_engines, only: has_step
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
-  use battery_random, only: mixed
+  use battery_random, only: splitmix64
   use battery_simulation, only: run_type, setup_type
   use battery_urn, only: shape_polygon
   implicit none (type, external)
@@ -28,7 +28,7 @@ contains
     integer(int64), intent(in) :: initial_fingerprint
     !> Base seed of the run.
     integer(int64), intent(in) :: seed
-    !> From 1.
+    !> Index of the replica, from 1.
     integer, intent(in) :: replica
     integer(int64) :: identity
     integer :: k, j, number_of
@@ -71,7 +71,7 @@ contains
       initial_fingerprint == 0))
     call mix_word(identity, seed)
     call mix_word(identity, int(replica, int64))
-    identity = mixed(identity)
+    identity = splitmix64(identity)
   end function identity_of
 
   !> The identity of what is kept of a task: the task, and which series, snapshots and so on.
@@ -91,10 +91,10 @@ contains
     end do
     call mix_word(task_id, merge(1_int64, 0_int64, run%event_log))
     call mix_word(task_id, merge(1_int64, 0_int64, final_state))
-    task_id = mixed(task_id)
+    task_id = splitmix64(task_id)
   end function task_id_with
 
-  !> Takes a number to 12 digits into a fingerprint.
+  !> Mixes a number, rounded to 12 digits, into a fingerprint.
   subroutine mix_real(fingerprint, number)
     integer(int64), intent(inout) :: fingerprint
     real(wp), intent(in) :: number

@@ -1,14 +1,14 @@
-!> Where the particles start: at random in the urns, or as a file says.
+!> Initial positions and velocities: at random in the urns, or from a file.
 module battery_initial_state
   use battery_kinds, only: wp, int64, pi
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_file_text, only: read_text
+  use battery_file_text, only: read_file
   use battery_numbers, only: read_decimal
-  use battery_remarks, only: remarks_type, add_remark, remarks_text, shown_text
+  use battery_remarks, only: remarks_type, add_remark, remarks_text, displayable_text
   use battery_text, only: to_text, new_line_character
   use battery_table, only: table_type, chamber_at, outside, try_random_point
   use battery_engine, only: particles_type
-  use battery_signals, only: stop_requested, stopped_before_start
+  use battery_signals, only: stop_requested, set_stop_error
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform
   implicit none (type, external)
   private
@@ -41,7 +41,7 @@ contains
   subroutine random_particles(table, number, urn1_number, seed, particles, error)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number, urn1_number
-    !> From 0 to 2**32 - 1.
+    !> Seed, from 0 to 2**32 - 1.
     integer(int64), intent(in) :: seed
     type(particles_type), intent(out) :: particles
     !> No memory, no generator, or a stop was asked for.
@@ -65,7 +65,7 @@ contains
       particles%uy(at) = sin(angle)
     end do
     call free_generator(generator)
-    if (stop_requested()) call stopped_before_start(error)
+    if (stop_requested()) call set_stop_error(error)
   end subroutine random_particles
 
   !> A point uniform in an urn.
@@ -87,7 +87,7 @@ contains
 
   !> `number` particles from a file, as `parse_particles` reads its text.
   subroutine read_particles(file, table, number, particles, error)
-    !> Its path.
+    !> Path of the file.
     character(len=*), intent(in) :: file
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
@@ -95,7 +95,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: text
 
-    call read_text(file, text, error)
+    call read_file(file, text, error)
     if (allocated(error)) then
       error%code = exit_bad_input
     else
@@ -132,7 +132,7 @@ contains
       line = line + 1
       if (mod(line, particles_between_looks) == 0) then
         if (stop_requested()) then
-          call stopped_before_start(error)
+          call set_stop_error(error)
           return
         end if
       end if
@@ -188,7 +188,8 @@ contains
     do k = 1, 4
       call read_decimal(line(first(k):last(k)), state(k), problem)
       if (problem == '') cycle
-      problem = 'is not four finite numbers: '//shown_text(line(first(k):last(k)))//' '//problem
+      problem = 'is not four finite numbers: '//displayable_text(line(first(k):last(k)))//' ' &
+        //problem
       return
     end do
     if (maxval(abs(state(3:))) > 0.5_wp*huge(1.0_wp)) then

@@ -4,14 +4,14 @@ module battery_input_files
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_fingerprint, only: fingerprint_of
   use battery_text, only: new_line_character
-  use battery_file_text, only: read_text, read_input
+  use battery_file_text, only: read_file, read_input
   use battery_files, only: is_writable, file_exists
   use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
     follow_links
   use battery_settings, only: settings_type
-  use battery_namelist_input, only: fill_plan, report
+  use battery_namelist_input, only: fill_plan, set_input_error
   use battery_initial_state, only: parse_particles, are_inside
-  use battery_plan, only: plan_type, point_type, refuse, point_of, point_text, table_of
+  use battery_plan, only: plan_type, point_type, refuse_value, point_of, point_text, table_of
   implicit none (type, external)
   private
   public :: read_namelist
@@ -25,7 +25,7 @@ contains
   !> good, and the results must have a place to go. Writes nothing. The namelist may be a pipe,
   !> which can be read once only: one rank calls this and passes on what it found.
   subroutine read_namelist(file, plan, error)
-    !> Its path.
+    !> Path of the file.
     character(len=*), intent(in) :: file
     type(plan_type), intent(out) :: plan
     !> Code `exit_bad_input`; all problems, one a line.
@@ -40,7 +40,7 @@ contains
     end if
     call fill_plan(text, file, settings, plan)
     call check_files(plan)
-    call report(plan, settings, error)
+    call set_input_error(plan, settings, error)
     call use_initial_file(plan, error)
   end subroutine read_namelist
 
@@ -51,7 +51,7 @@ contains
     type(error_type), allocatable :: trouble
     character(len=:), allocatable :: folder, reason
 
-    if (is_pipe_or_device(plan%initial_file)) call refuse(plan, 'initial_file', &
+    if (is_pipe_or_device(plan%initial_file)) call refuse_value(plan, 'initial_file', &
       ''''//plan%initial_file//''': this is a pipe or a device', 'a file')
     if (plan%file == '') return
     call follow_links(plan%file, trouble)
@@ -75,7 +75,7 @@ contains
     if (reason == '') reason = output_spoils_input(plan%file, plan%input_file)
     if (reason == '' .and. plan%initial_file /= '') &
       reason = output_spoils_input(plan%file, plan%initial_file)
-    if (reason /= '') call refuse(plan, 'file', ''''//plan%file//''': '//reason, &
+    if (reason /= '') call refuse_value(plan, 'file', ''''//plan%file//''': '//reason, &
       'a file in a folder that exists and can be written to')
   end subroutine check_files
 
@@ -112,7 +112,7 @@ contains
 
     ! That a pipe is refused is said already, and reading it might never end.
     if (plan%initial_file == '' .or. is_pipe_or_device(plan%initial_file)) return
-    call read_text(plan%initial_file, text, trouble)
+    call read_file(plan%initial_file, text, trouble)
     place = ''
     if (.not. allocated(trouble)) then
       point = point_of(plan, 1)

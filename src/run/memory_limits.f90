@@ -12,7 +12,7 @@ module battery_memory_limits
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: memory_type, memory_left, spare_address_space
+  public :: free_memory_type, memory_left, spare_address_space
   public :: bytes_an_entry, bytes_a_state, bytes_an_event, bytes_a_task
   public :: merged_entry, merged_state, base_bytes, most_numbers
   public :: check_memory, enough_memory, size_text
@@ -38,10 +38,10 @@ module battery_memory_limits
   real(dp), parameter :: most_numbers = 0.25_dp*real(huge(1), dp)
 
   !> Bytes that can still be had, and what limits them, in words.
-  type :: memory_type
+  type :: free_memory_type
     real(dp) :: bytes = huge(1.0_dp)
     character(len=:), allocatable :: limit
-  end type memory_type
+  end type free_memory_type
 
   real(dp), parameter :: kilobyte = 1024.0_dp
 
@@ -65,7 +65,7 @@ contains
   logical function enough_memory(bytes) result(enough)
     !> Beside those that the process has already.
     real(dp), intent(in) :: bytes
-    type(memory_type) :: left
+    type(free_memory_type) :: left
 
     if (bytes > little) left = memory_left(1)
     enough = bytes <= little .or. bytes + base_bytes <= left%bytes
@@ -78,7 +78,7 @@ contains
     real(dp), intent(in) :: bytes
     character(len=*), intent(in) :: what
     type(error_type), allocatable, intent(out) :: error
-    type(memory_type) :: left
+    type(free_memory_type) :: left
 
     if (enough_memory(bytes)) return
     left = memory_left(1)
@@ -104,11 +104,11 @@ contains
   end function size_text
 
   !> What this process can still have, if `sharing` processes of the machine want as much as it.
-  type(memory_type) function memory_left(sharing) result(left)
+  type(free_memory_type) function memory_left(sharing) result(left)
     integer, intent(in) :: sharing
 
     left%limit = 'no limit'
-    call limit_by(left, kilobyte*task_number_of('/proc/meminfo', 'MemAvailable:')/sharing, &
+    call limit_by(left, kilobyte*number_after('/proc/meminfo', 'MemAvailable:')/sharing, &
       'free memory')
     call limit_by(left, group_left()/sharing, 'memory of the control group')
     call limit_by(left, under_limit(0_c_int, 'VmSize:'), 'address space, ulimit -v')
@@ -116,7 +116,7 @@ contains
   end function memory_left
 
   pure subroutine limit_by(left, bytes, limit)
-    type(memory_type), intent(inout) :: left
+    type(free_memory_type), intent(inout) :: left
     real(dp), intent(in) :: bytes
     character(len=*), intent(in) :: limit
 
@@ -134,7 +134,7 @@ contains
     if (bytes < 0.0_dp) then
       bytes = huge(1.0_dp)
     else
-      bytes = bytes - kilobyte*task_number_of('/proc/self/status', used)
+      bytes = bytes - kilobyte*number_after('/proc/self/status', used)
     end if
   end function under_limit
 
@@ -151,10 +151,10 @@ contains
       if (status /= 0) exit
       colon = index(line, ':', back=.true.)
       if (index(line, '0::') == 1) then
-        bytes = min(bytes, up_from('/sys/fs/cgroup', trim(line(4:)), 'memory.max', &
+        bytes = min(bytes, group_and_parents_left('/sys/fs/cgroup', trim(line(4:)), 'memory.max', &
           'memory.current', 'inactive_file '))
       else if (index(line, ':memory:') > 0) then
-        bytes = min(bytes, up_from('/sys/fs/cgroup/memory', trim(line(colon + 1:)), &
+        bytes = min(bytes, group_and_parents_left('/sys/fs/cgroup/memory', trim(line(colon + 1:)), &
           'memory.limit_in_bytes', 'memory.usage_in_bytes', 'total_inactive_file '))
       end if
     end do
@@ -163,7 +163,7 @@ contains
 
   !> The least that a group or one above it leaves; within a container the path may not be there,
   !> but its beginning is. Pages of files that nobody reads can be taken.
-  function up_from(root, path, limit, used, idle) result(bytes)
+  function group_and_parents_left(root, path, limit, used, idle) result(bytes)
     character(len=*), intent(in) :: root, path, limit, used, idle
     real(dp) :: bytes, most, now, spare
     integer :: length
@@ -172,20 +172,20 @@ contains
     length = len(path)
     do
       if (path(:length) == '/') length = 0
-      most = task_number_of(root//path(:length)//'/'//limit, '')
-      now = task_number_of(root//path(:length)//'/'//used, '')
-      spare = task_number_of(root//path(:length)//'/memory.stat', idle)
+      most = number_after(root//path(:length)//'/'//limit, '')
+      now = number_after(root//path(:length)//'/'//used, '')
+      spare = number_after(root//path(:length)//'/memory.stat', idle)
       if (most < none .and. now < none) &
         bytes = min(bytes, most - now + merge(spare, 0.0_dp, spare < most))
       if (length == 0) exit
       length = index(path(:length), '/', back=.true.) - 1
       if (length < 0) exit
     end do
-  end function up_from
+  end function group_and_parents_left
 
   !> The number that follows a name at the beginning of a line, such as `MemAvailable:  123 kB`;
   !> `none` if there is none, as where it says `max`.
-  real(dp) function task_number_of(file, name) result(number)
+  real(dp) function number_after(file, name) result(number)
     character(len=*), intent(in) :: file, name
     character(len=256) :: line
     integer :: unit, status
@@ -202,6 +202,6 @@ contains
       exit
     end do
     close (unit)
-  end function task_number_of
+  end function number_after
 
 end module battery_memory_limits

@@ -5,17 +5,17 @@ module battery_namelist_input
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: to_text, new_line_character
   use battery_table, only: gated, ungated
-  use battery_remarks, only: add_remark, remarks_text, shown_text
-  use battery_settings, only: settings_type, read_settings, find_setting, take, &
-    take_list, take_text
+  use battery_remarks, only: add_remark, remarks_text, displayable_text
+  use battery_settings, only: settings_type, read_settings, find_setting, get_value, &
+    get_list, get_text
   use battery_key, only: key_type, whole_key, is_beyond
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
   use battery_problems, only: problem_type
-  use battery_plan, only: plan_type, scanned_type, point_text, complete_plan, refuse
+  use battery_plan, only: plan_type, scanned_type, point_text, complete_plan, refuse_value
   implicit none (type, external)
   private
-  public :: parse_namelist, fill_plan, report, differing_keys
+  public :: parse_namelist, fill_plan, set_input_error, differing_keys
 
 contains
 
@@ -29,7 +29,7 @@ contains
     type(settings_type) :: settings
 
     call fill_plan(text, name, settings, plan)
-    call report(plan, settings, error)
+    call set_input_error(plan, settings, error)
   end subroutine parse_namelist
 
   !> Reads a text, sets the components of a plan, and lets it check itself. Problems of the text are
@@ -57,71 +57,72 @@ contains
     real(wp), allocatable :: times(:)
 
     associate (base => plan%base)
-      call take_text(settings, 'table', 'shape', plan%shape)
-      call take(settings, 'table', 'urn_radius', base%urn_radius)
-      call take_outlines(settings, plan)
-      call take(settings, 'table', 'channel1_width', base%channel(gated)%width)
-      call take(settings, 'table', 'channel1_length', base%channel(gated)%length)
-      call take(settings, 'table', 'channel2_width', base%channel(ungated)%width)
-      call take(settings, 'table', 'channel2_length', base%channel(ungated)%length)
-      call take_list(settings, 'table', 'scatterers', plan%scatterers)
-      call take(settings, 'particles', 'number', base%number)
-      call take(settings, 'particles', 'urn1_number', base%urn1_number)
-      call take(settings, 'particles', 'urn1_fraction', base%urn1_fraction)
-      call take(settings, 'gate', 'threshold', base%threshold)
-      call take(settings, 'gate', 'threshold_fraction', base%threshold_fraction)
+      call get_text(settings, 'table', 'shape', plan%shape)
+      call get_value(settings, 'table', 'urn_radius', base%urn_radius)
+      call fill_outlines(settings, plan)
+      call get_value(settings, 'table', 'channel1_width', base%channel(gated)%width)
+      call get_value(settings, 'table', 'channel1_length', base%channel(gated)%length)
+      call get_value(settings, 'table', 'channel2_width', base%channel(ungated)%width)
+      call get_value(settings, 'table', 'channel2_length', base%channel(ungated)%length)
+      call get_list(settings, 'table', 'scatterers', plan%scatterers)
+      call get_value(settings, 'particles', 'number', base%number)
+      call get_value(settings, 'particles', 'urn1_number', base%urn1_number)
+      call get_value(settings, 'particles', 'urn1_fraction', base%urn1_fraction)
+      call get_value(settings, 'gate', 'threshold', base%threshold)
+      call get_value(settings, 'gate', 'threshold_fraction', base%threshold_fraction)
     end associate
-    call take(settings, 'particles', 'seed', plan%seed)
-    call take_text(settings, 'particles', 'initial_file', plan%initial_file)
-    call take_text(settings, 'run', 'engine', plan%engine)
-    call take(settings, 'run', 'collisions', plan%collisions)
-    call take(settings, 'run', 'transient_collisions', plan%transient_collisions)
-    call take(settings, 'run', 'duration', plan%duration)
-    call take(settings, 'run', 'transient_duration', plan%transient_duration)
-    call take(settings, 'run', 'start_time', plan%start_time)
-    call take(settings, 'run', 'time_step', plan%time_step)
-    call take(settings, 'scan', 'replicas', plan%first_replicas)
-    call take(settings, 'precision', 'chi_replica_error', plan%precision(1))
-    call take(settings, 'precision', 'polarised_current_replica_error', plan%precision(2))
+    call get_value(settings, 'particles', 'seed', plan%seed)
+    call get_text(settings, 'particles', 'initial_file', plan%initial_file)
+    call get_text(settings, 'run', 'engine', plan%engine)
+    call get_value(settings, 'run', 'collisions', plan%collisions)
+    call get_value(settings, 'run', 'transient_collisions', plan%transient_collisions)
+    call get_value(settings, 'run', 'duration', plan%duration)
+    call get_value(settings, 'run', 'transient_duration', plan%transient_duration)
+    call get_value(settings, 'run', 'start_time', plan%start_time)
+    call get_value(settings, 'run', 'time_step', plan%time_step)
+    call get_value(settings, 'scan', 'replicas', plan%first_replicas)
+    call get_value(settings, 'precision', 'chi_replica_error', plan%precision(1))
+    call get_value(settings, 'precision', 'polarised_current_replica_error', plan%precision(2))
     plan%replicas = plan%first_replicas
     if (any(plan%precision > 0.0_wp)) &
-      call take(settings, 'precision', 'largest_replicas', plan%replicas)
-    call take_text(settings, 'output', 'file', plan%file)
-    call take(settings, 'output', 'series_interval', plan%series_interval)
-    call take_values(settings, find_setting(settings, 'output', 'snapshot_times'), plan, times)
+      call get_value(settings, 'precision', 'largest_replicas', plan%replicas)
+    call get_text(settings, 'output', 'file', plan%file)
+    call get_value(settings, 'output', 'series_interval', plan%series_interval)
+    call get_scan_values(settings, find_setting(settings, 'output', 'snapshot_times'), plan, times)
     call move_alloc(times, plan%snapshot_times)
-    call take(settings, 'output', 'event_log', plan%event_log)
-    call take(settings, 'output', 'final_state', plan%final_state)
-    call take(settings, 'limits', 'wall_minutes', plan%wall_minutes)
-    call take(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
+    call get_value(settings, 'output', 'event_log', plan%event_log)
+    call get_value(settings, 'output', 'final_state', plan%final_state)
+    call get_value(settings, 'limits', 'wall_minutes', plan%wall_minutes)
+    call get_value(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_values
 
   !> The shape of the urns. Of corners that are not whole pairs, none are taken. What was refused
   !> when it was read is refused here as well, and told once: then there is nothing to compute with.
-  subroutine take_outlines(settings, plan)
+  subroutine fill_outlines(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
     character(len=*), parameter :: key(2) = [character(len=13) :: 'urn_vertices', 'urn2_vertices']
     real(wp), allocatable :: numbers(:)
     integer :: urn
 
-    call take_text(settings, 'table', 'urn_shape', plan%urn_shape)
-    call take(settings, 'table', 'urn_sides', plan%urn_sides)
-    if (is_refused(settings, 'urn_sides')) call refuse(plan, 'urn_sides', 'is refused', '')
+    call get_text(settings, 'table', 'urn_shape', plan%urn_shape)
+    call get_value(settings, 'table', 'urn_sides', plan%urn_sides)
+    if (is_refused(settings, 'urn_sides')) call refuse_value(plan, 'urn_sides', 'is refused', '')
     do urn = 1, 2
-      call take_list(settings, 'table', trim(key(urn)), numbers)
-      if (is_refused(settings, trim(key(urn)))) call refuse(plan, trim(key(urn)), 'is refused', '')
+      call get_list(settings, 'table', trim(key(urn)), numbers)
+      if (is_refused(settings, trim(key(urn)))) call refuse_value(plan, trim(key(urn)), &
+        'is refused', '')
       if (size(numbers) == 0) cycle
       if (modulo(size(numbers), 2) /= 0 .and. plan%urn_shape /= 'disc') then
-        call refuse(plan, trim(key(urn)), 'has '//to_text(size(numbers))//' numbers', &
+        call refuse_value(plan, trim(key(urn)), 'has '//to_text(size(numbers))//' numbers', &
           'two for each corner, x1, y1, x2, y2, ...')
         cycle
       end if
       plan%outline(urn)%corner = reshape(numbers, [2, size(numbers)/2])
-      if (settings%all(find_setting(settings, 'table', 'urn_radius'))%given) call refuse(plan, &
-        'urn_radius', 'is given beside '//trim(key(urn)), 'one of the two')
+      if (settings%all(find_setting(settings, 'table', 'urn_radius'))%given) call &
+        refuse_value(plan, 'urn_radius', 'is given beside '//trim(key(urn)), 'one of the two')
     end do
-  end subroutine take_outlines
+  end subroutine fill_outlines
 
   !> Whether a key of &table was refused when it was read.
   logical function is_refused(settings, key)
@@ -145,7 +146,7 @@ contains
     do at = 1, size(settings%all) - 1
       associate (list => settings%all(at), range => settings%all(at + 1))
         if (list%key%group /= 'scan' .or. .not. range%key%is_range) cycle
-        call take_values(settings, at, plan, one%values)
+        call get_scan_values(settings, at, plan, one%values)
         if (size(one%values) == 0) cycle
         one%key = trim(list%key%name)
         last = size(plan%scanned)
@@ -154,7 +155,7 @@ contains
             if (size(one%values) == size(plan%scanned(last)%values)) then
               plan%scanned(last)%second = one%values
             else
-              call refuse(plan, one%key, 'has '//to_text(size(one%values))//' values', &
+              call refuse_value(plan, one%key, 'has '//to_text(size(one%values))//' values', &
                 to_text(size(plan%scanned(last)%values))//', one for each of ' &
                 //plan%scanned(last)%key)
             end if
@@ -168,7 +169,7 @@ contains
 
   !> The values of setting number `at`, a list, or of its range, which stands behind it; none where
   !> neither is given or known.
-  subroutine take_values(settings, at, plan, values)
+  subroutine get_scan_values(settings, at, plan, values)
     type(settings_type), intent(in) :: settings
     integer, intent(in) :: at
     type(plan_type), intent(inout) :: plan
@@ -177,7 +178,7 @@ contains
     allocate (values(0))
     associate (list => settings%all(at), range => settings%all(at + 1))
       if (list%given .and. range%given) then
-        call refuse(plan, trim(range%key%name), 'is given beside '//trim(list%key%name), &
+        call refuse_value(plan, trim(range%key%name), 'is given beside '//trim(list%key%name), &
           'one of the two')
       else if (list%known) then
         ! The numbers of a key are of one of the two types.
@@ -185,12 +186,12 @@ contains
       else if (range%known) then
         values = range_of(range%reals, list%key%kind == whole_key)
         if (all(.not. is_beyond(list%key, values))) return
-        call refuse(plan, trim(range%key%name), to_text(maxval(values)), &
+        call refuse_value(plan, trim(range%key%name), to_text(maxval(values)), &
           'numbers up to '//to_text(list%key%greatest))
         values = [real(wp) ::]
       end if
     end associate
-  end subroutine take_values
+  end subroutine get_scan_values
 
   !> The values of a range, evenly spaced: whole numbers, or numbers of 12 digits, so that a value
   !> is the same in ranges of other lengths.
@@ -221,13 +222,13 @@ contains
     type(plan_type), intent(inout) :: plan
 
     if (settings%all(find_setting(settings, 'precision', 'largest_replicas'))%given .and. &
-      .not. any(plan%precision > 0.0_wp)) call refuse(plan, 'largest_replicas', &
+      .not. any(plan%precision > 0.0_wp)) call refuse_value(plan, 'largest_replicas', &
       'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
     if (.not. plan%duration > 0.0_wp) return
     if (settings%all(find_setting(settings, 'run', 'collisions'))%given) &
-      call refuse(plan, 'collisions', 'is given beside duration', 'one of the two')
-    if (settings%all(find_setting(settings, 'run', 'transient_collisions'))%given) &
-      call refuse(plan, 'transient_collisions', 'is given beside duration', 'transient_duration')
+      call refuse_value(plan, 'collisions', 'is given beside duration', 'one of the two')
+    if (settings%all(find_setting(settings, 'run', 'transient_collisions'))%given) call &
+      refuse_value(plan, 'transient_collisions', 'is given beside duration', 'transient_duration')
   end subroutine check_pairs
 
   !> Adds a problem of the plan, at the line where its key is.
@@ -276,7 +277,7 @@ contains
 
   !> One error from all problems, in the order of the lines; none if there are none. Where several
   !> are of points of the scan, the first line says how many cannot be.
-  subroutine report(plan, settings, error)
+  subroutine set_input_error(plan, settings, error)
     type(plan_type), intent(in) :: plan
     type(settings_type), intent(inout) :: settings
     !> Code `exit_bad_input`.
@@ -296,7 +297,7 @@ contains
     if (settings%problems%count > 0) &
       call fatal_error(error, remarks_text(settings%problems, plan%input_file), &
       exit_bad_input)
-  end subroutine report
+  end subroutine set_input_error
 
   !> The keys in which two inputs differ, one a line with both values; empty if they make the same
   !> run. Ways of writing, defaults, limits and the name of the output file make no difference.
@@ -323,7 +324,7 @@ contains
     character(len=*), intent(in) :: canonical
     character(len=:), allocatable :: text
 
-    text = shown_text(trim(adjustl(canonical)))
+    text = displayable_text(trim(adjustl(canonical)))
     if (text == '') text = 'not given'
   end function value_text
 

@@ -4,10 +4,10 @@ module battery_outline_checks
   use battery_kinds, only: wp
   use battery_bounds, only: finest, greatest_radius
   use battery_channel, only: facing, is_open
-  use battery_corners, only: enclosed_area, turned_round, next_of, distance_to_side, sides_meet, &
-    side_distance, axis_side
+  use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
+    sides_meet, side_distance, side_on_axis
   use battery_polygon, only: upright
-  use battery_plan, only: plan_type, point_type, refuse, is_scanned, corners_of
+  use battery_plan, only: plan_type, point_type, refuse_value, is_scanned, corners_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -66,27 +66,29 @@ contains
     integer :: urn
 
     if (plan%urn_shape == 'disc') then
-      if (plan%urn_sides > 0) call refuse(plan, 'urn_sides', to_text(plan%urn_sides), polygons)
+      if (plan%urn_sides > 0) call refuse_value(plan, 'urn_sides', to_text(plan%urn_sides), &
+        polygons)
       do urn = 1, 2
         if (allocated(plan%outline(urn)%corner)) &
-          call refuse(plan, trim(key_of(urn)), 'is given', polygons)
+          call refuse_value(plan, trim(key_of(urn)), 'is given', polygons)
       end do
       return
     end if
     if (plan%urn_sides > 0) then
-      if (modulo(plan%urn_sides, 2) /= 0) call refuse(plan, 'urn_sides', &
+      if (modulo(plan%urn_sides, 2) /= 0) call refuse_value(plan, 'urn_sides', &
         to_text(plan%urn_sides), 'even numbers, for an upright side on either side')
-      if (has_outline(plan)) call refuse(plan, 'urn_sides', 'is given beside corners', &
+      if (has_outline(plan)) call refuse_value(plan, 'urn_sides', 'is given beside corners', &
         'urn_sides with urn_radius, or urn_vertices')
     else if (.not. allocated(plan%outline(1)%corner) .and. is_sound(plan)) then
-      call refuse(plan, 'urn_shape', '''polygon''', 'with urn_vertices or urn_sides beside it')
+      call refuse_value(plan, 'urn_shape', '''polygon''', &
+        'with urn_vertices or urn_sides beside it')
     end if
-    if (plan%shape == 'urn' .and. allocated(plan%outline(2)%corner)) call refuse(plan, &
+    if (plan%shape == 'urn' .and. allocated(plan%outline(2)%corner)) call refuse_value(plan, &
       'urn2_vertices', 'is given', 'nothing, since the shape ''urn'' has one urn')
     if (.not. has_outline(plan)) return
-    if (is_scanned(plan, 'urn_radius')) call refuse(plan, 'urn_radius', &
+    if (is_scanned(plan, 'urn_radius')) call refuse_value(plan, 'urn_radius', &
       'is scanned beside urn_vertices', 'urn_sides, of which urn_radius is the size')
-    if (is_scanned(plan, 'urn_radius2')) call refuse(plan, 'urn_radius2', &
+    if (is_scanned(plan, 'urn_radius2')) call refuse_value(plan, 'urn_radius2', &
       'is scanned beside urn_vertices', 'urn_sides, of which urn_radius is the size')
   end subroutine check_keys
 
@@ -103,19 +105,19 @@ contains
     associate (corner => plan%outline(urn)%corner)
       n = size(corner, 2)
       if (n < 3) then
-        call refuse(plan, key, 'has '//to_text(n)//merge(' corner ', ' corners', n == 1), &
+        call refuse_value(plan, key, 'has '//to_text(n)//merge(' corner ', ' corners', n == 1), &
           'three corners or more')
         return
       end if
       extent = extent_of(corner)
       if (maxval(abs(corner)) > greatest_radius .or. extent < 1.0_wp/greatest_radius) then
-        call refuse(plan, key, 'is '//to_text(extent)//' wide, and reaches to ' &
+        call refuse_value(plan, key, 'is '//to_text(extent)//' wide, and reaches to ' &
           //to_text(maxval(abs(corner))), 'numbers whose powers are still numbers')
         return
       end if
       do k = 1, n
-        if (norm2(corner(:, next_of(k, n)) - corner(:, k)) < finest*extent) call refuse(plan, &
-          key, 'has '//side_text(k, n)//', which has no length', 'sides from ' &
+        if (norm2(corner(:, next_corner(k, n)) - corner(:, k)) < finest*extent) call &
+          refuse_value(plan, key, 'has '//side_text(k, n)//', which has no length', 'sides from ' &
           //to_text(finest*extent)//' on, which is '//to_text(finest)//' of its width')
       end do
       if (size(plan%problems) > before) return
@@ -124,7 +126,7 @@ contains
       plan%outline(urn)%was_clockwise = enclosed_area(corner) < 0.0_wp
     end associate
     if (plan%outline(urn)%was_clockwise) &
-      plan%outline(urn)%corner = turned_round(plan%outline(urn)%corner)
+      plan%outline(urn)%corner = reversed_corners(plan%outline(urn)%corner)
     call check_axis(plan, urn)
   end subroutine check_outline
 
@@ -142,7 +144,7 @@ contains
     do k = 1, n
       do j = k + 1, n
         if (gap_between(k, j) >= least) cycle
-        call refuse(plan, key, 'has '//side_text(k, n)//', which meets '//side_text(j, n), &
+        call refuse_value(plan, key, 'has '//side_text(k, n)//', which meets '//side_text(j, n), &
           'sides that are '//to_text(least)//' apart, which is '//to_text(finest) &
           //' of its width, but for the corner that they share')
         return
@@ -151,22 +153,22 @@ contains
 
   contains
 
-    !> Of two sides; of neighbours, how far the other end of each is from the other side.
+    !> Distance of two sides; of neighbours, the distance of either's other end to the other side.
     pure real(wp) function gap_between(k, j) result(gap)
       integer, intent(in) :: k, j
       real(wp) :: before(2), shared(2), after(2)
       integer :: first
 
-      if (next_of(k, n) == j .or. next_of(j, n) == k) then
-        first = merge(k, j, next_of(k, n) == j)
+      if (next_corner(k, n) == j .or. next_corner(j, n) == k) then
+        first = merge(k, j, next_corner(k, n) == j)
         before = corner(:, first)
-        shared = corner(:, next_of(first, n))
-        after = corner(:, next_of(next_of(first, n), n))
+        shared = corner(:, next_corner(first, n))
+        after = corner(:, next_corner(next_corner(first, n), n))
         gap = min(distance_to_side(before(1), before(2), shared, after), &
           distance_to_side(after(1), after(2), before, shared))
       else
-        gap = side_distance(corner(:, k), corner(:, next_of(k, n)), corner(:, j), &
-          corner(:, next_of(j, n)))
+        gap = side_distance(corner(:, k), corner(:, next_corner(k, n)), corner(:, j), &
+          corner(:, next_corner(j, n)))
       end if
     end function gap_between
 
@@ -185,16 +187,16 @@ contains
         ! What is scanned may be open at some points.
         if (.not. is_open(plan%base%channel(channel)) .and. .not. is_scanned(plan, 'channel' &
           //to_text(channel)//'_width')) cycle
-        side = axis_side(corner, facing(channel))
+        side = side_on_axis(corner, facing(channel))
         if (side == 0) then
           what = 'has a corner on the axis y = 0 or no side there'
-        else if (abs(corner(1, next_of(side, n)) - corner(1, side)) <= upright &
+        else if (abs(corner(1, next_corner(side, n)) - corner(1, side)) <= upright &
           *maxval(abs(corner(1, :)))) then
           cycle
         else
           what = 'has '//side_text(side, n)//', which is not upright'
         end if
-        call refuse(plan, trim(key_of(urn)), what//', where channel '//to_text(channel) &
+        call refuse_value(plan, trim(key_of(urn)), what//', where channel '//to_text(channel) &
           //' is to begin', 'an upright side that the axis y = 0 crosses farthest to the ' &
           //trim(merge('right', 'left ', channel == 1)))
       end do
@@ -218,10 +220,10 @@ contains
         n = size(corner, 2)
         do channel = 1, merge(1, 2, plan%shape == 'urn')
           if (.not. is_open(point%channel(channel))) cycle
-          side = axis_side(corner, facing(channel))
+          side = side_on_axis(corner, facing(channel))
           if (side == 0) cycle
-          room = 2.0_wp*min(abs(corner(2, side)), abs(corner(2, next_of(side, n))))
-          if (point%channel(channel)%width > room*(1.0_wp - finest)) call refuse(plan, &
+          room = 2.0_wp*min(abs(corner(2, side)), abs(corner(2, next_corner(side, n))))
+          if (point%channel(channel)%width > room*(1.0_wp - finest)) call refuse_value(plan, &
             'channel'//to_text(channel)//'_width', to_text(point%channel(channel)%width), &
             'below '//to_text(room)//', which fits into '//side_text(side, n)//' of urn ' &
             //to_text(urn))
@@ -258,17 +260,17 @@ contains
     beyond = 0.5_wp*point%channel(channel)%length
     farthest = maxloc(facing(channel)*corner(1, :), dim=1)
     a = seen(farthest)
-    if (a(1) > beyond*(1.0_wp - finest)) call refuse(plan, key, 'has corner '//to_text(farthest) &
-      //', which is '//to_text(a(1))//' beyond the beginning of channel '//to_text(channel), &
-      'short of its middle, which is '//to_text(beyond)//' beyond')
+    if (a(1) > beyond*(1.0_wp - finest)) call refuse_value(plan, key, 'has corner ' &
+      //to_text(farthest)//', which is '//to_text(a(1))//' beyond the beginning of channel ' &
+      //to_text(channel), 'short of its middle, which is '//to_text(beyond)//' beyond')
     do k = 1, n
       if (k == side) cycle
       a = seen(k)
-      b = seen(next_of(k, n))
+      b = seen(next_corner(k, n))
       if (max(a(1), b(1)) <= 0.0_wp) cycle
       if (sides_meet(a, b, [0.0_wp, half], [beyond, half]) .or. sides_meet(a, b, [0.0_wp, -half], &
         [beyond, -half]) .or. (abs(a(2)) <= half .and. a(1) >= 0.0_wp .and. a(1) <= beyond)) then
-        call refuse(plan, key, 'has '//side_text(k, n)//', which lies in channel ' &
+        call refuse_value(plan, key, 'has '//side_text(k, n)//', which lies in channel ' &
           //to_text(channel), 'sides beside the channel')
         return
       end if
@@ -299,7 +301,7 @@ contains
     integer, intent(in) :: side, sides
     character(len=:), allocatable :: text
 
-    text = 'the side from corner '//to_text(side)//' to '//to_text(next_of(side, sides))
+    text = 'the side from corner '//to_text(side)//' to '//to_text(next_corner(side, sides))
   end function side_text
 
 end module battery_outline_checks

@@ -16,11 +16,11 @@ module battery_plan
   use battery_engine, only: particles_type
   use battery_simulation, only: run_type, setup_type
   use battery_identity, only: identity_of
-  use battery_problems, only: problem_type, gathered_type
+  use battery_problems, only: problem_type, point_problems_type
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: plan_type, point_type, scanned_type, complete_plan, refuse
+  public :: plan_type, point_type, scanned_type, complete_plan, refuse_value
   public :: outline_type, corners_of
   public :: point_of, point_text, table_of, setup_of, is_scanned, values_of, rounded
 
@@ -86,7 +86,7 @@ module battery_plan
     !> What is wrong with it.
     type(problem_type), allocatable :: problems(:)
     !> Those of points of the scan, and how many were checked.
-    type(gathered_type) :: of_points
+    type(point_problems_type) :: of_points
     integer :: checked_points = 0
     !> Points of the scan, from `complete_plan`; 0 if there are problems.
     integer :: point_count = 0
@@ -107,18 +107,18 @@ module battery_plan
 contains
 
   !> One more problem of a plan.
-  pure subroutine refuse(plan, key, value, allowed)
+  pure subroutine refuse_value(plan, key, value, allowed)
     type(plan_type), intent(inout) :: plan
     !> Name of the key, its value, and what is allowed instead.
     character(len=*), intent(in) :: key, value, allowed
 
     plan%problems = [plan%problems, problem_type(key, value, allowed, is_scanned(plan, key))]
-  end subroutine refuse
+  end subroutine refuse_value
 
   !> Whether a key is scanned.
   pure logical function is_scanned(plan, key) result(yes)
     type(plan_type), intent(in) :: plan
-    !> Its name.
+    !> Name of the key.
     character(len=*), intent(in) :: key
     integer :: at
 
@@ -134,7 +134,7 @@ contains
   !> The values of a key that is scanned; none if it is not.
   pure function values_of(plan, key) result(values)
     type(plan_type), intent(in) :: plan
-    !> Its name.
+    !> Name of the key.
     character(len=*), intent(in) :: key
     real(wp), allocatable :: values(:)
     integer :: at
@@ -191,15 +191,15 @@ contains
     do list = size(plan%scanned), 1, -1
       associate (scanned => plan%scanned(list))
         values = size(scanned%values)
-        if (allocated(scanned%second)) call put_before(text, scanned%key//'2', scanned%second)
-        call put_before(text, scanned%key, scanned%values)
+        if (allocated(scanned%second)) call prepend_value(text, scanned%key//'2', scanned%second)
+        call prepend_value(text, scanned%key, scanned%values)
       end associate
       left = left/values
     end do
 
   contains
 
-    pure subroutine put_before(text, key, all)
+    pure subroutine prepend_value(text, key, all)
       character(len=:), allocatable, intent(inout) :: text
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: all(:)
@@ -207,7 +207,7 @@ contains
       if (size(all) == 1 .or. key == but) return
       if (text /= '') text = ', '//text
       text = key//' = '//to_text(all(1 + mod(left, size(all))))//text
-    end subroutine put_before
+    end subroutine prepend_value
 
   end function point_text
 
@@ -247,7 +247,7 @@ contains
 
   !> The nearest whole number, at most the largest there is.
   elemental integer function rounded(number)
-    !> Of either sign.
+    !> Value, of either sign.
     real(wp), intent(in) :: number
 
     rounded = huge(1)

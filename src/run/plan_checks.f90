@@ -1,11 +1,14 @@
 !> How the parts of a plan fit together.
 submodule (battery_plan) battery_plan_checks
+  use, intrinsic :: iso_c_binding, only: c_size_t
+  use battery_kinds, only: dp
   use battery_error, only: error_type
   use battery_engine, only: engine_type
   use battery_engines, only: new_engine, has_step, explain_refusal
   use battery_scatterer_checks, only: wrong_scatterers
   use battery_table, only: longest_run
-  use battery_repeats, only: first_repeat
+  use battery_gsl, only: sort_order
+  use battery_identity, only: twelve_digits
   use battery_problems, only: add_point_problems, reported_problems
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, is_sound
   use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
@@ -26,7 +29,7 @@ contains
     call check_precision(plan)
     plan%point_count = 0
     if (task_total(plan) > most_tasks) then
-      call refuse(plan, trim(merge('largest_replicas', 'replicas        ', plan%replicas &
+      call refuse_value(plan, trim(merge('largest_replicas', 'replicas        ', plan%replicas &
         > plan%first_replicas)), to_text(task_total(plan))//' tasks in all', 'up to ' &
         //to_text(most_tasks)//' points times replicas')
     else
@@ -44,16 +47,16 @@ contains
 
     associate (base => plan%base)
       if (base%number == not_given .and. .not. is_scanned(plan, 'number')) &
-        call refuse(plan, 'number', 'is missing', 'one whole number from 1 up')
+        call refuse_value(plan, 'number', 'is missing', 'one whole number from 1 up')
       as_number = base%threshold(1) /= not_given .or. is_scanned(plan, 'threshold')
       as_second = is_scanned(plan, 'threshold2')
       as_fraction = base%threshold_fraction(1) >= 0.0_wp .or. is_scanned(plan, 'threshold_fraction')
-      if (.not. (as_number .or. as_fraction)) call refuse(plan, 'threshold', 'is missing', &
+      if (.not. (as_number .or. as_fraction)) call refuse_value(plan, 'threshold', 'is missing', &
         'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan')
-      if ((as_number .or. as_second) .and. as_fraction) call refuse(plan, 'threshold_fraction', &
-        'is given beside threshold', 'one of the two')
+      if ((as_number .or. as_second) .and. as_fraction) call refuse_value(plan, &
+        'threshold_fraction', 'is given beside threshold', 'one of the two')
       if (base%urn1_number /= not_given .and. (base%urn1_fraction >= 0.0_wp &
-        .or. is_scanned(plan, 'urn1_fraction'))) call refuse(plan, 'urn1_number', &
+        .or. is_scanned(plan, 'urn1_fraction'))) call refuse_value(plan, 'urn1_number', &
         'is given beside urn1_fraction', 'one of the two')
     end associate
     if (plan%shape == 'urn') then
@@ -65,7 +68,7 @@ contains
     end if
     if (plan%initial_file /= '') then
       call refuse_scan('urn1_fraction', '&particles initial_file is given')
-      if (size(values_of(plan, 'number')) > 1) call refuse(plan, 'number', &
+      if (size(values_of(plan, 'number')) > 1) call refuse_value(plan, 'number', &
         to_text(size(values_of(plan, 'number')))//' numbers', &
         'one, since &particles initial_file is given')
     end if
@@ -75,7 +78,8 @@ contains
     subroutine refuse_scan(key, reason)
       character(len=*), intent(in) :: key, reason
 
-      if (is_scanned(plan, key)) call refuse(plan, key, 'is scanned', 'nothing, since '//reason)
+      if (is_scanned(plan, key)) call refuse_value(plan, key, 'is scanned', 'nothing, since ' &
+        //reason)
     end subroutine refuse_scan
 
   end subroutine check_given
@@ -87,19 +91,19 @@ contains
     if (plan%duration > 0.0_wp) then
       ! What is left after it must be told from nothing.
       if (plan%transient_duration > (1.0_wp - finest)*plan%duration) &
-        call refuse(plan, 'transient_duration', to_text(plan%transient_duration), &
+        call refuse_value(plan, 'transient_duration', to_text(plan%transient_duration), &
         'below duration, which is '//to_text(plan%duration))
     else
       if (plan%transient_duration > 0.0_wp) &
-        call refuse(plan, 'transient_duration', to_text(plan%transient_duration), &
+        call refuse_value(plan, 'transient_duration', to_text(plan%transient_duration), &
         '0, unless duration is given')
       ! None are known where their number was refused.
       if (plan%collisions > 0 .and. plan%transient_collisions >= plan%collisions) &
-        call refuse(plan, 'transient_collisions', to_text(plan%transient_collisions), &
+        call refuse_value(plan, 'transient_collisions', to_text(plan%transient_collisions), &
         'below collisions, which is '//to_text(plan%collisions))
     end if
     if (has_step(plan%engine) .and. .not. plan%time_step > 0.0_wp) &
-      call refuse(plan, 'time_step', 'is missing', &
+      call refuse_value(plan, 'time_step', 'is missing', &
       'one number above 0, since the engine is '''//plan%engine//'''')
   end subroutine check_length
 
@@ -113,13 +117,13 @@ contains
     integer :: at
 
     if (.not. any(plan%precision > 0.0_wp)) return
-    if (plan%first_replicas < fewest) call refuse(plan, 'replicas', to_text(plan%first_replicas), &
-      'from '//to_text(fewest)//' up, since a precision is asked for')
-    if (plan%replicas < plan%first_replicas) call refuse(plan, 'largest_replicas', &
+    if (plan%first_replicas < fewest) call refuse_value(plan, 'replicas', &
+      to_text(plan%first_replicas), 'from '//to_text(fewest)//' up, since a precision is asked for')
+    if (plan%replicas < plan%first_replicas) call refuse_value(plan, 'largest_replicas', &
       to_text(plan%replicas), 'from &scan replicas up, which is '//to_text(plan%first_replicas))
     if (plan%shape /= 'urn') return
     do at = 1, 2
-      if (plan%precision(at) > 0.0_wp) call refuse(plan, trim(names(at)), &
+      if (plan%precision(at) > 0.0_wp) call refuse_value(plan, trim(names(at)), &
         to_text(plan%precision(at)), 'nothing, since the shape ''urn'' '//trim(lacks(at)))
     end do
   end subroutine check_precision
@@ -131,16 +135,16 @@ contains
     associate (times => plan%snapshot_times)
       do at = 2, size(times)
         if (times(at) > times(at - 1)) cycle
-        call refuse(plan, 'snapshot_times', to_text(times(at)), &
+        call refuse_value(plan, 'snapshot_times', to_text(times(at)), &
           'times that grow; the one before is '//to_text(times(at - 1)))
         exit
       end do
-      if (plan%duration > 0.0_wp .and. any(times > plan%duration)) call refuse(plan, &
+      if (plan%duration > 0.0_wp .and. any(times > plan%duration)) call refuse_value(plan, &
         'snapshot_times', to_text(maxval(times)), 'up to &run duration, which is ' &
         //to_text(plan%duration))
     end associate
-    if (plan%event_log .and. task_total(plan) /= 1_int64) call refuse(plan, 'event_log', '.true.', &
-      '.false., since the scan has '//to_text(task_total(plan))//' tasks')
+    if (plan%event_log .and. task_total(plan) /= 1_int64) call refuse_value(plan, 'event_log', &
+      '.true.', '.false., since the scan has '//to_text(task_total(plan))//' tasks')
   end subroutine check_output
 
   !> Points times replicas; beyond `most_tasks`, some larger number.
@@ -178,10 +182,48 @@ contains
       end if
       if (plan%scanned(at)%key == 'channel2_length' .and. size(values) > 1 .and. &
         any(.not. widths > 0.0_wp)) again = 2
-      if (again > 0) call refuse(plan, plan%scanned(at)%key, to_text(values(again)), &
+      if (again > 0) call refuse_value(plan, plan%scanned(at)%key, to_text(values(again)), &
         'every point once; this value makes one that is there already')
     end do
   end subroutine check_repeats
+
+  !> Place of the first value, or pair of values, that stands in a list before; 0 if there is none.
+  integer function first_repeat(values, second) result(place)
+    !> The list, or the first of the pairs.
+    real(wp), intent(in) :: values(:)
+    !> The other of the pairs.
+    real(wp), allocatable, intent(in), optional :: second(:)
+    integer :: rank(size(values))
+    logical :: seen(size(values))
+
+    rank = ranks_of(values)
+    if (present(second)) then
+      if (allocated(second)) rank = ranks_of(real(rank, wp)*size(values) + ranks_of(second))
+    end if
+    seen = .false.
+    do place = 1, size(values)
+      if (seen(rank(place))) return
+      seen(rank(place)) = .true.
+    end do
+    place = 0
+  end function first_repeat
+
+  !> The place of each value among the different ones in the order of size. Numbers are equal where
+  !> those of tasks are (`battery_identity`).
+  function ranks_of(values) result(rank)
+    real(wp), intent(in) :: values(:)
+    integer :: rank(size(values))
+    real(wp) :: known(size(values))
+    integer(c_size_t) :: order(size(values)), k
+
+    known = twelve_digits(values)
+    call sort_order(order, real(known, dp), 1_c_size_t, size(order, kind=c_size_t))
+    order = order + 1
+    if (size(order) > 0) rank(order(1)) = 1
+    do k = 2, size(order)
+      rank(order(k)) = rank(order(k - 1)) + merge(1, 0, known(order(k)) > known(order(k - 1)))
+    end do
+  end function ranks_of
 
   !> What is wrong with the points of the scan. Whether the engine can simulate them is asked only
   !> where nothing else is wrong.
@@ -234,18 +276,18 @@ contains
     if (.not. (sound .and. is_sound(plan))) return
     if (.not. plan%duration > 0.0_wp .and. plan%transient_collisions > 0 .and. &
       plan%transient_collisions < plan%collisions .and. plan%collisions <= point%number) &
-      call refuse(plan, 'collisions', to_text(plan%collisions), 'above number, which is ' &
+      call refuse_value(plan, 'collisions', to_text(plan%collisions), 'above number, which is ' &
       //to_text(point%number)//', or transient_collisions = 0, since a run goes on by about one ' &
       //'wall collision of each particle')
     if (point%urn1_number > point%number) then
-      call refuse(plan, 'urn1_number', to_text(point%urn1_number), &
+      call refuse_value(plan, 'urn1_number', to_text(point%urn1_number), &
         'from 0 to number, which is '//to_text(point%number))
     else if (plan%shape == 'urn' .and. point%urn1_number /= point%number) then
-      call refuse(plan, 'urn1_number', to_text(point%urn1_number), &
+      call refuse_value(plan, 'urn1_number', to_text(point%urn1_number), &
         to_text(point%number)//', all particles, since the shape ''urn'' has one urn')
     end if
     if (.not. can_count_hits(table_of(plan, point), point%number, plan%duration)) &
-      call refuse(plan, 'number', to_text(point%number), &
+      call refuse_value(plan, 'number', to_text(point%number), &
       'fewer, or wider openings: such visits have more wall collisions than can be counted')
   end subroutine check_point
 
@@ -258,7 +300,7 @@ contains
 
     if (size(plan%scatterers) == 0) return
     if (plan%shape == 'urn') then
-      call refuse(plan, 'scatterers', 'is given', &
+      call refuse_value(plan, 'scatterers', 'is given', &
         'nothing, since the shape ''urn'' has no channel 2')
       return
     end if
@@ -271,7 +313,7 @@ contains
       associate (wrong => wrong_scatterers(plan%scatterers, channel, finest &
         *max(maxval(point%urn_radius), point%channel(gated)%length, channel%length)))
         do at = 1, size(wrong)
-          call refuse(plan, 'scatterers', wrong(at)%value, wrong(at)%allowed//where)
+          call refuse_value(plan, wrong(at)%key, wrong(at)%value, wrong(at)%allowed//where)
         end do
       end associate
     end associate
@@ -285,7 +327,7 @@ contains
     character(len=:), allocatable :: reason, others
 
     call explain_refusal(engine, table_of(plan, point), reason, others)
-    if (reason /= '') call refuse(plan, 'engine', ''''//plan%engine//''' '//reason, others)
+    if (reason /= '') call refuse_value(plan, 'engine', ''''//plan%engine//''' '//reason, others)
   end subroutine check_engine
 
   !> Openings must fit into the urns, and no length may be lost beside another.
@@ -313,7 +355,7 @@ contains
 
   contains
 
-    !> Beside an urn, and beside another length (0: there is none).
+    !> Refuses a length that is lost beside an urn or beside `other` (0: there is none).
     subroutine check_beside(key, length, other)
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: length, other
@@ -328,7 +370,7 @@ contains
       real(wp), intent(in) :: width
 
       if (width >= 2.0_wp*radii(1)) then
-        call refuse(plan, key, to_text(width), &
+        call refuse_value(plan, key, to_text(width), &
           'below 2 urn_radius, which is '//to_text(2.0_wp*radii(1)))
       else if (width > 0.0_wp) then
         call check_range(plan, key, width, bounds_type(finest*max(radii(2), longest), &
@@ -374,7 +416,7 @@ contains
     type(bounds_type), intent(in) :: bounds
 
     if (.not. (value >= bounds%least .and. value <= bounds%most)) &
-      call refuse(plan, key, to_text(value), bounds_text(bounds))
+      call refuse_value(plan, key, to_text(value), bounds_text(bounds))
   end subroutine check_range
 
   !> Length of channel 2, or 0 if it is closed.

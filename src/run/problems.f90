@@ -1,14 +1,14 @@
-!> What is wrong with a plan; what is wrong with many points of its scan is told once.
+!> Problems of a plan; one that many points of its scan have is reported once.
 module battery_problems
   use battery_remarks, only: most_reported
   implicit none (type, external)
   private
-  public :: problem_type, gathered_type, add_point_problems, reported_problems
+  public :: problem_type, point_problems_type, add_point_problems, reported_problems
 
-  !> So many problems of points are kept: what can be told one by one.
+  !> Greatest number of problems of points that are kept: as many as are reported one by one.
   integer, parameter :: most_kept = most_reported
 
-  !> Something wrong with a plan: the key, its value, and what is allowed instead.
+  !> A problem of a plan: the key, its value, and what is allowed instead.
   type :: problem_type
     character(len=:), allocatable :: key, value, allowed
     !> Whether the value is one of a scan.
@@ -20,21 +20,22 @@ module battery_problems
 
   !> The problems of points: those that differ, and those that differ in key or value, whatever is
   !> allowed; of either kind no more than are kept.
-  type :: gathered_type
+  type :: point_problems_type
     type(problem_type), allocatable :: different(:), of_values(:)
     !> How many points have problems, and whether more of either kind were there.
     integer :: points = 0
     logical :: more_different = .false., more_values = .false.
-  end type gathered_type
+  end type point_problems_type
 
 contains
 
-  !> Puts the problems of one point to those of the points before.
+  !> Adds the problems of one point of the scan.
   pure subroutine add_point_problems(gathered, problems, point)
-    type(gathered_type), intent(inout) :: gathered
-    !> Of the point.
+    !> Problems of the points before.
+    type(point_problems_type), intent(inout) :: gathered
+    !> Problems of the point.
     type(problem_type), intent(in) :: problems(:)
-    !> Its number.
+    !> Number of the point.
     integer, intent(in) :: point
     integer :: at
 
@@ -72,10 +73,11 @@ contains
     kept(k)%last_point = point
   end subroutine count_problem
 
-  !> What is told of points: all problems that differ, or where they are too many, those of each
+  !> Problems of points to be reported: all that differ, or where they are too many, those of each
   !> value.
   pure function reported_problems(gathered) result(problems)
-    type(gathered_type), intent(in) :: gathered
+    !> Problems of all points, from `add_point_problems`.
+    type(point_problems_type), intent(in) :: gathered
     type(problem_type), allocatable :: problems(:)
 
     if (.not. allocated(gathered%different)) then

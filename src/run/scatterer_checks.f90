@@ -7,18 +7,14 @@ module battery_scatterer_checks
   use battery_kinds, only: wp
   use battery_text, only: to_text
   use battery_channel, only: channel_type
+  use battery_problems, only: problem_type
   implicit none (type, external)
   private
-  public :: wrong_type, wrong_scatterers
-
-  !> Something that is wrong, and what is allowed.
-  type :: wrong_type
-    character(len=:), allocatable :: value, allowed
-  end type wrong_type
+  public :: wrong_scatterers
 
 contains
 
-  !> Everything that is wrong with scatterers.
+  !> All problems of the scatterers.
   function wrong_scatterers(values, channel, least) result(problems)
     !> z, y, radius of each in turn.
     real(wp), intent(in) :: values(:)
@@ -26,7 +22,7 @@ contains
     type(channel_type), intent(in) :: channel
     !> Least radius, and least gap.
     real(wp), intent(in) :: least
-    type(wrong_type), allocatable :: problems(:)
+    type(problem_type), allocatable :: problems(:)
     real(wp) :: half_length, half_width
     character(len=:), allocatable :: gap
     integer :: k, count, other
@@ -76,8 +72,9 @@ contains
     !> One more problem.
     subroutine add(value, allowed)
       character(len=*), intent(in) :: value, allowed
-      type(wrong_type) :: problem
+      type(problem_type) :: problem
 
+      problem%key = 'scatterers'
       problem%value = value
       if (index(value, 'is ') /= 1) problem%value = 'is wrong: '//value
       problem%allowed = allowed

@@ -8,7 +8,7 @@ module battery_simulation
   use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: table_type, ungated, relaxation_time
+  use battery_table, only: table_type, ungated, relaxation_time, chamber_at, outside, half_length
   use battery_engine, only: engine_type, particles_type, allocate_particles
   use battery_event_record, only: event_record_type
   use battery_observer, only: end_series, observer_type, new_observer, observe_window, &
@@ -50,7 +50,7 @@ module battery_simulation
     integer(int64) :: seed = 0
   end type setup_type
 
-  !> A simulation under way.
+  !> State of one simulation.
   type :: simulation_type
     type(setup_type) :: setup
     class(engine_type), allocatable :: engine
@@ -88,20 +88,6 @@ module battery_simulation
 
   !> The exact count of collisions is taken at least this often, even if nothing seems to happen.
   integer, parameter :: windows_between_counts = 20000
-
-  interface
-    !> What every run must end with: all particles inside the table at speed 1 (coordinates are as
-    !> sharp as the table is long), and as many in each half as the crossings say. One that is on a
-    !> counted line just then may be in either: what happens at the very end is not made any more.
-    !> Something of it must be left for the averages: a window may have more wall collisions than
-    !> transient and run.
-    module subroutine verify_simulation(simulation, error)
-      implicit none (type, external)
-      type(simulation_type), intent(in) :: simulation
-      !> It says what is wrong.
-      type(error_type), allocatable, intent(out) :: error
-    end subroutine verify_simulation
-  end interface
 
 contains
 
@@ -171,7 +157,7 @@ contains
     end associate
   end subroutine check_remaining_memory
 
-  !> Gives the run up where its series or its event log could not be brought home if they doubled.
+  !> Ends the run where its series or its event log could not be stored if they doubled.
   subroutine stop_if_out_of_memory(simulation)
     type(simulation_type), intent(inout) :: simulation
 
@@ -187,7 +173,7 @@ contains
     end associate
   end subroutine stop_if_out_of_memory
 
-  !> Goes on by one window.
+  !> Advances a simulation by one window.
   subroutine advance_simulation(simulation)
     type(simulation_type), intent(inout) :: simulation
 
@@ -322,7 +308,83 @@ contains
     share = min(share, 1.0_wp)
   end function progress
 
-  !> All that is needed to go on to the same last bit, into an archive or out of it: then for the
+  !> What every run must end with: an outcome to report, and particles where they must be.
+  subroutine verify_simulation(simulation, error)
+    type(simulation_type), intent(in) :: simulation
+    !> It says what is wrong.
+    type(error_type), allocatable, intent(out) :: error
+
+    call check_outcome(simulation, error)
+    if (.not. allocated(error)) call check_particles(simulation, error)
+  end subroutine verify_simulation
+
+  !> The run must not have been given up, and something of it must be left for the averages: a
+  !> window may have more wall collisions than transient and run.
+  subroutine check_outcome(simulation, error)
+    type(simulation_type), intent(in) :: simulation
+    type(error_type), allocatable, intent(out) :: error
+
+    if (simulation%out_of_room) then
+      call fatal_error(error, 'no memory for the series and the event log: given up after ' &
+        //to_text(simulation%observer%entries)//' entries and '//to_text(simulation%events%count) &
+        //' events; a longer &output series_interval, no event_log or a shorter run takes less')
+    else if (simulation%done .and. .not. simulation%observer%time + simulation%observer%block_time &
+      > 0.0_wp) then
+      call fatal_error(error, 'nothing is left for the averages: the transient of ' &
+        //to_text(simulation%setup%transient_collisions)//' wall collisions ended with the run, ' &
+        //'after '//to_text(simulation%collisions)//'; more &run collisions are needed')
+    end if
+  end subroutine check_outcome
+
+  !> All particles must be inside the table at speed 1 (coordinates are as sharp as the table is
+  !> long), and as many in each half as the crossings say. One that is on a counted line just then
+  !> may be in either half: what happens at the very end is not made any more.
+  subroutine check_particles(simulation, error)
+    type(simulation_type), intent(in) :: simulation
+    type(error_type), allocatable, intent(out) :: error
+    integer, parameter :: chunk = 65536
+    real(wp), parameter :: share = 1.0e4_wp*epsilon(1.0_wp)
+    type(particles_type) :: particles
+    real(wp) :: sharp, ends
+    integer :: first, last, i, lost, off_speed, urn1_number, on_line
+    character(len=200) :: text
+
+    ends = half_length(simulation%setup%table)
+    sharp = share*ends
+    lost = 0
+    off_speed = 0
+    urn1_number = 0
+    on_line = 0
+    do first = 1, simulation%engine%number, chunk
+      last = min(first + chunk - 1, simulation%engine%number)
+      call simulation%engine%particles(first, last, particles)
+      do i = 1, last - first + 1
+        if (chamber_at(simulation%setup%table, particles%x(i), particles%y(i), sharp) == outside) &
+          lost = lost + 1
+        if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= share) &
+          off_speed = off_speed + 1
+        if (min(abs(particles%x(i)), ends - abs(particles%x(i))) <= sharp) then
+          on_line = on_line + 1
+        else if (particles%x(i) < 0.0_wp) then
+          urn1_number = urn1_number + 1
+        end if
+      end do
+    end do
+    if (simulation%observer%two_halves) then
+      ! Of those on a line as many as it takes.
+      urn1_number = max(urn1_number, min(urn1_number + on_line, simulation%observer%urn1_number))
+    else
+      urn1_number = simulation%observer%urn1_number
+    end if
+    if (lost == 0 .and. off_speed == 0 .and. urn1_number == simulation%observer%urn1_number) return
+    write (text, '(a, i0, a, i0, a, i0, a, i0, a)') 'check at the end of the run failed: ', lost, &
+      ' particles outside the table, ', off_speed, ' with a speed that is not 1, ', urn1_number, &
+      ' in half 1 where the crossings leave ', simulation%observer%urn1_number, &
+      '; please report this with the namelist'
+    call fatal_error(error, trim(text))
+  end subroutine check_particles
+
+  !> Writes to an archive or reads all that is needed to continue to the same last bit; read for the
   !> same setup, and what was there before is lost.
   subroutine serialize_simulation(simulation, setup, archive, error)
     type(simulation_type), intent(inout) :: simulation

@@ -1,8 +1,8 @@
-!> The seal of a results file: its last 512 bytes, which lie behind what HDF5 takes for the end of
-!> the file, so that readers of HDF5 pass over them.
+!> Checksum footer of a results file: its last 512 bytes, which lie behind the end of the HDF5
+!> data, so that readers of HDF5 ignore them.
 !>
 !> It is plain text and holds the number and the SHA-256 digest of all bytes before it, so that a
-!> file can be checked before HDF5 looks at it. Nothing else stands in it: a seal is right if it is
+!> file can be checked before HDF5 opens it. Nothing else is in it: a footer is right if it is
 !> the very text that these bytes ask for. `postproc/seal.py` writes and checks the same text.
 !>
 !> HDF5's user block, before its own head, would be the other place; but readers that look at the
@@ -15,12 +15,12 @@ module battery_checksum_footer
   use battery_paths, only: is_folder
   implicit none (type, external)
   private
-  public :: seal_length, footer_of, check_footer
+  public :: footer_length, footer_of, check_footer
 
-  !> Bytes of the seal.
-  integer, parameter :: seal_length = 512
+  !> Length of the footer in bytes.
+  integer, parameter :: footer_length = 512
 
-  !> Its first line, and the one that is said to a reader.
+  !> First line of the footer, and the line that explains it to a reader.
   character(len=*), parameter :: first_line = 'battery results 1'
   character(len=*), parameter :: remark = 'Before these 512 bytes is HDF5; head -c -512 FILE | ' &
     //'sha256sum gives the digits above.'
@@ -28,17 +28,17 @@ module battery_checksum_footer
   !> An attribute that only our files have; it stands near their beginning.
   character(len=*), parameter :: mark = 'initial_file_fingerprint'
 
-  !> Bytes that are read at once.
+  !> Bytes that are read at a time.
   integer, parameter :: piece = 1024**2
 
 contains
 
-  !> The seal of bytes that are in memory.
+  !> Footer of bytes that are in memory.
   subroutine footer_of(bytes, footer, error)
-    !> All that is to stand before the seal.
+    !> All bytes before the footer.
     integer(int8), intent(in), contiguous :: bytes(:)
-    !> Its text.
-    character(len=seal_length), intent(out) :: footer
+    !> Text of the footer.
+    character(len=footer_length), intent(out) :: footer
     !> The digest could not be computed.
     type(error_type), allocatable, intent(out) :: error
     type(digest_type) :: digest
@@ -51,20 +51,20 @@ contains
     if (len(digits) /= digest_length) call fatal_error(error, 'the digest cannot be computed')
   end subroutine footer_of
 
-  !> The text of the seal of `count` bytes with a digest.
+  !> Text of the footer of `count` bytes with a digest.
   pure function footer_text(count, digits) result(footer)
     integer(int64), intent(in) :: count
     character(len=*), intent(in) :: digits
-    character(len=seal_length) :: footer
+    character(len=footer_length) :: footer
     character(len=*), parameter :: lf = new_line('a')
     character(len=20) :: number
 
     write (number, '(i0)') count
     footer = first_line//lf//'bytes '//trim(number)//lf//'sha256 '//digits//lf//remark//lf
-    footer(seal_length:) = lf
+    footer(footer_length:) = lf
   end function footer_text
 
-  !> Reads a file whole and compares it with its seal. The error has the code `exit_failure` if the
+  !> Reads a whole file and checks its footer. The error has the code `exit_failure` if the
   !> file was a results file and is damaged, `exit_bad_input` if it is something else: one of a
   !> version before 0.2.0, or one that HDF5 wrote anew, which ends where HDF5 says that it does. A
   !> file that is empty, or whose first bytes are zero, is what a crash of the machine leaves, and
@@ -74,7 +74,7 @@ contains
     character(len=*), intent(in) :: name
     !> What is wrong with it.
     type(error_type), allocatable, intent(out) :: error
-    character(len=seal_length) :: footer
+    character(len=footer_length) :: footer
     character(len=:), allocatable :: first, digits
     integer(int64) :: bytes, content
     integer :: unit, status
@@ -91,7 +91,7 @@ contains
       status='old', iostat=status)
     if (status == 0) then
       inquire (unit, size=bytes)
-      content = merge(bytes - seal_length, bytes, bytes > seal_length)
+      content = merge(bytes - footer_length, bytes, bytes > footer_length)
       call read_content(unit, content, first, digits, status)
       if (status == 0 .and. content < bytes) read (unit, iostat=status) footer
       close (unit)
@@ -112,11 +112,11 @@ contains
     end if
   end subroutine check_footer
 
-  !> Where a file ends by its own head, the superblock of HDF5 in its first form (all of ours are).
+  !> Length of a file by its own head, HDF5's superblock of the first form (all of ours have that).
   pure integer(int64) function end_in_hdf5(first) result(bytes)
     !> The file from its beginning.
     character(len=*), intent(in) :: first
-    !> Where the number stands, least byte first.
+    !> Bytes before that length in the superblock, which has its least byte first.
     integer, parameter :: place = 40
     integer :: k
 
@@ -127,17 +127,17 @@ contains
     end do
   end function end_in_hdf5
 
-  !> Reads what stands before the seal.
+  !> Reads the bytes before the footer.
   subroutine read_content(unit, count, first, digits, status)
-    !> Where the file is open, at its beginning.
+    !> Unit on which the file is open, at its beginning.
     integer, intent(in) :: unit
-    !> How many bytes there are.
+    !> Number of bytes before the footer.
     integer(int64), intent(in) :: count
-    !> The first of them.
+    !> First bytes of the file, in which HDF5 says where its content ends.
     character(len=:), allocatable, intent(out) :: first
-    !> The digest of all.
+    !> SHA-256 digest of all these bytes, in hexadecimal digits.
     character(len=:), allocatable, intent(out) :: digits
-    !> Not 0: they cannot be read.
+    !> Status of reading; not 0: the bytes cannot be read.
     integer, intent(out) :: status
     integer(int8), allocatable :: bytes(:)
     type(digest_type) :: digest

@@ -10,64 +10,64 @@ module battery_hdf5_attributes
     h5kind_to_type
   use hdf5, only: h5t_string, h5t_cset_utf8_f, h5p_default_f, h5_real_kind, h5_integer_kind
   use battery_error, only: error_type
-  use battery_paths, only: text_at
-  use battery_hdf5_file, only: hdf5_file_type, release, check, check_links, no_handle
-  use battery_values, only: describe
+  use battery_paths, only: c_text_at
+  use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, check_links, no_handle
+  use battery_values, only: describe_array
   implicit none (type, external)
   private
-  public :: write_attribute, write_text, read_text
-  public :: memory_type, memory_of
+  public :: write_attribute, write_text_attribute, read_text_attribute
+  public :: array_view_type, array_view_of
 
   !> Values in memory, as HDF5 wants to know them.
-  type :: memory_type
+  type :: array_view_type
     integer(hid_t) :: value_type = no_handle
     type(c_ptr) :: address = c_null_ptr
-    !> One a dimension, in Fortran order; none: a scalar.
+    !> Extents, one a dimension, in Fortran order; of size 0 for a scalar.
     integer(hsize_t), allocatable :: extents(:)
-  end type memory_type
+  end type array_view_type
 
 contains
 
-  !> Where numbers are, of what type and of what extents.
-  function memory_of(values) result(memory)
+  !> Address, HDF5 type and extents of a scalar or an array.
+  function array_view_of(values) result(memory)
     !> Reals, or integers of 32 or 64 bits; HDF5 takes no others.
     type(*), intent(in), target, contiguous :: values(..)
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
     integer(c_int) :: is_real, is_integer, bytes
 
-    call describe(values, is_real, is_integer, bytes)
+    call describe_array(values, is_real, is_integer, bytes)
     if (is_real == 1) memory%value_type = h5kind_to_type(int(bytes), h5_real_kind)
     if (is_integer == 1) memory%value_type = h5kind_to_type(int(bytes), h5_integer_kind)
     memory%address = c_loc(values)
     ! gfortran 11: an empty array that was described has the extent -1.
     memory%extents = max(shape(values, hsize_t), 0_hsize_t)
-  end function memory_of
+  end function array_view_of
 
   !> Adds an attribute that is a number or an array of them; does nothing after an error, or to a
   !> file that is read.
   subroutine write_attribute(file, path, name, values, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> Of what it is added to, `/` for the file; of the attribute.
+    !> Path of the object that gets the attribute, `/` for the file; name of the attribute.
     character(len=*), intent(in) :: path, name
-    !> As `memory_of` takes them.
+    !> Scalar or array, as `array_view_of` takes it.
     type(*), intent(in), target, contiguous :: values(..)
     type(error_type), allocatable, intent(inout) :: error
 
     if (file%is_new .and. .not. allocated(error)) &
-      call add_attribute(file, path, name, memory_of(values), error)
+      call add_attribute(file, path, name, array_view_of(values), error)
   end subroutine write_attribute
 
   !> Adds an attribute that is a text; does nothing after an error, or to a file that is read.
-  subroutine write_text(file, path, name, text, error)
-    !> Open, to be written.
+  subroutine write_text_attribute(file, path, name, text, error)
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> Of what it is added to, `/` for the file; of the attribute; what it says.
+    !> Path of the object that gets the attribute, `/` for the file; its name and its text.
     character(len=*), intent(in) :: path, name, text
     type(error_type), allocatable, intent(inout) :: error
     character(len=:, kind=c_char), allocatable, target :: letters
     type(c_ptr), target :: address
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
     integer :: status
 
     if (allocated(error) .or. .not. file%is_new) return
@@ -78,13 +78,13 @@ contains
     call h5tcopy_f(h5t_string, memory%value_type, status)
     if (status == 0) call h5tset_cset_f(memory%value_type, h5t_cset_utf8_f, status)
     call add_attribute(file, path, name, memory, error)
-    call release(memory%value_type, status)
-  end subroutine write_text
+    call release_handle(memory%value_type, status)
+  end subroutine write_text_attribute
 
   subroutine add_attribute(file, path, name, memory, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, name
-    type(memory_type), intent(in) :: memory
+    type(array_view_type), intent(in) :: memory
     type(error_type), allocatable, intent(out) :: error
     integer(hid_t) :: space, attribute
     integer :: status
@@ -95,18 +95,18 @@ contains
     if (status == 0) call h5acreate_by_name_f(file%id, path, name, memory%value_type, space, &
       attribute, status)
     if (status == 0) call h5awrite_f(attribute, memory%value_type, memory%address, status)
-    call release(attribute, status)
-    call release(space, status)
-    call check(file, path, 'cannot be given the attribute '//name, status, error)
+    call release_handle(attribute, status)
+    call release_handle(space, status)
+    call check_status(file, path, 'cannot be given the attribute '//name, status, error)
   end subroutine add_attribute
 
   !> Reads an attribute that is one text; after an error it does nothing, and the text is empty.
-  subroutine read_text(file, path, name, text, error)
-    !> Open.
+  subroutine read_text_attribute(file, path, name, text, error)
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> Of what has it, `/` for the file; of the attribute.
+    !> Path of the object that has the attribute, `/` for the file; name of the attribute.
     character(len=*), intent(in) :: path, name
-    !> What it says.
+    !> Value of the attribute.
     character(len=:), allocatable, intent(out) :: text
     type(error_type), allocatable, intent(inout) :: error
     type(c_ptr), target :: address
@@ -133,13 +133,13 @@ contains
     if (status == 0 .and. (.not. is_text .or. is_elsewhere .or. texts /= 1)) status = -1
     if (status == 0) call h5aread_f(attribute, text_type, buffer, status)
     if (status == 0) then
-      text = text_at(address)
+      text = c_text_at(address)
       call h5dvlen_reclaim_f(text_type, space, h5p_default_f, buffer, freed)
     end if
-    call release(text_type, status)
-    call release(space, status)
-    call release(attribute, status)
-    call check(file, path, 'has no text attribute '//name, status, error)
-  end subroutine read_text
+    call release_handle(text_type, status)
+    call release_handle(space, status)
+    call release_handle(attribute, status)
+    call check_status(file, path, 'has no text attribute '//name, status, error)
+  end subroutine read_text_attribute
 
 end module battery_hdf5_attributes

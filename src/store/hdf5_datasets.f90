@@ -18,9 +18,10 @@ module battery_hdf5_datasets
   use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, &
     h5z_filter_shuffle_f, h5d_compact_f, h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
   use battery_kinds, only: dp, int32, int64
+  use battery_deflate, only: inflates_to
   use battery_error, only: error_type
-  use battery_hdf5_file, only: hdf5_file_type, release, check, check_links, no_handle
-  use battery_hdf5_attributes, only: memory_type, memory_of, write_text
+  use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, check_links, no_handle
+  use battery_hdf5_attributes, only: array_view_type, array_view_of, write_text_attribute
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -57,6 +58,19 @@ module battery_hdf5_datasets
       integer(c_int64_t), value, intent(in) :: dataset, scale
       integer(c_int), value, intent(in) :: dimension
     end function c_attach_scale
+
+    !> Where the piece with the values at `offset` lies, below 0: not in the file; its length there;
+    !> bits of the filters that were left out for it, from the first one on.
+    integer(c_int) function c_piece_at(dataset, offset, left_out, address, stored) &
+        bind(c, name='H5Dget_chunk_info_by_coord')
+      import :: c_int, c_int64_t
+      implicit none (type, external)
+      integer(c_int64_t), value, intent(in) :: dataset
+      !> The slowest dimension first.
+      integer(c_int64_t), intent(in) :: offset(*)
+      integer(c_int), intent(out) :: left_out
+      integer(c_int64_t), intent(out) :: address, stored
+    end function c_piece_at
   end interface
 
 contains
@@ -64,36 +78,37 @@ contains
   !> A dataset whole, into a new file or out of one that is read, so that one procedure says what is
   !> in both. Does nothing after an error.
   subroutine serialize_dataset(file, path, values, units, long_name, error, scales)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> As `memory_of` takes them.
+    !> Scalar or array, as `array_view_of` takes it.
     type(*), intent(inout), target, contiguous :: values(..)
     !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
     !> Paths of its dimension scales, in Fortran order.
     character(len=*), intent(in) :: scales(:)
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
     integer(hid_t) :: dataset
     integer :: status
 
-    memory = memory_of(values)
+    memory = array_view_of(values)
     if (allocated(error)) then
       return
     else if (file%is_new) then
-      call write_memory(file, path, memory, units, long_name, error, scales)
+      call write_array_view(file, path, memory, units, long_name, error, scales)
     else
       call open_dataset(file, path, dataset, error)
       call check_form(file, path, dataset, memory%value_type, memory%extents, error)
+      call check_lengths(file, path, dataset, memory%extents, error)
       status = 0
       if (.not. allocated(error) .and. product(memory%extents) > 0) then
         call h5dread_f(dataset, memory%value_type, memory%address, status)
-        call check(file, path, 'cannot be read', status, error)
+        call check_status(file, path, 'cannot be read', status, error)
       end if
       status = 0
-      call release(dataset, status)
+      call release_handle(dataset, status)
     end if
   end subroutine serialize_dataset
 
@@ -101,32 +116,33 @@ contains
   !> and checks it, so that one procedure says what is in both; then columns are passed one by one.
   !> Does nothing after an error.
   subroutine prepare_dataset(file, path, extents, unknown, units, long_name, error, scales, dataset)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> In Fortran order.
+    !> Extents of the dataset, in Fortran order.
     integer, intent(in) :: extents(:)
-    !> One value, of the type of all, that stands for those that are not known.
+    !> Fill value, one number of the dataset's type: it stands for values that are not known.
     type(*), intent(in), target, contiguous :: unknown(..)
     !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
     !> Paths of its dimension scales, in Fortran order.
     character(len=*), intent(in) :: scales(:)
-    !> To be released with `release_dataset`.
+    !> Open dataset, to be released with `release_dataset`.
     type(dataset_type), intent(inout) :: dataset
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
 
     if (allocated(error)) return
     dataset%path = path
-    memory = memory_of(unknown)
+    memory = array_view_of(unknown)
     memory%extents = int(extents, hsize_t)
     if (file%is_new) then
-      call write_memory(file, path, memory, units, long_name, error, scales, prepared=dataset)
+      call write_array_view(file, path, memory, units, long_name, error, scales, prepared=dataset)
     else
       call open_dataset(file, path, dataset%id, error)
       call check_form(file, path, dataset%id, memory%value_type, memory%extents, error)
+      call check_lengths(file, path, dataset%id, memory%extents, error)
     end if
   end subroutine prepare_dataset
 
@@ -135,21 +151,21 @@ contains
   !> compressed once, when HDF5, which keeps one in memory, comes to the next. Does nothing after an
   !> error.
   subroutine serialize_column(file, dataset, values, first, error)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> From `prepare_dataset`.
+    !> Dataset from `prepare_dataset`.
     type(dataset_type), intent(in) :: dataset
-    !> As `memory_of` takes them; one dimension.
+    !> Array of rank 1, as `array_view_of` takes it.
     type(*), intent(inout), target, contiguous :: values(..)
-    !> Where the first of them stands, from 1.
+    !> Indices of the first value in the dataset, from 1, in Fortran order.
     integer, intent(in) :: first(:)
     type(error_type), allocatable, intent(inout) :: error
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
     integer(hsize_t) :: extents(size(first))
     integer(hid_t) :: space, part
     integer :: status
 
-    memory = memory_of(values)
+    memory = array_view_of(values)
     if (allocated(error) .or. product(memory%extents) == 0) return
     extents = 1
     extents(1) = product(memory%extents)
@@ -164,15 +180,15 @@ contains
     else if (status == 0) then
       call h5dread_f(dataset%id, memory%value_type, memory%address, status, part, space)
     end if
-    call release(part, status)
-    call release(space, status)
-    call check(file, dataset%path, merge('cannot be written', 'cannot be read   ', file%is_new), &
-      status, error)
+    call release_handle(part, status)
+    call release_handle(space, status)
+    call check_status(file, dataset%path, merge('cannot be written', 'cannot be read   ', &
+      file%is_new), status, error)
   end subroutine serialize_column
 
   !> Closes a dataset; one that is not open is no error.
   subroutine release_dataset(file, dataset, error)
-    !> In which it is, still open.
+    !> File that the dataset is in, still open.
     type(hdf5_file_type), intent(in) :: file
     type(dataset_type), intent(inout) :: dataset
     !> What was written last may not have been brought into the file. Stays as it is after an error.
@@ -180,21 +196,21 @@ contains
     integer :: status
 
     status = 0
-    call release(dataset%id, status)
+    call release_handle(dataset%id, status)
     dataset%id = no_handle
     if (.not. allocated(error) .and. allocated(dataset%path)) &
-      call check(file, dataset%path, 'cannot be closed', status, error)
+      call check_status(file, dataset%path, 'cannot be closed', status, error)
   end subroutine release_dataset
 
   !> Opens a dataset that lies in the file itself, whole or in pieces of which none is large, and
   !> is made by no filter but those that `new_layout` uses. Asks for all that before anything else:
   !> to ask a virtual dataset for its extents opens other files. Does nothing after an error.
   subroutine open_dataset(file, path, dataset, error)
-    !> Open, to be read.
+    !> File, open for reading.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> To be released.
+    !> Dataset, open; the caller releases it.
     integer(hid_t), intent(out) :: dataset
     type(error_type), allocatable, intent(inout) :: error
     integer(hid_t) :: layout
@@ -208,15 +224,16 @@ contains
     if (status == 0) call h5dget_create_plist_f(dataset, layout, status)
     if (status == 0) call h5pget_layout_f(layout, way, status)
     if (status == 0) call h5pget_external_count_f(layout, others, status)
-    call check(file, path, 'is no dataset', status, error)
+    call check_status(file, path, 'is no dataset', status, error)
     if (status == 0 .and. (others > 0 .or. all(way /= [h5d_compact_f, h5d_contiguous_f, &
-      h5d_chunked_f]))) call check(file, path, 'does not lie in the file itself', 1, error)
+      h5d_chunked_f]))) call check_status(file, path, 'does not lie in the file itself', 1, error)
     if (.not. allocated(error) .and. way == h5d_chunked_f) &
       call check_pieces(file, path, dataset, layout, error)
-    call release(layout, status)
+    call release_handle(layout, status)
   end subroutine open_dataset
 
-  !> Pieces are at most as large as `new_layout` makes them, with no other filters.
+  !> Pieces are at most as large as `new_layout` makes them, with no other filters, of which the one
+  !> that deflates is the last.
   subroutine check_pieces(file, path, dataset, layout, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
@@ -237,10 +254,12 @@ contains
       values = size(setting)
       call h5pget_filter_f(layout, k, flags, values, setting, len(name, size_t), name, filter, &
         status)
-      if (status == 0 .and. all(filter /= [h5z_filter_shuffle_f, h5z_filter_deflate_f])) status = -1
+      if (status == 0 .and. filter /= h5z_filter_shuffle_f .and. &
+        (filter /= h5z_filter_deflate_f .or. k < filters - 1)) status = -1
       if (status /= 0) exit
     end do
-    call check(file, path, 'was made with a filter that this program does not use', status, error)
+    call check_status(file, path, 'was made with a filter that this program does not use', status, &
+      error)
     if (allocated(error)) return
     value_type = no_handle
     space = no_handle
@@ -257,9 +276,10 @@ contains
       taken = product(real(piece(:rank), dp))*real(bytes, dp)
       if (taken > real(large, dp)) status = -1
     end if
-    call release(value_type, status)
-    call release(space, status)
-    call check(file, path, 'has pieces larger than any that this program writes', status, error)
+    call release_handle(value_type, status)
+    call release_handle(space, status)
+    call check_status(file, path, 'has pieces larger than any that this program writes', status, &
+      error)
     if (allocated(error)) return
     ! Compression adds next to nothing to a piece: what is longer grows without bound when read.
     call h5dget_storage_size_f(dataset, stored, status)
@@ -267,14 +287,14 @@ contains
       pieces = product(real(extents/piece(:rank) + 1, dp))
       if (real(stored, dp) > (1.01_dp*taken + 64.0_dp)*pieces) status = -1
     end if
-    call check(file, path, 'takes more of the file than its values do', status, error)
+    call check_status(file, path, 'takes more of the file than its values do', status, error)
   end subroutine check_pieces
 
   !> A dataset must have numbers of a type, and so many of them. Does nothing after an error.
   subroutine check_form(file, path, dataset, wanted_type, wanted, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
-    !> Open; the type of the values in memory, and the extents of the whole.
+    !> Dataset, open; type of its values in memory; its extents in Fortran order.
     integer(hid_t), intent(in) :: dataset, wanted_type
     integer(hsize_t), intent(in) :: wanted(:)
     type(error_type), allocatable, intent(inout) :: error
@@ -294,17 +314,74 @@ contains
     if (status == 0) call h5tget_size_f(wanted_type, wanted_bytes, status)
     if (status == 0 .and. (is_elsewhere .or. class /= wanted_class .or. bytes /= wanted_bytes)) &
       status = -1
-    call release(value_type, status)
-    call check(file, path, 'has values of another type than this program writes', status, error)
+    call release_handle(value_type, status)
+    call check_status(file, path, 'has values of another type than this program writes', status, &
+      error)
     if (allocated(error)) return
     extents = extents_of_dataset(dataset, size(wanted))
-    if (any(extents /= wanted)) call check(file, path, 'has the dimensions '//listed(extents) &
-      //'; by the namelist in the file they are '//listed(wanted), 1, error)
+    if (any(extents /= wanted)) call check_status(file, path, 'has the dimensions ' &
+      //listed(extents)//'; by the namelist in the file they are '//listed(wanted), 1, error)
   end subroutine check_form
+
+  !> Checks that each piece of a dataset has the bytes of its values, inflated: HDF5 would read
+  !> beyond the end of a shorter one. Does nothing after an error.
+  subroutine check_lengths(file, path, dataset, extents, error)
+    !> File, open for reading.
+    type(hdf5_file_type), intent(in) :: file
+    !> Path of the dataset in the file, from the root.
+    character(len=*), intent(in) :: path
+    !> Dataset, open; `check_form` has checked it.
+    integer(hid_t), intent(in) :: dataset
+    integer(hsize_t), intent(in) :: extents(:)
+    type(error_type), allocatable, intent(inout) :: error
+    integer(hsize_t), dimension(size(extents)) :: piece, offset
+    integer(hid_t) :: layout, value_type
+    integer(size_t) :: bytes
+    integer(int64) :: length, address, stored
+    integer(c_int) :: left_out
+    integer :: status, way, filters, k
+
+    if (allocated(error)) return
+    layout = no_handle
+    value_type = no_handle
+    call h5dget_create_plist_f(dataset, layout, status)
+    if (status == 0) call h5pget_layout_f(layout, way, status)
+    if (status == 0 .and. way == h5d_chunked_f .and. all(extents > 0)) then
+      call h5pget_chunk_f(layout, size(extents), piece, status)
+      status = merge(0, -1, status == size(extents))
+      if (status == 0) call h5pget_nfilters_f(layout, filters, status)
+      if (status == 0) call h5dget_type_f(dataset, value_type, status)
+      if (status == 0) call h5tget_size_f(value_type, bytes, status)
+      length = product(piece)*int(bytes, int64)
+      offset = 0
+      do while (status == 0)
+        status = c_piece_at(dataset, offset(size(offset):1:-1), left_out, address, stored)
+        if (status < 0) exit
+        status = 0
+        if (address >= 0) then
+          ! The last filter is the one that deflates, if any (`check_pieces`).
+          if (filters == 0 .or. btest(left_out, filters - 1)) then
+            if (stored /= length) status = -1
+          else if (inflates_to(file%name//c_null_char, address, stored, length) == 0) then
+            status = -1
+          end if
+        end if
+        do k = 1, size(offset)
+          offset(k) = offset(k) + piece(k)
+          if (offset(k) < extents(k)) exit
+          offset(k) = 0
+        end do
+        if (k > size(offset)) exit
+      end do
+    end if
+    call release_handle(value_type, status)
+    call release_handle(layout, status)
+    call check_status(file, path, 'has pieces of another length than its values', status, error)
+  end subroutine check_lengths
 
   !> Extents as readers in C or Python see them.
   pure function listed(extents) result(text)
-    !> In Fortran order; below 0: of another rank.
+    !> Extents in Fortran order; below 0: the dataset has another rank.
     integer(hsize_t), intent(in) :: extents(:)
     character(len=:), allocatable :: text
     integer :: k
@@ -320,9 +397,9 @@ contains
   !> Extents of a dataset in Fortran order; -1 where it is not there, of another rank, or after an
   !> error.
   function extents_of(file, path, rank, error) result(extents)
-    !> Open, to be read.
+    !> File, open for reading.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> Dimensions that are expected.
     integer, intent(in) :: rank
@@ -335,10 +412,10 @@ contains
     extents = -1
     if (.not. allocated(error)) extents = extents_of_dataset(dataset, rank)
     status = 0
-    call release(dataset, status)
+    call release_handle(dataset, status)
   end function extents_of
 
-  !> Those of an open dataset.
+  !> Extents of an open dataset, in Fortran order; -1 where its rank is another.
   function extents_of_dataset(dataset, rank) result(extents)
     integer(hid_t), intent(in) :: dataset
     integer, intent(in) :: rank
@@ -353,16 +430,16 @@ contains
     if (status == 0) call h5sget_simple_extent_ndims_f(space, found, status)
     if (status == 0 .and. found == rank) &
       call h5sget_simple_extent_dims_f(space, extents, most, status)
-    call release(space, status)
+    call release_handle(space, status)
   end function extents_of_dataset
 
   !> Writes a new dataset; large ones are compressed. Does nothing after an error.
   subroutine write_dataset(file, path, values, units, long_name, error, scales)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root, in a group that is there.
+    !> Path of the dataset from the root, in a group that is there.
     character(len=*), intent(in) :: path
-    !> A scalar or an array, as `memory_of` takes them.
+    !> A scalar or an array, as `array_view_of` takes them.
     type(*), intent(in), target, contiguous :: values(..)
     !> Attributes of the same names.
     character(len=*), intent(in) :: units, long_name
@@ -370,15 +447,15 @@ contains
     !> Paths of its dimension scales, one a dimension, in Fortran order; absent: it has none.
     character(len=*), intent(in), optional :: scales(:)
 
-    call write_memory(file, path, memory_of(values), units, long_name, error, scales)
+    call write_array_view(file, path, array_view_of(values), units, long_name, error, scales)
   end subroutine write_dataset
 
   !> Writes a new dataset of rank 1 that is a dimension scale, named for the last part of its path.
   !> Does nothing after an error.
   subroutine write_scale(file, path, values, units, long_name, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root, in a group that is there.
+    !> Path of the dataset from the root, in a group that is there.
     character(len=*), intent(in) :: path
     !> The coordinates, one dimension.
     type(*), intent(in), target, contiguous :: values(..)
@@ -386,38 +463,39 @@ contains
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
 
-    call write_memory(file, path, memory_of(values), units, long_name, error, &
+    call write_array_view(file, path, array_view_of(values), units, long_name, error, &
       scale_name=path(index(path, '/', back=.true.) + 1:))
   end subroutine write_scale
 
   !> Makes a dimension scale without coordinates, marked as netCDF does; it has no data, and takes
   !> no room. Does nothing after an error.
   subroutine write_dimension(file, path, length, long_name, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root, in a group that is there.
+    !> Path of the dataset from the root, in a group that is there.
     character(len=*), intent(in) :: path
-    !> Of the dimension.
+    !> Length of the dimension.
     integer, intent(in) :: length
-    !> What it counts.
+    !> Attribute of that name: what the dimension counts.
     character(len=*), intent(in) :: long_name
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: mark = 'This is a netCDF dimension but not a netCDF variable.'
     character(len=len(mark) + 10) :: name
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
 
     write (name, '(a, i10)') mark, length
     memory%value_type = h5kind_to_type(int32, h5_integer_kind)
     memory%extents = [int(length, hsize_t)]
-    call write_memory(file, path, memory, '1', long_name, error, scale_name=name)
+    call write_array_view(file, path, memory, '1', long_name, error, scale_name=name)
   end subroutine write_dimension
 
   !> A new dataset from values in memory, or without values if their address is null. A scale if it
   !> has a name as one. One that is prepared stays open, and what stands in memory fills it.
-  subroutine write_memory(file, path, memory, units, long_name, error, scales, scale_name, prepared)
+  subroutine write_array_view(file, path, memory, units, long_name, error, scales, scale_name, &
+    prepared)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, units, long_name
-    type(memory_type), intent(in) :: memory
+    type(array_view_type), intent(in) :: memory
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), intent(in), optional :: scales(:), scale_name
     type(dataset_type), intent(inout), optional :: prepared
@@ -442,14 +520,14 @@ contains
     if (present(prepared)) then
       prepared%id = dataset
     else
-      call release(dataset, status)
+      call release_handle(dataset, status)
     end if
-    call release(layout, status)
-    call release(space, status)
-    call check(file, path, 'cannot be written', status, error)
-    call write_text(file, path, 'units', units, error)
-    call write_text(file, path, 'long_name', long_name, error)
-  end subroutine write_memory
+    call release_handle(layout, status)
+    call release_handle(space, status)
+    call check_status(file, path, 'cannot be written', status, error)
+    call write_text_attribute(file, path, 'units', units, error)
+    call write_text_attribute(file, path, 'long_name', long_name, error)
+  end subroutine write_array_view
 
   !> HDF5 counts dimensions the other way round than Fortran.
   subroutine attach_scales(file, dataset, scales, status)
@@ -465,14 +543,14 @@ contains
       if (status == 0) call h5dopen_f(file%id, trim(scales(dimension)), scale, status)
       if (status == 0) &
         status = c_attach_scale(dataset, scale, int(size(scales) - dimension, c_int))
-      call release(scale, status)
+      call release_handle(scale, status)
     end do
   end subroutine attach_scales
 
   !> How a dataset lies in the file: as it is, or, if large, in compressed pieces.
   subroutine new_layout(memory, layout, status)
-    !> With the extents of the dataset.
-    type(memory_type), intent(in) :: memory
+    !> Values in memory, with the extents of the dataset.
+    type(array_view_type), intent(in) :: memory
     integer(hid_t), intent(out) :: layout
     integer, intent(out) :: status
     integer(hsize_t) :: piece(size(memory%extents))

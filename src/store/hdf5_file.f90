@@ -1,13 +1,13 @@
 !> Files of HDF5 and the paths in them, every status checked.
 !>
-!> The layer over HDF5 has three rooms: this one, attributes, datasets. A path is
+!> Three modules wrap HDF5: this one, attributes, datasets. A path is
 !> absolute, the groups on its way are there already. An error names the file and the path.
 !>
 !> A new file is made in memory and written to the disk when it is closed: after a write that failed
 !> HDF5 crashes when it closes the file, and it locks files, which some network disks refuse. Its
-!> bytes go to the disk from where HDF5 has them, its seal behind them.
+!> bytes go to the disk from where HDF5 has them, the checksum footer behind them.
 !>
-!> A file that is read may be of anyone, since its seal has no secret: nothing is opened in it
+!> A file that is read may be of anyone, since its footer has no secret: nothing is opened in it
 !> before `check_links` found that it lies in this file, and no filter is loaded from elsewhere.
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_f_pointer, c_int, c_int64_t, &
@@ -23,13 +23,13 @@ module battery_hdf5_file
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: is_writable, create_new_file
   use battery_paths, only: is_folder, folder_of
-  use battery_checksum_footer, only: seal_length, footer_of
+  use battery_checksum_footer, only: footer_length, footer_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: hdf5_file_type, create_file, open_file, close_file, discard_file
   public :: make_group
-  public :: release, check, check_links, no_handle, hdf5_library
+  public :: release_handle, check_status, check_links, no_handle, hdf5_library
 
   !> What a handle is before HDF5 gives one.
   integer(hid_t), parameter :: no_handle = -1_hid_t
@@ -88,9 +88,9 @@ contains
 
   !> Creates a file in memory; `close_file` writes it to the disk, over one of the same name.
   subroutine create_file(file, name, error)
-    !> Open; to be closed with `close_file`.
+    !> File, opened here; `close_file` closes it.
     type(hdf5_file_type), intent(out) :: file
-    !> Its path.
+    !> Path of the file.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
     integer(size_t), parameter :: growth = 1024_size_t**2
@@ -111,15 +111,15 @@ contains
     call new_access(access, status)
     if (status == 0) call h5pset_fapl_core_f(access, growth, .false., status)
     if (status == 0) call h5fcreate_f(name, h5f_acc_trunc_f, file%id, status, access_prp=access)
-    call release(access, status)
+    call release_handle(access, status)
     if (status /= 0) call fatal_error(error, name//': cannot be created in memory')
   end subroutine create_file
 
-  !> Opens a file for reading. What is no file, or may not be read, is told by its seal.
+  !> Opens a file for reading. `check_footer` reports a missing or unreadable file.
   subroutine open_file(file, name, error)
-    !> Open; to be closed with `close_file`.
+    !> File, opened here; `close_file` closes it.
     type(hdf5_file_type), intent(out) :: file
-    !> Its path.
+    !> Path of the file.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
     integer(hid_t) :: access
@@ -128,7 +128,7 @@ contains
     file%name = name
     call new_access(access, status)
     if (status == 0) call h5fopen_f(name, h5f_acc_rdonly_f, file%id, status, access_prp=access)
-    call release(access, status)
+    call release_handle(access, status)
     if (status /= 0) &
       call fatal_error(error, name//': cannot be opened as an HDF5 file', exit_bad_input)
   end subroutine open_file
@@ -153,7 +153,7 @@ contains
 
   !> Closes a file, and writes a new one to the disk; one that is not open is no error.
   subroutine close_file(file, error)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(inout) :: file
     type(error_type), allocatable, intent(out) :: error
     integer(int8), pointer, contiguous :: image(:)
@@ -163,7 +163,7 @@ contains
     status = 0
     if (file%is_new) call get_image(file, image, status)
     if (file%is_new .and. status == 0) call write_image(file%name, image, error)
-    call release(file%id, status)
+    call release_handle(file%id, status)
     file%id = no_handle
     if (status /= 0 .and. .not. allocated(error)) &
       call fatal_error(error, file%name//': cannot be closed')
@@ -171,19 +171,19 @@ contains
 
   !> Closes a new file that is not to come to the disk.
   subroutine discard_file(file)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(inout) :: file
     integer :: unheeded
 
     unheeded = 0
-    call release(file%id, unheeded)
+    call release_handle(file%id, unheeded)
     file%id = no_handle
   end subroutine discard_file
 
   !> The bytes of a file that is in memory, where HDF5 has them.
   subroutine get_image(file, image, status)
     type(hdf5_file_type), intent(in) :: file
-    !> As long as the file is open and nothing is written to it.
+    !> Bytes of the file; valid as long as it is open and nothing is written to it.
     integer(int8), pointer, contiguous, intent(out) :: image(:)
     integer, intent(out) :: status
     integer(size_t) :: bytes
@@ -205,14 +205,14 @@ contains
     call c_f_pointer(memory, image, [bytes])
   end subroutine get_image
 
-  !> Writes bytes to a file that is made anew, their seal last. Its size is asked for in the end,
+  !> Writes bytes to a new file, the checksum footer last. Its size is checked in the end,
   !> since the runtime library reports no failure of what it has buffered.
   subroutine write_image(name, image, error)
     character(len=*), intent(in) :: name
     integer(int8), intent(in), contiguous :: image(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=256) :: reason
-    character(len=seal_length) :: seal
+    character(len=footer_length) :: seal
     integer :: unit, status, closed
     integer(int64) :: bytes, expected
 
@@ -220,7 +220,7 @@ contains
     if (allocated(error)) return
     call footer_of(image, seal, error)
     if (allocated(error)) return
-    expected = seal_length + size(image, kind=int64)
+    expected = footer_length + size(image, kind=int64)
     open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
       status='old', iostat=status, iomsg=reason)
     if (status == 0) then
@@ -241,9 +241,9 @@ contains
 
   !> Makes a group; does nothing after an error.
   subroutine make_group(file, path, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
     integer(hid_t) :: group
@@ -252,13 +252,13 @@ contains
     if (allocated(error)) return
     group = no_handle
     call h5gcreate_f(file%id, path, group, status)
-    call release(group, status)
-    call check(file, path, 'cannot be made', status, error)
+    call release_handle(group, status)
+    call check_status(file, path, 'cannot be made', status, error)
   end subroutine make_group
 
   !> Closes a handle of any kind, if there is one; `status` becomes nonzero where that fails.
-  subroutine release(handle, status)
-    !> Of anything of HDF5, or `no_handle`.
+  subroutine release_handle(handle, status)
+    !> Handle of any HDF5 object, or `no_handle`.
     integer(hid_t), intent(in) :: handle
     integer, intent(inout) :: status
     integer :: users, closed
@@ -266,14 +266,14 @@ contains
     if (handle < 0) return
     call h5idec_ref_f(handle, users, closed)
     if (closed /= 0) status = closed
-  end subroutine release
+  end subroutine release_handle
 
   !> Whether all on the way to a path lies in this file: every link is a hard one. Others lead to
   !> anything, within the file or in any other that the user may read. Does nothing after an error.
   subroutine check_links(file, path, error)
-    !> Open.
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root; `/` for the root itself.
+    !> Path from the root; `/` is the root itself.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
     integer :: last, slash, status
@@ -286,8 +286,8 @@ contains
       associate (step => path(:last - merge(0, 1, slash == 0)))
         call h5lexists_f(file%id, step, is_there, status)
         if (.not. is_there) status = 1
-        call check(file, path, 'is not there', status, error)
-        if (status == 0) call check(file, path, 'is a link out of its place', merge(1, 0, &
+        call check_status(file, path, 'is not there', status, error)
+        if (status == 0) call check_status(file, path, 'is a link out of its place', merge(1, 0, &
           link_value(file%id, step//c_null_char, c_null_ptr, 0_c_size_t, h5p_default_f) >= 0), &
           error)
       end associate
@@ -295,17 +295,17 @@ contains
   end subroutine check_links
 
   !> An error about what stands at a path, if `status` says so. In a file that is read it is bad
-  !> input: its seal was right, so it was made as it is.
-  subroutine check(file, path, problem, status, error)
-    !> Where it happened.
+  !> input: its checksum was right, so it was made as it is.
+  subroutine check_status(file, path, problem, status, error)
+    !> File that the object is in.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the object in the file, from the root; what is wrong with it.
     character(len=*), intent(in) :: path, problem
     integer, intent(in) :: status
     type(error_type), allocatable, intent(out) :: error
 
     if (status /= 0) call fatal_error(error, file%name//': '//path//' '//problem, &
       merge(exit_failure, exit_bad_input, file%is_new))
-  end subroutine check
+  end subroutine check_status
 
 end module battery_hdf5_file

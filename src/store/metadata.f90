@@ -4,13 +4,13 @@ module battery_metadata
   use battery_clocks, only: utc_now
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group
-  use battery_hdf5_attributes, only: write_attribute, write_text, read_text
+  use battery_hdf5_attributes, only: write_attribute, write_text_attribute, read_text_attribute
   use battery_checksum_footer, only: check_footer
   implicit none (type, external)
   private
-  public :: metadata_type, add_text, write_metadata, read_metadata
+  public :: metadata_type, add_text_metadata, write_metadata, read_metadata
 
-  !> A name, and what is said under it.
+  !> Name and text of an attribute.
   type :: remark_type
     character(len=:), allocatable :: name, text
   end type remark_type
@@ -33,9 +33,9 @@ module battery_metadata
 contains
 
   !> Adds an attribute that is a text.
-  pure subroutine add_text(metadata, name, text)
+  pure subroutine add_text_metadata(metadata, name, text)
     type(metadata_type), intent(inout) :: metadata
-    !> Of the attribute, and what it says.
+    !> Name of the attribute, and its text.
     character(len=*), intent(in) :: name, text
     type(remark_type) :: remark
 
@@ -43,19 +43,19 @@ contains
     remark%text = text
     if (.not. allocated(metadata%texts)) allocate (metadata%texts(0))
     metadata%texts = [metadata%texts, remark]
-  end subroutine add_text
+  end subroutine add_text_metadata
 
   !> Writes the attributes of the root, and when that was.
   subroutine write_metadata(file, metadata, error)
-    !> Open, to be written.
+    !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     type(metadata_type), intent(in) :: metadata
-    !> Does nothing where there is one already.
+    !> Error; where there is one already, nothing is written.
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
 
     do k = 1, size(metadata%texts)
-      call write_text(file, '/', metadata%texts(k)%name, metadata%texts(k)%text, error)
+      call write_text_attribute(file, '/', metadata%texts(k)%name, metadata%texts(k)%text, error)
     end do
     if (metadata%urn_sides > 0) call write_attribute(file, '/', 'urn_sides', &
       int(metadata%urn_sides, int32), error)
@@ -63,24 +63,24 @@ contains
       call write_attribute(file, '/', 'urn_vertices', metadata%urn_vertices, error)
       call write_attribute(file, '/', 'urn2_vertices', metadata%urn2_vertices, error)
     end if
-    call write_text(file, '/', 'created', utc_now(), error)
+    call write_text_attribute(file, '/', 'created', utc_now(), error)
     call make_group(file, '/provenance', error)
-    call write_text(file, '/provenance', 'command_line', metadata%command_line, error)
-    call write_text(file, '/provenance', 'begun', metadata%begun, error)
-    call write_text(file, '/provenance', 'ended', utc_now(), error)
-    call write_text(file, '/provenance', 'hosts', metadata%hosts, error)
+    call write_text_attribute(file, '/provenance', 'command_line', metadata%command_line, error)
+    call write_text_attribute(file, '/provenance', 'begun', metadata%begun, error)
+    call write_text_attribute(file, '/provenance', 'ended', utc_now(), error)
+    call write_text_attribute(file, '/provenance', 'hosts', metadata%hosts, error)
     call write_attribute(file, '/', 'mpi_ranks', int(metadata%mpi_ranks, int32), error)
     call write_attribute(file, '/', 'start_time', metadata%start_time, error)
   end subroutine write_metadata
 
   !> By which version and from which input a results file was made, and whether it is complete,
-  !> once its seal was found right; else an error, as `check_footer` gives it.
+  !> once its checksum was found right; else an error, as `check_footer` gives it.
   subroutine read_metadata(name, version, input_text, status, initial_file_fingerprint, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> Of the program; the namelist; `complete` or `partial_visits`.
+    !> Version of the program; the namelist; `complete` or `partial`.
     character(len=:), allocatable, intent(out) :: version, input_text, status
-    !> In hexadecimal digits; empty if there was no initial file.
+    !> Fingerprint in hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out) :: initial_file_fingerprint
     type(error_type), allocatable, intent(out) :: error
     !> Letters of a version, and how many it may have.
@@ -92,10 +92,10 @@ contains
     call check_footer(name, error)
     if (.not. allocated(error)) call open_file(file, name, error)
     if (allocated(error)) return
-    call read_text(file, '/', 'version', version, error)
-    call read_text(file, '/', 'namelist', input_text, error)
-    call read_text(file, '/', 'status', status, error)
-    call read_text(file, '/', 'initial_file_fingerprint', initial_file_fingerprint, error)
+    call read_text_attribute(file, '/', 'version', version, error)
+    call read_text_attribute(file, '/', 'namelist', input_text, error)
+    call read_text_attribute(file, '/', 'status', status, error)
+    call read_text_attribute(file, '/', 'initial_file_fingerprint', initial_file_fingerprint, error)
     call close_file(file, close_error)
     if (.not. allocated(error)) call move_alloc(close_error, error)
     if (allocated(error)) return

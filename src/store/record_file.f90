@@ -11,16 +11,16 @@ module battery_record_file
   use battery_paths, only: is_file
   implicit none (type, external)
   private
-  public :: record_type, append_record, write_single, read_single
+  public :: record_type, append_record, write_single_record, read_single_record
   public :: record_reader_type, open_records, next_record, close_records
 
-  !> What is kept in one piece.
+  !> One record.
   type :: record_type
     !> Fingerprint of the input that the record was made from.
     integer(int64) :: owner = 0
-    !> What the record is about, for instance the number of a task.
+    !> Subject of the record, for instance a task identifier.
     integer(int64) :: tag = 0
-    !> Of several that are kept of the same, the greatest is the newest.
+    !> Of records with the same owner and tag, the one of the greatest generation is the newest.
     integer(int64) :: generation = 0
     integer(int64), allocatable :: word(:)
   end type record_type
@@ -89,7 +89,7 @@ contains
 
   !> Opens a file to be read from its beginning; where there is none it has no records.
   subroutine open_records(reader, name)
-    !> To be closed with `close_records`.
+    !> Reader, open; to be closed with `close_records`.
     type(record_reader_type), intent(out) :: reader
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -103,7 +103,7 @@ contains
 
   !> The record that begins at `reader%at`, which is moved behind it.
   subroutine next_record(reader, record, found)
-    !> Open, or of a file that is not there.
+    !> Reader, open, or of a file that is not there.
     type(record_reader_type), intent(inout) :: reader
     type(record_type), intent(out) :: record
     !> Whether there is a good one; where not, nothing moves.
@@ -120,7 +120,7 @@ contains
 
   !> Closes a file of records; one that is not open is no error.
   subroutine close_records(reader)
-    !> Not open afterwards.
+    !> Reader, which is not open afterwards.
     type(record_reader_type), intent(inout) :: reader
 
     if (reader%is_open) close (reader%unit)
@@ -161,7 +161,7 @@ contains
     if (good) at = at + word_bytes*(head_size + head(head_size) + 1)
   end subroutine read_record
 
-  !> Takes words into a checksum.
+  !> Adds words to a checksum.
   pure subroutine mix_words(sum, words)
     integer(int64), intent(inout) :: sum
     integer(int64), intent(in) :: words(:)
@@ -173,7 +173,7 @@ contains
   end subroutine mix_words
 
   !> Writes a file that holds just this record.
-  subroutine write_single(name, record, error)
+  subroutine write_single_record(name, record, error)
     !> Path of the file, which is made anew.
     character(len=*), intent(in) :: name
     type(record_type), intent(in) :: record
@@ -182,10 +182,10 @@ contains
 
     size_before = 0
     call append_record(name, record, size_before, error)
-  end subroutine write_single
+  end subroutine write_single_record
 
   !> The first record of a file; `found` is false if there is no good one.
-  subroutine read_single(name, record, found)
+  subroutine read_single_record(name, record, found)
     !> Path of the file.
     character(len=*), intent(in) :: name
     type(record_type), intent(out) :: record
@@ -195,6 +195,6 @@ contains
     call open_records(reader, name)
     call next_record(reader, record, found)
     call close_records(reader)
-  end subroutine read_single
+  end subroutine read_single_record
 
 end module battery_record_file

@@ -1,5 +1,5 @@
 !> The numbers that a scan has measured, in arrays: one entry a point of the scan and a replica.
-!> Series, states and events, which are large, are not here (`battery_courses`).
+!> Series, states and events, which are large, are not here (`battery_task_output`).
 !>
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
@@ -15,7 +15,7 @@ module battery_results
   public :: task_complete, task_failed, task_not_done, task_not_asked, all_complete
   public :: point_precise, point_not_precise, point_two_states, point_undecided
 
-  !> Values of `task_status`; nobody asks for replicas beyond those that a precision needs.
+  !> Values of `task_status`; `task_not_asked`: replicas beyond those that a precision needs.
   integer(int32), parameter :: task_complete = 0, task_failed = 1, task_not_done = 2, &
     task_not_asked = 3
 
@@ -33,7 +33,7 @@ module battery_results
     !> The points of the scan.
     type(point_type), allocatable :: point(:)
     integer(int64), allocatable :: seed(:, :)
-    !> From here on (replica, point), and the place of the quantity in its list.
+    !> The arrays from here on are (replica, point, place of the quantity in its list).
     real(dp), allocatable :: average(:, :, :), error(:, :, :)
     integer(int64), allocatable :: counted(:, :, :)
     !> Machines that tasks ran on; `provenance/host` counts them from 0.

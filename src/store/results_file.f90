@@ -1,23 +1,23 @@
-!> The results file: what `battery_results` and `battery_courses` hold, by name, with units and
+!> The results file: what `battery_results` and `battery_task_output` hold, by name, with units and
 !> named dimensions.
 !>
-!> It is made in memory (`create_results`), where it is compressed; then the course of each task
+!> It is made in memory (`create_results`), where it is compressed; then the output of each task
 !> goes straight into its datasets, from the journal or from the file of before (`open_results`).
 !> `publish_results` writes it whole under another name, reads it back and compares it with its
-!> seal, and renames it, so that there is always either the old file or the new one. Not known are
-!> NaN and, where an attribute `_FillValue` says so, -1.
+!> checksum, and renames it, so that there is always either the old file or the new one. Not known
+!> are NaN and, where an attribute `_FillValue` says so, -1.
 module battery_results_file
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: seen_type, sync_file, put_in_place, remove_file
+  use battery_files, only: file_identity_type, sync_file, publish_unless_replaced, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_courses, only: courses_type, extents_type, prepare_courses, close_courses, &
-    write_count, by_task
+  use battery_task_output, only: output_datasets_type, output_extents_type, &
+    prepare_output_datasets, close_output_datasets, write_counting_scale, task_dimensions
   use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, discard_file, &
-    make_group, check, no_handle
-  use battery_hdf5_attributes, only: read_text, write_attribute, write_text
+    make_group, check_status, no_handle
+  use battery_hdf5_attributes, only: read_text_attribute, write_attribute, write_text_attribute
   use battery_hdf5_datasets, only: serialize_dataset, write_dataset, write_scale, extents_of
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
     unknown_count
@@ -44,14 +44,14 @@ module battery_results_file
 
 contains
 
-  !> Makes a file with all but courses, in memory; `publish_results` must follow.
+  !> Makes a file with all but task output, in memory; `publish_results` must follow.
   subroutine create_results(name, results, metadata, file, error)
-    !> Of the results file.
+    !> Path of the results file.
     character(len=*), intent(in) :: name
-    !> Stays as it is.
+    !> Results, which are only read.
     type(results_type), intent(inout) :: results
     type(metadata_type), intent(in) :: metadata
-    !> Open; or not, where the file cannot be made.
+    !> New file; it is not open where it cannot be made.
     type(hdf5_file_type), intent(out) :: file
     type(error_type), allocatable, intent(out) :: error
 
@@ -67,12 +67,12 @@ contains
   !> Puts a file that was made in the place of what was there before; after an error that stays as
   !> it was. If something else is there by now, the results stay in `name.part`.
   subroutine publish_results(name, file, before, error)
-    !> Of the results file.
+    !> Path of the results file.
     character(len=*), intent(in) :: name
-    !> From `create_results`.
+    !> File from `create_results`.
     type(hdf5_file_type), intent(inout) :: file
-    !> What may be replaced.
-    type(seen_type), intent(in) :: before
+    !> Identity of the file that may be replaced.
+    type(file_identity_type), intent(in) :: before
     !> After an error while it was filled it is not published.
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: other
@@ -88,7 +88,7 @@ contains
     if (allocated(error)) then
       call remove_file(temporary(name), other)
     else
-      call put_in_place(temporary(name), name, before, error)
+      call publish_unless_replaced(temporary(name), name, before, error)
     end if
   end subroutine publish_results
 
@@ -120,21 +120,21 @@ contains
           trim(key%unit)//repeat('1', merge(1, 0, key%unit == '')), trim(key%meaning), error)
       end associate
     end do
-    call write_text(file, '/', 'scan', names(2:), error)
+    call write_text_attribute(file, '/', 'scan', names(2:), error)
   end subroutine write_scan
 
-  !> Opens a results file and reads its numbers, but for points, once its seal was found right; its
-  !> courses are read one by one (`read_course`). The file may be of anyone: what it must have
-  !> follows from the namelist in it, and anything else is refused with the code `exit_bad_input`,
-  !> also in what is not read. A file of another version has its own datasets; it is an error of the
-  !> code `exit_failure`, as a damaged one.
-  subroutine open_results(name, file, results, courses, error)
+  !> Opens a results file and reads its numbers, but for points, once its checksum was found right;
+  !> its outputs over time are read one by one (`read_task_output`). The file may be of anyone: what
+  !> it must have follows from the namelist in it, and anything else is refused with the code
+  !> `exit_bad_input`, also in what is not read. A file of another version has its own datasets; it
+  !> is an error of the code `exit_failure`, as a damaged one.
+  subroutine open_results(name, file, results, output_datasets, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> To be closed with `close_results`; not open after an error.
+    !> File, to be closed with `close_results`; not open after an error.
     type(hdf5_file_type), intent(out) :: file
     type(results_type), intent(out) :: results
-    type(courses_type), intent(out) :: courses
+    type(output_datasets_type), intent(out) :: output_datasets
     type(error_type), allocatable, intent(out) :: error
     type(plan_type) :: plan
 
@@ -143,20 +143,21 @@ contains
     if (allocated(error)) return
     call read_plan(file, plan, error)
     if (.not. allocated(error)) call read_tasks(file, plan, results, error)
-    if (.not. allocated(error)) call open_courses(file, plan, results, courses, error)
-    if (allocated(error)) call close_results(file, courses)
+    if (.not. allocated(error)) call open_output_datasets(file, plan, results, output_datasets, &
+      error)
+    if (allocated(error)) call close_results(file, output_datasets)
   end subroutine open_results
 
   !> Closes a results file that was read; one that is not open is no error.
-  subroutine close_results(file, courses)
-    !> From `open_results`.
+  subroutine close_results(file, output_datasets)
+    !> File from `open_results`.
     type(hdf5_file_type), intent(inout) :: file
-    type(courses_type), intent(inout) :: courses
+    type(output_datasets_type), intent(inout) :: output_datasets
     !> Nothing is lost that was not read.
     type(error_type), allocatable :: unheeded
 
     if (file%id == no_handle) return
-    call close_courses(file, courses, unheeded)
+    call close_output_datasets(file, output_datasets, unheeded)
     call close_file(file, unheeded)
   end subroutine close_results
 
@@ -168,9 +169,9 @@ contains
     character(len=:), allocatable :: version, namelist, fingerprint
     integer :: status
 
-    call read_text(file, '/', 'version', version, error)
-    call read_text(file, '/', 'namelist', namelist, error)
-    call read_text(file, '/', 'initial_file_fingerprint', fingerprint, error)
+    call read_text_attribute(file, '/', 'version', version, error)
+    call read_text_attribute(file, '/', 'namelist', namelist, error)
+    call read_text_attribute(file, '/', 'initial_file_fingerprint', fingerprint, error)
     if (allocated(error)) return
     if (version /= program_version) then
       call fatal_error(error, file%name//' is of another version')
@@ -196,23 +197,23 @@ contains
     if (allocated(error)) return
     call new_results(results, plan%point_count, plan%replicas)
     call serialize_measured(file, results, error)
-    call read_text(file, '/provenance', 'hosts', hosts, error)
+    call read_text_attribute(file, '/provenance', 'hosts', hosts, error)
     if (allocated(error)) return
     results%host = lines_of(hosts)
     host = place_of('provenance/host', counted_quantities())
     do p = 1, plan%point_count
       do r = 1, plan%replicas
         if (results%task_status(r, p) < task_complete .or. results%task_status(r, p) &
-          > task_not_asked) call check(file, '/task_status', 'has a number without meaning', 1, &
-          error)
+          > task_not_asked) call check_status(file, '/task_status', &
+          'has a number without meaning', 1, error)
         if (allocated(error)) return
         if (results%task_status(r, p) /= task_complete) cycle
         setup = setup_of(plan, p, r)
-        if (results%seed(r, p) /= setup%seed) &
-          call check(file, '/seed', 'has a seed that the namelist in the file does not', 1, error)
-        if (.not. allocated(error) .and. (results%counted(r, p, host) < 0 .or. &
-          results%counted(r, p, host) >= size(results%host))) &
-          call check(file, '/provenance/host', 'has a host that is not in the list', 1, error)
+        if (results%seed(r, p) /= setup%seed) call check_status(file, '/seed', &
+          'has a seed that the namelist in the file does not', 1, error)
+        if (.not. allocated(error) .and. (results%counted(r, p, host) < 0 .or. results%counted(r, &
+          p, host) >= size(results%host))) call check_status(file, '/provenance/host', &
+          'has a host that is not in the list', 1, error)
         if (allocated(error)) return
       end do
     end do
@@ -220,13 +221,13 @@ contains
 
   !> Opens series and states, if any task is complete, and checks that there is memory for those of
   !> one task.
-  subroutine open_courses(file, plan, results, courses, error)
+  subroutine open_output_datasets(file, plan, results, output_datasets, error)
     type(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
-    type(courses_type), intent(out) :: courses
+    type(output_datasets_type), intent(out) :: output_datasets
     type(error_type), allocatable, intent(inout) :: error
-    type(extents_type) :: most
+    type(output_extents_type) :: most
     integer(int64) :: series(3)
     real(dp) :: entries
 
@@ -239,8 +240,9 @@ contains
       entries = real(series(1), dp)
       if (entries < 1.0_dp .or. entries > most_numbers .or. (plan%duration > 0.0_wp .and. entries &
         > real(2.0_wp + plan%duration/plan%series_interval, dp))) then
-        call check(file, '/series/urn1_number', 'has '//to_text(series(1))//' entries, which is ' &
-          //'not the length of a series by the namelist in the file', 1, error)
+        call check_status(file, '/series/urn1_number', 'has '//to_text(series(1)) &
+          //' entries, which is '//'not the length of a series by the namelist in the file', 1, &
+          error)
       else
         call check_memory_of(bytes_an_entry*entries, '/series', file, error)
       end if
@@ -252,9 +254,9 @@ contains
     if (plan%final_state) most%final_particles = most%particles
     call check_memory_of(bytes_a_state*most%particles*(most%snapshots + merge(1, 0, &
       plan%final_state)), '/snapshots and /final', file, error)
-    call prepare_courses(file, most, real(plan%series_interval, dp), real(plan%snapshot_times, &
-      dp), courses, error)
-  end subroutine open_courses
+    call prepare_output_datasets(file, most, real(plan%series_interval, dp), &
+      real(plan%snapshot_times, dp), output_datasets, error)
+  end subroutine open_output_datasets
 
   !> An error if there is no memory for so many bytes of a file. Does nothing after an error.
   subroutine check_memory_of(bytes, what, file, error)
@@ -290,10 +292,12 @@ contains
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
 
-    call write_count(file, '/point', 0, size(results%point), 'point of the scan, from 0', error)
-    call write_count(file, '/replica', 0, results%replicas, 'replica of a point, from 0', error)
-    call write_count(file, '/gate', 1, 2, 'gate, that of urn 1 and that of urn 2', error)
-    call write_count(file, '/urn', 1, 2, 'urn', error)
+    call write_counting_scale(file, '/point', 0, size(results%point), 'point of the scan, from 0', &
+      error)
+    call write_counting_scale(file, '/replica', 0, results%replicas, 'replica of a point, from 0', &
+      error)
+    call write_counting_scale(file, '/gate', 1, 2, 'gate, that of urn 1 and that of urn 2', error)
+    call write_counting_scale(file, '/urn', 1, 2, 'urn', error)
     associate (p => results%point)
       call write_dataset(file, '/number', p%number, '1', 'particles N', error, by_point)
       call write_dataset(file, '/threshold', p%threshold(1), '1', &
@@ -328,22 +332,23 @@ contains
     integer :: q
 
     call serialize_dataset(file, '/seed', results%seed, '1', 'seed of the random start', error, &
-      by_task)
+      task_dimensions)
     call serialize_dataset(file, '/task_status', results%task_status, '1', 'how the task ended', &
-      error, by_task)
+      error, task_dimensions)
     call write_attribute(file, '/task_status', 'flag_values', [task_complete, task_failed, &
       task_not_done, task_not_asked], error)
-    call write_text(file, '/task_status', 'flag_meanings', 'complete failed not_done not_asked', &
-      error)
+    call write_text_attribute(file, '/task_status', 'flag_meanings', &
+      'complete failed not_done not_asked', error)
     list = averaged_quantities()
     do q = 1, size(list)
       path = '/'//trim(list(q)%name)
       unit = trim(list(q)%unit)
       meaning = trim(list(q)%meaning)
-      call serialize_dataset(file, path, results%average(:, :, q), unit, meaning, error, by_task)
+      call serialize_dataset(file, path, results%average(:, :, q), unit, meaning, error, &
+        task_dimensions)
       if (.not. list(q)%has_error) cycle
       call serialize_dataset(file, path//'_error', results%error(:, :, q), unit, meaning//blocks, &
-        error, by_task)
+        error, task_dimensions)
       if (file%is_new) call write_dataset(file, path//'_spread', scatter_of(results%average(:, &
         :, q), results%task_status), unit, meaning//scatter, error, by_point)
     end do
@@ -351,7 +356,7 @@ contains
     do q = 1, size(list)
       path = '/'//trim(list(q)%name)
       call serialize_dataset(file, path, results%counted(:, :, q), trim(list(q)%unit), &
-        trim(list(q)%meaning), error, by_task)
+        trim(list(q)%meaning), error, task_dimensions)
       call write_attribute(file, path, '_FillValue', unknown_count, error)
     end do
   end subroutine serialize_measured
@@ -373,7 +378,7 @@ contains
       'whether the precision was reached', error, by_point)
     call write_attribute(file, '/point_status', 'flag_values', [point_precise, point_not_precise, &
       point_two_states, point_undecided], error)
-    call write_text(file, '/point_status', 'flag_meanings', &
+    call write_text_attribute(file, '/point_status', 'flag_meanings', &
       'reached not_reached two_states undecided', error)
   end subroutine write_precision
 

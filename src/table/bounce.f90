@@ -1,14 +1,15 @@
-!> One particle from event to event: what it meets next and when, and its state after that.
+!> Motion of one particle from event to event: what it meets next and when, and its state after
+!> that.
 !>
-!> Direct geometry in the coordinates of the table: a line and two straight walls in a channel; in
-!> an urn, what its shape provides. Chords, the middle line and the periodic line are met like
-!> walls, but do not reflect. What a particle can meet follows from its chamber and its direction,
-!> never from its distance to a wall, so no position needs to be nudged: the particle is put exactly
-!> on what it meets.
+!> Geometry in the coordinates of the table: in a channel one line and two straight walls, in an urn
+!> what its shape provides. Chords, the middle line and the periodic line are met like walls, but do
+!> not reflect. What a particle can meet follows from its chamber and its direction, never from its
+!> distance to a wall: no position has to be nudged, and a particle is placed exactly on what it
+!> meets.
 module battery_bounce
   use battery_kinds, only: wp, int8
   use battery_table, only: table_type, urn_type, gated, ungated, no_channel, in_urn, in_gate, &
-    in_return, side_at, chamber_at, x_direction
+    in_return, urn_at, chamber_at, x_direction
   use battery_channel, only: facing
   use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
     meets_urn, meets_line, meets_channel_wall
@@ -22,24 +23,24 @@ module battery_bounce
 
 contains
 
-  !> State of a particle at a position, with a velocity of length 1.
+  !> State of a particle from its position and its velocity, of length 1.
   pure function motion_at(table, x, y, ux, uy) result(motion)
     type(table_type), intent(in) :: table
-    !> In the frame of the table; lengths, and components of the velocity.
+    !> In the frame of the table: lengths, and components of the velocity.
     real(wp), intent(in) :: x, y, ux, uy
     type(motion_type) :: motion
 
-    motion = motion_type(x=x, y=y, ux=ux, uy=uy, side=int(side_at(table, x), int8), &
+    motion = motion_type(x=x, y=y, ux=ux, uy=uy, urn=int(urn_at(table, x), int8), &
       chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
   end function motion_at
 
-  !> Finds what a particle with a new state meets first, and the time `wait` until then.
+  !> Finds what a particle whose state is new meets first, and the time `wait` until then.
   pure subroutine find_first_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
-    associate (urn => table%urn(motion%side))
+    associate (urn => table%urn(motion%urn))
       if (motion%chamber /= in_urn) then
         call find_next_wall_in_channel(table, motion, wait)
       else
@@ -49,7 +50,7 @@ contains
     end associate
   end subroutine find_first_wall
 
-  !> Reflection from a wall of an urn or of a channel, or from a disc in it.
+  !> Reflects a particle at a wall of its urn or its channel, or at a disc in the channel.
   pure subroutine hit_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -57,7 +58,7 @@ contains
     real(wp), intent(out) :: wait
     real(wp) :: x, ux
 
-    associate (urn => table%urn(motion%side))
+    associate (urn => table%urn(motion%urn))
       if (motion%chamber == in_urn) then
         x = urn%centre + urn%axis_sign*motion%x
         ux = urn%axis_sign*motion%ux
@@ -65,18 +66,18 @@ contains
         motion%x = urn%axis_sign*(x - urn%centre)
         motion%ux = urn%axis_sign*ux
       else if (motion%next == meets_channel_wall) then
-        motion%y = sign(half_width(urn, motion), motion%uy)
+        motion%y = sign(half_width_at(urn, motion), motion%uy)
         motion%uy = -motion%uy
         call find_next_wall_in_channel(table, motion, wait)
       else
-        call hit_scatterer(table%scattered(motion%side), urn, motion, wait)
+        call reflect_at_scatterer(table%half_channel2(motion%urn), urn, motion, wait)
       end if
     end associate
   end subroutine hit_wall
 
-  !> Reflection from a disc in channel 2.
-  pure subroutine hit_scatterer(half_channel, urn, motion, wait)
-    !> Half channel on the side that the particle is on, and its urn.
+  !> Reflects a particle at a disc in channel 2.
+  pure subroutine reflect_at_scatterer(half_channel, urn, motion, wait)
+    !> Half channel that the particle is in, and its urn.
     type(scattered_half_channel_type), intent(in) :: half_channel
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
@@ -89,17 +90,17 @@ contains
     call next_wall_in_half_channel(half_channel, x, motion%y, ux, motion%uy, motion%next, wait)
     motion%x = urn%axis_sign*(x - urn%periodic_line)
     motion%ux = urn%axis_sign*ux
-  end subroutine hit_scatterer
+  end subroutine reflect_at_scatterer
 
-  !> Finds what a particle in a channel meets next. A wall met at the same time as a chord is met
-  !> first: the corner belongs to the channel.
+  !> Finds what a particle in a channel meets next. Of a wall and a chord at the same time the wall
+  !> comes first: the corner belongs to the channel.
   pure subroutine find_next_wall_in_channel(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
     if (motion%chamber == in_return) then
-      associate (urn => table%urn(motion%side), half_channel => table%scattered(motion%side))
+      associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
         if (half_channel%count > 0) then
           call next_wall_in_half_channel(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
             motion%y, urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
@@ -107,34 +108,34 @@ contains
         end if
       end associate
     end if
-    call find_next_wall_in_strip(table%urn(motion%side), motion, wait)
+    call find_next_wall_in_strip(table%urn(motion%urn), motion, wait)
   end subroutine find_next_wall_in_channel
 
-  !> The same where no disc stands in the channel.
+  !> As `find_next_wall_in_channel`, without discs.
   pure subroutine find_next_wall_in_strip(urn, motion, wait)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
     real(wp) :: out, depth, distance, to_wall
 
-    out = x_direction(motion%side)
+    out = x_direction(motion%urn)
     depth = out*motion%x
     motion%next = meets_line
     if (motion%chamber == in_gate) then
       distance = depth
       if (out*motion%ux >= 0.0_wp) then
-        distance = urn%begins(gated) - depth
+        distance = urn%channel_start(gated) - depth
         motion%next = meets_urn
       end if
     else
       distance = urn%periodic_line - depth
       if (out*motion%ux <= 0.0_wp) then
-        distance = depth - urn%begins(ungated)
+        distance = depth - urn%channel_start(ungated)
         motion%next = meets_urn
       end if
     end if
     wait = max(distance, 0.0_wp)/max(abs(motion%ux), slowest)
-    to_wall = max(half_width(urn, motion) - sign(1.0_wp, motion%uy)*motion%y, 0.0_wp) &
+    to_wall = max(half_width_at(urn, motion) - sign(1.0_wp, motion%uy)*motion%y, 0.0_wp) &
       /max(abs(motion%uy), slowest)
     if (to_wall <= wait) then
       wait = to_wall
@@ -142,46 +143,47 @@ contains
     end if
   end subroutine find_next_wall_in_strip
 
-  !> Moves a particle through the chord of an opening, from an urn into a channel or back; over the
-  !> middle line; over the periodic line, from one end of the table to the other; or back from a
-  !> line that is an end wall.
+  !> Moves a particle over the line that it has met: through a chord into a channel or an urn; over
+  !> the middle line; over the periodic line, from one end of the table to the other; or back, if
+  !> the line is an end wall.
   pure subroutine pass_line(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
     !> Time until the next event; huge if there is none.
     real(wp), intent(out) :: wait
-    integer :: side, channel
+    integer :: urn_index, channel
 
-    side = motion%side
+    urn_index = motion%urn
     select case (motion%next)
     case (meets_gate, meets_return)
       motion%chamber = int(merge(in_gate, in_return, motion%next == meets_gate), int8)
-      motion%x = x_direction(side)*table%urn(side)%begins(channel_of(motion))
+      motion%x = x_direction(urn_index)*table%urn(urn_index)%channel_start(channel_of(motion))
     case (meets_urn)
       channel = channel_of(motion)
-      call keep_between_walls(table%urn(side), motion)
-      motion%x = x_direction(side)*table%urn(side)%begins(channel)
+      call keep_between_walls(table%urn(urn_index), motion)
+      motion%x = x_direction(urn_index)*table%urn(urn_index)%channel_start(channel)
       motion%chamber = int(in_urn, int8)
-      associate (urn => table%urn(side))
+      associate (urn => table%urn(urn_index))
         call find_next_wall(urn, channel, facing(channel)*urn%chord(channel), motion%y, &
           urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
       end associate
       return
     case (meets_line)
-      if (table%beyond(side) == side) motion%ux = -motion%ux
-      side = table%beyond(side)
-      motion%side = int(side, int8)
+      if (table%beyond(urn_index) == urn_index) motion%ux = -motion%ux
+      urn_index = table%beyond(urn_index)
+      motion%urn = int(urn_index, int8)
       motion%x = 0.0_wp
-      if (motion%chamber == in_return) motion%x = x_direction(side)*table%urn(side)%periodic_line
+      if (motion%chamber == in_return) motion%x = &
+        x_direction(urn_index)*table%urn(urn_index)%periodic_line
     case default
       wait = huge(1.0_wp)
       return
     end select
-    call keep_between_walls(table%urn(side), motion)
+    call keep_between_walls(table%urn(urn_index), motion)
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine pass_line
 
-  !> Reverses a particle that a gate turns back; it has been moved to where it is now.
+  !> Reverses a particle of channel 1, which has been moved to its present position.
   pure subroutine reverse_motion(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -189,20 +191,20 @@ contains
     real(wp), intent(out) :: wait
 
     motion%ux = -motion%ux
-    call keep_between_walls(table%urn(motion%side), motion)
+    call keep_between_walls(table%urn(motion%urn), motion)
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine reverse_motion
 
-  !> Whether a particle in channel 1 heads for the other gate: then it came from its urn and was not
+  !> Whether a particle in channel 1 heads for the other gate: it came from its urn and has not been
   !> turned back.
   elemental function heads_for_middle(motion) result(heads)
     type(motion_type), intent(in) :: motion
     logical :: heads
 
-    heads = motion%chamber == in_gate .and. x_direction(motion%side)*motion%ux < 0.0_wp
+    heads = motion%chamber == in_gate .and. x_direction(motion%urn)*motion%ux < 0.0_wp
   end function heads_for_middle
 
-  !> Time that a particle of channel 1 which heads for the middle line takes to it.
+  !> Time until a particle of channel 1 that heads for the middle line reaches it.
   elemental function time_to_middle(motion) result(time)
     type(motion_type), intent(in) :: motion
     real(wp) :: time
@@ -210,14 +212,14 @@ contains
     time = abs(motion%x)/max(abs(motion%ux), slowest)
   end function time_to_middle
 
-  !> Whether a particle can never leave where it is: across a channel, along a wall, or back and
-  !> forth between discs.
+  !> Whether a particle can never leave: it moves across a channel, along a wall, or back and forth
+  !> between discs.
   elemental function is_trapped(table, motion) result(trapped)
     type(table_type), intent(in) :: table
     type(motion_type), intent(in) :: motion
     logical :: trapped
 
-    associate (urn => table%urn(motion%side), half_channel => table%scattered(motion%side))
+    associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
       if (half_channel%count > 0 .and. motion%chamber == in_return) then
         call detect_periodic_path(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
           motion%y, urn%axis_sign*motion%ux, motion%uy, trapped)
@@ -228,7 +230,7 @@ contains
     end associate
   end function is_trapped
 
-  !> The channel that a particle is in.
+  !> Channel that a particle is in.
   elemental function channel_of(motion) result(channel)
     type(motion_type), intent(in) :: motion
     integer :: channel
@@ -237,20 +239,20 @@ contains
   end function channel_of
 
   !> Half the width of that channel.
-  elemental function half_width(urn, motion) result(half)
+  elemental function half_width_at(urn, motion) result(half_width)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(in) :: motion
-    real(wp) :: half
+    real(wp) :: half_width
 
-    half = urn%half_width(channel_of(motion))
-  end function half_width
+    half_width = urn%half_width(channel_of(motion))
+  end function half_width_at
 
-  !> Prevents rounding from moving a particle of a channel beyond a wall.
+  !> Undoes rounding that has moved a particle of a channel beyond a wall.
   pure subroutine keep_between_walls(urn, motion)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
 
-    motion%y = sign(min(abs(motion%y), half_width(urn, motion)), motion%y)
+    motion%y = sign(min(abs(motion%y), half_width_at(urn, motion)), motion%y)
   end subroutine keep_between_walls
 
 end module battery_bounce

@@ -1,17 +1,17 @@
-!> A chamber: the region of the table that a visit takes place in, where a particle is alone.
+!> A chamber: region of the table in which a visit takes place, and where a particle meets no other.
 !>
 !> A chamber is an urn of any shape with the straight half channels before its openings. A visit is
-!> a pure function from entry (opening, place, direction) to exit (opening, place, direction,
+!> a pure function from entry (opening, position, direction) to exit (opening, position, direction,
 !> duration, hits). Each shape computes it in its own way: the disc by rotation and search, others
-!> from wall to wall. This module has the numbers that every shape provides; `battery_urn`
-!> dispatches what they do.
+!> from wall to wall. This module has the quantities that every shape provides; `battery_urn`
+!> dispatches its procedures.
 !>
-!> Frame of an urn on either side: the origin lies between the openings, channel 1 at +x, channel 2
-!> at -x (urn 2 is mirrored). Where a channel begins, a chord stands upright across the axis.
+!> Frame of either urn: the origin lies between the openings, channel 1 at +x, channel 2 at -x (urn
+!> 2 is mirrored). A channel starts at a chord perpendicular to the axis.
 module battery_chamber
   use battery_kinds, only: wp, int64, pi
-  use battery_channel, only: channel_type, gated, ungated, fold
-  use battery_visits, only: visits_type, together
+  use battery_channel, only: channel_type, gated, ungated, fold_into_channel
+  use battery_visits, only: visits_type, group_size
   implicit none (type, external)
   private
   public :: chamber_type, set_openings, mean_visit, cross_channels
@@ -24,13 +24,14 @@ module battery_chamber
     logical :: fits = .false., overhangs = .false.
     !> Area, and length of the walls without the openings.
     real(wp) :: area = 0.0_wp, perimeter = 0.0_wp
-    !> No point of the urn is farther from the origin than `reach`. Points between the chords and no
-    !> farther from the origin than `clear` are inside; 0: the origin is not.
+    !> Greatest distance of a point of the urn from the origin. Points between the chords whose
+    !> distance from the origin is at most `clear` are inside; 0 if the origin is outside.
     real(wp) :: reach = 0.0_wp, clear = 0.0_wp
-    !> A shorter step is small compared with the urn, and crosses no wall between two of its parts.
+    !> A shorter time step is small compared with the urn, and crosses no wall between two of its
+    !> parts.
     real(wp) :: longest_step = 0.0_wp
-    !> No way through the urn is shorter than the sum of the depths of its two openings, which may
-    !> be one and the same.
+    !> A path through the urn is at least as long as the depths of its two openings together, which
+    !> may be the same opening.
     real(wp) :: depth(2) = 0.0_wp
     !> Whether long visits are truncated (`truncated` of `battery_visits`).
     logical :: truncates_visits = .false.
@@ -41,7 +42,7 @@ contains
   !> Sets the channels at the openings.
   pure subroutine set_openings(chamber, channel)
     class(chamber_type), intent(inout) :: chamber
-    !> By `gated` and `ungated`.
+    !> Channels by `gated` and `ungated`.
     type(channel_type), intent(in) :: channel(2)
 
     chamber%width = channel%width
@@ -58,17 +59,18 @@ contains
   end function mean_visit
 
   !> Moves a batch of visits from the entrance of their channel to its exit into the urn: an
-  !> unfolded channel is crossed in one step, see `fold`.
+  !> unfolded channel is crossed in one step, see `fold_into_channel`.
   subroutine cross_channels(chamber, visits)
     class(chamber_type), intent(in) :: chamber
     type(visits_type), intent(inout) :: visits
 
-    call cross_straight_channels(together*((visits%count + together - 1)/together), visits%time, &
-      visits%passage, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
-      visits%hits)
+    call cross_straight_channels(group_size*((visits%count + group_size - 1)/group_size), &
+      visits%time, visits%passage, visits%channel, visits%x, visits%y, visits%u_axial, &
+      visits%u_lateral, visits%hits)
 
   contains
 
+    !> Kernel over flat arrays, padded to whole groups; without branches, so that it is vectorised.
     pure subroutine cross_straight_channels(n, time, passage, channel, x, y, u_axial, u_lateral, &
       hits)
       integer, intent(in) :: n
@@ -86,7 +88,7 @@ contains
       do j = 1, n
         width = merge(width1, width2, channel(j) == gated)
         unfolded = y(j) + u_lateral(j)*passage(j)
-        call fold(unfolded, width, y(j), reflected, passed)
+        call fold_into_channel(unfolded, width, y(j), reflected, passed)
         u_lateral(j) = reflected*u_lateral(j)
         time(j) = time(j) + passage(j)
         x(j) = merge(chord1, -chord2, channel(j) == gated)

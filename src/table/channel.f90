@@ -6,7 +6,7 @@ module battery_channel
   use battery_kinds, only: wp
   implicit none (type, external)
   private
-  public :: channel_type, is_open, fold, gated, ungated, no_channel, facing
+  public :: channel_type, is_open, fold_into_channel, gated, ungated, no_channel, facing
 
   !> The channel with the gates, the channel that closes the circuit, and none of them.
   integer, parameter :: gated = 1, ungated = 2, no_channel = 0
@@ -32,7 +32,7 @@ contains
 
   !> Height, sign of the lateral velocity and wall hits of a particle at the height `unfolded` of
   !> the unfolded plane, in a channel of the given `width` about y = 0.
-  elemental subroutine fold(unfolded, width, height, reflected, hits)
+  elemental subroutine fold_into_channel(unfolded, width, height, reflected, hits)
     real(wp), intent(in) :: unfolded, width
     !> Height within [-width/2, width/2].
     real(wp), intent(out) :: height
@@ -48,6 +48,6 @@ contains
     reflected = 1.0_wp - 2.0_wp*abs(strip - 2.0_wp*aint(0.5_wp*strip))
     height = reflected*(unfolded - strip*width)
     height = sign(min(abs(height), 0.5_wp*width), height)
-  end subroutine fold
+  end subroutine fold_into_channel
 
 end module battery_channel

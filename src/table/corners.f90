@@ -1,48 +1,50 @@
-!> The corners of a polygon, and what they say of it before anything flies in it.
+!> Geometry of a list of corners, from which polygons are checked and made.
 !>
-!> Corners are columns (x, y), one after the other round the polygon; side k goes from corner k to
-!> the next, the last side back to the first. Counterclockwise, the inside is on the left of a side.
+!> Corners are columns (x, y), in order along the outline; side k goes from corner k to the next
+!> one, the last side back to the first corner. If they run counterclockwise, the inside is on the
+!> left of each side.
 module battery_corners
   use battery_kinds, only: wp, pi
   implicit none (type, external)
   private
-  public :: most_corners, regular_corners, enclosed_area, directions_stay, turned_round, next_of, &
-    distance_to_side, sides_meet, side_distance, axis_side
+  public :: most_corners, regular_corners, enclosed_area, directions_stay, reversed_corners, &
+    next_corner, distance_to_side, sides_meet, side_distance, side_on_axis
 
-  !> Most corners of a polygon.
+  !> Largest number of corners of a polygon.
   integer, parameter :: most_corners = 1000
 
 contains
 
-  !> A regular polygon round the origin whose first and last quarter stand upright on the x axis.
+  !> Corners of a regular polygon about the origin, with two upright sides that the x axis crosses.
   pure function regular_corners(sides, radius) result(corner)
-    !> Even, from 4 up.
+    !> Number of sides: even, at least 4.
     integer, intent(in) :: sides
-    !> From the origin to a corner, a length.
+    !> Distance from the origin to a corner, a length.
     real(wp), intent(in) :: radius
     real(wp) :: corner(2, sides)
     real(wp) :: angle
-    integer :: k, half
+    integer :: k, half_count
 
-    ! Half of them, upwards on the right and back on the left; each is the mirror image of another.
-    half = sides/2
-    do k = 1, (half + 1)/2
+    ! Half of the corners, counterclockwise from the right to the left; those on the left are exact
+    ! mirror images of those on the right, and the other half is that of these.
+    half_count = sides/2
+    do k = 1, (half_count + 1)/2
       angle = pi*real(2*k - 1, wp)/real(sides, wp)
       corner(:, k) = radius*[cos(angle), sin(angle)]
-      if (2*k - 1 == half) corner(1, k) = 0.0_wp
+      if (2*k - 1 == half_count) corner(1, k) = 0.0_wp
     end do
-    do k = 1, half/2
-      corner(:, half + 1 - k) = [-corner(1, k), corner(2, k)]
+    do k = 1, half_count/2
+      corner(:, half_count + 1 - k) = [-corner(1, k), corner(2, k)]
     end do
-    do k = 1, half
+    do k = 1, half_count
       corner(:, sides + 1 - k) = [corner(1, k), -corner(2, k)]
     end do
-    ! The side on the right goes from the last corner to the first.
+    ! The upright side on the right goes from the last corner to the first.
   end function regular_corners
 
   !> Area of a polygon; negative if its corners run clockwise.
   pure function enclosed_area(corner) result(area)
-    !> (x, y) in columns.
+    !> Corners, (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
     real(wp) :: area
     integer :: k
@@ -54,12 +56,12 @@ contains
     end do
   end function enclosed_area
 
-  !> Whether particles keep a finite set of directions for ever: all sides are at whole multiples of
-  !> one fraction of pi, to typed digits.
+  !> Whether a particle only ever has finitely many directions: all sides are, within rounding of
+  !> typed digits, at whole multiples of one fraction of pi.
   pure logical function directions_stay(corner)
-    !> (x, y) in columns.
+    !> Corners, (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
-    !> The smallest fraction that is looked for, and how sharply a side must fit.
+    !> Smallest fraction that is tried, and tolerance for the angle of a side.
     integer, parameter :: most_parts = 120
     real(wp), parameter :: sharp = 1.0e-6_wp
     real(wp) :: angle(size(corner, 2)), parts
@@ -67,8 +69,8 @@ contains
 
     associate (n => size(corner, 2))
       do k = 1, n
-        angle(k) = atan2(corner(2, next_of(k, n)) - corner(2, k), &
-          corner(1, next_of(k, n)) - corner(1, k))
+        angle(k) = atan2(corner(2, next_corner(k, n)) - corner(2, k), &
+          corner(1, next_corner(k, n)) - corner(1, k))
       end do
     end associate
     directions_stay = .true.
@@ -79,29 +81,29 @@ contains
     directions_stay = .false.
   end function directions_stay
 
-  !> The same polygon, its corners the other way round; the first stays the first.
-  pure function turned_round(corner) result(turned)
-    !> (x, y) in columns.
+  !> The same polygon with its corners in the opposite order; the first one stays the first.
+  pure function reversed_corners(corner) result(reversed)
+    !> Corners, (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
-    real(wp) :: turned(size(corner, 1), size(corner, 2))
+    real(wp) :: reversed(size(corner, 1), size(corner, 2))
 
-    turned = corner(:, size(corner, 2):1:-1)
-    turned = cshift(turned, -1, dim=2)
-  end function turned_round
+    reversed = corner(:, size(corner, 2):1:-1)
+    reversed = cshift(reversed, -1, dim=2)
+  end function reversed_corners
 
-  !> The corner after a corner.
-  elemental function next_of(k, count) result(next)
-    !> Its number, and how many there are.
+  !> Index of the corner after corner `k`.
+  elemental function next_corner(k, count) result(next)
+    !> Index of a corner, and number of corners.
     integer, intent(in) :: k, count
     integer :: next
 
     next = merge(1, k + 1, k == count)
-  end function next_of
+  end function next_corner
 
-  !> The side that the x axis crosses last on its way to the right (`way` = 1) or to the left (-1);
-  !> 0 if it crosses none there, or meets a corner.
-  pure function axis_side(corner, way) result(side)
-    !> (x, y) in columns; 1: to the right, -1: to the left.
+  !> Side that the x axis crosses last on the right (`way` = 1) or on the left (-1); 0 if it crosses
+  !> none, or goes through a corner.
+  pure function side_on_axis(corner, way) result(side)
+    !> Corners, (x, y) in columns; 1: on the right, -1: on the left.
     real(wp), intent(in) :: corner(:, :), way
     integer :: side
     real(wp) :: farthest, x, a(2), b(2)
@@ -111,7 +113,7 @@ contains
     farthest = -huge(1.0_wp)
     do k = 1, size(corner, 2)
       a = corner(:, k)
-      b = corner(:, next_of(k, size(corner, 2)))
+      b = corner(:, next_corner(k, size(corner, 2)))
       if (min(a(2), b(2)) > 0.0_wp .or. max(a(2), b(2)) < 0.0_wp) cycle
       x = max(way*a(1), way*b(1))
       if (abs(b(2) - a(2)) > 0.0_wp) x = way*(a(1) - (b(1) - a(1))*(a(2)/(b(2) - a(2))))
@@ -119,11 +121,11 @@ contains
       farthest = x
       side = merge(k, 0, a(2)*b(2) < 0.0_wp)
     end do
-  end function axis_side
+  end function side_on_axis
 
-  !> Distance of a point from the side between the points a and b.
+  !> Distance of a point from the side between the corners a and b.
   pure function distance_to_side(x, y, a, b) result(distance)
-    !> Lengths.
+    !> Coordinates: lengths.
     real(wp), intent(in) :: x, y, a(2), b(2)
     real(wp) :: distance
     real(wp) :: share, along(2)
@@ -152,7 +154,7 @@ contains
       min(side_a, side_b) <= 0.0_wp .and. max(side_a, side_b) >= 0.0_wp
   end function sides_meet
 
-  !> Distance of the sides a-b and c-d from each other.
+  !> Distance between the sides a-b and c-d.
   pure function side_distance(a, b, c, d) result(distance)
     !> Their ends: lengths.
     real(wp), intent(in) :: a(2), b(2), c(2), d(2)
@@ -164,6 +166,7 @@ contains
       distance_to_side(c(1), c(2), a, b), distance_to_side(d(1), d(2), a, b))
   end function side_distance
 
+  !> Cross product of two vectors: positive if b points to the left of a.
   pure function cross_product(a, b) result(product)
     real(wp), intent(in) :: a(2), b(2)
     real(wp) :: product

@@ -1,38 +1,39 @@
-!> Whole visits to a disc, in batches.
+!> Kernel: visits to a disc, computed in batches.
 !>
-!> The kernel `step_impacts` steps `together` particles at once, `march_steps` impacts without a
-!> test that branches: who has found an opening stands still. Between two marches the particles that
-!> still bounce close ranks. Who has not left after `march_rounds` marches, or all if openings are
-!> tiny, are sent to `find_opening`, which needs O(log) operations for any number of impacts.
+!> Arrays are those of `visits_type`, one element a visit, padded to groups of `group_size`. Loops
+!> over the visits have no branches and are vectorised: `step_impacts` computes `march_steps`
+!> impacts of each particle, and a particle that has reached an opening stays there. Between two
+!> calls the visits that have not ended are moved to the front of the arrays (`compact_active`). A
+!> visit that has not ended after `march_rounds` rounds, or any visit if the openings are tiny, goes
+!> to `find_opening`, which takes O(log) operations for any number of impacts.
 module battery_disc_visits
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: gated, ungated
   use battery_disc, only: disc_type, sharp_incidence, grazing_cosine
-  use battery_rotation, only: turn_of, unit_vector, full_turn
+  use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
-  use battery_visits, only: visits_type, together, no_channel, many_hits
+  use battery_visits, only: visits_type, group_size, no_channel, many_hits
   implicit none (type, external)
   private
   public :: compute_disc_visits
 
-  !> Impacts that the kernel steps `together` particles without closing ranks.
+  !> Impacts that `step_impacts` computes of each particle.
   integer, parameter :: march_steps = 8
-  !> After so many marches a particle is searched for instead.
+  !> After this many rounds the opening is searched for instead.
   integer, parameter :: march_rounds = nint(many_hits)/march_steps - 2
-  !> In the first rounds so many still bounce that ranks are closed after every second march only.
+  !> In the first rounds few visits end: they are compacted after every second call only.
   integer, parameter :: early_rounds = 2
 
 contains
 
-  !> From (x, y) with velocity (along, across) through the disc; `hits` grows, `all_hits` is its
-  !> sum.
+  !> Computes all visits of a batch through the disc: input and output as at `visits_type`.
   subroutine compute_disc_visits(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
     logical :: grazing
 
-    n = together*((visits%count + together - 1)/together)
+    n = group_size*((visits%count + group_size - 1)/group_size)
     visits%all_hits = 0
     visits%many_count = 0
     if (n == 0) return
@@ -41,19 +42,20 @@ contains
       visits%steps, visits%first, grazing)
     if (grazing) call sharpen_grazing(disc, visits)
     active = visits%count
-    call count_up(active, visits%slot)
-    if (disc%step_first) then
+    call number_slots(active, visits%slot)
+    if (disc%stepping_pays) then
       visits%px(active + 1:n) = 1.0_wp
       visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
-        n_active = together*((active + together - 1)/together)
-        call step_impacts(disc%half(gated), disc%half(ungated), n_active, visits%px, visits%py, &
-          visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call step_impacts(disc%half(gated), disc%half(ungated), &
-          n_active, visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        call compact_active(disc%half(gated), disc%half(ungated), active, visits%slot, visits%px, &
-          visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, visits%hit_y, &
-          visits%impacts)
+        n_active = group_size*((active + group_size - 1)/group_size)
+        call step_impacts(disc%half_opening(gated), disc%half_opening(ungated), n_active, &
+          visits%px, visits%py, visits%zx, visits%zy, visits%steps)
+        if (round <= early_rounds) call step_impacts(disc%half_opening(gated), &
+          disc%half_opening(ungated), n_active, visits%px, visits%py, visits%zx, visits%zy, &
+          visits%steps)
+        call compact_active(disc%half_opening(gated), disc%half_opening(ungated), active, &
+          visits%slot, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, &
+          visits%hit_y, visits%impacts)
         if (active == 0) exit
       end do
     end if
@@ -66,7 +68,7 @@ contains
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
-    if (.not. all_left(visits%count, visits%u_axial, visits%impacts)) then
+    if (.not. all_visits_end(visits%count, visits%u_axial, visits%impacts)) then
       do j = 1, visits%count
         if (visits%u_axial(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
         call repair_visit(disc, visits, j)
@@ -78,8 +80,8 @@ contains
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
   end subroutine compute_disc_visits
 
-  !> 1, 2, ...
-  pure subroutine count_up(n, slot)
+  !> Numbers the slots 1, 2, ...
+  pure subroutine number_slots(n, slot)
     integer, intent(in) :: n
     integer, intent(out) :: slot(n)
     integer :: j
@@ -87,49 +89,50 @@ contains
     do j = 1, n
       slot(j) = j
     end do
-  end subroutine count_up
+  end subroutine number_slots
 
-  !> Whether all visits ended in an opening with a velocity that leads out.
-  pure function all_left(n, u_axial, impacts)
+  !> Whether each visit ended in an opening, with a velocity that points outwards.
+  pure function all_visits_end(n, u_axial, impacts)
     integer, intent(in) :: n
     real(wp), intent(in) :: u_axial(n), impacts(n)
-    logical :: all_left
+    logical :: all_visits_end
     integer :: j, left
 
     left = 0
     do j = 1, n
       left = left + merge(1, 0, u_axial(j) > 0.0_wp .and. impacts(j) >= 0.0_wp)
     end do
-    all_left = left == n
-  end function all_left
+    all_visits_end = left == n
+  end function all_visits_end
 
-  !> Adds the impacts to the wall hits, and all of them up: `together` sums, which make vectors.
+  !> Adds the impacts to the wall hits, and sums all hits, in `group_size` lanes so that the sum is
+  !> vectorised.
   pure subroutine sum_hits(n, count, hits, impacts, all_hits)
     integer, intent(in) :: n, count
     real(wp), intent(inout) :: hits(n)
     real(wp), intent(in) :: impacts(n)
     integer(int64), intent(out) :: all_hits
-    real(wp) :: total(together)
+    real(wp) :: total(group_size)
     integer :: j, lane
 
     hits = hits + impacts
     hits(count + 1:) = 0.0_wp
     total = 0.0_wp
-    do j = 1, n, together
-      do lane = 1, together
+    do j = 1, n, group_size
+      do lane = 1, group_size
         total(lane) = total(lane) + hits(j + lane - 1)
       end do
     end do
     all_hits = int(sum(total), int64)
   end subroutine sum_hits
 
-  !> Incidence, first impact, rotation from impact to impact, and the length until the first.
+  !> Incidence, first impact, rotation from impact to impact, and length until the first.
   pure subroutine find_first_impacts(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, &
     first, grazing)
     integer, intent(in) :: n
     real(wp), intent(in) :: curvature, x(n), y(n), ux(n), uy(n)
     real(wp), intent(out) :: c(n), s(n), px(n), py(n), zx(n), zy(n), steps(n), first(n)
-    !> Whether some cosine is so small that 1 - s**2 has lost digits of it.
+    !> Whether a cosine is so small that it has lost digits in 1 - s**2.
     logical, intent(out) :: grazing
     real(wp) :: sine, cosine
     integer :: j
@@ -152,7 +155,7 @@ contains
     grazing = low > 0
   end subroutine find_first_impacts
 
-  !> Grazing incidences to all their digits.
+  !> Recomputes grazing incidences to all digits.
   pure subroutine sharpen_grazing(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
@@ -176,12 +179,12 @@ contains
     end do
   end subroutine sharpen_grazing
 
-  !> `march_steps` impacts of each particle; one whose impact lies in an opening stays there. All
-  !> impacts are computed first, as if nothing were open, then the first that lies in an opening is
-  !> chosen, from the last backwards: so no step waits for a comparison. No branches: the loop over
-  !> the particles is the one that becomes vector instructions.
-  pure subroutine step_impacts(half1, half2, n, px, py, zx, zy, steps)
-    real(wp), intent(in) :: half1, half2
+  !> Computes `march_steps` impacts of each particle; one whose impact lies in an opening stays
+  !> there. All impacts are computed first, as if there were no opening; then the first that lies in
+  !> an opening is selected, from the last one backwards, so that no step waits for a comparison.
+  !> Without branches: the loop over the particles is vectorised.
+  pure subroutine step_impacts(half_opening1, half_opening2, n, px, py, zx, zy, steps)
+    real(wp), intent(in) :: half_opening1, half_opening2
     integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), steps(n)
     real(wp), intent(in) :: zx(n), zy(n)
@@ -189,16 +192,16 @@ contains
     real(wp) :: x0, x1, x2, x3, x4, x5, x6, x7, x8, y0, y1, y2, y3, y4, y5, y6, y7, y8
     integer :: j
 
-    ! Copies in registers: a load behind a pointer would have to stay conditional, with a branch.
-    h1 = half1
-    h2 = half2
-    ! Written out, since the compiler makes no vectors of a loop in this loop.
+    ! Copies in registers: a load through a pointer would stay conditional, and need a branch.
+    h1 = half_opening1
+    h2 = half_opening2
+    ! Unrolled by hand: the compiler does not vectorise a loop that contains a loop.
     do j = 1, n
       x0 = px(j)
       y0 = py(j)
       c = zx(j)
       s = zy(j)
-      ! Two impacts at a time: half as many wait for each other.
+      ! Two impacts at a time: half the dependent operations.
       c2 = (c - s)*(c + s)
       s2 = 2.0_wp*c*s
       call rotate_impact(c, s, x0, y0, x1, y1)
@@ -224,7 +227,7 @@ contains
     end do
   end subroutine step_impacts
 
-  !> The next impact.
+  !> Rotates an impact to the next one.
   elemental subroutine rotate_impact(cosine, sine, x, y, next_x, next_y)
     real(wp), intent(in) :: cosine, sine, x, y
     real(wp), intent(out) :: next_x, next_y
@@ -233,22 +236,24 @@ contains
     next_y = x*sine + y*cosine
   end subroutine rotate_impact
 
-  !> If the impact (x, y), before which there were `before`, lies in an opening, it is the first.
-  elemental subroutine choose_impact(half1, half2, before, x, y, first_x, first_y, taken)
-    real(wp), intent(in) :: half1, half2, before, x, y
+  !> Selects the impact (x, y), which `before` others precede, if it lies in an opening.
+  elemental subroutine choose_impact(half_opening1, half_opening2, before, x, y, first_x, first_y, &
+    taken)
+    real(wp), intent(in) :: half_opening1, half_opening2, before, x, y
     real(wp), intent(inout) :: first_x, first_y, taken
     logical :: open
 
-    open = abs(y) < merge(half1, half2, x > 0.0_wp)
+    open = abs(y) < merge(half_opening1, half_opening2, x > 0.0_wp)
     first_x = merge(x, first_x, open)
     first_y = merge(y, first_y, open)
     taken = merge(before, taken, open)
   end subroutine choose_impact
 
-  !> Writes down where every particle stands and keeps those that still bounce, without branches.
-  pure subroutine compact_active(half1, half2, active, slot, px, py, zx, zy, steps, hit_x, hit_y, &
-    impacts)
-    real(wp), intent(in) :: half1, half2
+  !> Stores the present impact of each particle, and compacts the arrays to the visits that have not
+  !> ended, without branches.
+  pure subroutine compact_active(half_opening1, half_opening2, active, slot, px, py, zx, zy, &
+    steps, hit_x, hit_y, impacts)
+    real(wp), intent(in) :: half_opening1, half_opening2
     integer, intent(inout) :: active
     integer, intent(inout) :: slot(*)
     real(wp), intent(inout) :: px(*), py(*), zx(*), zy(*), steps(*)
@@ -256,8 +261,8 @@ contains
     integer :: j, kept, mine
     real(wp) :: x, y, taken, h1, h2
 
-    h1 = half1
-    h2 = half2
+    h1 = half_opening1
+    h2 = half_opening2
     kept = 0
     do j = 1, active
       x = px(j)
@@ -276,14 +281,14 @@ contains
       kept = kept + merge(1, 0, abs(y) >= merge(h1, h2, x > 0.0_wp))
     end do
     active = kept
-    ! Whoever fills up the last group stands in an opening.
-    do j = kept + 1, kept + together - 1
+    ! Padding lanes of the last group: impacts that lie in an opening.
+    do j = kept + 1, kept + group_size - 1
       px(j) = 1.0_wp
       py(j) = 0.0_wp
     end do
   end subroutine compact_active
 
-  !> First impact in an opening, from the impact (px, py) on, without stepping.
+  !> Finds the first impact in an opening, from the impact (px, py) on, without stepping.
   pure subroutine search_opening(disc, visits, mine, px, py, zx, zy, steps)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
@@ -293,9 +298,9 @@ contains
     logical :: found, first_side
     real(wp) :: x, y
 
-    step = turn_of(zx, zy)
-    ! From the impact before, which lies in the opening if the particle has just come through it.
-    start = modulo(turn_of(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
+    step = turn_of_vector(zx, zy)
+    ! The impact before, which lies in the opening through which the particle has just entered.
+    start = modulo(turn_of_vector(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
     call find_opening(disc%angle(gated), disc%angle(ungated), start, step, total, landing, &
       first_side, found)
     if (found) then
@@ -310,7 +315,7 @@ contains
     end if
   end subroutine search_opening
 
-  !> From the impact in an opening back to the chord.
+  !> Traces each visit back from its impact in an opening to the chord.
   pure subroutine find_exits(n, disc, c, s, hit_x, hit_y, impacts, first, channel, x, y, u_axial, &
     u_lateral, length, through)
     integer, intent(in) :: n
@@ -318,13 +323,13 @@ contains
     real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
     integer(int64), intent(out) :: channel(n)
     real(wp), intent(out) :: x(n), y(n), u_axial(n), u_lateral(n), length(n), through(n)
-    real(wp) :: norm, qx, qy, ux, uy, back, half, chord, side, height, forward
-    real(wp) :: radius, half1, half2, chord1, chord2, length1, length2
+    real(wp) :: norm, qx, qy, ux, uy, back, half_opening, chord, direction, height, forward
+    real(wp) :: radius, half_opening1, half_opening2, chord1, chord2, length1, length2
     integer :: j
 
     radius = disc%radius
-    half1 = disc%half(gated)
-    half2 = disc%half(ungated)
+    half_opening1 = disc%half_opening(gated)
+    half_opening2 = disc%half_opening(ungated)
     chord1 = disc%chord(gated)
     chord2 = disc%chord(ungated)
     length1 = disc%length(gated)
@@ -333,29 +338,30 @@ contains
       norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
       qx = hit_x(j)*norm
       qy = hit_y(j)*norm
-      side = merge(1.0_wp, -1.0_wp, qx > 0.0_wp)
-      half = merge(half1, half2, qx > 0.0_wp)
+      direction = merge(1.0_wp, -1.0_wp, qx > 0.0_wp)
+      half_opening = merge(half_opening1, half_opening2, qx > 0.0_wp)
       chord = merge(chord1, chord2, qx > 0.0_wp)
-      ux = (c(j)*qx - s(j)*qy)*side
+      ux = (c(j)*qx - s(j)*qy)*direction
       uy = c(j)*qy + s(j)*qx
       forward = merge(ux, 1.0_wp, ux > 0.0_wp)
-      ! This is |qx| r - chord over u_x, without the cancellation that tiny openings would suffer.
-      back = (half - abs(qy))*(half + abs(qy))*radius**2 &
+      ! Equal to (|qx| r - chord)/u_x, without the cancellation that tiny openings would suffer
+      ! from.
+      back = (half_opening - abs(qy))*(half_opening + abs(qy))*radius**2 &
         /((abs(qx)*radius + chord)*forward)
       through(j) = merge(length1, length2, qx > 0.0_wp)/forward
       channel(j) = merge(int(gated, int64), int(ungated, int64), qx > 0.0_wp)
-      x(j) = side*chord
+      x(j) = direction*chord
       height = radius*qy - back*uy
-      y(j) = sign(min(abs(height), half*radius), height)
+      y(j) = sign(min(abs(height), half_opening*radius), height)
       u_axial(j) = ux
       u_lateral(j) = uy
       length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back
     end do
   end subroutine find_exits
 
-  !> Two rare cases. An impact beside the corner, taken for one in the opening by rounding, but with
-  !> a velocity that leads into the urn: the corner belongs to the urn, so the particle bounces on.
-  !> And a particle for which no impact in an opening was found: it stays for ever.
+  !> Repairs two rare results. If rounding took an impact beside a corner for one in the opening,
+  !> the velocity points into the urn: the corner belongs to the urn, so the visit goes on. If no
+  !> impact lies in an opening, the particle never leaves.
   pure subroutine repair_visit(disc, visits, j)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits

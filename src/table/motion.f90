@@ -7,18 +7,20 @@ module battery_motion
   public :: wall_kind, meets_nothing, meets_gate, meets_return, meets_urn, meets_line, &
     meets_channel_wall, meets_wall
 
-  !> Chambers of a side; `outside` is none of them.
+  !> Chambers that belong to an urn, by index: the urn, its half of channel 1, its half of channel
+  !> 2; `outside` is none of them.
   integer, parameter :: outside = 0, in_urn = 1, in_gate = 2, in_return = 3
 
-  !> What a particle meets next: nothing at all, the chord where channel 1 or channel 2 begins, the
-  !> chord where an urn begins, the line of its channel (the middle line or the periodic one), the
-  !> wall of its channel; from 1 on, the wall of its urn with that number.
+  !> What a particle meets next: nothing; the chord where channel 1 or channel 2 starts; the chord
+  !> where an urn starts; the line of its channel (the middle line or the periodic line); the wall
+  !> of its channel; from 1 on, the wall of its urn, or the disc in its channel, with that number.
   integer, parameter :: wall_kind = int16
   integer(wall_kind), parameter :: meets_nothing = -5_wall_kind, meets_gate = -4_wall_kind, &
     meets_return = -3_wall_kind, meets_urn = -2_wall_kind, meets_line = -1_wall_kind, &
     meets_channel_wall = 0_wall_kind, meets_wall = 1_wall_kind
 
-  !> A velocity component below this counts as none: a division by it is huge but does not overflow.
+  !> A velocity component below this counts as 0: a division by it gives a huge number but does not
+  !> overflow.
   real(wp), parameter :: slowest = sqrt(tiny(1.0_wp))
 
   !> State of a particle at its last event.
@@ -26,9 +28,9 @@ module battery_motion
     real(wp) :: x = 0.0_wp, y = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
     !> Time of that event.
     real(wp) :: time = 0.0_wp
-    !> Side and chamber (`in_urn` ...) that it is in.
-    integer(int8) :: side = 0_int8, chamber = 0_int8
-    !> What it meets next; some wall, until that is known.
+    !> Index of its urn, and chamber (`in_urn` ...).
+    integer(int8) :: urn = 0_int8, chamber = 0_int8
+    !> What it meets next; a wall, until it is computed.
     integer(wall_kind) :: next = meets_wall
   end type motion_type
 
@@ -37,7 +39,7 @@ contains
   !> Moves a particle straight on.
   elemental subroutine move_straight(motion, time)
     type(motion_type), intent(inout) :: motion
-    !> Duration.
+    !> Time that it moves for.
     real(wp), intent(in) :: time
 
     motion%x = motion%x + motion%ux*time

@@ -1,29 +1,29 @@
-!> The first of the impacts on a circle that lies in one of two openings, in O(log) operations.
+!> First impact on a circle that lies in one of two opposite openings, in O(log) operations.
 !>
-!> The openings lie opposite to each other, so half a turn is searched for the wider of them; an
-!> impact that misses the narrower one is passed by.
+!> Angles are taken modulo half a turn, so that the openings coincide, and the wider one is searched
+!> for; an impact that then misses the narrower opening is skipped.
 module battery_opening_search
   use battery_kinds, only: angle_kind
-  use battery_rotation, only: full_turn, first_entry
+  use battery_rotation, only: full_turn, first_step_into_arc
   implicit none (type, external)
   private
   public :: find_opening
 
 contains
 
-  !> Impacts lie at start, start + step, ... (integer angles, see `battery_rotation`); the openings
-  !> are the open arcs `angle1` to both sides of 0 and `angle2` to both sides of half a turn.
-  !> `total` is how many impacts come before the first in an opening, `landing` where it lies,
-  !> counted from the middle of its opening: of the first, or of the second one. `found` is false if
-  !> the orbit is periodic and never gets there.
+  !> Finds the first impact in an opening. Impacts lie at start, start + step, ... (integer angles,
+  !> see `battery_rotation`); the openings are the open arcs within `angle1` of 0 and within
+  !> `angle2` of half a turn. `total` is the number of impacts before it, `landing` its angle from
+  !> the middle of its opening. `found` is false if the orbit is periodic and never meets an
+  !> opening.
   pure subroutine find_opening(angle1, angle2, start, step, total, landing, first_side, found)
     !> Integer angles; `start` and `step` in [0, full_turn).
     integer(angle_kind), intent(in) :: angle1, angle2, start, step
     integer(angle_kind), intent(out) :: total, landing
-    !> `first_side`: whether it is the opening about 0.
+    !> `first_side`: whether the impact is in the opening about 0.
     logical, intent(out) :: first_side, found
     integer(angle_kind), parameter :: half_turn = full_turn/2
-    !> An orbit that misses the narrower opening so often is searched for each opening alone.
+    !> After this many misses of the narrower opening, each opening is searched for alone.
     integer, parameter :: most_misses = 100
     integer(angle_kind) :: moves, widest, place
     integer :: misses
@@ -33,10 +33,10 @@ contains
     place = start
     total = 0
     do misses = 1, most_misses
-      call first_entry(modulo(place + widest - 1, half_turn), modulo(step, half_turn), 2*widest &
-        - 2, moves, landing, found, half_turn)
+      call first_step_into_arc(modulo(place + widest - 1, half_turn), modulo(step, half_turn), &
+        2*widest - 2, moves, landing, found, half_turn)
       if (.not. found) return
-      ! The product may wrap around the integers, a multiple of the full turn.
+      ! The product may overflow, by a multiple of the full turn.
       place = modulo(place + moves*step, full_turn)
       total = total + moves
       landing = landing - widest + 1
@@ -46,11 +46,12 @@ contains
       place = modulo(place + step, full_turn)
       total = total + 1
     end do
-    call search_each(angle1, angle2, start, step, total, landing, first_side, found)
+    call search_each_opening(angle1, angle2, start, step, total, landing, first_side, found)
   end subroutine find_opening
 
-  !> The same, one opening after the other.
-  pure subroutine search_each(angle1, angle2, start, step, total, landing, first_side, found)
+  !> As `find_opening`, but searches for each opening alone.
+  pure subroutine search_each_opening(angle1, angle2, start, step, total, landing, first_side, &
+    found)
     integer(angle_kind), intent(in) :: angle1, angle2, start, step
     integer(angle_kind), intent(out) :: total, landing
     logical, intent(out) :: first_side, found
@@ -67,21 +68,21 @@ contains
 
   contains
 
-    !> The open arc `middle` +- `half`.
-    pure subroutine enter_arc(half, middle, steps, landing, found)
-      integer(angle_kind), intent(in) :: half, middle
+    !> Finds the first impact in the open arc within `half_angle` of `middle`.
+    pure subroutine enter_arc(half_angle, middle, steps, landing, found)
+      integer(angle_kind), intent(in) :: half_angle, middle
       integer(angle_kind), intent(out) :: steps, landing
       logical, intent(out) :: found
 
       found = .false.
       steps = 0
       landing = 0
-      if (half == 0) return
-      call first_entry(modulo(start - middle + half - 1, full_turn), step, 2*half - 2, steps, &
-        landing, found)
-      landing = landing - half + 1
+      if (half_angle == 0) return
+      call first_step_into_arc(modulo(start - middle + half_angle - 1, full_turn), step, &
+        2*half_angle - 2, steps, landing, found)
+      landing = landing - half_angle + 1
     end subroutine enter_arc
 
-  end subroutine search_each
+  end subroutine search_each_opening
 
 end module battery_opening_search

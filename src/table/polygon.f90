@@ -1,54 +1,76 @@
-!> A simple polygon, with openings in two upright sides: those that the axis crosses last, on the
-!> right for channel 1 and on the left for channel 2.
+!> Urn of polygonal shape: its geometry, and the motion from side to side. Its openings are in two
+!> upright sides: those that the x axis crosses last, on the right for channel 1 and on the left for
+!> channel 2.
 !>
-!> Frame: the origin lies in the middle between the two upright sides. Where channel 2 is closed no
-!> side on the left need be upright, and what reaches farthest to the left stands for it. So it is
-!> with the disc, whose chord there is its radius away. The origin may lie outside of the polygon.
+!> **Frame.** The origin lies midway between the two upright sides; it may lie outside the polygon.
+!> If channel 2 is closed, the leftmost point takes the place of the left side, as the chord of a
+!> closed channel is one radius away in a disc.
 !>
-!> From wall to wall: `polygon_walls.f90`; whole visits: `polygon_visits.f90`.
+!> **From side to side.** A corner lies to the right or to the left of a path, never on both sides:
+!> a path ends at the nearest side that goes from its right to its left. So a path through a corner
+!> meets a side too, and no particle escapes. A particle is placed exactly on the side that it
+!> meets; each hit sets its speed back to 1 by a Newton step.
+!>
+!> Periodic orbits are recognised, and visits truncated, by `boundary_state_type`. Batches of
+!> visits: `polygon_visits.f90`.
 module battery_polygon
-  use battery_kinds, only: wp
-  use battery_channel, only: channel_type, gated, ungated, facing, is_open
+  use battery_kinds, only: wp, int64
+  use battery_channel, only: channel_type, gated, ungated, no_channel, facing, is_open
   use battery_chamber, only: chamber_type, set_openings
-  use battery_corners, only: enclosed_area, turned_round, next_of, distance_to_side, &
-    side_distance, axis_side
+  use battery_motion, only: meets_gate, meets_return, meets_nothing, meets_wall, wall_kind
+  use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
+    side_distance, side_on_axis
   implicit none (type, external)
   private
   public :: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, nearest_side
+  public :: next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
+    locate_in_polygon, first_impact_in_polygon
+  public :: surely_next_side, reflect_from_side, boundary_state_type, state_on_side, has_returned
 
-  !> What rounding may leave of a place on a side, in units of the table.
+  !> Bound on the rounding error of a position on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
 
-  !> Sides that lean less than this, in units of the polygon, are meant to be upright.
+  !> Sides that lean by less than this, in units of the polygon, count as upright.
   real(wp), parameter, public :: upright = 2.0_wp**13*epsilon(1.0_wp)
 
-  !> What a visit to a polygon needs to know. Side k goes from corner k to corner k + 1.
+  !> Geometry of a polygon with its openings. Side k goes from corner k to corner k + 1.
   type, extends(chamber_type) :: polygon_type
     integer :: sides = 0
-    !> Corners, the first again at the end.
+    !> Corners; the first is repeated at the end.
     real(wp), allocatable :: x(:), y(:)
-    !> Outward normal of each side, of length 1, its distance from the origin along that, its
-    !> length, and how far round the polygon it begins.
-    real(wp), allocatable :: normal_x(:), normal_y(:), offset(:), length_of(:), begins(:)
-    !> Half the width of the opening in a side; -1: it has none.
-    real(wp), allocatable :: open_half(:)
-    !> The sides with the openings, and how far it is round the polygon.
+    !> By side: outward normal, of length 1; distance from the origin along it; length; arc length
+    !> along the outline at which the side starts.
+    real(wp), allocatable :: normal_x(:), normal_y(:), offset(:), length_of(:), arc_start(:)
+    !> Half the width of the opening in a side; -1 if it has none.
+    real(wp), allocatable :: half_opening(:)
+    !> Sides with the openings of channel 1 and 2 (0: none); length of the outline.
     integer :: side(2) = 0
-    real(wp) :: round = 0.0_wp
-    !> Whether no way meets more than one side.
+    real(wp) :: outline_length = 0.0_wp
+    !> Whether the polygon is convex: a path out of it crosses one side only.
     logical :: convex = .false.
-    !> Lengths below this may be rounding.
+    !> Lengths below this may be rounding errors.
     real(wp) :: sharp = 0.0_wp
   end type polygon_type
 
+  !> Boundary states that differ by less than this, relative to the outline and to 1, are the same.
+  real(wp), parameter :: same_state = 4096.0_wp*epsilon(1.0_wp)
+
+  !> Longest period that is searched for, in wall hits.
+  integer, parameter, public :: longest_period = 10000
+
+  !> State right after a hit: arc length along the outline, and velocity.
+  type :: boundary_state_type
+    real(wp) :: arc_length = 0.0_wp, ux = 0.0_wp, uy = 0.0_wp
+  end type boundary_state_type
+
 contains
 
-  !> A polygon with openings; one that runs clockwise is turned round. Where no upright side is on
-  !> the axis, or it has no room for an opening, it does not fit.
+  !> Polygon with openings; clockwise corners are reversed. If the axis crosses no upright side, or
+  !> an opening is wider than its side, it does not fit.
   pure function new_polygon(corners, channel) result(polygon)
-    !> Columns (x, y), at least 3, in a frame that may begin anywhere on the axis.
+    !> Columns (x, y), at least 3; the origin may be anywhere on the axis.
     real(wp), intent(in) :: corners(:, :)
-    !> The channels at its openings.
+    !> Channels at its openings.
     type(channel_type), intent(in) :: channel(2)
     type(polygon_type) :: polygon
     real(wp) :: corner(2, size(corners, 2)), ends(2)
@@ -56,12 +78,12 @@ contains
 
     n = size(corners, 2)
     corner = corners
-    if (enclosed_area(corner) < 0.0_wp) corner = turned_round(corner)
+    if (enclosed_area(corner) < 0.0_wp) corner = reversed_corners(corner)
     call set_openings(polygon, channel)
     polygon%sides = n
-    polygon%side = [axis_side(corner, 1.0_wp), axis_side(corner, -1.0_wp)]
+    polygon%side = [side_on_axis(corner, 1.0_wp), side_on_axis(corner, -1.0_wp)]
     ends = [maxval(corner(1, :)), minval(corner(1, :))]
-    ! Where a channel is closed, its side is a wall like the others.
+    ! The side of a closed channel is a wall like the others.
     where (.not. is_open(channel)) polygon%side = 0
     do k = 1, 2
       if (polygon%side(k) > 0) ends(k) = corner(1, polygon%side(k))
@@ -73,7 +95,7 @@ contains
       if (polygon%side(k) == 0) cycle
       if (abs(polygon%x(polygon%side(k) + 1) - polygon%x(polygon%side(k))) &
         > upright*maxval(abs(polygon%x))) cycle
-      ! To the last digit, however the corners were rounded.
+      ! Exactly upright, however the corners were rounded.
       polygon%x(polygon%side(k):polygon%side(k) + 1) = facing(k)*polygon%chord(k)
       if (polygon%side(k) == n) polygon%x(1) = polygon%x(n + 1)
       if (polygon%side(k) == 1) polygon%x(n + 1) = polygon%x(1)
@@ -82,7 +104,7 @@ contains
     call measure_openings(polygon)
   end function new_polygon
 
-  !> What follows from the corners.
+  !> Derives lengths, normals and area from the corners.
   pure subroutine measure_outline(polygon)
     type(polygon_type), intent(inout) :: polygon
     real(wp), allocatable :: along_x(:), along_y(:)
@@ -95,18 +117,18 @@ contains
     polygon%normal_x = along_y/polygon%length_of
     polygon%normal_y = -along_x/polygon%length_of
     polygon%offset = polygon%normal_x*polygon%x(:n) + polygon%normal_y*polygon%y(:n)
-    allocate (polygon%begins(n), polygon%open_half(n))
-    polygon%open_half = -1.0_wp
-    polygon%round = 0.0_wp
+    allocate (polygon%arc_start(n), polygon%half_opening(n))
+    polygon%half_opening = -1.0_wp
+    polygon%outline_length = 0.0_wp
     polygon%convex = .true.
     do k = 1, n
-      polygon%begins(k) = polygon%round
-      polygon%round = polygon%round + polygon%length_of(k)
-      polygon%convex = polygon%convex .and. along_x(k)*along_y(next_of(k, n)) &
-        - along_y(k)*along_x(next_of(k, n)) >= 0.0_wp
+      polygon%arc_start(k) = polygon%outline_length
+      polygon%outline_length = polygon%outline_length + polygon%length_of(k)
+      polygon%convex = polygon%convex .and. along_x(k)*along_y(next_corner(k, n)) &
+        - along_y(k)*along_x(next_corner(k, n)) >= 0.0_wp
     end do
     polygon%area = enclosed_area(reshape([polygon%x(:n), polygon%y(:n)], [2, n], order=[2, 1]))
-    polygon%perimeter = polygon%round - sum(polygon%width)
+    polygon%perimeter = polygon%outline_length - sum(polygon%width)
     polygon%truncates_visits = .true.
     polygon%overhangs = maxval(polygon%x) > polygon%chord(gated) .or. &
       maxval(-polygon%x) > polygon%chord(ungated)
@@ -115,8 +137,8 @@ contains
     call find_clearance(polygon)
   end subroutine measure_outline
 
-  !> How far the origin is from the walls, if it lies inside; how long a step may be. Twice the area
-  !> over the way round is the radius of the circle inscribed in a regular polygon.
+  !> Distance from the origin to the walls, if the origin is inside; and the longest step. Twice the
+  !> area over the length of the outline is the inradius of a regular polygon.
   pure subroutine find_clearance(polygon)
     type(polygon_type), intent(inout) :: polygon
     integer :: j, k, n
@@ -125,7 +147,7 @@ contains
     polygon%clear = 0.0_wp
     if (is_in_polygon(polygon, 0.0_wp, 0.0_wp, 0.0_wp)) &
       polygon%clear = distance_to_walls(polygon, 0.0_wp, 0.0_wp)
-    polygon%longest_step = 2.0_wp*polygon%area/polygon%round
+    polygon%longest_step = 2.0_wp*polygon%area/polygon%outline_length
     if (polygon%convex) return
     do k = 1, n
       do j = k + 2, n
@@ -137,6 +159,7 @@ contains
 
   contains
 
+    !> Coordinates of a corner.
     pure function corner_of(at) result(corner)
       integer, intent(in) :: at
       real(wp) :: corner(2)
@@ -146,9 +169,9 @@ contains
 
   end subroutine find_clearance
 
-  !> Whether the openings fit, and how far it is through the polygon. A way that comes back to an
-  !> opening must be sent back by a wall that looks there: it is at least twice as long as the way
-  !> to the nearest of these. One that goes through is at least as long as the chords are apart.
+  !> Whether the openings fit, and their depths. A path that returns to an opening was reflected by
+  !> a side that faces it: its length is at least twice the distance of the nearest of these. A path
+  !> from one opening to the other is at least as long as the chords are apart.
   pure subroutine measure_openings(polygon)
     type(polygon_type), intent(inout) :: polygon
     real(wp) :: a(2), b(2)
@@ -163,7 +186,7 @@ contains
         polygon%fits = .false.
         cycle
       end if
-      polygon%open_half(k) = polygon%half_width(channel)
+      polygon%half_opening(k) = polygon%half_width(channel)
       if (abs(polygon%normal_y(k)) > 0.0_wp .or. min(abs(polygon%y(k)), abs(polygon%y(k + 1))) &
         <= polygon%half_width(channel)) polygon%fits = .false.
       a = [polygon%x(k), polygon%half_width(channel)]
@@ -178,7 +201,7 @@ contains
     if (all(polygon%width > 0.0_wp)) polygon%depth = min(polygon%depth, polygon%chord)
   end subroutine measure_openings
 
-  !> How far it is from a point to the nearest side.
+  !> Distance from a point to the nearest side.
   pure function distance_to_walls(polygon, x, y) result(distance)
     type(polygon_type), intent(in) :: polygon
     real(wp), intent(in) :: x, y
@@ -192,10 +215,10 @@ contains
     end do
   end function distance_to_walls
 
-  !> Whether a point is inside, on a side, or no farther than `tolerance` from one.
+  !> Whether a point is inside, on a side, or at most `tolerance` outside.
   pure function is_in_polygon(polygon, x, y, tolerance) result(inside)
     type(polygon_type), intent(in) :: polygon
-    !> In the frame of the polygon, lengths.
+    !> Position in the frame of the polygon, and a distance: lengths.
     real(wp), intent(in) :: x, y, tolerance
     logical :: inside
     integer :: k
@@ -209,11 +232,12 @@ contains
     if (.not. inside) inside = distance_to_walls(polygon, x, y) <= tolerance
   end function is_in_polygon
 
-  !> A point from two numbers `across` and `up` uniform in [0, 1]: uniform where it is `inside`.
+  !> Trial point from two numbers `across` and `up`, uniform in [0, 1]: uniform in the polygon, if
+  !> `inside`.
   pure subroutine try_point_in_polygon(polygon, across, up, x, y, inside)
     type(polygon_type), intent(in) :: polygon
     real(wp), intent(in) :: across, up
-    !> In the frame of the polygon, lengths.
+    !> Position in the frame of the polygon, lengths.
     real(wp), intent(out) :: x, y
     logical, intent(out) :: inside
 
@@ -224,10 +248,10 @@ contains
     inside = is_in_polygon(polygon, x, y, 0.0_wp)
   end subroutine try_point_in_polygon
 
-  !> The side that a point is nearest to.
+  !> Side that is nearest to a point.
   pure function nearest_side(polygon, x, y) result(nearest)
     type(polygon_type), intent(in) :: polygon
-    !> In the frame of the polygon, lengths.
+    !> Position in the frame of the polygon, lengths.
     real(wp), intent(in) :: x, y
     integer :: nearest
     real(wp) :: least, distance
@@ -243,5 +267,405 @@ contains
       nearest = k
     end do
   end function nearest_side
+
+  !> Side that a particle meets next, and the time `wait` until then. A particle that is on the side
+  !> `from` does not meet that; 0: it is on none.
+  pure subroutine next_side(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    !> Position and velocity in the frame of the polygon.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> 0 if it meets none, which only rounding can cause.
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: before, after, time
+    integer :: k
+
+    side = 0
+    wait = huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    do k = 1, polygon%sides
+      before = after
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      if (time >= wait) cycle
+      if (time < -polygon%sharp .and. .not. polygon%convex) then
+        ! Skip a side behind the particle, unless only rounding has put it there.
+        if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+          polygon%y(k + 1)]) > polygon%sharp) cycle
+      end if
+      side = k
+      wait = time
+    end do
+    wait = max(wait, 0.0_wp)
+  end subroutine next_side
+
+  !> As `next_side`, but also for a particle that moves along a side, or that rounding has put
+  !> beyond one: then the path starts a little farther inside. From the side `from` (0: none), at
+  !> (`x`, `y`) with velocity (`ux`, `uy`), to the `side` that it meets (0: none) after the time
+  !> `wait`.
+  pure subroutine surely_next_side(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: inwards, shift_x, shift_y
+    integer :: tries, k
+
+    call next_side(polygon, from, x, y, ux, uy, side, wait)
+    if (side > 0) return
+    shift_x = 0.0_wp
+    shift_y = 0.0_wp
+    do k = 1, polygon%sides
+      if (k /= from .and. distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+        polygon%y(k + 1)]) > 2.0_wp*polygon%sharp) cycle
+      shift_x = shift_x - polygon%normal_x(k)
+      shift_y = shift_y - polygon%normal_y(k)
+    end do
+    inwards = polygon%sharp
+    do tries = 1, 8
+      call next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
+      if (side > 0) return
+      inwards = 4.0_wp*inwards
+    end do
+  end subroutine surely_next_side
+
+  !> Places a particle at (`x`, `y`) on the side number `side`, and reflects its velocity (`ux`,
+  !> `uy`).
+  pure subroutine reflect_from_side(polygon, side, x, y, ux, uy)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(inout) :: x, y, ux, uy
+    real(wp) :: beyond, outward, norm
+
+    associate (nx => polygon%normal_x(side), ny => polygon%normal_y(side))
+      beyond = (x - polygon%x(side))*nx + (y - polygon%y(side))*ny
+      x = x - beyond*nx
+      y = y - beyond*ny
+      outward = max(ux*nx + uy*ny, 0.0_wp)
+      ux = ux - 2.0_wp*outward*nx
+      uy = uy - 2.0_wp*outward*ny
+    end associate
+    norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
+    ux = norm*ux
+    uy = norm*uy
+  end subroutine reflect_from_side
+
+  !> What a particle in the polygon, or at an opening, meets `next`, and the time `wait` until then.
+  pure subroutine next_wall_in_polygon(polygon, from, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    !> Channel on whose chord it is, or `no_channel`.
+    integer, intent(in) :: from
+    !> Position and velocity in the frame of the polygon.
+    real(wp), intent(in) :: x, y, ux, uy
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    side = 0
+    if (from /= no_channel) side = polygon%side(from)
+    call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine next_wall_in_polygon
+
+  !> As `next_wall_in_polygon`, for a particle on the side `from`. It leaves only through a point
+  !> strictly within an opening: a corner belongs to the urn.
+  pure subroutine next_wall_from(polygon, from, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer(wall_kind), intent(out) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    call surely_next_side(polygon, from, x, y, ux, uy, side, wait)
+    if (side == 0) then
+      next = meets_nothing
+      wait = huge(1.0_wp)
+    else if (abs(y + uy*wait) < polygon%half_opening(side)) then
+      next = merge(meets_gate, meets_return, side == polygon%side(gated))
+    else
+      next = int(side, wall_kind)
+    end if
+  end subroutine next_wall_from
+
+  !> Reflects a particle at the side `next`; finds what it meets `next`, and the time `wait` until
+  !> then.
+  pure subroutine reflect_in_polygon(polygon, x, y, ux, uy, next, wait)
+    type(polygon_type), intent(in) :: polygon
+    !> Position and velocity in the frame of the polygon.
+    real(wp), intent(inout) :: x, y, ux, uy
+    integer(wall_kind), intent(inout) :: next
+    real(wp), intent(out) :: wait
+    integer :: side
+
+    side = int(next)
+    call reflect_from_side(polygon, side, x, y, ux, uy)
+    call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine reflect_in_polygon
+
+  !> Mirrors a particle that a step has moved beyond a side (it `was_beyond`) in that side, and
+  !> reflects its velocity there; repeats this if it is then beyond another side.
+  pure subroutine reflect_overshoot_in_polygon(polygon, x, y, ux, uy, was_beyond)
+    type(polygon_type), intent(in) :: polygon
+    !> Position and velocity in the frame of the polygon.
+    real(wp), intent(inout) :: x, y, ux, uy
+    logical, intent(out) :: was_beyond
+    integer, parameter :: most_sides = 16
+    real(wp) :: beyond
+    integer :: side, tries
+
+    was_beyond = .false.
+    do tries = 1, most_sides
+      if (is_in_polygon(polygon, x, y, 0.0_wp)) return
+      was_beyond = .true.
+      side = side_behind(polygon, x, y, ux, uy)
+      if (side == 0) side = nearest_side(polygon, x, y)
+      beyond = (x - polygon%x(side))*polygon%normal_x(side) &
+        + (y - polygon%y(side))*polygon%normal_y(side)
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      x = x - beyond*polygon%normal_x(side)
+      y = y - beyond*polygon%normal_y(side)
+    end do
+    ! The corner is too narrow for the step: put the particle on the nearest side.
+    side = nearest_side(polygon, x, y)
+    call project_on_side(polygon, side, x, y)
+  end subroutine reflect_overshoot_in_polygon
+
+  !> Side that a particle crossed last on its way out of the polygon; 0 if there is none.
+  pure function side_behind(polygon, x, y, ux, uy) result(side)
+    type(polygon_type), intent(in) :: polygon
+    !> Position and velocity in the frame of the polygon.
+    real(wp), intent(in) :: x, y, ux, uy
+    integer :: side
+    real(wp) :: before, after, time, latest
+    integer :: k
+
+    side = 0
+    latest = -huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    do k = 1, polygon%sides
+      before = after
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      if (before >= 0.0_wp .or. after < 0.0_wp) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      if (time > polygon%sharp .or. time <= latest) cycle
+      side = k
+      latest = time
+    end do
+  end function side_behind
+
+  !> Moves a point to the nearest point of a side.
+  pure subroutine project_on_side(polygon, side, x, y)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(inout) :: x, y
+    real(wp) :: along
+
+    along = distance_along_side(polygon, side, x, y)
+    x = polygon%x(side) - along*polygon%normal_y(side)
+    y = polygon%y(side) + along*polygon%normal_x(side)
+  end subroutine project_on_side
+
+  !> Distance along a side from its first corner to the projection of a point, between 0 and its
+  !> length.
+  pure function distance_along_side(polygon, side, x, y) result(along)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(in) :: x, y
+    real(wp) :: along
+
+    along = (y - polygon%y(side))*polygon%normal_x(side) &
+      - (x - polygon%x(side))*polygon%normal_y(side)
+    along = min(max(along, 0.0_wp), polygon%length_of(side))
+  end function distance_along_side
+
+  !> Boundary state of a particle at (`x`, `y`) on the side number `side` with velocity (`ux`,
+  !> `uy`).
+  pure function state_on_side(polygon, side, x, y, ux, uy) result(state)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: side
+    real(wp), intent(in) :: x, y, ux, uy
+    type(boundary_state_type) :: state
+
+    state = boundary_state_type(polygon%arc_start(side) + distance_along_side(polygon, side, x, &
+      y), ux, uy)
+    ! The end of a side does not belong to the next side.
+    if (side < polygon%sides) state%arc_length = min(state%arc_length, &
+      nearest(polygon%arc_start(side + 1), -1.0_wp))
+  end function state_on_side
+
+  !> Side and position at an arc length along the outline.
+  pure subroutine locate_on_outline(polygon, arc_length, side, x, y)
+    type(polygon_type), intent(in) :: polygon
+    real(wp), intent(in) :: arc_length
+    integer, intent(out) :: side
+    real(wp), intent(out) :: x, y
+    real(wp) :: along
+
+    side = max(count(polygon%arc_start <= arc_length), 1)
+    along = min(arc_length - polygon%arc_start(side), polygon%length_of(side))
+    x = polygon%x(side) - along*polygon%normal_y(side)
+    y = polygon%y(side) + along*polygon%normal_x(side)
+  end subroutine locate_on_outline
+
+  !> Whether the `state` of a particle is the one it had `before`, up to rounding.
+  pure function has_returned(polygon, state, before) result(same)
+    type(polygon_type), intent(in) :: polygon
+    type(boundary_state_type), intent(in) :: state, before
+    logical :: same
+
+    same = max(abs(state%ux - before%ux), abs(state%uy - before%uy), &
+      abs(state%arc_length - before%arc_length)/polygon%outline_length) <= same_state
+  end function has_returned
+
+  !> Moves a particle from side to side for the time `rest`, or to an opening; there it stays, and
+  !> `rest` keeps the time left.
+  pure subroutine continue_flight(polygon, side, x, y, ux, uy, rest, hits)
+    type(polygon_type), intent(in) :: polygon
+    !> Side that it is on, or 0.
+    integer, intent(inout) :: side
+    real(wp), intent(inout) :: x, y, ux, uy, rest
+    !> Wall hits on the way.
+    integer(int64), intent(out) :: hits
+    integer, parameter :: most_at_once = 10000
+    integer(wall_kind) :: next
+    real(wp) :: wait
+    integer :: at_once
+
+    hits = 0
+    at_once = 0
+    do
+      call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+      x = x + ux*min(wait, rest)
+      y = y + uy*min(wait, rest)
+      ! A particle in a corner, from which rounding does not let it escape, stays there.
+      at_once = merge(0, at_once + 1, wait > polygon%sharp)
+      if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
+      rest = rest - wait
+      side = int(next)
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      hits = hits + 1
+    end do
+  end subroutine continue_flight
+
+  !> First impact of a particle that is in the polygon; openings count as wall.
+  pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, arc_length, u_axial, u_lateral, &
+    wait, before)
+    type(polygon_type), intent(in) :: polygon
+    !> Position and velocity in the frame of the polygon: lengths, and a vector of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> Boundary state after it: arc length, u_x, u_y; time until then.
+    real(wp), intent(out) :: arc_length, u_axial, u_lateral, wait
+    !> Wall hits until then that `locate_in_polygon` does not count: this one.
+    integer(int64), intent(out) :: before
+    type(boundary_state_type) :: state
+    real(wp) :: norm, px, py
+    integer :: side
+
+    norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
+    u_axial = norm*ux
+    u_lateral = norm*uy
+    call surely_next_side(polygon, 0, x, y, u_axial, u_lateral, side, wait)
+    before = 0
+    if (side > 0) then
+      px = x + u_axial*wait
+      py = y + u_lateral*wait
+      call reflect_from_side(polygon, side, px, py, u_axial, u_lateral)
+      state = state_on_side(polygon, side, px, py, u_axial, u_lateral)
+      before = 1
+    else
+      ! No side is met: the particle stays where it is.
+      wait = 0.0_wp
+      state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, u_axial, u_lateral)
+    end if
+    arc_length = state%arc_length
+  end subroutine first_impact_in_polygon
+
+  !> Position of a particle in the polygon at a time relative to a boundary state, or to the end of
+  !> its visit.
+  pure subroutine locate_in_polygon(polygon, channel, y, u_axial, u_lateral, since, position, &
+    velocity, hits)
+    type(polygon_type), intent(in) :: polygon
+    !> Channel through which the visit ends; any other value: it does not end.
+    integer, intent(in) :: channel
+    !> Height (a length), |u_x| and u_y at the side of that channel; else a boundary state: arc
+    !> length, u_x and u_y.
+    real(wp), intent(in) :: y, u_axial, u_lateral
+    !> Time since then; below 0: until then.
+    real(wp), intent(in) :: since
+    !> x and y of each: lengths, and a vector of length 1.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Wall hits since then; below 0: hits still to come, that of a boundary state included.
+    integer(int64), intent(out) :: hits
+    real(wp), parameter :: long = 1000.0_wp
+    real(wp) :: rest, period
+    integer(int64) :: hits_each, periods
+    integer :: side
+    logical :: leaves
+
+    leaves = channel == gated .or. channel == ungated
+    if (leaves) then
+      side = polygon%side(channel)
+      position = [facing(channel)*polygon%chord(channel), y]
+      velocity = [facing(channel)*u_axial, u_lateral]
+    else
+      call locate_on_outline(polygon, y, side, position(1), position(2))
+      velocity = [u_axial, u_lateral]
+    end if
+    if (leaves .or. since < 0.0_wp) then
+      velocity = -velocity
+      if (.not. leaves) call reflect_from_side(polygon, side, position(1), position(2), &
+        velocity(1), velocity(2))
+      rest = -since
+      call continue_flight(polygon, side, position(1), position(2), velocity(1), velocity(2), &
+        rest, hits)
+      velocity = -velocity
+      hits = -hits - merge(0, 1, leaves)
+    else
+      period = huge(1.0_wp)
+      hits_each = 0
+      if (since > long*polygon%reach) call find_period(polygon, boundary_state_type(y, u_axial, &
+        u_lateral), period, hits_each)
+      periods = int(since/period, int64)
+      rest = max(since - real(periods, wp)*period, 0.0_wp)
+      call continue_flight(polygon, side, position(1), position(2), velocity(1), velocity(2), &
+        rest, hits)
+      hits = hits + periods*hits_each
+    end if
+  end subroutine locate_in_polygon
+
+  !> Time and hits after which a boundary state recurs; huge and 0 if it does not within
+  !> `longest_period` hits.
+  pure subroutine find_period(polygon, state, period, hits)
+    type(polygon_type), intent(in) :: polygon
+    type(boundary_state_type), intent(in) :: state
+    real(wp), intent(out) :: period
+    integer(int64), intent(out) :: hits
+    integer(wall_kind) :: next
+    real(wp) :: x, y, ux, uy, wait
+    integer :: side
+
+    ux = state%ux
+    uy = state%uy
+    call locate_on_outline(polygon, state%arc_length, side, x, y)
+    period = 0.0_wp
+    do hits = 1, longest_period
+      call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+      if (next < meets_wall) exit
+      x = x + ux*wait
+      y = y + uy*wait
+      period = period + wait
+      side = int(next)
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      if (has_returned(polygon, state_on_side(polygon, side, x, y, ux, uy), state) .and. &
+        period > 0.0_wp) return
+    end do
+    period = huge(1.0_wp)
+    hits = 0
+  end subroutine find_period
 
 end module battery_polygon

@@ -1,37 +1,37 @@
-!> Whole visits to a polygon, in batches, from side to side.
+!> Kernel: visits to a polygon, computed in batches, from side to side.
 !>
-!> Particles are treated in blocks, all of a block at one side after the other: the loops over a
-!> block have no branches and become vector instructions. Who has found an opening stands still.
-!> Between two marches the particles that still fly close ranks.
+!> Arrays are those of `visits_type`, one element a visit. They are processed in blocks of `lanes`
+!> visits, one or three sides at a time for all visits of a block: these loops have no branches and
+!> are vectorised. A particle that has reached an opening stays there. Every `march_hits` hits the
+!> visits that have not ended are moved to the front of the arrays (`compact_active`).
 !>
-!> A visit that has not ended after `most_hits` is looked at alone. If its state comes back it never
-!> ends; else it is handed on: the visit has a part that is known, and goes on from there later.
+!> A visit that has not ended after `most_marches` rounds is finished alone. If its boundary state
+!> recurs, it never ends; else it is truncated, to be continued later.
 module battery_polygon_visits
   use battery_kinds, only: wp, int64
   use battery_channel, only: gated, ungated
   use battery_motion, only: slowest
-  use battery_polygon, only: polygon_type, nearest_side
-  use battery_polygon_walls, only: state_type, state_on, has_returned, surely_next_side, &
-    reflect_from_side, longest_period
-  use battery_visits, only: visits_type, together, no_channel, truncated, many_hits
+  use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
+    has_returned, surely_next_side, reflect_from_side, longest_period
+  use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
   public :: compute_polygon_visits
 
-  !> Hits of a march, and marches after which a visit is looked at alone.
+  !> Hits between two compactions, and rounds after which a visit is finished alone.
   integer, parameter :: march_hits = 4, most_marches = 2500
 
-  !> Particles of a block, and sides that are looked at in one go.
+  !> Visits of a block, and sides that `find_only_side` tests in one pass.
   integer, parameter :: lanes = 64, at_once = 3
 
-  !> A part of a visit is at least so long, in the reach of the polygon: longer than any lookahead.
-  !> So many hits have it, whatever its length.
+  !> A part of a truncated visit is at least this long, in units of the reach: longer than any
+  !> lookahead. It has at most so many hits, whatever its length.
   real(wp), parameter :: least_part = 16.0_wp
   integer, parameter :: most_part_hits = 1000000
 
 contains
 
-  !> Whole visits: what they need and what they yield is told at `visits_type`.
+  !> Computes all visits of a batch; input and output are explained at `visits_type`.
   subroutine compute_polygon_visits(polygon, visits)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
@@ -39,13 +39,13 @@ contains
 
     visits%many_count = 0
     active = visits%count
-    n = together*((active + together - 1)/together)
+    n = group_size*((active + group_size - 1)/group_size)
     call load_visits(n, visits%x, visits%y, visits%u_axial, visits%u_lateral, visits%px, &
       visits%py, visits%zx, visits%zy, visits%steps, visits%first, visits%c, visits%slot)
     do round = 1, most_marches
       if (active == 0) exit
-      n = together*((active + together - 1)/together)
-      ! Who fills up the last group has left.
+      n = group_size*((active + group_size - 1)/group_size)
+      ! Padding lanes of the last group: visits that have ended.
       visits%c(active + 1:n) = 0.0_wp
       call step_hits(polygon, n, visits%px, visits%py, visits%zx, visits%zy, visits%steps, &
         visits%first, visits%c)
@@ -57,7 +57,7 @@ contains
     visits%all_hits = sum(int(visits%hits(:visits%count), int64))
   end subroutine compute_polygon_visits
 
-  !> Places, velocities of length 1, and who flies.
+  !> Copies the start of each visit: position, velocity set to length 1; no visit has ended.
   pure subroutine load_visits(n, x, y, along, across, px, py, ux, uy, hits, length, flies, slot)
     integer, intent(in) :: n
     real(wp), intent(in) :: x(n), y(n), along(n), across(n)
@@ -79,40 +79,41 @@ contains
     end do
   end subroutine load_visits
 
-  !> `march_hits` hits of each particle that flies.
+  !> Moves each particle that has not left through `march_hits` hits.
   pure subroutine step_hits(polygon, n, px, py, ux, uy, hits, length, flies)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
-    !> 1, or 0: it has left.
+    !> 1 as long as the visit goes on, then 0.
     real(wp), intent(inout) :: flies(n)
-    real(wp), dimension(lanes) :: normal_x, normal_y, offset, open_half
+    real(wp), dimension(lanes) :: normal_x, normal_y, offset, half_opening
     real(wp) :: corner(2, 0:at_once*((polygon%sides + at_once - 1)/at_once))
-    real(wp) :: side(4, size(corner, 2) - 1), half(2)
+    real(wp) :: side(4, size(corner, 2) - 1), half_openings(2)
     integer :: first, last, count, hit
 
     call list_sides(polygon, size(side, 2), corner, side)
-    half = merge(polygon%half_width, -1.0_wp, polygon%side > 0)
+    half_openings = merge(polygon%half_width, -1.0_wp, polygon%side > 0)
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
       do hit = 1, march_hits
         if (polygon%convex) then
-          call find_only_side(size(side, 2), corner, side, half(gated), half(ungated), count, &
-            px(first), py(first), ux(first), uy(first), normal_x, normal_y, offset, open_half)
+          call find_only_side(size(side, 2), corner, side, half_openings(gated), &
+            half_openings(ungated), count, px(first), py(first), ux(first), uy(first), normal_x, &
+            normal_y, offset, half_opening)
         else
           call find_nearest_side(polygon%sides, corner, side, polygon%sharp, count, px(first), &
-            py(first), ux(first), uy(first), normal_x, normal_y, offset, open_half)
+            py(first), ux(first), uy(first), normal_x, normal_y, offset, half_opening)
         end if
-        call reflect_visits(count, normal_x, normal_y, offset, open_half, px(first), py(first), &
+        call reflect_visits(count, normal_x, normal_y, offset, half_opening, px(first), py(first), &
           ux(first), uy(first), hits(first), length(first), flies(first))
       end do
       call normalise_speeds(count, ux(first), uy(first))
     end do
   end subroutine step_hits
 
-  !> Corners, the last first; of each side normal, distance from the origin and half of its opening.
-  !> Filled up with sides of no length, which nobody meets.
+  !> Corners, the last one first; of each side the normal, the distance from the origin and half its
+  !> opening. Padded with sides of no length, which no path meets.
   pure subroutine list_sides(polygon, n, corner, side)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: n
@@ -125,26 +126,27 @@ contains
     do k = 1, polygon%sides
       corner(:, k) = [polygon%x(k + 1), polygon%y(k + 1)]
       side(:, k) = [polygon%normal_x(k), polygon%normal_y(k), polygon%offset(k), &
-        polygon%open_half(k)]
+        polygon%half_opening(k)]
     end do
   end subroutine list_sides
 
-  !> The side that each of a block meets, where that is the only one that a way leads out of; if
-  !> rounding hides it, none, with a normal of no length. Written out for `at_once` sides, with the
-  !> particles in registers. Products with 1 or 0: of a choice the compiler makes a branch.
-  pure subroutine find_only_side(sides, corner, side, half1, half2, n, px, py, ux, uy, normal_x, &
-    normal_y, offset, open_half)
+  !> Side that each particle of a block meets, in a convex polygon: the only side that its path
+  !> leaves through; none, with a normal of no length, if rounding hides it. Unrolled by hand for
+  !> `at_once` sides, with the particles in registers; products with 1 or 0, since the compiler
+  !> turns a selection into a branch.
+  pure subroutine find_only_side(sides, corner, side, half_opening1, half_opening2, n, px, py, ux, &
+    uy, normal_x, normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
-    !> As `list_sides` makes them; half of the openings on the right and on the left.
-    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), half1, half2
+    !> As `list_sides` makes them; half the openings on the right and on the left.
+    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), half_opening1, half_opening2
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
-    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     real(wp) :: before(lanes), ahead(lanes), c(2, at_once), s(4, at_once)
     real(wp) :: was, first, second, third, met1, met2, met3
     integer :: k, j
 
     call begin_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
-      open_half, before, ahead)
+      half_opening, before, ahead)
     do k = 1, sides, at_once
       c = corner(:, k:k + at_once - 1)
       s = side(:, k:k + at_once - 1)
@@ -163,30 +165,30 @@ contains
       end do
     end do
     do j = 1, n
-      ! Rounding may show one side twice, or none: then none is met.
+      ! By rounding, a path may leave through one side twice, or through none: then none is met.
       met1 = merge(1.0_wp, 0.0_wp, abs(normal_x(j)**2 + normal_y(j)**2 - 1.0_wp) < 0.5_wp)
       normal_x(j) = met1*normal_x(j)
       normal_y(j) = met1*normal_y(j)
-      ! No other sides stand upright.
-      open_half(j) = merge(merge(half1, half2, ux(j) > 0.0_wp), -1.0_wp, .not. abs(normal_y(j)) &
-        > 0.0_wp)
+      ! Only the sides with openings are upright on the axis.
+      half_opening(j) = merge(merge(half_opening1, half_opening2, ux(j) > 0.0_wp), -1.0_wp, .not. &
+        abs(normal_y(j)) > 0.0_wp)
     end do
   end subroutine find_only_side
 
-  !> The same where a way may lead out more than once: the nearest.
+  !> As `find_only_side`, in any polygon: the nearest of the sides that a path leaves through.
   pure subroutine find_nearest_side(sides, corner, side, sharp, n, px, py, ux, uy, normal_x, &
-    normal_y, offset, open_half)
+    normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
-    !> As `list_sides` makes them; what may be rounding.
+    !> As `list_sides` makes them; bound on rounding errors, a length.
     real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), sharp
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
-    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     real(wp) :: before(lanes), ahead(lanes), soonest(lanes)
-    real(wp) :: was, after, x, y, nx, ny, distance, half, outward, time, met, kept, least, far
+    real(wp) :: was, after, x, y, nx, ny, distance, opening, outward, time, met, kept, least, far
     integer :: k, j
 
     call begin_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
-      open_half, before, ahead)
+      half_opening, before, ahead)
     far = 1.0_wp/slowest
     soonest(:n) = far
     least = -sharp
@@ -196,7 +198,7 @@ contains
       nx = side(1, k)
       ny = side(2, k)
       distance = side(3, k)
-      half = side(4, k)
+      opening = side(4, k)
       do j = 1, n
         was = before(j)
         after = ux(j)*y - uy(j)*x - ahead(j)
@@ -208,22 +210,23 @@ contains
         normal_x(j) = met*nx + kept*normal_x(j)
         normal_y(j) = met*ny + kept*normal_y(j)
         offset(j) = met*distance + kept*offset(j)
-        open_half(j) = met*half + kept*open_half(j)
+        half_opening(j) = met*opening + kept*half_opening(j)
         soonest(j) = min(met*time + kept*far, soonest(j))
         before(j) = after
       end do
     end do
   end subroutine find_nearest_side
 
-  !> Before any side has been looked at.
-  pure subroutine begin_search(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, open_half, &
+  !> Sets up the search before the first side.
+  pure subroutine begin_search(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, half_opening, &
     before, ahead)
     integer, intent(in) :: n
-    !> The first corner.
+    !> First corner.
     real(wp), intent(in) :: x, y
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
-    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), open_half(n)
-    !> On which side of the way that corner lies, and what that takes of all corners.
+    real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
+    !> Cross product of the velocity with the vector to that corner, and the part of it that does
+    !> not depend on the corner.
     real(wp), intent(out) :: before(n), ahead(n)
     integer :: j
 
@@ -233,40 +236,40 @@ contains
       normal_x(j) = 0.0_wp
       normal_y(j) = 0.0_wp
       offset(j) = 0.0_wp
-      open_half(j) = -1.0_wp
+      half_opening(j) = -1.0_wp
     end do
   end subroutine begin_search
 
-  !> Moves each of a block to the side that it meets, and turns it there, unless that lets it out.
-  !> Who meets none stays where it is.
-  pure subroutine reflect_visits(n, normal_x, normal_y, offset, open_half, px, py, ux, uy, hits, &
-    length, flies)
+  !> Moves each particle of a block to the side that it meets, and reflects it there unless it is in
+  !> an opening. A particle that meets no side does not move.
+  pure subroutine reflect_visits(n, normal_x, normal_y, offset, half_opening, px, py, ux, uy, &
+    hits, length, flies)
     integer, intent(in) :: n
-    real(wp), intent(in) :: normal_x(n), normal_y(n), offset(n), open_half(n)
+    real(wp), intent(in) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), flies(n)
-    real(wp) :: outward, wait, moves, out, turns, turn
+    real(wp) :: outward, wait, moves, out, bounces, kick
     integer :: j
 
     do j = 1, n
       outward = normal_x(j)*ux(j) + normal_y(j)*uy(j)
-      ! Where rounding denies that the side lies ahead, none is met.
+      ! If rounding puts the side behind the particle, it meets none.
       moves = merge(flies(j), 0.0_wp, outward > 0.0_wp)
       wait = moves*max((offset(j) - normal_x(j)*px(j) - normal_y(j)*py(j)) &
         /max(outward, slowest), 0.0_wp)
       length(j) = length(j) + wait
       px(j) = px(j) + ux(j)*wait
       py(j) = py(j) + uy(j)*wait
-      out = merge(moves, 0.0_wp, abs(py(j)) < open_half(j))
+      out = merge(moves, 0.0_wp, abs(py(j)) < half_opening(j))
       flies(j) = flies(j) - out
-      turns = moves - out
-      hits(j) = hits(j) + turns
-      turn = 2.0_wp*turns*outward
-      ux(j) = ux(j) - turn*normal_x(j)
-      uy(j) = uy(j) - turn*normal_y(j)
+      bounces = moves - out
+      hits(j) = hits(j) + bounces
+      kick = 2.0_wp*bounces*outward
+      ux(j) = ux(j) - kick*normal_x(j)
+      uy(j) = uy(j) - kick*normal_y(j)
     end do
   end subroutine reflect_visits
 
-  !> Speeds are set back to 1 by a Newton step.
+  !> Sets all speeds back to 1 by a Newton step.
   pure subroutine normalise_speeds(n, ux, uy)
     integer, intent(in) :: n
     real(wp), intent(inout) :: ux(n), uy(n)
@@ -280,7 +283,7 @@ contains
     end do
   end subroutine normalise_speeds
 
-  !> Who has left hands in how; the others close ranks.
+  !> Stores the visits that have ended, and compacts the arrays to the others.
   pure subroutine compact_active(polygon, active, visits)
     type(polygon_type), intent(in) :: polygon
     integer, intent(inout) :: active
@@ -306,7 +309,7 @@ contains
     active = kept
   end subroutine compact_active
 
-  !> One of the ranks stands in an opening, with a velocity that leads out.
+  !> Stores the end of a visit: the particle is in an opening, with a velocity that points outwards.
   pure subroutine store_exit(polygon, visits, j)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
@@ -326,24 +329,24 @@ contains
     if (visits%steps(j) >= many_hits) call add_to_many(visits, mine)
   end subroutine store_exit
 
-  !> Adds to the list of those with many hits.
+  !> Adds a visit to the list of those with many hits.
   pure subroutine add_to_many(visits, which)
     type(visits_type), intent(inout) :: visits
-    !> Of the batch.
+    !> Its index in the batch.
     integer, intent(in) :: which
 
     visits%many_count = visits%many_count + 1
     visits%many(visits%many_count) = which
   end subroutine add_to_many
 
-  !> A visit of very many hits, side by side, until it ends, its state comes back, or it has flown a
-  !> part of its way. A period is looked for that is as long as it is from a state on: that after
-  !> 1, 2, 4 ... hits.
+  !> Continues a visit of very many hits from side to side until it ends, its boundary state recurs,
+  !> or a part of it is complete. The states after 1, 2, 4, ... hits are kept; each is compared with
+  !> those that follow it, as many as it has predecessors.
   pure subroutine finish_single_visit(polygon, visits, j)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
-    type(state_type) :: state, kept
+    type(boundary_state_type) :: state, kept
     real(wp) :: wait
     integer :: hits, keep, side
     logical :: same
@@ -355,22 +358,22 @@ contains
       same = .false.
       do hits = 1, most_part_hits
         call surely_next_side(polygon, (side), x, y, ux, uy, side, wait)
-        ! No way leads on: as good as one that comes back.
+        ! No side is met: treated as an orbit that recurs.
         same = side == 0
         if (same) then
-          state = state_on(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
+          state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
           exit
         end if
         x = x + ux*wait
         y = y + uy*wait
         length = length + wait
-        if (abs(y) < polygon%open_half(side)) then
+        if (abs(y) < polygon%half_opening(side)) then
           call store_exit(polygon, visits, j)
           return
         end if
         call reflect_from_side(polygon, side, x, y, ux, uy)
         visits%steps(j) = visits%steps(j) + 1.0_wp
-        state = state_on(polygon, side, x, y, ux, uy)
+        state = state_on_side(polygon, side, x, y, ux, uy)
         if (hits > 1) same = has_returned(polygon, state, kept)
         if (same) exit
         if (hits >= longest_period .and. length >= least_part*polygon%reach) exit
@@ -384,21 +387,21 @@ contains
     end associate
   end subroutine finish_single_visit
 
-  !> A visit that is not at its end, and perhaps never will be.
+  !> Stores a visit that has not ended: truncated, or one that never ends.
   pure subroutine store_truncated(visits, j, state, channel)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
-    type(state_type), intent(in) :: state
+    type(boundary_state_type), intent(in) :: state
     integer(int64), intent(in) :: channel
     integer :: mine
 
     mine = visits%slot(j)
     visits%channel(mine) = channel
-    visits%y(mine) = state%round
+    visits%y(mine) = state%arc_length
     visits%u_axial(mine) = state%ux
     visits%u_lateral(mine) = state%uy
     visits%length(mine) = visits%first(j)
-    ! When it has to be gone on with, before its end.
+    ! Time before its end at which the next part is due.
     visits%through(mine) = 0.5_wp*visits%first(j)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
     call add_to_many(visits, mine)

@@ -1,24 +1,25 @@
-!> The first time a rotation of the circle enters an interval, in O(log) operations.
+!> First time at which a rotation of the circle enters an arc, in O(log) operations.
 !>
-!> Angles are integers: a full turn is `full_turn`, sums are exact modulo a turn, so an orbit of any
-!> length is exact once its start and step have been rounded to the grid, which is finer than `wp`.
+!> Angles are integers, with `full_turn` for a full turn: sums are exact modulo a turn, so an orbit
+!> of any length is exact once its start and its step are rounded to the grid, which is finer than
+!> `wp`.
 !>
 !> The rotation by `step` exchanges two intervals of [0, L), L = a + b: x < b moves up by a, x >= b
-!> moves down by b. Its first return map to a shorter interval that still holds the target exchanges
-!> two intervals again; shortening as long as the target fits is Euclid's algorithm on (a, b), and
-!> each move remembers how many steps of the rotation it stands for.
+!> moves down by b. Its first-return map to a shorter interval that still contains the target
+!> exchanges two intervals too. Shortening the interval as long as it contains the target is
+!> Euclid's algorithm on (a, b); each move carries the number of rotation steps that it stands for.
 module battery_rotation
   use battery_kinds, only: wp, angle_kind, pi
   implicit none (type, external)
   private
-  public :: full_turn, to_turn, turn_of, from_turn, unit_vector, first_entry
+  public :: full_turn, to_turn, turn_of_vector, from_turn, unit_vector, first_step_into_arc
 
-  !> One turn; two bits are kept free so that sums of two angles do not overflow.
+  !> One full turn; two bits are left free, so that the sum of two angles does not overflow.
   integer(angle_kind), parameter :: full_turn = 2_angle_kind**(bit_size(1_angle_kind) - 4)
 
 contains
 
-  !> An angle in radians within (-2 pi, 2 pi), as an integer in [0, full_turn).
+  !> An angle in radians, within (-2 pi, 2 pi), as an integer in [0, full_turn).
   elemental function to_turn(angle) result(turn)
     !> In radians.
     real(wp), intent(in) :: angle
@@ -28,10 +29,10 @@ contains
     turn = modulo(int(angle*per_radian + sign(0.5_wp, angle), angle_kind), full_turn)
   end function to_turn
 
-  !> The direction of the unit vector (x, y) in [0, full_turn): near each axis the rest of the
-  !> quarter turns is what counts, to all its digits.
-  elemental function turn_of(x, y) result(turn)
-    !> Components of the vector, of length 1.
+  !> Direction of the unit vector (x, y), in [0, full_turn). Near each axis the angle from that axis
+  !> is computed, so that it is accurate to all digits.
+  elemental function turn_of_vector(x, y) result(turn)
+    !> Components of a vector of length 1.
     real(wp), intent(in) :: x, y
     integer(angle_kind) :: turn, rest
     integer(angle_kind), parameter :: quarter = full_turn/4
@@ -42,7 +43,7 @@ contains
     turn = merge(rest, quarter - rest, level)
     turn = merge(turn, 2*quarter - turn, x >= 0.0_wp)
     turn = modulo(merge(turn, -turn, y >= 0.0_wp), full_turn)
-  end function turn_of
+  end function turn_of_vector
 
   !> Cosine and sine of an integer angle in (-full_turn, full_turn).
   elemental subroutine unit_vector(turn, x, y)
@@ -51,7 +52,7 @@ contains
     !> Its cosine and its sine.
     real(wp), intent(out) :: x, y
     real(wp) :: angle, square
-    !> Below it the terms written here are all that count.
+    !> Below this angle the terms of the series written here suffice.
     real(wp), parameter :: small = (720.0_wp*epsilon(1.0_wp))**(1.0_wp/6.0_wp)
 
     angle = from_turn(turn)
@@ -74,12 +75,12 @@ contains
     angle = real(turn, wp)/real(full_turn, wp)*(2.0_wp*pi)
   end function from_turn
 
-  !> Smallest `steps` >= 0 for which (start + steps*step) mod circle lies in [0, width], and where
-  !> it lies then (`landing`). `found` is false if the orbit is periodic and never gets there.
-  !> `circle` is `full_turn` if absent, and half of it where opposite points are the same. Expects
-  !> 0 <= start, step < circle and 0 <= width < circle.
-  pure subroutine first_entry(start, step, width, steps, landing, found, circle)
-    !> Integer angles: where the orbit starts, by how much it goes on, how wide the target is.
+  !> Smallest `steps` >= 0 for which (start + steps*step) mod circle lies in the arc [0, width], and
+  !> the angle there (`landing`). `found` is false if the orbit is periodic and never enters the
+  !> arc. `circle` is `full_turn` if absent; half of it identifies opposite points. Expects 0 <=
+  !> start, step < circle and 0 <= width < circle.
+  pure subroutine first_step_into_arc(start, step, width, steps, landing, found, circle)
+    !> Integer angles: start and step of the orbit, width of the arc.
     integer(angle_kind), intent(in) :: start, step, width
     integer(angle_kind), intent(out) :: steps, landing
     logical, intent(out) :: found
@@ -97,11 +98,11 @@ contains
     found = .true.
     do while (x > width)
       if (width >= min(up, down)) then
-        call last_moves(up, down, up_cost, down_cost, width, x, steps, found)
+        call move_into_target(up, down, up_cost, down_cost, width, x, steps, found)
         exit
       end if
-      ! Euclid's step and the move of the point are two divisions that do not wait for each other,
-      ! and there is no branch to guess: this loop is what a visit between tiny openings costs.
+      ! Euclid's step and the move of the point are two independent divisions, and there is no
+      ! branch to predict: this loop determines the cost of a visit between tiny openings.
       if (up > down) then
         quotient = up/down
         moves = max(0_angle_kind, quotient - (up - x + down - 1)/down)
@@ -110,8 +111,8 @@ contains
         up = up - quotient*down
         up_cost = up_cost + quotient*down_cost
       else
-        ! A point above the shortened interval comes down by the first of the lengths
-        ! down, down - up, down - 2 up, ... that is not longer than its own height.
+        ! A point above the shortened interval moves down by the first of the lengths down, down -
+        ! up, down - 2 up, ... that does not exceed its height.
         quotient = down/up
         moves = (down - x + up - 1)/up
         above = moves < quotient
@@ -122,10 +123,10 @@ contains
       end if
     end do
     landing = x
-  end subroutine first_entry
+  end subroutine first_step_into_arc
 
-  !> One of the lengths that the point moves by fits into the target: from here it goes straight.
-  pure subroutine last_moves(up, down, up_cost, down_cost, width, x, steps, found)
+  !> Moves the point into the target, once one of the two moves is no longer than the target.
+  pure subroutine move_into_target(up, down, up_cost, down_cost, width, x, steps, found)
     integer(angle_kind), intent(in) :: up, down, up_cost, down_cost, width
     integer(angle_kind), intent(inout) :: x, steps
     logical, intent(inout) :: found
@@ -136,7 +137,7 @@ contains
       return
     end if
     if (width < down) then
-      ! Only the way up fits: up to above `down`, from where the point falls into the target.
+      ! Only the move up is short enough: up to above `down`, then one move down into the target.
       moves = (max(down - x, 0_angle_kind) + up - 1)/up
       x = x + moves*up - down
       steps = steps + moves*up_cost + down_cost
@@ -145,6 +146,6 @@ contains
     moves = (x - width + down - 1)/down
     x = x - moves*down
     steps = steps + moves*down_cost
-  end subroutine last_moves
+  end subroutine move_into_target
 
 end module battery_rotation

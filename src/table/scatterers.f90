@@ -1,12 +1,13 @@
-!> Half of channel 2 where fixed discs stand in it: what is met there, and bounces off the discs.
+!> Half of channel 2 with fixed discs in it (`scatterers`): what a particle meets there, and its
+!> reflection from a disc.
 !>
-!> Frame of a half: x runs from the counted line at 0 to the urn at `length`, y as in the table; the
-!> half of urn 2 is mirrored. A disc that stands astride the line is a wall of both halves, one that
-!> reaches over a wall is cut off there.
+!> **Frame.** x runs from the periodic line at 0 to the urn at `length`, y as in the table; the half
+!> of urn 2 is mirrored. A disc across the line is a wall of both halves; one that reaches over a
+!> wall of the channel is cut off there.
 !>
-!> A particle is taken back to the disc that it meets, and its velocity is turned by the angle that
-!> follows from how far beside the middle of the disc it flies: no root is subtracted from a number
-!> of its own size but in the time of flight.
+!> A particle is placed exactly on the disc that it meets; its velocity is rotated by an angle that
+!> follows from the distance at which its path passes the centre of the disc. A root is subtracted
+!> from a number of its own size only in the time of flight.
 module battery_scatterers
   use battery_kinds, only: wp, pi
   use battery_channel, only: channel_type
@@ -17,24 +18,23 @@ module battery_scatterers
     reflect_in_half_channel, is_in_scatterer
   public :: measure_scatterers, narrowest_gap, detect_periodic_path
 
-  !> So many hits in a half without leaving it are looked at as a whole: a visit with more is handed
-  !> on in parts, and a state that has not come back within as many more is taken for one that will
-  !> not.
+  !> Hits after which a visit to a half channel is truncated; a state that has not recurred within
+  !> as many more never will.
   integer, parameter, public :: longest_part = 10000
 
-  !> Half of a channel; `count` is 0 where nothing stands in the channel at all.
+  !> Half of a channel; `count` is 0 if the channel has no discs.
   type :: scattered_half_channel_type
     integer :: count = 0
     !> From the line to the urn, and from the axis to the walls.
     real(wp) :: length = 0.0_wp, half_width = 0.0_wp
-    !> The middles of the discs in the frame of the half, and their radii.
+    !> Centres of the discs in the frame of the half channel, and their radii.
     real(wp), allocatable :: x(:), y(:), radius(:)
   end type scattered_half_channel_type
 
 contains
 
-  !> The half of the channel on the side that lies `along` the channel's own axis: 1, or -1 for that
-  !> of urn 2. Discs that do not reach into it are left out, but for one where all would be.
+  !> Half of the channel at which `along` points on the channel's axis: 1, or -1 for the half of urn
+  !> 2. Discs that do not reach into it are left out, but one is kept if all would be.
   pure function new_scattered_half_channel(channel, scatterers, along) result(half_channel)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.
@@ -53,13 +53,13 @@ contains
     half_channel%radius = pack(scatterers(3, :), here)
   end function new_scattered_half_channel
 
-  !> What a particle meets next: the wall, the line, the urn, or a disc by its number.
+  !> What a particle meets next: the wall, the line, the urn, or the disc with that number.
   pure subroutine next_wall_in_half_channel(half_channel, x, y, ux, uy, next, wait)
-    !> The one that the particle is in.
+    !> Half channel that the particle is in.
     type(scattered_half_channel_type), intent(in) :: half_channel
-    !> Place and velocity in the frame of the half.
+    !> Position and velocity in the frame of the half channel.
     real(wp), intent(in) :: x, y, ux, uy
-    !> What, as `motion_type` has it.
+    !> As in `motion_type`.
     integer(wall_kind), intent(out) :: next
     !> Time until then.
     real(wp), intent(out) :: wait
@@ -83,7 +83,7 @@ contains
       ahead = dx*ux + dy*uy
       beside = abs(dx*uy - dy*ux)
       room = (half_channel%radius(k) - beside)*(half_channel%radius(k) + beside)
-      ! Who is in a disc by rounding meets it now, if it does not fly away from it.
+      ! By rounding, a particle may be in a disc: it meets the disc now, unless it moves away.
       time(k) = merge(max(ahead - sqrt(max(room, 0.0_wp)), 0.0_wp), huge(1.0_wp), &
         room > 0.0_wp .and. ahead > 0.0_wp)
     end do
@@ -94,13 +94,13 @@ contains
     end do
   end subroutine next_wall_in_half_channel
 
-  !> Reflection from the wall, or from a disc, at which it has arrived.
+  !> Reflects a particle at the wall of the channel, or at a disc, that it has reached.
   pure subroutine reflect_in_half_channel(half_channel, met, x, y, ux, uy)
-    !> The one that the particle is in.
+    !> Half channel that the particle is in.
     type(scattered_half_channel_type), intent(in) :: half_channel
     !> `meets_channel_wall`, or the number of a disc.
     integer, intent(in) :: met
-    !> Place and velocity in the frame of the half.
+    !> Position and velocity in the frame of the half channel.
     real(wp), intent(inout) :: x, y, ux, uy
     real(wp) :: dx, dy, sine, cosine, along, across, norm, radius
 
@@ -112,7 +112,7 @@ contains
     radius = half_channel%radius(met)
     dx = half_channel%x(met) - x
     dy = half_channel%y(met) - y
-    ! Of the angle of incidence.
+    ! Sine and cosine of the incidence.
     sine = max(-1.0_wp, min((dx*uy - dy*ux)/radius, 1.0_wp))
     cosine = sqrt((1.0_wp - sine)*(1.0_wp + sine))
     x = half_channel%x(met) - radius*(cosine*ux + sine*uy)
@@ -121,18 +121,18 @@ contains
     across = 2.0_wp*sine*cosine
     dx = along*ux - across*uy
     dy = along*uy + across*ux
-    ! Lest the speed drifts.
+    ! Newton step: keeps the speed from drifting.
     norm = 1.5_wp - 0.5_wp*(dx**2 + dy**2)
     ux = norm*dx
     uy = norm*dy
   end subroutine reflect_in_half_channel
 
-  !> Whether a particle comes back to the very state that it has at its next hit, without leaving
-  !> the half: then it never will.
+  !> Whether the state after the next hit recurs exactly before the particle leaves the half
+  !> channel: then it never leaves.
   pure subroutine detect_periodic_path(half_channel, x, y, ux, uy, yes)
-    !> The one that the particle is in.
+    !> Half channel that the particle is in.
     type(scattered_half_channel_type), intent(in) :: half_channel
-    !> Place and velocity in the frame of the half.
+    !> Position and velocity in the frame of the half channel.
     real(wp), intent(in) :: x, y, ux, uy
     !> Whether it does.
     logical, intent(out) :: yes
@@ -155,9 +155,9 @@ contains
 
   !> Whether a point is farther inside a disc than `tolerance`.
   pure function is_in_scatterer(half_channel, x, y, tolerance) result(inside)
-    !> The one that the particle is in.
+    !> Half channel that contains the point.
     type(scattered_half_channel_type), intent(in) :: half_channel
-    !> In the frame of the half.
+    !> In the frame of the half channel.
     real(wp), intent(in) :: x, y
     real(wp), intent(in) :: tolerance
     logical :: inside
@@ -167,8 +167,8 @@ contains
       < half_channel%radius - tolerance)
   end function is_in_scatterer
 
-  !> What discs take of the area of a channel, and the length of their walls in it, less that of the
-  !> channel's walls that they cover.
+  !> Area of a channel that the discs cover; and the length of their walls in the channel, less that
+  !> of the channel walls that they cover.
   pure subroutine measure_scatterers(channel, scatterers, area, added)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.
@@ -183,8 +183,8 @@ contains
 
   contains
 
-    !> What of a disc lies beyond a line at a distance from its middle: the area of it, or its arc
-    !> and what of the line is inside.
+    !> Part of a disc beyond a line at a distance from its centre: its area, or the length of its
+    !> arc and of the line within the disc.
     elemental real(wp) function beyond(as_area, radius, distance)
       logical, intent(in) :: as_area
       real(wp), intent(in) :: radius, distance
@@ -201,7 +201,8 @@ contains
 
   end subroutine measure_scatterers
 
-  !> The least way between two discs or two walls: no two hits of others follow faster on and on.
+  !> Smallest gap between two discs or between the walls: the distance from one hit to the next is
+  !> no shorter for long.
   pure function narrowest_gap(channel, scatterers) result(gap)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.

@@ -1,8 +1,8 @@
-!> The urns: the list of shapes, and the dispatch to each of them.
+!> Urns: the list of their shapes, and the dispatch to each of them.
 !>
 !> A shape is a type that extends `chamber_type`, with the procedures below in the frame of the urn.
-!> A new shape is a file, a component of `urn_type`, and a `case` in each procedure here. The
-!> dispatch is by an integer, once a batch or once a wall, and never through a pointer.
+!> A new shape is a file, a component of `urn_type`, and a `case` in each procedure here. Dispatch
+!> is by an integer, once a batch or once a wall, never through a pointer.
 module battery_urn
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, no_channel
@@ -11,10 +11,10 @@ module battery_urn
     first_impact_in_disc, next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
   use battery_disc_visits, only: compute_disc_visits
   use battery_motion, only: wall_kind
-  use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon
+  use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, &
+    locate_in_polygon, first_impact_in_polygon, next_wall_in_polygon, reflect_in_polygon, &
+    reflect_overshoot_in_polygon
   use battery_polygon_visits, only: compute_polygon_visits
-  use battery_polygon_walls, only: locate_in_polygon, first_impact_in_polygon, &
-    next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
@@ -27,17 +27,19 @@ module battery_urn
 
   !> An urn of the table: lengths.
   type, extends(chamber_type) :: urn_type
-    !> What is asked for: shape, radius of a disc or of a regular polygon, corners of a polygon as
-    !> (x, y) in columns.
+    !> As specified by the user: shape, radius of a disc or of a regular polygon, corners of a
+    !> polygon as (x, y) in columns.
     integer :: shape = shape_disc
     real(wp) :: radius = 1.0_wp
     real(wp), allocatable :: corner(:, :)
-    !> What follows from that, by shape.
+    !> Derived from that, by shape.
     type(disc_type) :: disc
     type(polygon_type) :: polygon
-    !> Where it is: |x| of its origin, and of the periodic line at the end of this side's half of
-    !> channel 2; |x| where each channel begins; sign of its own x axis along that of the table.
-    real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, begins(2) = 0.0_wp, axis_sign = 1.0_wp
+    !> Position in the table: |x| of its origin, and of the periodic line at the end of its half of
+    !> channel 2; |x| at which each channel starts; direction of its x axis along that of the table,
+    !> 1 or -1.
+    real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, channel_start(2) = 0.0_wp, axis_sign = &
+      1.0_wp
     !> Shortest flight that a clock can resolve.
     real(wp) :: shortest = 0.0_wp
   end type urn_type
@@ -48,20 +50,20 @@ module battery_urn
 
 contains
 
-  !> A disc. The default constructor would require all components without a default.
+  !> A disc. The default constructor would require all components that have no default.
   elemental function urn_of_radius(radius) result(urn)
-    !> A length.
+    !> Radius, a length.
     real(wp), intent(in) :: radius
     type(urn_type) :: urn
 
     urn%radius = radius
   end function urn_of_radius
 
-  !> Derives all that follows from shape and channels.
+  !> Derives the geometry from shape and channels.
   pure subroutine derive_shape(urn, channel)
-    !> Its shape is set.
+    !> An urn whose shape is set.
     type(urn_type), intent(inout) :: urn
-    !> By `gated` and `ungated`.
+    !> Channels by `gated` and `ungated`.
     type(channel_type), intent(in) :: channel(2)
 
     select case (urn%shape)
@@ -90,7 +92,7 @@ contains
   !> Whether a point that is in no channel is inside, or at most `tolerance` outside.
   elemental function contains_point(urn, x, y, tolerance) result(inside)
     type(urn_type), intent(in) :: urn
-    !> In the frame of the urn, lengths.
+    !> Position in the frame of the urn, and a distance: lengths.
     real(wp), intent(in) :: x, y, tolerance
     logical :: inside
 
@@ -102,12 +104,12 @@ contains
     end select
   end function contains_point
 
-  !> A trial point in the frame of the table, from two numbers `across` and `up` uniform in [0, 1]:
-  !> uniform in the urn if `inside`.
+  !> Trial point in the frame of the table, from two numbers `across` and `up` uniform in [0, 1]:
+  !> uniform in the urn, if `inside`.
   pure subroutine try_random_point(urn, across, up, x, y, inside)
     type(urn_type), intent(in) :: urn
     real(wp), intent(in) :: across, up
-    !> In the frame of the table, lengths.
+    !> Position in the frame of the table, lengths.
     real(wp), intent(out) :: x, y
     logical, intent(out) :: inside
 
@@ -133,8 +135,8 @@ contains
     end select
   end subroutine compute_visits
 
-  !> The first impact of a particle in the urn, also if an opening is there, as `locate_in_visit`
-  !> expects it of a particle that never leaves.
+  !> First impact of a particle in the urn, openings counted as wall, in the form in which
+  !> `locate_in_visit` expects it for a visit that never ends.
   pure subroutine first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     type(urn_type), intent(in) :: urn
     !> Position and velocity in the frame of the urn: lengths, and a vector of length 1.
@@ -152,10 +154,11 @@ contains
     end select
   end subroutine first_impact
 
-  !> Position of a particle a time `elapsed` after it was in the urn, which it has not left.
+  !> Position of a particle a time `elapsed` after a given state in the urn, which it has not left
+  !> since.
   pure subroutine locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
     type(urn_type), intent(in) :: urn
-    !> Where it was: lengths, and a vector of length 1, in the frame of the urn.
+    !> That state in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     !> Time since then.
     real(wp), intent(in) :: elapsed
@@ -176,7 +179,7 @@ contains
   pure subroutine locate_in_visit(urn, channel, y, u_axial, u_lateral, since, position, velocity, &
     hits)
     type(urn_type), intent(in) :: urn
-    !> The channel through which the visit ends; `no_channel` or `truncated`.
+    !> Channel through which the visit ends; `no_channel` or `truncated`.
     integer, intent(in) :: channel
     !> Height, |u_x| and u_y there, or what `visits_type` has instead.
     real(wp), intent(in) :: y, u_axial, u_lateral
@@ -196,10 +199,11 @@ contains
     end select
   end subroutine locate_in_visit
 
-  !> What a particle inside, or at an opening, meets first (`next`), and the time `wait` until then.
+  !> What a particle in the urn, or at an opening, meets first (`next`), and the time `wait` until
+  !> then.
   pure subroutine find_next_wall(urn, from, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
-    !> The channel on whose chord it is, or `no_channel`.
+    !> Channel on whose chord it is, or `no_channel`.
     integer, intent(in) :: from
     !> Position and velocity in the frame of the urn.
     real(wp), intent(in) :: x, y, ux, uy

@@ -4,11 +4,11 @@ module battery_visits
   use battery_channel, only: gated, none => no_channel
   implicit none (type, external)
   private
-  public :: visits_type, reserve_visits, split_visits_by_urn, together, no_channel, truncated, &
+  public :: visits_type, reserve_visits, split_visits_by_urn, group_size, no_channel, truncated, &
     many_hits
 
   !> Number of particles that the kernels process together.
-  integer, parameter :: together = 4
+  integer, parameter :: group_size = 4
 
   !> In place of a channel: the particle never leaves.
   integer(int64), parameter :: no_channel = none
@@ -21,7 +21,7 @@ module battery_visits
   !> many.
   real(wp), parameter :: many_hits = 112.0_wp
 
-  !> A batch of visits; arrays are padded to whole groups of `together`.
+  !> A batch of visits; arrays are padded to whole groups of `group_size`.
   type :: visits_type
     integer :: count = 0
     !> Visits that the arrays can hold; below 0 before they are allocated.
@@ -38,14 +38,15 @@ module battery_visits
     !> Out of `compute_visits`: time through that channel, from end to end.
     real(wp), allocatable :: through(:)
     !> Position in the frame of the urn. In: y at the channel's entrance; out of `cross_channels`,
-    !> on the chord where the urn begins; out of `compute_visits`, on the chord where it ends.
+    !> on the chord through which it enters the urn; out of `compute_visits`, on the one through
+    !> which it leaves.
     real(wp), allocatable :: x(:), y(:)
     !> Velocity. In: |u_x| and u_y in the channel; out of `cross_channels`, in the frame of the urn;
     !> out of `compute_visits`, |u_x| and u_y in the next channel. For a particle that never leaves:
     !> cosine and sine of the incidence, and y is the angle of an impact.
     real(wp), allocatable :: u_axial(:), u_lateral(:)
-    !> Out of `compute_visits`: length of the way through the urn; for a particle that never leaves,
-    !> until the impact at angle y, which follows `impacts` others.
+    !> Out of `compute_visits`: length of the path through the urn; for a particle that never
+    !> leaves, until the impact at angle y, which follows `impacts` others.
     real(wp), allocatable :: length(:)
     !> Wall hits in the channel and in the urn, whole numbers.
     real(wp), allocatable :: hits(:)
@@ -67,23 +68,23 @@ module battery_visits
 
 contains
 
-  !> Empties the batch and makes room for `room` visits.
+  !> Empties the batch, and allocates it for `room` visits if it is smaller.
   subroutine reserve_visits(visits, room)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: room
 
     visits%count = 0
     visits%many_count = 0
-    if (room > visits%room) call make_room(visits, room)
+    if (room > visits%room) call allocate_visits(visits, room)
   end subroutine reserve_visits
 
-  !> Makes room for at least `room` visits in an empty batch.
-  subroutine make_room(visits, room)
+  !> Allocates an empty batch for at least `room` visits.
+  subroutine allocate_visits(visits, room)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: room
     integer :: n
 
-    n = together*((max(room, 64) + max(room, 64)/2)/together + 1)
+    n = group_size*((max(room, 64) + max(room, 64)/2)/group_size + 1)
     visits = visits_type()
     visits%room = n
     allocate (visits%time(n), visits%passage(n), visits%turned(n), visits%through(n), visits%x(n), &
@@ -94,7 +95,7 @@ contains
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), visits%many(n), source=0)
     ! Padding lanes of the last group: particles from channel 1, which is never closed.
     allocate (visits%channel(n), source=int(gated, int64))
-  end subroutine make_room
+  end subroutine allocate_visits
 
   !> Moves the visits to urn 2 into a batch of their own: particle, channel and time of reversal.
   subroutine split_visits_by_urn(visits, other)

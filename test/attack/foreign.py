@@ -30,7 +30,7 @@ import h5py
 import numpy as np
 from support.program import namelist, run, start
 
-from postproc import cli, open_results
+from postproc import cli, open_results, progress
 from postproc.compare import main as compare
 from postproc.figures.__main__ import main as figures
 from postproc.report.__main__ import main as report
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     Edit = Callable[[h5py.File, random.Random, Path], str]
 
 MEMORY = 2 << 30
+DAY = 86400.0
 ONE_AT_A_TIME = Lock()
 # A file beside the results: whoever reads a number of it has this one.
 READ = 0.73165029341
@@ -223,7 +224,7 @@ def stored(file: h5py.File, choice: random.Random, secret: Path) -> str:
     name = drawn(file, choice)
     shape, dtype, values = file[name].shape, file[name].dtype, file[name][()]
     way = choice.choice(["external", "external", "virtual", "lzf", "fletcher", "scale", "piece",
-                         "bomb", "plugin"])  # fmt: skip
+                         "bomb", "short", "plugin"])  # fmt: skip
     del file[name]
     if way == "external":
         place = choice.choice([str(secret), secret.name, "/etc/passwd"])
@@ -235,9 +236,12 @@ def stored(file: h5py.File, choice: random.Random, secret: Path) -> str:
     elif way == "piece":
         file.create_dataset(name, shape, dtype, maxshape=(None,) * len(shape),
                             chunks=tuple(2 ** (24 // len(shape)) for _ in shape))  # fmt: skip
-    elif way == "bomb":
+    elif way in ("bomb", "short"):
+        piece = bytes(1 << 28)
+        if way == "short":
+            piece = values.tobytes()[: choice.randrange(values.nbytes)]
         one = file.create_dataset(name, shape, dtype, chunks=shape, compression="gzip")
-        one.id.write_direct_chunk((0,) * len(shape), zlib.compress(bytes(1 << 28), 9))
+        one.id.write_direct_chunk((0,) * len(shape), zlib.compress(piece, 9))
     elif way == "plugin":
         made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         made.set_chunk(shape)
@@ -306,6 +310,12 @@ def limit() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
+def only_errors() -> None:
+    """Limit the memory of the process that reads; how far it is it tells to nobody."""
+    limit()
+    progress.SILENT = DAY
+
+
 def opened_in_python(path: Path) -> Iterator[str]:
     """Iterate over what is wrong with what `open_results` makes of a file."""
     for group in (None, "series", "snapshots", "final", "events"):
@@ -361,7 +371,7 @@ def in_python(folder: Path, figure: str) -> list[str]:
 def reader() -> ProcessPoolExecutor:
     """Give the process of Python that reads all files."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=limit)
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=only_errors)
 
 
 def attack(folder: Path, choice: random.Random) -> Outcome:

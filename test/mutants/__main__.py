@@ -27,7 +27,7 @@ SUITES = ["test_admit", "test_blocks", "test_calendar", "test_channel",
           "test_identities", "test_instant", "test_laws", "test_observer", "test_opening_search",
           "test_ordering", "test_polarised_current", "test_polygon", "test_polygon_engines",
           "test_quantities", "test_queue", "test_random", "test_reservoir", "test_rotation",
-          "test_scattered_visits", "test_scatterers", "test_simulation", "test_stream",
+          "test_half_channel_visits", "test_scatterers", "test_simulation", "test_archive",
           "test_table", "test_timestep", "test_tournament", "test_urn", "test_walkers"]
 
 

@@ -7,8 +7,8 @@ module hdf5_reading
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
   use battery_text, only: to_text
-  use battery_hdf5_file, only: hdf5_file_type, release, check, no_handle
-  use battery_hdf5_attributes, only: memory_type, memory_of, read_text
+  use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, no_handle
+  use battery_hdf5_attributes, only: array_view_type, array_view_of, read_text_attribute
   implicit none (type, external)
   private
   public :: read_dataset, read_attribute, read_shape, path_exists
@@ -16,7 +16,7 @@ module hdf5_reading
   !> Reads the attribute `name` of what stands at the `path`, `/` for the file, of an open `file`: a
   !> single number, or a text.
   interface read_attribute
-    module procedure :: read_real64, read_int32, read_text
+    module procedure :: read_real64, read_int32, read_text_attribute
   end interface read_attribute
 
 contains
@@ -86,9 +86,9 @@ contains
     if (status == 0) call h5sget_simple_extent_ndims_f(space, dimensions, status)
     if (status == 0) status = merge(-1, 0, dimensions > 0)
     if (status == 0) call h5aread_f(attribute, value_type, buffer, status)
-    call release(space, status)
-    call release(attribute, status)
-    call check(file, path, 'has no attribute '//name//' that is one number', status, error)
+    call release_handle(space, status)
+    call release_handle(attribute, status)
+    call check_status(file, path, 'has no attribute '//name//' that is one number', status, error)
   end subroutine read_number
 
   !> Reads the dataset at the `path` of an open `file`, of the same shape as `values`.
@@ -99,7 +99,7 @@ contains
     character(len=*), intent(in) :: path
     type(*), intent(inout), target, contiguous :: values(..)
     type(error_type), allocatable, intent(out) :: error
-    type(memory_type) :: memory
+    type(array_view_type) :: memory
     integer(hsize_t), allocatable :: found(:)
     integer(hid_t) :: dataset
     integer :: status
@@ -107,11 +107,11 @@ contains
 
     call read_shape(file, path, found, error)
     if (allocated(error)) return
-    memory = memory_of(values)
+    memory = array_view_of(values)
     same = size(found) == size(memory%extents)
     if (same) same = all(found == memory%extents)
     if (.not. same) then
-      call check(file, path, 'has the extents '//shape_text(found)//', not ' &
+      call check_status(file, path, 'has the extents '//shape_text(found)//', not ' &
         //shape_text(memory%extents), 1, error)
       return
     end if
@@ -119,8 +119,8 @@ contains
     dataset = no_handle
     call h5dopen_f(file%id, path, dataset, status)
     if (status == 0) call h5dread_f(dataset, memory%value_type, memory%address, status)
-    call release(dataset, status)
-    call check(file, path, 'cannot be read', status, error)
+    call release_handle(dataset, status)
+    call check_status(file, path, 'cannot be read', status, error)
   end subroutine read_dataset
 
   !> Extents of a dataset, in Fortran order; none for a scalar.
@@ -147,9 +147,9 @@ contains
       call h5sget_simple_extent_dims_f(space, extents, most, status)
       status = min(status, 0)
     end if
-    call release(space, status)
-    call release(dataset, status)
-    call check(file, path, 'cannot be read', status, error)
+    call release_handle(space, status)
+    call release_handle(dataset, status)
+    call check_status(file, path, 'cannot be read', status, error)
   end subroutine read_shape
 
   !> Extents as a reader sees them: 3 x 4.

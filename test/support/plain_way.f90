@@ -1,7 +1,7 @@
 !> The plain way to move particles, wall by wall, in more digits than the program has.
 module plain_way
   use battery_kinds, only: wp, dp, int64
-  use battery_table, only: table_type, chamber_at, side_at, in_urn, in_gate, x_direction
+  use battery_table, only: table_type, chamber_at, urn_at, in_urn, in_gate, x_direction
   use battery_engine, only: particles_type
   use battery_event_record, only: event_entry, event_reversal, event_crossing1, event_crossing2
   use engine_runs, only: log_type, make_room, note
@@ -53,10 +53,10 @@ contains
       plain%uy(i) = plain%uy(i)/speed
       select case (chamber_at(table, particles%x(i), particles%y(i), 1.0_wp))
       case (in_urn)
-        plain%room(i) = merge(in_urn1, in_urn2, side_at(table, particles%x(i)) == 1)
+        plain%room(i) = merge(in_urn1, in_urn2, urn_at(table, particles%x(i)) == 1)
       case (in_gate)
         plain%room(i) = in_channel1
-        associate (side => side_at(table, particles%x(i)))
+        associate (side => urn_at(table, particles%x(i)))
           plain%counted(i) = merge(side, 0, x_direction(side)*plain%ux(i) < 0.0_qp)
         end associate
       case default

@@ -1,27 +1,27 @@
 !> A window with many events of the engine `excursion`, processed as arrays: partitioned by gate and
 !> line, passed through each gate at once (`admit_entries`), crossings sorted afterwards.
 module battery_batch_window
-  use battery_kinds, only: wp, int8
+  use battery_kinds, only: wp, int8, int64
   use battery_table, only: gated, ungated
-  use battery_gate, only: stretch_type, reserve_stretch
+  use battery_gate, only: gate_type, stretch_type, reserve_stretch, admit_entries, number_inside
   use battery_ordering, only: sort_by_time
-  use battery_calendar, only: flight_type
-  use battery_flight, only: middle_time, to_gate, counted_in_gate
+  use battery_calendar, only: calendar_type, flight_type
+  use battery_flight, only: middle_time, never, to_gate, counted_in_gate
+  use battery_visits, only: visits_type
   use battery_event_record, only: event_record_type, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry
   implicit none (type, external)
   private
-  public :: window_type, reserve_batch_window, partition_events, sort_crossings, &
-    decode_crossing_order, record_crossings, record_logged_events
+  public :: batch_window_type, run_batch_window
 
   !> Parts that events are assigned to: gate 1, gate 2, and the periodic line.
-  integer, parameter, public :: periodic_line = 3
+  integer, parameter :: periodic_line = 3
 
   !> Bits of a `crossing_order` that hold the particle: no plan has more than 2e8 particles.
   integer, parameter :: particle_bits = 28
 
   !> The events of a window by part. Arrays are longer than their counts.
-  type :: window_type
+  type :: batch_window_type
     !> Number of events of each part; as (event, part): when each is due, when the particle would
     !> reach the middle line, and which particle it is.
     integer :: partition_count(3) = 0
@@ -35,21 +35,77 @@ module battery_batch_window
     integer :: crossings = 0
     real(wp), allocatable :: crossing_time(:)
     integer, allocatable :: crossing_order(:)
-  end type window_type
+  end type batch_window_type
 
 contains
 
-  !> Makes room for that many events and counted particles.
+  !> Processes the first `events` sorted events and all middle-line crossings before `ends`:
+  !> partitions them by gate, applies the rule of each gate, sorts the crossings, and adds the
+  !> visits that begin to the batch. The gates are independent within a window.
+  subroutine run_batch_window(window, gate, beyond, number, flight, calendar, events, began, ends, &
+    visits, event_record, end_wall_hits)
+    !> Work space.
+    type(batch_window_type), intent(inout) :: window
+    type(gate_type), intent(inout) :: gate(2)
+    !> Urn on the far side of a line, by the urn that a particle comes from; number of particles.
+    integer, intent(in) :: beyond(2), number
+    type(flight_type), intent(inout) :: flight(number)
+    type(calendar_type), intent(in) :: calendar
+    !> How many of its sorted events belong to the window.
+    integer, intent(in) :: events
+    !> Start and end of the window.
+    real(wp), intent(in) :: began, ends
+    type(visits_type), intent(inout) :: visits
+    type(event_record_type), intent(inout) :: event_record
+    !> Increased by hits on the end wall of a single urn.
+    integer(int64), intent(inout) :: end_wall_hits
+    integer :: urn, before, crossed, crossed_before, from_gate(2)
+
+    call reserve_batch_window(window, events, number_inside(gate))
+    associate (v => visits, w => window, due => calendar%due_time, particle => calendar%particle)
+      call partition_events(number, flight, events, due, particle, size(w%crossing_order), &
+        w%partition_count, w%due, w%middle, w%particle)
+      crossed = 0
+      do urn = 1, 2
+        before = v%count
+        crossed_before = crossed
+        call admit_entries(gate(urn), w%stretch(urn), w%partition_count(urn), w%due(:, urn), &
+          w%middle(:, urn), w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, &
+          w%crossing_order, w%crossing_time)
+        v%urn(before + 1:v%count) = urn
+        v%channel(before + 1:v%count) = gated
+        from_gate(urn) = crossed - crossed_before
+        if (beyond(urn) == urn) end_wall_hits = end_wall_hits + from_gate(urn)
+      end do
+      call sort_crossings(w, from_gate(1), from_gate(2))
+      if (event_record%logging) then
+        call record_logged_events(w, number, flight, began, events, due, particle, event_record)
+      else
+        event_record%reversals = w%stretch%reversals
+        event_record%bounce_backs = v%count
+        event_record%crossings = w%crossings
+        call record_crossings(w%crossings, w%crossing_time, w%crossing_order, number, flight, &
+          began, event_record%crossing_time, event_record%crossing)
+      end if
+      before = v%count + 1
+      v%count = v%count + w%crossings
+      call add_crossing_visits(w%crossings, w%crossing_order, beyond, number, flight, &
+        v%particle(before:v%count), v%urn(before:v%count), v%channel(before:v%count), &
+        v%turned(before:v%count))
+    end associate
+  end subroutine run_batch_window
+
+  !> Allocates the arrays for that many events and counted particles.
   subroutine reserve_batch_window(window, events, counted)
-    type(window_type), intent(inout) :: window
+    type(batch_window_type), intent(inout) :: window
     !> Events of the window.
     integer, intent(in) :: events
     !> Particles counted by gate 1 and by gate 2.
     integer, intent(in) :: counted(2)
-    integer :: side, room
+    integer :: urn, room
 
-    do side = 1, 2
-      call reserve_stretch(window%stretch(side), events + counted(side))
+    do urn = 1, 2
+      call reserve_stretch(window%stretch(urn), events + counted(urn))
     end do
     window%crossings = 0
     room = events + sum(counted)
@@ -75,7 +131,7 @@ contains
     real(wp), intent(in) :: due_time(events)
     !> Particle of each event.
     integer, intent(in) :: who(events)
-    !> Leading extent of the arrays, which are explained at `window_type`.
+    !> Leading extent of the arrays, which are explained at `batch_window_type`.
     integer, intent(in) :: room
     !> Number of events of each part.
     integer, intent(out) :: partition_count(3)
@@ -89,9 +145,9 @@ contains
     partition_count = 0
     do k = 1, events
       i = who(k)
-      enters = flight(i)%heading == to_gate
+      enters = flight(i)%next_event == to_gate
       line = merge(int(flight(i)%urn), periodic_line, enters)
-      flight(i)%heading = merge(counted_in_gate, flight(i)%heading, enters)
+      flight(i)%next_event = merge(counted_in_gate, flight(i)%next_event, enters)
       place = partition_count(line) + 1
       partition_count(line) = place
       due(place, line) = due_time(k)
@@ -101,9 +157,9 @@ contains
   end subroutine partition_events
 
   !> Sorts the crossings of all lines: by time, at one time gate 1, gate 2, periodic line, then by
-  !> particle. On entry those from the gates stand first, gate 1 before gate 2.
+  !> particle. On entry those from the gates come first, gate 1 before gate 2.
   pure subroutine sort_crossings(window, from_gate1, from_gate2)
-    type(window_type), intent(inout) :: window
+    type(batch_window_type), intent(inout) :: window
     !> Crossings of the middle line from each gate.
     integer, intent(in) :: from_gate1, from_gate2
     integer :: crossed, returned
@@ -154,29 +210,59 @@ contains
     urn = flight(particle)%urn
   end subroutine decode_crossing_order
 
-  !> Copies the crossings to the event record, which has room for them.
-  pure subroutine record_crossings(window, number, flight, began, event_record)
-    type(window_type), intent(in) :: window
+  !> Lists the crossings as an event record has them: when, and which.
+  pure subroutine record_crossings(crossings, crossing_time, crossing_order, number, flight, &
+    began, recorded_time, recorded)
+    !> Number of crossings.
+    integer, intent(in) :: crossings
+    !> As in `batch_window_type`.
+    real(wp), intent(in) :: crossing_time(crossings)
+    integer, intent(in) :: crossing_order(crossings)
     !> Number of particles, and their flights.
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
     !> Start of the window.
     real(wp), intent(in) :: began
-    type(event_record_type), intent(inout) :: event_record
+    !> Of each crossing, as in `event_record_type`.
+    real(wp), intent(out) :: recorded_time(crossings)
+    integer(int8), intent(out) :: recorded(crossings)
     integer :: k, particle, from, channel
 
-    do k = 1, window%crossings
-      call decode_crossing_order(number, flight, window%crossing_order(k), particle, from, channel)
-      event_record%crossing_time(k) = window%crossing_time(k) - began
-      event_record%crossing(k) = int(crossing_of(from, channel), int8)
+    do k = 1, crossings
+      call decode_crossing_order(number, flight, crossing_order(k), particle, from, channel)
+      recorded_time(k) = crossing_time(k) - began
+      recorded(k) = int(crossing_of(from, channel), int8)
     end do
-    event_record%crossings = window%crossings
   end subroutine record_crossings
+
+  !> Describes a visit, straight to the urn beyond the line, for each particle that has crossed one.
+  pure subroutine add_crossing_visits(crossings, crossing_order, beyond, number, flight, particle, &
+    urn, channel, turned)
+    !> Number of crossings.
+    integer, intent(in) :: crossings
+    !> As in `batch_window_type`.
+    integer, intent(in) :: crossing_order(crossings)
+    !> Urn on the far side of a line, by the urn that a particle comes from; number of particles.
+    integer, intent(in) :: beyond(2), number
+    type(flight_type), intent(in) :: flight(number)
+    !> Of each visit, as in `visits_type`.
+    integer, intent(out) :: particle(crossings), urn(crossings)
+    integer(int64), intent(out) :: channel(crossings)
+    real(wp), intent(out) :: turned(crossings)
+    integer :: k, from, crossed
+
+    do k = 1, crossings
+      call decode_crossing_order(number, flight, crossing_order(k), particle(k), from, crossed)
+      urn(k) = beyond(from)
+      channel(k) = crossed
+      turned(k) = never
+    end do
+  end subroutine add_crossing_visits
 
   !> Writes all events of the window to the event record, with the event log.
   subroutine record_logged_events(window, number, flight, began, events, due_time, who, &
     event_record)
-    type(window_type), intent(in) :: window
+    type(batch_window_type), intent(in) :: window
     !> Number of particles, number of events, and the flights.
     integer, intent(in) :: number, events
     type(flight_type), intent(in) :: flight(number)
@@ -200,7 +286,7 @@ contains
           .and. line_of_crossing(window%crossing_order(next)) == periodic_line) exit
         call record_next_crossing()
       end do
-      if (flight(who(k))%heading /= counted_in_gate) then
+      if (flight(who(k))%next_event /= counted_in_gate) then
         call record_next_crossing()
         cycle
       end if
@@ -221,6 +307,7 @@ contains
 
   contains
 
+    !> Records the next of the sorted crossings.
     subroutine record_next_crossing()
       integer :: particle, from, channel
 

@@ -10,31 +10,39 @@
 !>
 !> The state of a particle (`flight_type`) is how it will enter its next channel. Its position
 !> before then is found backwards from there, or forwards from the start of a long visit.
+!>
+!> This file has the type, one window (`advance_window`), and the state: where particles are, and
+!> its serialisation. In files of their own are flights (`flight.f90`), the two ways to process the
+!> events of a window (`serial_window.f90`, `batch_window.f90`), visits computed ahead
+!> (`lookahead.f90`), long and truncated ones (`long_visits.f90`, `partial_visits.f90`), and tables
+!> with discs in channel 2 (`excursion_scattered.f90`, `scatterer_visits.f90`).
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: gated, ungated, side_at, are_mirror_images, mean_visit, &
-    shortest_excursion, is_scattered
-  use battery_flight, only: load_flights, never, to_gate, to_return, counted_in_gate, &
-    parked_in_urn, parked_in_channel, partial_visit
-  use battery_initial_flight, only: make_initial_flight, allocate_flights, date_back_flight
-  use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
-    keep_beginnings, store_flights, rebase_long_visits
-  use battery_serial_window, only: run_serial_window, longest_serial_window
-  use battery_lookahead, only: lookahead_pays, take_computed_visits
-  use battery_scattered_sides, only: sides_type, new_sides
+  use battery_archive, only: archive_type
+  use battery_calendar, only: calendar_type, flight_type, new_calendar, epoch_for, schedule_event, &
+    schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
+    rebase_calendar
+  use battery_table, only: gated, ungated, in_return, urn_at, chamber_at, are_mirror_images, &
+    mean_visit, shortest_excursion, is_scattered
   use battery_chamber, only: cross_channels
-  use battery_scatterers, only: narrowest_gap
   use battery_urn, only: compute_visits
-  use battery_partial_visits, only: split_off_partial_visits, compute_partial_visits
   use battery_visits, only: visits_type, reserve_visits, split_visits_by_urn, truncated
-  use battery_gate, only: enter_gate, admit_entries, number_inside, first_crossing_time
-  use battery_batch_window, only: window_type, reserve_batch_window, partition_events, &
-    sort_crossings, decode_crossing_order, record_logged_events, record_crossings
-  use battery_calendar, only: calendar_type, flight_type, new_calendar, epoch_for, &
-    schedule, schedule_all, open_until, next_due, due_before, drop_done, rebase_calendar
+  use battery_scatterers, only: narrowest_gap, detect_periodic_path
+  use battery_gate, only: enter_gate, number_inside, first_crossing_time
   use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type, reserve_event_record
-  use battery_archive, only: archive_type
+  use battery_flight, only: new_flights, make_initial_flight, date_back_flight, load_flights, &
+    store_flights, locate_particle, locate_parked_particle, to_gate, to_return, counted_in_gate, &
+    parked_in_urn, parked_in_channel, partial_visit
+  use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
+    store_visit_starts, is_nearer_start, locate_from_start, rebase_long_visits, &
+    serialize_long_visits
+  use battery_partial_visits, only: split_off_partial_visits, compute_partial_visits
+  use battery_lookahead, only: lookahead_pays, take_computed_visits
+  use battery_serial_window, only: run_serial_window, longest_serial_window
+  use battery_batch_window, only: batch_window_type, run_batch_window
+  use battery_scatterer_visits, only: scatterer_visits_type, new_scatterer_visits, &
+    locate_by_replay, serialize_visit_starts
   implicit none (type, external)
   private
   public :: excursion_type
@@ -54,15 +62,15 @@ module battery_excursion
     real(wp), allocatable :: parked_x(:)
     type(calendar_type) :: calendar
     !> Work space of a window that is processed as a batch.
-    type(window_type) :: events
+    type(batch_window_type) :: batch_window
     !> Visits by urn. Urns that are mirror images share the first batch; the second then holds the
     !> visits that `battery_lookahead` computed, if that pays.
     type(visits_type) :: visits(2)
     integer :: batches = 1
     logical, public :: looks_ahead = .false.
-    !> Whether discs stand in channel 2; the visits of such a table.
+    !> Whether channel 2 has discs; the visits on such a table.
     logical :: scattered = .false.
-    type(sides_type) :: sides
+    type(scatterer_visits_type) :: scatterer_visits
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
     !> Number of partial visits; those that are continued in this window: how many, when each is due
@@ -71,8 +79,8 @@ module battery_excursion
     real(wp), allocatable :: resumed_time(:)
     integer, allocatable :: resumed(:)
     type(visits_type) :: partial_visits
-    !> Start of each long visit; where discs stand in channel 2 `sides` holds the start of every
-    !> visit.
+    !> Start of each long visit; if channel 2 has discs, `scatterer_visits` holds the start
+    !> of every visit.
     type(long_visits_type) :: long_visits
     !> Wall hits of all visits and passages computed so far, future ones included, and those that
     !> event records have reported.
@@ -86,34 +94,6 @@ module battery_excursion
   !> this many hits, but no shorter than this share of the lookahead.
   real(wp), parameter :: window_hits = 1.0e6_wp, least_window = 1.0e-3_wp
 
-  ! Observation of the state, and its serialisation: `excursion_state.f90`.
-  interface
-    module function state_of(self, i) result(state)
-      implicit none (type, external)
-      class(excursion_type), intent(in) :: self
-      integer, intent(in) :: i
-      real(wp) :: state(4)
-    end function state_of
-
-    module function collisions(self) result(total)
-      implicit none (type, external)
-      class(excursion_type), intent(in) :: self
-      integer(int64) :: total
-    end function collisions
-
-    module function trapped(self) result(total)
-      implicit none (type, external)
-      class(excursion_type), intent(in) :: self
-      integer(int64) :: total
-    end function trapped
-
-    module subroutine serialize_own_state(self, archive)
-      implicit none (type, external)
-      class(excursion_type), intent(inout) :: self
-      type(archive_type), intent(inout) :: archive
-    end subroutine serialize_own_state
-  end interface
-
   ! Tables with discs in channel 2: `excursion_scattered.f90`.
   interface
     module subroutine load_particles_scattered(self, particles)
@@ -122,13 +102,13 @@ module battery_excursion
       type(particles_type), intent(inout) :: particles
     end subroutine load_particles_scattered
 
-    module subroutine compute_scattered_visits(self, began, ends, event_record)
+    module subroutine compute_window_visits_scattered(self, began, ends, event_record)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
       !> Start and end of the window.
       real(wp), intent(in) :: began, ends
       type(event_record_type), intent(inout) :: event_record
-    end subroutine compute_scattered_visits
+    end subroutine compute_window_visits_scattered
   end interface
 
 contains
@@ -144,14 +124,14 @@ contains
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
     self%scattered = is_scattered(self%table)
     if (self%scattered) then
-      call new_sides(self%sides, self%number)
+      call new_scatterer_visits(self%scatterer_visits, self%number)
       self%window = min(self%window, max(least_window*self%lookahead, window_hits &
         *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
     end if
     self%looks_ahead = self%batches == 1 .and. .not. self%scattered .and. &
       lookahead_pays(real(self%number, wp)*self%lookahead/self%interval, self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
-    call allocate_flights(self%flight, self%number)
+    call new_flights(self%flight, self%number)
     call new_long_visits(self%long_visits, self%number, maxval(self%table%urn%reach))
     self%computed_hits = 0
     self%reported_hits = 0
@@ -170,7 +150,7 @@ contains
     else
       call load_particles_straight(self, particles)
     end if
-    if (any(self%flight%heading == parked_in_channel)) self%parked_x = particles%x
+    if (any(self%flight%next_event == parked_in_channel)) self%parked_x = particles%x
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
@@ -192,7 +172,7 @@ contains
           call reserve_visits(self%visits(b), start_chunk)
         end do
         do i = first, min(first + start_chunk - 1, self%number)
-          b = min(side_at(self%table, particles%x(i)), self%batches)
+          b = min(urn_at(self%table, particles%x(i)), self%batches)
           call make_initial_flight(self%table, i, particles%x(i), particles%y(i), particles%ux(i), &
             particles%uy(i), from_channels, self%flight(i), self%visits(b), self%computed_hits)
         end do
@@ -220,13 +200,13 @@ contains
     integer, intent(in) :: i
 
     associate (flight => self%flight(i))
-      select case (flight%heading)
+      select case (flight%next_event)
       case (to_gate)
-        call schedule(self%calendar, self%flight, i, flight%time)
+        call schedule_event(self%calendar, self%flight, i, flight%time)
       case (to_return)
-        call schedule(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
+        call schedule_event(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
       case (partial_visit)
-        call schedule(self%calendar, self%flight, i, flight%time - flight%through)
+        call schedule_event(self%calendar, self%flight, i, flight%time - flight%through)
       case (counted_in_gate)
         call enter_gate(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
       case default
@@ -252,7 +232,7 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      if (v%many_count > 0) call keep_beginnings(self%long_visits, self%number, &
+      if (v%many_count > 0) call store_visit_starts(self%long_visits, self%number, &
         self%flight, v)
       call store_flights(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, &
         v%length, v%y, v%u_axial, v%u_lateral, v%through)
@@ -272,10 +252,10 @@ contains
 
     began = self%now
     limit = min(self%now + duration, self%epoch)
-    call next_due(self%calendar, self%flight, min(limit, first_crossing_time(self%gate)), due)
+    call next_due_time(self%calendar, self%flight, min(limit, first_crossing_time(self%gate)), due)
     ends = min(limit, due + self%lookahead, max(due, began) + self%window)
-    call open_until(self%calendar, self%flight, ends)
-    due_now = due_before(self%calendar%sorted, self%calendar%due_time, ends)
+    call open_buckets_until(self%calendar, self%flight, ends)
+    due_now = count_due_before(self%calendar%sorted, self%calendar%due_time, ends)
     done = due_now
     self%resumed_count = 0
     if (self%partial_count > 0 .or. self%scattered) call split_off_partial_visits(self%number, &
@@ -288,15 +268,16 @@ contains
       call run_serial_window(self%gate, self%table%beyond, self%flight, self%calendar, done, &
         began, ends, self%visits(1), event_record, self%computed_hits)
     else
-      call reserve_batch_window(self%events, done, counted)
-      call run_batch_window(self, began, ends, done, event_record)
+      call run_batch_window(self%batch_window, self%gate, self%table%beyond, self%number, &
+        self%flight, self%calendar, done, began, ends, self%visits(1), event_record, &
+        self%computed_hits)
     end if
-    call drop_done(self%calendar, due_now)
+    call drop_done_events(self%calendar, due_now)
     if (self%scattered) then
-      call compute_scattered_visits(self, began, ends, event_record)
+      call compute_window_visits_scattered(self, began, ends, event_record)
     else
       if (self%resumed_count > 0) call continue_partial_visits(self)
-      call compute_straight_visits(self)
+      call compute_window_visits_straight(self)
     end if
     self%now = ends
     event_record%duration = ends - began
@@ -305,7 +286,7 @@ contains
   end subroutine advance_window
 
   !> Computes the visits that the events of a window began.
-  subroutine compute_straight_visits(self)
+  subroutine compute_window_visits_straight(self)
     type(excursion_type), intent(inout) :: self
     integer :: b
 
@@ -323,23 +304,23 @@ contains
           call compute_urn_visits(self, b)
         end if
         call store_batch_flights(self, b)
-        call schedule_all(self%calendar, v%count, v%particle, v%time)
+        call schedule_events(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
-  end subroutine compute_straight_visits
+  end subroutine compute_window_visits_straight
 
   !> Computes the next part of each partial visit that is due.
   subroutine continue_partial_visits(self)
     type(excursion_type), intent(inout) :: self
-    integer :: side
+    integer :: urn
 
-    do side = 1, 2
+    do urn = 1, 2
       associate (v => self%partial_visits)
-        call compute_partial_visits(self%table%urn(side), side, self%number, self%flight, &
+        call compute_partial_visits(self%table%urn(urn), urn, self%number, self%flight, &
           self%resumed_count, self%resumed_time, self%resumed, v, self%long_visits, &
           self%computed_hits)
         self%partial_count = self%partial_count - v%count + count(v%channel(:v%count) == truncated)
-        call schedule_all(self%calendar, v%count, v%particle, v%time)
+        call schedule_events(self%calendar, v%count, v%particle, v%time)
       end associate
     end do
   end subroutine continue_partial_visits
@@ -350,71 +331,122 @@ contains
 
     call rebase_calendar(self%calendar, self%flight)
     if (self%looks_ahead) self%visits(2)%count = 0
-    if (self%scattered) self%sides%visit_start%time = self%sides%visit_start%time - self%epoch
+    if (self%scattered) self%scatterer_visits%visit_start%time = &
+      self%scatterer_visits%visit_start%time - self%epoch
     self%flight%time = self%flight%time - self%epoch
     call rebase_long_visits(self%long_visits, self%epoch)
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> Processes the first `events` sorted events and all middle-line crossings before `ends`, as
-  !> arrays: partitions them by gate, applies the rule of each gate, sorts the crossings, and adds
-  !> the visits that begin to the batch. The gates are independent within a window.
-  subroutine run_batch_window(self, began, ends, events, event_record)
-    class(excursion_type), intent(inout) :: self
-    real(wp), intent(in) :: began, ends
-    integer, intent(in) :: events
-    type(event_record_type), intent(inout) :: event_record
-    integer :: urn, before, crossed, crossed_before, from_gate(2)
+  !> x, y, u_x, u_y of particle `i` now.
+  function state_of(self, i) result(state)
+    class(excursion_type), intent(in) :: self
+    integer, intent(in) :: i
+    real(wp) :: state(4)
+    integer(int64) :: hits
 
-    associate (v => self%visits(1), w => self%events, due => self%calendar%due_time, &
-      particle => self%calendar%particle)
-      call partition_events(self%number, self%flight, events, due, particle, &
-        size(w%crossing_order), w%partition_count, w%due, w%middle, w%particle)
-      crossed = 0
-      do urn = 1, 2
-        before = v%count
-        crossed_before = crossed
-        call admit_entries(self%gate(urn), w%stretch(urn), w%partition_count(urn), w%due(:, urn), &
-          w%middle(:, urn), w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, &
-          w%crossing_order, w%crossing_time)
-        v%urn(before + 1:v%count) = urn
-        v%channel(before + 1:v%count) = gated
-        from_gate(urn) = crossed - crossed_before
-        if (self%table%beyond(urn) == urn) self%computed_hits = self%computed_hits + from_gate(urn)
-      end do
-      call sort_crossings(w, from_gate(1), from_gate(2))
-      if (event_record%logging) then
-        call record_logged_events(w, self%number, self%flight, began, events, due, particle, &
-          event_record)
+    call locate_particle_now(self, i, state, hits)
+  end function state_of
+
+  !> The same, from the nearer end of its visit; and the `hits` to be added to `computed_hits` for
+  !> it.
+  subroutine locate_particle_now(self, i, state, hits)
+    type(excursion_type), intent(in) :: self
+    integer, intent(in) :: i
+    real(wp), intent(out) :: state(4)
+    integer(int64), intent(out) :: hits
+
+    associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
+      if (flight%next_event == parked_in_channel) then
+        call locate_parked_particle(urn, flight, self%parked_x(i), self%now, state, hits)
+      else if (self%scattered .and. flight%next_event /= counted_in_gate &
+        .and. (flight%next_event /= to_gate .or. self%now < flight%time)) then
+        call locate_by_replay(self%table, self%scatterer_visits%visit_start(i), self%now, state, &
+          hits)
       else
-        event_record%reversals = w%stretch%reversals
-        event_record%bounce_backs = v%count
-        call record_crossings(w, self%number, self%flight, began, event_record)
+        if (is_nearer_start(self%long_visits, flight, self%now)) then
+          call locate_from_start(self%long_visits, urn, i, self%now, state(:2), state(3:), hits)
+        else
+          call locate_particle(urn, flight, self%now, state(:2), state(3:), hits)
+        end if
+        state(1) = urn%axis_sign*(state(1) - urn%centre)
+        state(3) = urn%axis_sign*state(3)
       end if
-      call add_crossing_visits(self, w%crossings, w%crossing_order)
     end associate
-  end subroutine run_batch_window
+  end subroutine locate_particle_now
 
-  !> Adds a straight visit, to the urn beyond the line, for each particle that has crossed one.
-  pure subroutine add_crossing_visits(self, crossings, crossing_order)
+  !> Exact wall hits from the start until now: the computed ones, corrected for each particle.
+  function collisions(self) result(total)
+    class(excursion_type), intent(in) :: self
+    integer(int64) :: total
+    real(wp) :: state(4)
+    integer(int64) :: hits
+    integer :: i
+
+    total = self%computed_hits
+    do i = 1, self%number
+      call locate_particle_now(self, i, state, hits)
+      total = total + hits
+    end do
+  end function collisions
+
+  !> Particles that are parked, or that repeat a path among discs for ever.
+  function trapped(self) result(total)
+    class(excursion_type), intent(in) :: self
+    integer(int64) :: total
+    real(wp) :: state(4)
+    integer(int64) :: hits
+    logical :: yes
+    integer :: i
+
+    total = count(self%flight%next_event == parked_in_urn .or. self%flight%next_event == &
+      parked_in_channel)
+    if (.not. self%scattered) return
+    do i = 1, self%number
+      if (self%flight(i)%next_event /= partial_visit) cycle
+      call locate_particle_now(self, i, state, hits)
+      if (chamber_at(self%table, state(1), state(2), huge(1.0_wp)) /= in_return) cycle
+      associate (urn => self%table%urn(self%flight(i)%urn))
+        call detect_periodic_path(self%table%half_channel2(self%flight(i)%urn), urn%periodic_line &
+          + urn%axis_sign*state(1), state(2), urn%axis_sign*state(3), state(4), yes)
+      end associate
+      if (yes) total = total + 1
+    end do
+  end function trapped
+
+  !> Serialises flights and counts; the calendar follows from the flights.
+  subroutine serialize_own_state(self, archive)
     class(excursion_type), intent(inout) :: self
-    integer, intent(in) :: crossings
-    !> As in `window_type`.
-    integer, intent(in) :: crossing_order(crossings)
-    integer :: k, count, particle, from, channel
+    type(archive_type), intent(inout) :: archive
+    integer :: i
 
-    associate (v => self%visits(1))
-      count = v%count
-      do k = 1, crossings
-        call decode_crossing_order(self%number, self%flight, crossing_order(k), particle, from, &
-          channel)
-        v%particle(count + k) = particle
-        v%urn(count + k) = self%table%beyond(from)
-        v%channel(count + k) = channel
-        v%turned(count + k) = never
-      end do
-      v%count = count + crossings
-    end associate
-  end subroutine add_crossing_visits
+    ! In a saved state, x of a particle parked in a channel is stored in place of `u_axial`.
+    if (allocated(self%parked_x) .and. .not. archive%reading) then
+      where (self%flight%next_event == parked_in_channel) self%flight%u_axial = self%parked_x
+    end if
+    call archive%serialize('known_hits', self%computed_hits)
+    call archive%serialize('told_hits', self%reported_hits)
+    call archive%serialize('heading', self%flight%next_event)
+    call archive%serialize('urn', self%flight%urn)
+    call archive%serialize('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
+    call archive%serialize('along', self%flight%u_axial, 'across', self%flight%u_lateral, &
+      'length', self%flight%length, 'through', self%flight%through)
+    if (any(self%flight%next_event == parked_in_channel)) then
+      self%parked_x = self%flight%u_axial
+      where (self%flight%next_event == parked_in_channel) self%flight%u_axial = 0.0_wp
+    end if
+    if (self%scattered) then
+      call serialize_visit_starts(self%scatterer_visits, self%flight%urn, archive)
+    else
+      call serialize_long_visits(self%long_visits, self%flight, archive)
+    end if
+    if (.not. archive%reading .or. archive%failed()) return
+    self%partial_count = merge(0, count(self%flight%next_event == partial_visit), self%scattered)
+    call new_calendar(self%calendar, self%number, self%interval)
+    do i = 1, self%number
+      if (any(self%flight(i)%next_event == [to_gate, to_return, partial_visit])) &
+        call schedule_event(self%calendar, self%flight, i, self%flight(i)%due)
+    end do
+  end subroutine serialize_own_state
 
 end module battery_excursion

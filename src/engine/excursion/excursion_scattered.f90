@@ -1,9 +1,9 @@
-!> Windows of the engine `excursion` on tables with discs in channel 2 (`battery_scattered_sides`).
+!> Windows of the engine `excursion` on tables with discs in channel 2 (`battery_scatterer_visits`).
 submodule (battery_excursion) battery_excursion_scattered
-  use battery_table, only: in_urn, in_gate, in_return, chamber_at
+  use battery_table, only: in_urn, in_gate
   use battery_motion, only: motion_type
-  use battery_scattered_sides, only: visit_start_at, reserve_side_visits, add_side_visit, &
-    compute_side_visits, store_side_flights
+  use battery_scatterer_visits, only: visit_start_at, reserve_scatterer_visits, &
+    add_scatterer_visit, compute_scatterer_visits, store_scatterer_flights
   use battery_event_record, only: record_crossing, crossing_of, sort_event_record
   implicit none (type, external)
 
@@ -11,51 +11,51 @@ contains
 
   !> Loads the particles; those in channel 1 get a flight, all others a visit.
   module procedure load_particles_scattered
-    integer :: first, last, i, side
+    integer :: first, last, i, urn_index
 
     do first = 1, self%number, start_chunk
       last = min(first + start_chunk - 1, self%number)
-      call reserve_side_visits(self%sides, start_chunk)
+      call reserve_scatterer_visits(self%scatterer_visits, start_chunk)
       call reserve_visits(self%visits(1), start_chunk)
       do i = first, last
         associate (x => particles%x(i), y => particles%y(i), ux => particles%ux(i), &
           uy => particles%uy(i))
-          side = side_at(self%table, x)
-          associate (urn => self%table%urn(side))
+          urn_index = urn_at(self%table, x)
+          associate (urn => self%table%urn(urn_index))
             select case (chamber_at(self%table, x, y, huge(1.0_wp)))
             case (in_gate)
               call make_initial_flight(self%table, i, x, y, ux, uy, .true., self%flight(i), &
                 self%visits(1), self%computed_hits)
             case (in_return)
-              call begin_side_visit(self, i, visit_start_at(0.0_wp, side, in_return, &
+              call begin_scatterer_visit(self, i, visit_start_at(0.0_wp, urn_index, in_return, &
                 urn%periodic_line - abs(x), y, urn%axis_sign*ux, uy), 0_int64)
             case default
-              call begin_side_visit(self, i, visit_start_at(0.0_wp, side, in_urn, urn%centre &
-                - abs(x), y, urn%axis_sign*ux, uy), 0_int64)
+              call begin_scatterer_visit(self, i, visit_start_at(0.0_wp, urn_index, in_urn, &
+                urn%centre - abs(x), y, urn%axis_sign*ux, uy), 0_int64)
             end select
           end associate
         end associate
       end do
       call cross_channels(self%table%urn(1), self%visits(1))
-      call begin_side_visits(self)
-      call compute_side_visits(self%sides, self%table, huge(1.0_wp))
-      call store_side_flights(self%sides, self%flight, self%computed_hits)
+      call begin_scatterer_visits(self)
+      call compute_scatterer_visits(self%scatterer_visits, self%table, huge(1.0_wp))
+      call store_scatterer_flights(self%scatterer_visits, self%flight, self%computed_hits)
     end do
   end procedure load_particles_scattered
 
   !> Starts a visit of particle `i`, after `hits` wall hits in a channel.
-  subroutine begin_side_visit(self, i, visit_start, hits)
+  subroutine begin_scatterer_visit(self, i, visit_start, hits)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: i
     type(motion_type), intent(in) :: visit_start
     integer(int64), intent(in) :: hits
 
-    self%sides%visit_start(i) = visit_start
-    call add_side_visit(self%sides, i, visit_start, hits)
-  end subroutine begin_side_visit
+    self%scatterer_visits%visit_start(i) = visit_start
+    call add_scatterer_visit(self%scatterer_visits, i, visit_start, hits)
+  end subroutine begin_scatterer_visit
 
   !> Starts a visit for each particle of the batch, as `cross_channels` leaves it.
-  subroutine begin_side_visits(self)
+  subroutine begin_scatterer_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: j, chamber
     real(wp) :: x
@@ -64,57 +64,58 @@ contains
       do j = 1, v%count
         chamber = merge(in_urn, in_return, v%channel(j) == gated)
         x = merge(self%table%urn(v%urn(j))%chord(gated), 0.0_wp, v%channel(j) == gated)
-        call begin_side_visit(self, v%particle(j), visit_start_at(v%time(j), v%urn(j), chamber, x, &
-          v%y(j), v%u_axial(j), v%u_lateral(j)), int(v%hits(j), int64))
+        call begin_scatterer_visit(self, v%particle(j), visit_start_at(v%time(j), v%urn(j), &
+          chamber, x, v%y(j), v%u_axial(j), v%u_lateral(j)), int(v%hits(j), int64))
       end do
     end associate
-  end subroutine begin_side_visits
+  end subroutine begin_scatterer_visits
 
   !> Moves the start of each truncated visit that is due to where the visit was truncated.
   subroutine resume_truncated_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: j, i
 
-    call reserve_side_visits(self%sides, self%resumed_count)
+    call reserve_scatterer_visits(self%scatterer_visits, self%resumed_count)
     do j = 1, self%resumed_count
       i = self%resumed(j)
-      call add_side_visit(self%sides, i, self%sides%visit_start(i), 0_int64)
+      call add_scatterer_visit(self%scatterer_visits, i, self%scatterer_visits%visit_start(i), &
+        0_int64)
     end do
-    call compute_side_visits(self%sides, self%table, huge(1.0_wp))
+    call compute_scatterer_visits(self%scatterer_visits, self%table, huge(1.0_wp))
     do j = 1, self%resumed_count
-      self%sides%visit_start(self%resumed(j)) = self%sides%side_visit(j)%now
+      self%scatterer_visits%visit_start(self%resumed(j)) = self%scatterer_visits%visit(j)%now
     end do
   end subroutine resume_truncated_visits
 
   !> Computes the visits of a window until none ends within it but at a gate: a particle that
   !> crosses the line starts another one. The gates need not be asked, since no particle reaches one
   !> so soon.
-  module procedure compute_scattered_visits
+  module procedure compute_window_visits_scattered
     integer :: j, i, again, later, first
     integer, allocatable :: whose(:)
     real(wp), allocatable :: due(:)
 
     first = event_record%crossings
     call resume_truncated_visits(self)
-    associate (v => self%visits(1), sides => self%sides)
+    associate (v => self%visits(1), scatterer_visits => self%scatterer_visits)
       call load_flights(self%number, self%flight, v%count, v%particle, v%turned, v%passage, &
         v%time, v%y, v%u_axial, v%u_lateral)
       call cross_channels(self%table%urn(1), v)
-      call reserve_side_visits(sides, v%count + self%resumed_count)
-      call begin_side_visits(self)
+      call reserve_scatterer_visits(scatterer_visits, v%count + self%resumed_count)
+      call begin_scatterer_visits(self)
       do j = 1, self%resumed_count
         i = self%resumed(j)
-        call add_side_visit(sides, i, sides%visit_start(i), 0_int64)
+        call add_scatterer_visit(scatterer_visits, i, scatterer_visits%visit_start(i), 0_int64)
       end do
-      allocate (whose(sides%count), due(sides%count))
-      do while (sides%count > 0)
-        call compute_side_visits(sides, self%table, huge(1.0_wp))
-        call store_side_flights(sides, self%flight, self%computed_hits)
+      allocate (whose(scatterer_visits%count), due(scatterer_visits%count))
+      do while (scatterer_visits%count > 0)
+        call compute_scatterer_visits(scatterer_visits, self%table, huge(1.0_wp))
+        call store_scatterer_flights(scatterer_visits, self%flight, self%computed_hits)
         again = 0
         later = 0
-        do j = 1, sides%count
-          associate (at => sides%side_visit(j))
-            if (at%now%time < ends .and. any(at%heading == [to_return, partial_visit])) then
+        do j = 1, scatterer_visits%count
+          associate (at => scatterer_visits%visit(j))
+            if (at%now%time < ends .and. any(at%next_event == [to_return, partial_visit])) then
               call continue_within_window(self, j, again, began, event_record)
             else
               later = later + 1
@@ -123,12 +124,12 @@ contains
             end if
           end associate
         end do
-        call schedule_all(self%calendar, later, whose, due)
-        sides%count = again
+        call schedule_events(self%calendar, later, whose, due)
+        scatterer_visits%count = again
       end do
     end associate
     if (event_record%crossings > first) call sort_event_record(event_record)
-  end procedure compute_scattered_visits
+  end procedure compute_window_visits_scattered
 
   !> Visit `j` of the batch ended at the line, or was truncated, within the window: the next visit
   !> of its particle becomes number `again` + 1 of the batch.
@@ -142,18 +143,18 @@ contains
     type(motion_type) :: visit_start
     integer :: i
 
-    associate (at => self%sides%side_visit(j))
+    associate (at => self%scatterer_visits%visit(j))
       i = at%particle
       visit_start = at%now
-      if (at%heading == to_return) then
+      if (at%next_event == to_return) then
         call record_crossing(event_record, visit_start%time - began, &
-          crossing_of(int(visit_start%side), ungated), i)
-        visit_start = visit_start_at(visit_start%time, self%table%beyond(visit_start%side), &
+          crossing_of(int(visit_start%urn), ungated), i)
+        visit_start = visit_start_at(visit_start%time, self%table%beyond(visit_start%urn), &
           in_return, 0.0_wp, at%y, at%u_axial, at%u_lateral)
       end if
     end associate
-    self%sides%count = again
-    call begin_side_visit(self, i, visit_start, 0_int64)
+    self%scatterer_visits%count = again
+    call begin_scatterer_visit(self, i, visit_start, 0_int64)
     again = again + 1
   end subroutine continue_within_window
 

@@ -1,21 +1,26 @@
 !> The state of a particle of the engine `excursion` between two of its events.
 !>
-!> A flight says how the particle will enter its next channel, or entered the one it is in. Earlier
-!> positions are found backwards from there; for long visits the start is stored as well
-!> (`battery_long_visits`).
+!> A flight says how the particle will enter its next channel, or entered the one it is in. It is
+!> made from an initial position (`make_initial_flight`), loaded into a batch of visits and stored
+!> at their ends (`load_flights`, `store_flights`: kernels over flat arrays, a flight being one
+!> cache line), and yields the position at any time between (`locate_particle`). Earlier positions
+!> are found backwards from it; for long visits the start is stored as well (`battery_long_visits`).
 module battery_flight
+  use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64
-  use battery_calendar, only: flight_type
-  use battery_channel, only: fold, gated, ungated, no_channel, facing
-  use battery_urn, only: urn_type, locate_in_visit
-  use battery_visits, only: truncated
+  use battery_calendar, only: flight_type, idle_flight
+  use battery_channel, only: fold_into_channel, facing
+  use battery_memory, only: prefer_large_pages
+  use battery_table, only: table_type, passage_type, passage_at, gated, ungated, no_channel
+  use battery_urn, only: urn_type, locate_in_visit, first_impact
+  use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
-  public :: load_flights, locate_particle, locate_parked_particle, trace_back_into_channel, &
-    middle_time, never
+  public :: new_flights, make_initial_flight, date_back_flight, load_flights, store_flights, &
+    locate_particle, locate_parked_particle, trace_back_into_channel, middle_time, never
   public :: to_gate, to_return, counted_in_gate, parked_in_urn, parked_in_channel, partial_visit
 
-  !> Headings:
+  !> Next events of a flight (`next_event`):
   !> - `to_gate`, `to_return`: the next event is the entry into a gate, or the crossing of the
   !>   periodic line.
   !> - `counted_in_gate`: inside a gate, counted by it.
@@ -30,10 +35,106 @@ module battery_flight
 
 contains
 
+  !> Allocates the flights, without an event, in large memory pages.
+  subroutine new_flights(flight, number)
+    type(flight_type), allocatable, target, intent(out) :: flight(:)
+    !> Number of particles.
+    integer, intent(in) :: number
+
+    allocate (flight(number))
+    ! The system chooses the pages at the first write.
+    call prefer_large_pages(c_loc(flight), int(number, c_size_t)*storage_size(flight)/8)
+    flight = idle_flight
+  end subroutine new_flights
+
+  !> Loads particle `i` at (x, y) with velocity (ux, uy) in the frame of the table. If it is in a
+  !> channel and heads for the far end, its flight is dated back to the entrance of the channel, and
+  !> `hits` is reduced by the wall hits that it did not have. If it is in an urn, or on its way back
+  !> to one, a visit is added. Each call loads either particles in channels or particles in urns,
+  !> and ignores the others.
+  subroutine make_initial_flight(table, i, x, y, ux, uy, from_channels, flight, visits, hits)
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: i
+    !> Position, a length, and velocity, of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> Whether particles in channels are loaded; else those in urns.
+    logical, intent(in) :: from_channels
+    type(flight_type), intent(inout) :: flight
+    !> Batch of the visits to its urn.
+    type(visits_type), intent(inout) :: visits
+    integer(int64), intent(inout) :: hits
+    type(passage_type) :: passage
+
+    passage = passage_at(table, x, y, ux, uy)
+    if (from_channels .eqv. passage%channel == no_channel) return
+    if (from_channels) flight%urn = int(passage%urn, int16)
+    if (passage%endless) then
+      flight%next_event = parked_in_channel
+      flight%y = y
+      flight%u_axial = abs(ux)
+      flight%u_lateral = uy
+    else if (passage%inward) then
+      flight%next_event = merge(counted_in_gate, to_return, passage%channel == gated)
+      flight%time = passage%time
+      flight%y = passage%height
+      flight%u_axial = abs(ux)
+      flight%through = table%channel(passage%channel)%length/abs(ux)
+      flight%u_lateral = passage%reflected*uy
+      hits = hits - int(passage%hits, int64)
+    else
+      associate (urn => table%urn(passage%urn), at => visits%count + 1)
+        visits%particle(at) = i
+        visits%urn(at) = passage%urn
+        visits%time(at) = 0.0_wp
+        visits%turned(at) = never
+        visits%y(at) = y
+        visits%u_lateral(at) = uy
+        ! In an urn: in the frame of the urn. In a channel: as `cross_channels` expects it.
+        visits%hits(at) = 0.0_wp
+        visits%x(at) = urn%centre - abs(x)
+        visits%passage(at) = passage%time
+        visits%u_axial(at) = merge(abs(ux), urn%axis_sign*ux, from_channels)
+        if (from_channels) visits%channel(at) = passage%channel
+        visits%count = at
+      end associate
+    end if
+  end subroutine make_initial_flight
+
+  !> Flight of a particle before its first visit, which `make_initial_flight` has added: it has just
+  !> entered the channel where it was, or is about to have its first impact in the urn. That is the
+  !> stored start of a long visit.
+  subroutine date_back_flight(table, x, y, ux, uy, flight, hits)
+    type(table_type), intent(in) :: table
+    !> Its initial position, a length, and velocity, of length 1, in the frame of the table.
+    real(wp), intent(in) :: x, y, ux, uy
+    type(flight_type), intent(inout) :: flight
+    !> Wall hits of the visit; out: from the first impact on, if it was in an urn.
+    real(wp), intent(inout) :: hits
+    type(passage_type) :: passage
+    integer(int64) :: before
+
+    passage = passage_at(table, x, y, ux, uy)
+    if (passage%channel == no_channel) then
+      associate (urn => table%urn(passage%urn))
+        call first_impact(urn, urn%centre - abs(x), y, urn%axis_sign*ux, uy, flight%y, &
+          flight%u_axial, flight%u_lateral, flight%time, before)
+      end associate
+      flight%next_event = partial_visit
+      hits = hits - real(before, wp)
+    else
+      flight%next_event = merge(counted_in_gate, to_return, passage%channel == gated)
+      flight%time = 0.0_wp
+      flight%y = y
+      flight%u_axial = abs(ux)
+      flight%u_lateral = uy
+      flight%through = passage%time
+    end if
+  end subroutine date_back_flight
+
   !> Time at which a particle that enters a gate reaches the middle line of channel 1: always after
   !> the entry, however short the channel.
   elemental function middle_time(enters, through) result(time)
-    !> Time of the entry, 0 or more; time that the particle takes through the whole channel.
+    !> Time of the entry, 0 or more; duration of its passage through the whole channel.
     real(wp), intent(in) :: enters, through
     real(wp) :: time
 
@@ -64,6 +165,49 @@ contains
     end do
   end subroutine load_flights
 
+  !> Stores the next flight of each particle of a batch; `time` becomes the time of the next event.
+  pure subroutine store_flights(number, flight, n, particle, urn, channel, time, length, y, &
+    u_axial, u_lateral, through)
+    !> Number of particles; size of the batch.
+    integer, intent(in) :: number, n
+    type(flight_type), intent(inout) :: flight(number)
+    !> Particle of each visit, and its urn (1 or 2).
+    integer, intent(in) :: particle(n), urn(n)
+    !> Channel that the particle goes to, or `no_channel`.
+    integer(int64), intent(in) :: channel(n)
+    !> Length of the visit; height, |u_x| and u_y at its end; time in the next channel, from end to
+    !> end. For `no_channel` as in `visits_type`.
+    real(wp), intent(in) :: length(n), y(n), u_axial(n), u_lateral(n), through(n)
+    !> In: start of the visit. Out: next event; huge if there is none.
+    real(wp), intent(inout) :: time(n)
+    integer :: j, i
+    real(wp) :: leaves
+
+    do j = 1, n
+      i = particle(j)
+      leaves = time(j) + length(j)
+      flight(i)%length = length(j)
+      flight(i)%time = leaves
+      flight(i)%y = y(j)
+      flight(i)%u_axial = u_axial(j)
+      flight(i)%u_lateral = u_lateral(j)
+      flight(i)%through = through(j)
+      flight(i)%urn = int(urn(j), int16)
+      flight(i)%next_event = to_gate
+      time(j) = leaves
+      if (channel(j) /= gated) then
+        flight(i)%next_event = merge(to_return, parked_in_urn, channel(j) == ungated)
+        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
+        if (channel(j) == truncated) then
+          ! Before its end, so that what follows is due no sooner than the lookahead.
+          flight(i)%next_event = partial_visit
+          time(j) = leaves - through(j)
+        end if
+      end if
+      flight(i)%due = time(j)
+    end do
+  end subroutine store_flights
+
   !> Position and velocity at the time `now` of a particle that is not parked, in the frame of its
   !> urn, traced backwards from the end of its visit; and the `hits` to be added to `computed_hits`
   !> for it (negative: hits that are computed but still to come).
@@ -80,11 +224,11 @@ contains
     integer :: channel
 
     elapsed = now - flight%time
-    channel = merge(ungated, gated, flight%heading == to_return)
-    if (flight%heading == partial_visit) channel = no_channel
+    channel = merge(ungated, gated, flight%next_event == to_return)
+    if (flight%next_event == partial_visit) channel = no_channel
     if (channel /= no_channel .and. elapsed >= 0.0_wp) then
-      call fold(flight%y + flight%u_lateral*elapsed, urn%width(channel), position(2), reflected, &
-        passed)
+      call fold_into_channel(flight%y + flight%u_lateral*elapsed, urn%width(channel), position(2), &
+        reflected, passed)
       position(1) = facing(channel)*(urn%chord(channel) + flight%u_axial*elapsed)
       velocity = [facing(channel)*flight%u_axial, reflected*flight%u_lateral]
       hits = int(passed, int64)
@@ -111,7 +255,8 @@ contains
 
     if (before <= 0.0_wp) return
     from = merge(gated, ungated, position(1) > 0.0_wp)
-    call fold(position(2) - velocity(2)*before, urn%width(from), height, reflected, passed)
+    call fold_into_channel(position(2) - velocity(2)*before, urn%width(from), height, reflected, &
+      passed)
     ! However slow it is, it stays in this urn's half of the channel.
     position(1) = facing(from)*(urn%chord(from) + min(abs(velocity(1))*before, &
       0.5_wp*urn%length(from)))
@@ -134,8 +279,8 @@ contains
     integer :: channel
 
     channel = merge(gated, ungated, abs(x) <= 0.5_wp*urn%length(gated))
-    call fold(flight%y + flight%u_lateral*(now - flight%time), urn%width(channel), height, &
-      reflected, passed)
+    call fold_into_channel(flight%y + flight%u_lateral*(now - flight%time), urn%width(channel), &
+      height, reflected, passed)
     state = [x, height, 0.0_wp, reflected*flight%u_lateral]
     hits = int(passed, int64)
   end subroutine locate_parked_particle

@@ -3,25 +3,25 @@
 !>
 !> A flight holds the end of a visit. Tracing back from there costs digits: a rounding error for
 !> each unit of length, and a visit may be 1e13 long. So the start of a visit is stored if the visit
-!> is long, never ends, or is known in part only; while a particle is nearer to the start of its
+!> is long, never ends, or is truncated; while a particle is nearer to the start of its
 !> visit than to its end, it is located forwards from the start.
 !>
 !> An entry is a copy of the previous flight: a few words are copied, nothing is computed. It is
 !> valid as long as the flight of its particle belongs to a long visit; invalid ones are dropped
-!> when there is no room for new ones.
+!> when the store is full.
 module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_calendar, only: flight_type
-  use battery_channel, only: fold, gated, ungated, facing, no_channel
+  use battery_channel, only: fold_into_channel, gated, ungated, facing, no_channel
   use battery_flight, only: never, to_gate, to_return, parked_in_urn, partial_visit, &
     trace_back_into_channel
   use battery_archive, only: archive_type
   use battery_urn, only: urn_type, locate_in_visit, locate_after
-  use battery_visits, only: visits_type, truncated
+  use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: long_visits_type, new_long_visits, is_long_visit, keep_beginnings, &
-    store_flights, is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
+  public :: long_visits_type, new_long_visits, is_long_visit, store_visit_starts, &
+    is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
 
   !> A visit is long from this many times the reach of its urn on: tracing back through half of a
   !> shorter one costs no more than some 1e-13. A visit with fewer than `many_hits` hits has at most
@@ -30,23 +30,23 @@ module battery_long_visits
 
   !> The start of a visit, in one cache line.
   type :: entry_type
-    !> As in the previous flight. Heading `counted_in_gate` or `to_return`: how the particle entered
-    !> the channel before the urn. `partial_visit`: an impact in the urn, described as `visits_type`
-    !> describes one of a particle that never leaves.
+    !> As in the previous flight. `next_event` `counted_in_gate` or `to_return`: how the particle
+    !> entered the channel before the urn. `partial_visit`: an impact in the urn, described as
+    !> `visits_type` describes one of a particle that never leaves.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
     !> When a gate turned it back in the channel, or `never`.
     real(wp) :: turned = never
     !> Wall hits in that channel and of the whole visit; after an impact, those since then.
     real(wp) :: hits = 0.0_wp
     integer(int32) :: particle = 0
-    integer(int16) :: heading = 0
+    integer(int16) :: next_event = 0
   end type entry_type
 
   !> The entries, and the index from particles to entries.
   type :: long_visits_type
     !> Visits longer than this are long.
     real(wp) :: least = huge(1.0_wp)
-    !> How many particles and entries there are, and how many there is room for.
+    !> Number of particles, number of entries, size of the store.
     integer, private :: number = 0, count = 0, room = 0
     type(entry_type), allocatable, private :: entry(:)
     !> Entry of each particle, or 0; not allocated before there is an entry.
@@ -88,7 +88,7 @@ contains
     type(flight_type), intent(in) :: flight
     logical :: yes
 
-    select case (flight%heading)
+    select case (flight%next_event)
     case (parked_in_urn, partial_visit)
       yes = .true.
     case (to_gate, to_return)
@@ -99,7 +99,7 @@ contains
   end function has_long_visit
 
   !> Keeps how the long visits of a batch began, before `store_flights` writes their flights.
-  pure subroutine keep_beginnings(visits, number, flight, batch)
+  pure subroutine store_visit_starts(visits, number, flight, batch)
     !> Updated with the starts of the long visits of the batch.
     type(long_visits_type), intent(inout) :: visits
     !> Number of particles.
@@ -114,58 +114,16 @@ contains
     do k = 1, batch%many_count
       j = batch%many(k)
       if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
-      ! For all that are left: whose visit is kept already still has the flight of before.
+      ! For all that are left, before any of them is stored: their flights are still the previous
+      ! ones.
       if (visits%count + batch%many_count - k >= visits%room) call grow_entries(visits, flight, &
         batch%many_count - k + 1)
       i = batch%particle(j)
       call store_visit_start(visits, i, flight(i), batch%turned(j), batch%hits(j))
     end do
-  end subroutine keep_beginnings
+  end subroutine store_visit_starts
 
-  !> Stores the next flight of each particle of a batch; `time` becomes the time of the next event.
-  pure subroutine store_flights(number, flight, n, particle, urn, channel, time, length, y, &
-    u_axial, u_lateral, through)
-    !> Number of particles; size of the batch.
-    integer, intent(in) :: number, n
-    type(flight_type), intent(inout) :: flight(number)
-    !> Particle of each visit, and its urn (1 or 2).
-    integer, intent(in) :: particle(n), urn(n)
-    !> Channel that the particle goes to, or `no_channel`.
-    integer(int64), intent(in) :: channel(n)
-    !> Length of the visit; height, |u_x| and u_y at its end; time in the next channel, from end to
-    !> end. For `no_channel` as in `visits_type`.
-    real(wp), intent(in) :: length(n), y(n), u_axial(n), u_lateral(n), through(n)
-    !> In: start of the visit. Out: next event; huge if there is none.
-    real(wp), intent(inout) :: time(n)
-    integer :: j, i
-    real(wp) :: leaves
-
-    do j = 1, n
-      i = particle(j)
-      leaves = time(j) + length(j)
-      flight(i)%length = length(j)
-      flight(i)%time = leaves
-      flight(i)%y = y(j)
-      flight(i)%u_axial = u_axial(j)
-      flight(i)%u_lateral = u_lateral(j)
-      flight(i)%through = through(j)
-      flight(i)%urn = int(urn(j), int16)
-      flight(i)%heading = to_gate
-      time(j) = leaves
-      if (channel(j) /= gated) then
-        flight(i)%heading = merge(to_return, parked_in_urn, channel(j) == ungated)
-        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
-        if (channel(j) == truncated) then
-          ! Before its end, so that what follows is due no sooner than the lookahead.
-          flight(i)%heading = partial_visit
-          time(j) = leaves - through(j)
-        end if
-      end if
-      flight(i)%due = time(j)
-    end do
-  end subroutine store_flights
-
-  !> Stores the start of a long visit before its flight is overwritten; there is room for it.
+  !> Stores the start of a long visit before its flight is overwritten; the store is not full.
   pure subroutine store_visit_start(visits, particle, flight, turned, hits)
     type(long_visits_type), intent(inout) :: visits
     !> Its particle.
@@ -191,7 +149,7 @@ contains
       entry%through = flight%through
       entry%turned = turned
       entry%hits = hits
-      entry%heading = flight%heading
+      entry%next_event = flight%next_event
     end associate
   end subroutine store_visit_start
 
@@ -242,7 +200,7 @@ contains
     logical :: yes
 
     yes = has_long_visit(visits, flight)
-    if (yes .and. flight%heading /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
+    if (yes .and. flight%next_event /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
   end function is_nearer_start
 
   !> Position and velocity of a particle at the time `now`, forwards from the start of its visit;
@@ -263,15 +221,16 @@ contains
     integer :: from
 
     associate (entry => visits%entry(visits%place(particle)))
-      if (entry%heading == partial_visit) then
+      if (entry%next_event == partial_visit) then
         call locate_in_visit(urn, no_channel, entry%y, entry%u_axial, entry%u_lateral, now &
           - entry%time, position, velocity, hits)
       else
-        from = merge(ungated, gated, entry%heading == to_return)
+        from = merge(ungated, gated, entry%next_event == to_return)
         passage = merge(2.0_wp*(entry%turned - entry%time), entry%through, entry%turned < never)
         begins = entry%time + passage
         x = facing(from)*urn%chord(from)
-        call fold(entry%y + entry%u_lateral*passage, urn%width(from), y, reflected, passed)
+        call fold_into_channel(entry%y + entry%u_lateral*passage, urn%width(from), y, reflected, &
+          passed)
         ux = -facing(from)*entry%u_axial
         uy = reflected*entry%u_lateral
         if (now < begins) then
@@ -322,7 +281,7 @@ contains
       visits%place(particle) = [(int(at, int32), at=1, size(particle))]
     end if
     associate (entry => visits%entry(:visits%count))
-      call archive%serialize('long_heading', entry%heading)
+      call archive%serialize('long_heading', entry%next_event)
       call archive%serialize('long_time', entry%time, 'long_y', entry%y, 'long_along', &
         entry%u_axial, 'long_across', entry%u_lateral, 'long_through', entry%through)
       call archive%serialize('long_turned', entry%turned, 'long_hits', entry%hits)

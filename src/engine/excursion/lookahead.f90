@@ -27,14 +27,14 @@ contains
   pure function lookahead_pays(events, threshold)
     !> Mean number of events in a window.
     real(wp), intent(in) :: events
-    !> Thresholds of both gates: behind one of 0 nobody goes straight.
+    !> Thresholds of both gates: a gate of threshold 0 turns all particles back.
     integer, intent(in) :: threshold(2)
     logical :: lookahead_pays
 
     lookahead_pays = events < most_events .and. all(threshold > 0)
   end function lookahead_pays
 
-  !> Fills in the visits that begin: takes those that were computed ahead, else computes them
+  !> Fills in the visits that begin: copies those that were computed ahead, else computes them
   !> together with those of the next events.
   subroutine take_computed_visits(urn, number, flight, coming, next, visits, ahead, computed_hits)
     type(urn_type), intent(in) :: urn
@@ -88,7 +88,8 @@ contains
 
   end subroutine take_computed_visits
 
-  !> Computes the visits that begin, and those that will begin if the next particles go straight.
+  !> Computes the visits that begin, and those that will begin if no gate turns the next particles
+  !> back.
   subroutine compute_lookahead_visits(urn, number, flight, coming, next, visits, ahead)
     type(urn_type), intent(in) :: urn
     integer, intent(in) :: number, coming, next(coming)
@@ -104,7 +105,7 @@ contains
     ahead%turned(:n) = visits%turned(:n)
     do k = 1, min(coming, most_lookahead_visits)
       ahead%particle(n + k) = next(k)
-      ahead%channel(n + k) = merge(gated, ungated, flight(next(k))%heading == to_gate)
+      ahead%channel(n + k) = merge(gated, ungated, flight(next(k))%next_event == to_gate)
       ahead%turned(n + k) = never
     end do
     n = n + min(coming, most_lookahead_visits)

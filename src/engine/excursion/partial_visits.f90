@@ -6,8 +6,8 @@
 module battery_partial_visits
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type
-  use battery_flight, only: partial_visit, never
-  use battery_long_visits, only: long_visits_type, keep_beginnings, store_flights
+  use battery_flight, only: partial_visit, never, store_flights
+  use battery_long_visits, only: long_visits_type, store_visit_starts
   use battery_urn, only: urn_type, compute_visits, locate_in_visit
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
@@ -34,7 +34,7 @@ contains
     integer, allocatable, intent(out) :: resumed(:)
     logical :: apart(events)
 
-    apart = flight(particle(:events))%heading == partial_visit
+    apart = flight(particle(:events))%next_event == partial_visit
     resumed_count = count(apart)
     resumed_time = pack(due_time(:events), apart)
     resumed = pack(particle(:events), apart)
@@ -44,11 +44,11 @@ contains
   end subroutine split_off_partial_visits
 
   !> Computes the next part of each visit to one urn, starting from when it was due.
-  subroutine compute_partial_visits(urn, side, number, flight, resumed_count, resumed_time, &
+  subroutine compute_partial_visits(urn, urn_index, number, flight, resumed_count, resumed_time, &
     resumed, visits, long_visits, computed_hits)
     type(urn_type), intent(in) :: urn
     !> The urn, 1 or 2; number of particles.
-    integer, intent(in) :: side, number
+    integer, intent(in) :: urn_index, number
     type(flight_type), intent(inout) :: flight(number)
     !> Particles of both urns, from `split_off_partial_visits`.
     integer, intent(in) :: resumed_count, resumed(resumed_count)
@@ -67,13 +67,13 @@ contains
     call reserve_visits(visits, resumed_count)
     do k = 1, resumed_count
       associate (flown => flight(resumed(k)))
-        if (flown%urn /= side) cycle
+        if (flown%urn /= urn_index) cycle
         j = visits%count + 1
         visits%count = j
         call locate_in_visit(urn, int(truncated), flown%y, flown%u_axial, flown%u_lateral, 0.0_wp, &
           position, velocity, hits)
         visits%particle(j) = resumed(k)
-        visits%urn(j) = side
+        visits%urn(j) = urn_index
         visits%time(j) = resumed_time(k)
         visits%x(j) = position(1)
         visits%y(j) = position(2)
@@ -91,7 +91,7 @@ contains
       v%length(:n) = v%length(:n) + rest(:n)
       v%many_count = n
       v%many(:n) = [(k, k=1, n)]
-      call keep_beginnings(long_visits, number, flight, v)
+      call store_visit_starts(long_visits, number, flight, v)
       call store_flights(number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, v%y, &
         v%u_axial, v%u_lateral, v%through)
     end associate

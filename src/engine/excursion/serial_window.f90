@@ -46,8 +46,8 @@ contains
         call cross_middle_line(gate, beyond, began, visits, event_record, end_wall_hits)
       end do
       urn = flight(i)%urn
-      if (flight(i)%heading == to_gate) then
-        flight(i)%heading = counted_in_gate
+      if (flight(i)%next_event == to_gate) then
+        flight(i)%next_event = counted_in_gate
         call enter_gate(gate(urn), middle_time(now, flight(i)%through), i)
         if (event_record%logging) call record_event(event_record, now - began, event_entry, urn, i)
         if (must_reverse(gate(urn))) then
@@ -76,7 +76,8 @@ contains
     do other = at + 1, events
       if (calendar%due_time(other) > calendar%due_time(at)) exit
       i = calendar%particle(other)
-      more = flight(i)%heading == to_gate .and. flight(i)%urn == flight(calendar%particle(at))%urn
+      more = flight(i)%next_event == to_gate .and. flight(i)%urn &
+        == flight(calendar%particle(at))%urn
       if (more) exit
     end do
   end function more_enter_now

@@ -1,29 +1,30 @@
-!> The engine `reservoir`: urns without memory. The gates and channels are exact, the urns are not.
+!> The engine `reservoir`: urns without memory. Gates and channels are exact, urns are not: an
+!> approximation to compare with.
 !>
-!> A particle that enters an urn stays for an exponential time of mean pi A / (w + w'), the mean of
-!> the true visits, and leaves through channel 1 with probability w / (w + w'), at a height uniform
-!> on the opening, in a direction of the cosine law: the sine of its angle to the channel is uniform
-!> in (-1, 1). All three are drawn anew, whatever it did before. That is what the theory assumes of
-!> an urn, so the difference to `excursion` is what the shape of the urn does.
+!> A particle that enters an urn stays there for an exponential time of mean pi A/(w + w'), the true
+!> mean, and leaves through channel 1 with probability w/(w + w'), at a height uniform on the
+!> opening, in a direction of the cosine law: the sine of its angle to the channel is uniform in
+!> (-1, 1). All three are independent of its past. That is what the theory assumes of an urn, so the
+!> difference to `excursion` is the effect of the urn's shape.
 !>
-!> **Ticks.** Exponential times forget, so nobody's end of stay has to be known ahead. Each of the n
-!> particles that are in an urn or on the way into one ticks at the rate 1/mean; together they tick
-!> at n/mean, and who it is, is drawn among them. One that is in its urn leaves it with the tick;
-!> one that is still on its way does not heed it. That is exact, and there is no calendar to keep.
-!> If one urn is larger than the other, all tick at the rate of the smaller one, and those in the
-!> larger heed their share of the ticks.
-!> Ticks belong to the order of events and to the seed alone, not to the windows.
+!> **Ticks.** Exponential times have no memory, so the end of a stay need not be known in advance.
+!> Each of the n particles that are in an urn, or on the way into one, ticks at the rate 1/mean.
+!> Together they are a Poisson process of rate n/mean; the particle of each tick is drawn. A
+!> particle in its urn leaves at the tick; one that is still on its way ignores it. That is exact,
+!> and needs no calendar. If the urns differ, all tick at the rate of the urn with the shorter mean,
+!> and the ticks of particles in the other urn are thinned. Ticks depend on the order of events and
+!> on the seed only, not on the windows.
 !>
-!> **What is not there.** There are no walls in an urn. `collisions` takes the mean for them,
-!> (walls)/(pi A) hits per time spent in an urn, and the true hits in the channels: so a run of so
-!> many collisions is about as long as that of another engine. Nobody has a place in an urn:
-!> `particles` draws one, from the seed, the time and the particle's number.
+!> **Limits.** Urns have no walls here. `collisions` adds their mean number, (length of walls)/(pi
+!> A) per time in an urn, to the true hits in the channels, so a run of a given number of collisions
+!> is about as long as with another engine. A particle in an urn has no position: `particles` draws
+!> one, from the seed, the time and the particle index.
 module battery_reservoir
   use battery_kinds, only: wp, int32, int64, pi
   use battery_powers, only: power_above
   use battery_table, only: table_type, gated, ungated, are_mirror_images, mean_visit, is_scattered
   use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, &
-    make_initial_stay, hits_to_come, locate_stay, locate_parked_stay, sum_outside_urns, &
+    make_initial_stay, remaining_channel_hits, locate_stay, locate_parked_stay, sum_outside_urns, &
     serialize_stays, serialize_draws, is_parked, from_gate, from_return, counted_in_gate, to_return
   use battery_random, only: new_random
   use battery_queue, only: queue_type, empty_queue, push, pop, rebase_queue, serialize_queue
@@ -37,39 +38,41 @@ module battery_reservoir
   private
   public :: reservoir_type
 
-  !> About so many events make a window, and no more ticks than this.
+  !> Events of a window, about, and its largest number of ticks.
   real(wp), parameter :: window_events = 100.0_wp, window_ticks = 1.0e6_wp
 
-  !> The engine: a stay for each particle, and those that tick.
+  !> The engine: the stay of each particle, and the particles that tick.
   type, extends(engine_type) :: reservoir_type
     private
     type(stay_type), allocatable :: stay(:)
-    !> When each enters its urn, if it is not on its way into a channel. Apart from the rest, since
-    !> each tick asks for it, of anybody.
+    !> When each enters its urn, unless it is on its way into a channel. An array of its own, since
+    !> each tick reads it, of a random particle.
     real(wp), allocatable :: entered(:)
-    !> Where each is along x in the frame of the table, if any is parked: it stays there.
+    !> x of each particle in the frame of the table, for those that are parked; allocated if there
+    !> are any.
     real(wp), allocatable :: parked_x(:)
-    !> Those that tick: `member(:members)`.
+    !> Particles that tick: `member(:members)`.
     integer :: members = 0
     integer(int32), allocatable :: member(:)
-    !> When the next of them ticks.
+    !> Time of the next tick.
     real(wp) :: next_tick = huge(1.0_wp)
-    !> Those in channel 2 on their way to the periodic line.
+    !> Particles in channel 2 on their way to the periodic line.
     type(queue_type) :: returning
     type(draws_type) :: draws
-    !> Longest window, mean time between ticks of a member, half lengths of the channels, and a time
-    !> that any clock within an epoch can tell from none.
+    !> Longest window, mean time between ticks of one particle, half lengths of the channels, and
+    !> the shortest time that the clock of an epoch resolves.
     real(wp) :: window = 0.0_wp, mean_stay = 0.0_wp, half_length(2) = 0.0_wp, shortest = 0.0_wp
-    !> Whether the urns differ; the share of its ticks that one in each urn heeds; hits per time in
-    !> each urn, and the greater of the two rates.
+    !> Whether the urns differ; by urn, the fraction of ticks that thinning keeps, and wall hits per
+    !> time; the greater of these two rates.
     logical :: uneven = .false.
     real(wp) :: tick_share(2) = 1.0_wp, urn_rate(2) = 0.0_wp, hit_rate = 0.0_wp
-    !> Wall hits, as if all that move had been in the urn of more hits all the time but for the
-    !> passages before their present stay, and all passages would be whole: never less than there
-    !> were. What is left over of those that are not whole; what event records have told of them.
+    !> Wall hits counted so far, an upper bound: as if each particle that is not parked had been in
+    !> the urn with more hits at all times but its passages before the present stay, and each
+    !> passage were complete. Those that event records have reported. Fraction of a hit not yet
+    !> counted.
     integer(int64) :: computed_hits = 0, reported_hits = 0
     real(wp) :: fraction = 0.0_wp
-    !> How many move on, that is, are not parked.
+    !> Number of particles that are not parked.
     integer :: moving = 0
   contains
     procedure :: supports, prepare_engine, load_particles, advance_window, rebase_clock, &
@@ -79,7 +82,8 @@ module battery_reservoir
 
 contains
 
-  !> A channel where particles are scattered has no fixed way through.
+  !> Why the engine cannot simulate a table: a passage of a channel with discs has no fixed
+  !> duration.
   pure function supports(self, table) result(reason)
     class(reservoir_type), intent(in) :: self
     type(table_type), intent(in) :: table
@@ -89,7 +93,7 @@ contains
     if (is_scattered(table) .and. self%number >= 0) reason = 'it does not support scatterers'
   end function supports
 
-  !> Sizes and lengths that follow from the table and the number of particles.
+  !> Derives sizes, rates and lengths from the table and the number of particles.
   subroutine prepare_engine(self)
     class(reservoir_type), intent(inout) :: self
     real(wp) :: stay(2), interval
@@ -104,7 +108,7 @@ contains
     interval = self%mean_stay + 0.25_wp*pi*self%table%channel(gated)%length
     self%epoch = power_above(4.0_wp*interval)
     self%shortest = epsilon(1.0_wp)*self%epoch
-    ! Where stays are much shorter than passages, those in the channels tick most of the time.
+    ! If stays are much shorter than passages, most ticks are of particles in the channels.
     self%window = min(min(window_events/real(self%number, wp), 2.0_wp)*interval, &
       window_ticks/real(self%number, wp)*self%mean_stay)
     if (allocated(self%stay)) deallocate (self%stay, self%entered, self%member)
@@ -118,7 +122,7 @@ contains
     self%fraction = 0.0_wp
   end subroutine prepare_engine
 
-  !> Those in channels go on as they do, those in urns begin a stay.
+  !> Loads the particles: those in channels continue their passage, those in urns begin a stay.
   subroutine load_particles(self, particles)
     class(reservoir_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -128,7 +132,7 @@ contains
       call make_initial_stay(self%table, particles%x(i), particles%y(i), particles%ux(i), &
         particles%uy(i), self%stay(i), self%entered(i))
       associate (stay => self%stay(i))
-        select case (stay%heading)
+        select case (stay%phase)
         case (counted_in_gate)
           call enter_gate(self%gate(stay%urn), stay%time + self%half_length(gated)/stay%u_axial, i)
         case (to_return)
@@ -138,8 +142,8 @@ contains
         case default
           continue
         end select
-        self%computed_hits = self%computed_hits + hits_to_come(self%table, stay)
-        ! The time in the channel before the start is no time of this run.
+        self%computed_hits = self%computed_hits + remaining_channel_hits(self%table, stay)
+        ! The time in the channel before the start is not part of the run.
         if (.not. is_parked(stay)) self%fraction = self%fraction - self%hit_rate*stay%time
       end associate
     end do
@@ -148,7 +152,7 @@ contains
     call schedule_tick(self, 0.0_wp)
   end subroutine load_particles
 
-  !> One window of at most the time `duration`; hits of urns are their mean.
+  !> Advances by one window of at most `duration`; hits in urns are their mean.
   subroutine advance_window(self, duration, event_record)
     class(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -169,7 +173,7 @@ contains
     self%reported_hits = self%computed_hits
   end subroutine advance_window
 
-  !> Sets back the queue, the stays, the next tick and the clock.
+  !> Shifts all times back by one epoch.
   subroutine rebase_clock(self)
     class(reservoir_type), intent(inout) :: self
 
@@ -180,8 +184,8 @@ contains
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> All events before `ends`, in the order of time. Crossings come before a tick at one time; no
-  !> two ticks are at one time.
+  !> Processes all events before `ends`, in the order of time. At one time crossings come before a
+  !> tick; no two ticks are simultaneous.
   subroutine run_window_events(self, began, ends, event_record)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: began, ends
@@ -203,16 +207,17 @@ contains
       at = min(1 + int(place), self%members)
       if (self%entered(self%member(at)) <= time) then
         leaves = .true.
-        if (self%uneven) call thin(self, self%member(at), place - real(at - 1, wp), time, leaves)
+        if (self%uneven) call thin_tick(self, self%member(at), place - real(at - 1, wp), time, &
+          leaves)
         if (leaves) call leave_urn(self, at, time, began, event_record)
       end if
       call schedule_tick(self, time)
     end do
   end subroutine run_window_events
 
-  !> Urns that differ: whether particle i heeds a tick, by a number `chance` uniform in (0, 1). If
-  !> it does, what was hit less than in the other urn is taken off.
-  pure subroutine thin(self, i, chance, time, is_kept)
+  !> If the urns differ: whether the tick of particle `i` is kept, from `chance` uniform in (0, 1).
+  !> If it is, subtracts the hits by which its urn falls short of the other one.
+  pure subroutine thin_tick(self, i, chance, time, is_kept)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: i
     real(wp), intent(in) :: chance, time
@@ -223,9 +228,9 @@ contains
     is_kept = chance <= self%tick_share(urn)
     if (is_kept) self%fraction = self%fraction &
       - (self%hit_rate - self%urn_rate(urn))*(time - self%entered(i))
-  end subroutine thin
+  end subroutine thin_tick
 
-  !> Member `at` leaves its urn at `time`, into one of the channels.
+  !> Moves member `at` at `time` out of its urn, into one of the channels.
   subroutine leave_urn(self, at, time, began, event_record)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: at
@@ -248,7 +253,7 @@ contains
       stay%u_lateral = self%draws%u_lateral(k)
       stay%hits = self%draws%hits(k)
       urn = stay%urn
-      stay%heading = int(merge(counted_in_gate, to_return, self%draws%channel(k) == gated), int32)
+      stay%phase = int(merge(counted_in_gate, to_return, self%draws%channel(k) == gated), int32)
     end associate
     self%member(at) = self%member(self%members)
     self%members = self%members - 1
@@ -261,7 +266,7 @@ contains
     end if
   end subroutine leave_urn
 
-  !> Draws when the next tick comes after `time`.
+  !> Draws the time of the next tick after `time`.
   subroutine schedule_tick(self, time)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: time
@@ -273,7 +278,7 @@ contains
     self%draws%next_tick = self%draws%next_tick + 1
   end subroutine schedule_tick
 
-  !> One more particle ticks from now on.
+  !> Adds particle `i` to those that tick.
   subroutine start_ticking(self, i)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -282,7 +287,8 @@ contains
     self%member(self%members) = int(i, int32)
   end subroutine start_ticking
 
-  !> A gate reverses: all counted go back to their urn, as long as they have been in the channel.
+  !> Reverses a gate: all particles that it counts return to their urn. The way out takes as long as
+  !> the way in.
   subroutine reverse_gate(self, urn, time, began, event_record)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: urn
@@ -300,14 +306,14 @@ contains
       self%fraction = self%fraction + (hits - self%stay(i)%hits)
       self%stay(i)%hits = hits
       self%entered(i) = 2.0_wp*time - self%stay(i)%time
-      self%stay(i)%heading = from_gate
+      self%stay(i)%phase = from_gate
       call start_ticking(self, i)
     end do
     call uncount_all(self%gate(urn))
   end subroutine reverse_gate
 
-  !> The next of all crosses its line, or hits the end wall there, and goes on to the urn beyond.
-  !> With one more to tick, the next tick comes so much sooner.
+  !> Takes the earliest pending crossing of a line, or hit of an end wall there: the particle goes
+  !> on to the urn beyond. One more particle ticks, so the next tick comes sooner in proportion.
   subroutine cross_line(self, time, began, event_record)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: time, began
@@ -326,7 +332,7 @@ contains
     if (self%table%beyond(urn) == urn) self%computed_hits = self%computed_hits + 1
     associate (stay => self%stay(i))
       stay%urn = int(self%table%beyond(urn), int32)
-      stay%heading = int(merge(from_gate, from_return, channel == gated), int32)
+      stay%phase = int(merge(from_gate, from_return, channel == gated), int32)
       self%entered(i) = stay%time + 2.0_wp*self%half_length(channel)/stay%u_axial
     end associate
     call start_ticking(self, i)
@@ -338,7 +344,7 @@ contains
     end if
   end subroutine cross_line
 
-  !> Where particle `i` is now; in an urn a place is drawn.
+  !> State of particle `i` now; in an urn it is drawn.
   function state_of(self, i) result(state)
     class(reservoir_type), intent(in) :: self
     integer, intent(in) :: i
@@ -353,7 +359,7 @@ contains
     end if
   end function state_of
 
-  !> Wall hits from the start until now: those known, put right for where each particle is.
+  !> Wall hits from the start until now: those counted, corrected for each particle.
   function collisions(self) result(total)
     class(reservoir_type), intent(in) :: self
     integer(int64) :: total
@@ -368,7 +374,7 @@ contains
       self%moving < self%number))
   end function collisions
 
-  !> How many are parked.
+  !> Number of parked particles.
   function trapped(self) result(total)
     class(reservoir_type), intent(in) :: self
     integer(int64) :: total
@@ -376,7 +382,7 @@ contains
     total = self%number - self%moving
   end function trapped
 
-  !> The stays, those that tick, the numbers drawn ahead and the counts, through an archive.
+  !> Serialises the stays, the particles that tick, the numbers drawn ahead and the counts.
   subroutine serialize_own_state(self, archive)
     class(reservoir_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

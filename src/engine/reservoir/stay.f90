@@ -1,41 +1,41 @@
-!> What the engine `reservoir` knows of a particle, and the random numbers that it lives by.
+!> State of a particle of the engine `reservoir`, and the random numbers that decide its stays.
 module battery_stay
   use battery_kinds, only: wp, int32, int64, pi
   use battery_table, only: table_type, passage_type, passage_at, gated, ungated, no_channel, &
     x_direction, try_random_point
-  use battery_channel, only: fold
+  use battery_channel, only: fold_into_channel
   use battery_archive, only: archive_type
   use battery_random, only: random_type, draw_uniform, hashed_uniform
   implicit none (type, external)
   private
   public :: stay_type, draws_type, block_length, draw_ticks, draw_exits, make_initial_stay, &
-    locate_stay, locate_parked_stay, is_parked, hits_to_come, sum_outside_urns, serialize_stays, &
-    serialize_draws
+    locate_stay, locate_parked_stay, is_parked, remaining_channel_hits, sum_outside_urns, &
+    serialize_stays, serialize_draws
   public :: from_gate, from_return, counted_in_gate, to_return
 
-  !> Random numbers are drawn so many at a time.
+  !> Random numbers drawn at a time.
   integer, parameter :: block_length = 512
 
-  !> In an urn, or on the way into it from channel 1 or 2; counted in a gate; on the way to the
-  !> periodic line; flying to and fro across channel 1 or 2 for ever.
+  !> Phases of a particle: in an urn, or on the way into it from channel 1 or 2 (`from_gate`,
+  !> `from_return`); counted in a gate; on the way to the periodic line; parked, moving across
+  !> channel 1 or 2 for ever.
   integer, parameter :: from_gate = 1, from_return = 2, counted_in_gate = 3, to_return = 4, &
     parked_in_gate = 5, parked_in_return = 6
 
-  !> What is known of a particle, but for when it enters its urn.
+  !> State of a particle, except for the time at which it enters its urn.
   type :: stay_type
-    !> When it entered the channel it is or was last in, at which height, with |u_x| and u_y.
-    !> Of one that is parked: since when and at which height it has been flying to and fro.
+    !> When it entered the channel that it is in, or was in last, at which height, with |u_x| and
+    !> u_y. If it is parked: time and height at which it was loaded.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp
-    !> Wall hits of the whole way through the channel it is in.
+    !> Wall hits of the complete passage through that channel.
     real(wp) :: hits = 0.0_wp
-    integer(int32) :: heading = from_gate
-    !> Urn it is in or goes to, or leaves.
+    integer(int32) :: phase = from_gate
+    !> Urn that it is in, or goes to, or leaves.
     integer(int32) :: urn = 0
   end type stay_type
 
-  !> Numbers drawn ahead: times between ticks (mean 1), which particle ticks (0 to 1), and where and
-  !> how an urn is left: height, |u_x|, 1 over it, u_y, the wall hits of the whole channel, and
-  !> which channel.
+  !> Numbers drawn ahead. Of ticks: times between them (mean 1), and the particle (0 to 1). Of exits
+  !> from an urn: height, |u_x|, 1/|u_x|, u_y, wall hits of the complete channel, and the channel.
   type :: draws_type
     type(random_type) :: random
     integer :: next_tick = block_length + 1, next_exit = block_length + 1
@@ -47,14 +47,15 @@ module battery_stay
 
 contains
 
-  !> A block of ticks.
+  !> Draws a block of ticks.
   pure subroutine draw_ticks(draws)
     type(draws_type), intent(inout) :: draws
     integer :: k
 
     call draw_uniform(draws%random, block_length, draws%wait)
     call draw_uniform(draws%random, block_length, draws%who)
-    ! Logarithms of the C library's vectors differ with their length in the last bit.
+    ! In the last bit, the vectorised logarithms of the C library depend on the length of the
+    ! vector.
 !GCC$ novector
     do k = 1, block_length
       draws%wait(k) = -log(draws%wait(k))
@@ -62,8 +63,8 @@ contains
     draws%next_tick = 1
   end subroutine draw_ticks
 
-  !> A block of ways out. One number says through which opening and at which height: where on the
-  !> length of both openings, one after the other, it falls.
+  !> Draws a block of exits. One number decides the opening and the height: its place on both
+  !> openings laid end to end.
   pure subroutine draw_exits(draws, table)
     type(draws_type), intent(inout) :: draws
     type(table_type), intent(in) :: table
@@ -91,11 +92,12 @@ contains
     draws%next_exit = 1
   end subroutine draw_exits
 
-  !> From a position and velocity at the time 0. A particle in a channel that heads for its far end
-  !> is dated back to where it would have entered; `entered` is when any other enters its urn.
+  !> Initial state of a particle, from its position and velocity at the time 0. If it is in a
+  !> channel and heads for the far end, its entry into the channel is dated back; otherwise
+  !> `entered` is when it enters its urn.
   pure subroutine make_initial_stay(table, x, y, ux, uy, stay, entered)
     type(table_type), intent(in) :: table
-    !> Place in the frame of the table, lengths; velocity, of length 1.
+    !> Position in the frame of the table, lengths; velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     type(stay_type), intent(out) :: stay
     real(wp), intent(out) :: entered
@@ -103,73 +105,74 @@ contains
 
     passage = passage_at(table, x, y, ux, uy)
     entered = 0.0_wp
-    stay = stay_type(y=y, u_axial=abs(ux), u_lateral=uy, urn=int(passage%side, int32))
+    stay = stay_type(y=y, u_axial=abs(ux), u_lateral=uy, urn=int(passage%urn, int32))
     if (passage%endless) then
-      stay%heading = int(merge(parked_in_gate, parked_in_return, passage%channel == gated), int32)
+      stay%phase = int(merge(parked_in_gate, parked_in_return, passage%channel == gated), int32)
     else if (passage%inward) then
       stay%time = passage%time
       stay%y = passage%height
       stay%u_lateral = passage%reflected*uy
-      stay%heading = int(merge(counted_in_gate, to_return, passage%channel == gated), int32)
-      stay%hits = real(passed_walls(table, stay, table%channel(passage%channel)%length/abs(ux)), wp)
+      stay%phase = int(merge(counted_in_gate, to_return, passage%channel == gated), int32)
+      stay%hits = real(channel_hits(table, stay, table%channel(passage%channel)%length/abs(ux)), wp)
     else if (passage%channel /= no_channel) then
-      stay%heading = int(merge(from_gate, from_return, passage%channel == gated), int32)
+      stay%phase = int(merge(from_gate, from_return, passage%channel == gated), int32)
       entered = passage%time
-      stay%hits = real(passed_walls(table, stay, entered), wp)
+      stay%hits = real(channel_hits(table, stay, entered), wp)
     end if
   end subroutine make_initial_stay
 
-  !> Wall hits in its channel in the time `passage` after it entered that.
-  elemental function passed_walls(table, stay, passage) result(hits)
+  !> Wall hits in its channel within the time `passage` after it entered that.
+  elemental function channel_hits(table, stay, passage) result(hits)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     real(wp), intent(in) :: passage
     integer(int64) :: hits
 
     hits = 0
-    if (passage > 0.0_wp) hits = int(abs(stay%y + stay%u_lateral*passage)/width_of(table, stay) &
-      + 0.5_wp, int64)
-  end function passed_walls
+    if (passage > 0.0_wp) hits = int(abs(stay%y + stay%u_lateral*passage)/channel_width_of(table, &
+      stay) + 0.5_wp, int64)
+  end function channel_hits
 
-  !> Width of the channel it is or was last in.
-  elemental function width_of(table, stay) result(width)
+  !> Width of the channel that it is in, or was in last.
+  elemental function channel_width_of(table, stay) result(width)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     real(wp) :: width
 
-    width = table%channel(merge(gated, ungated, any(stay%heading == [from_gate, counted_in_gate, &
+    width = table%channel(merge(gated, ungated, any(stay%phase == [from_gate, counted_in_gate, &
       parked_in_gate])))%width
-  end function width_of
+  end function channel_width_of
 
-  !> Whether a particle flies to and fro across a channel for ever.
+  !> Whether a particle moves across a channel for ever.
   elemental function is_parked(stay)
     type(stay_type), intent(in) :: stay
     logical :: is_parked
 
-    is_parked = any(stay%heading == [parked_in_gate, parked_in_return])
+    is_parked = any(stay%phase == [parked_in_gate, parked_in_return])
   end function is_parked
 
-  !> Wall hits of the passage of a particle after the time 0.
-  elemental function hits_to_come(table, stay) result(hits)
+  !> Wall hits after the time 0 of the passage in which a particle starts.
+  elemental function remaining_channel_hits(table, stay) result(hits)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     integer(int64) :: hits
 
-    hits = int(stay%hits, int64) - passed_walls(table, stay, -stay%time)
-  end function hits_to_come
+    hits = int(stay%hits, int64) - channel_hits(table, stay, -stay%time)
+  end function remaining_channel_hits
 
-  !> What all have done but for being in an urn.
+  !> Sums, over all particles, of what `collisions` has to correct.
   pure subroutine sum_outside_urns(table, stay, entered, now, rate, outside, passed)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay(:)
     !> When each enters its urn, if it goes there or is there; the time now, on the same clock.
     real(wp), intent(in) :: entered(:), now
-    !> Hits per time in each urn, that in the urn of more hits being 1.
+    !> Wall hits per time in each urn, relative to the urn with more hits.
     real(wp), intent(in) :: rate(2)
-    !> How long all of them that are not parked have been in the channels since they entered those;
-    !> if the urns differ, the time is added that would have as many hits as are missed in one.
+    !> Time that all particles which are not parked have spent in their last channels; if the urns
+    !> differ, plus the equivalent of the hits by which one urn falls short.
     real(wp), intent(out) :: outside
-    !> Wall hits since then, less those of whole passages; of who is parked, all.
+    !> Wall hits in these channels until now, less those of the complete passages; of parked
+    !> particles, all hits.
     integer(int64), intent(out) :: passed
     integer :: i
 
@@ -178,13 +181,13 @@ contains
     do i = 1, size(stay)
       associate (its => stay(i))
         if (is_parked(its)) then
-          passed = passed + passed_walls(table, its, now - its%time)
-        else if (any(its%heading == [counted_in_gate, to_return])) then
+          passed = passed + channel_hits(table, its, now - its%time)
+        else if (any(its%phase == [counted_in_gate, to_return])) then
           outside = outside + (now - its%time)
-          passed = passed + passed_walls(table, its, now - its%time) - int(its%hits, int64)
+          passed = passed + channel_hits(table, its, now - its%time) - int(its%hits, int64)
         else
           outside = outside + (min(entered(i), now) - its%time)
-          if (now < entered(i)) passed = passed + passed_walls(table, its, now - its%time) &
+          if (now < entered(i)) passed = passed + channel_hits(table, its, now - its%time) &
             - int(its%hits, int64)
         end if
       end associate
@@ -192,7 +195,7 @@ contains
     if (any(rate < 1.0_wp)) outside = outside + missed_time(stay, entered, now, rate)
   end subroutine sum_outside_urns
 
-  !> The time in the urn of more hits that would have as many as are missed in the other.
+  !> Time in the urn with more hits that equals the hits by which stays in the other one fall short.
   pure function missed_time(stay, entered, now, rate) result(time)
     type(stay_type), intent(in) :: stay(:)
     real(wp), intent(in) :: entered(:), now, rate(2)
@@ -201,50 +204,51 @@ contains
 
     time = 0.0_wp
     do i = 1, size(stay)
-      if (all(stay(i)%heading /= [from_gate, from_return])) cycle
+      if (all(stay(i)%phase /= [from_gate, from_return])) cycle
       time = time + (1.0_wp - rate(stay(i)%urn))*max(now - entered(i), 0.0_wp)
     end do
   end function missed_time
 
-  !> x, y, u_x, u_y of one that is parked.
+  !> State (x, y, u_x, u_y) of a parked particle.
   pure function locate_parked_stay(table, stay, x, now) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
-    !> Where it is along the channel, in the frame of the table; the time now.
+    !> Its x, in the frame of the table; the time now.
     real(wp), intent(in) :: x, now
     real(wp) :: place(4)
     real(wp) :: reflected, hits
 
-    ! The zero has the sign that it has always had.
+    ! Signed zero, as it has always been saved.
     place = [x, 0.0_wp, sign(0.0_wp, x), 0.0_wp]
-    call fold(stay%y + stay%u_lateral*(now - stay%time), width_of(table, stay), place(2), &
-      reflected, hits)
+    call fold_into_channel(stay%y + stay%u_lateral*(now - stay%time), channel_width_of(table, &
+      stay), place(2), reflected, hits)
     place(4) = reflected*stay%u_lateral
   end function locate_parked_stay
 
-  !> x, y, u_x, u_y of one that is not parked. In an urn they are drawn, for this key and count.
+  !> State (x, y, u_x, u_y) of a particle that is not parked. In an urn it is drawn, from `key` and
+  !> `count`.
   pure function locate_stay(table, stay, entered, now, key, count) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     !> When it enters its urn, if it goes there or is there; the time now, on the same clock.
     real(wp), intent(in) :: entered, now
-    !> Of the seed and the time; number of the particle.
+    !> Key of the seed and the time; particle index.
     integer(int64), intent(in) :: key, count
     real(wp) :: place(4)
     real(wp) :: gone, left, begins
 
-    begins = table%urn(stay%urn)%begins(ungated)
+    begins = table%urn(stay%urn)%channel_start(ungated)
     gone = stay%u_axial*(now - stay%time)
     left = stay%u_axial*(entered - now)
-    select case (stay%heading)
+    select case (stay%phase)
     case (counted_in_gate)
       place = in_channel(0.5_wp*table%channel(gated)%length - gone, -1.0_wp)
     case (to_return)
       place = in_channel(begins + gone, 1.0_wp)
     case default
       if (now >= entered) then
-        place = drawn_in_urn(table, stay%urn, key, count)
-      else if (stay%heading == from_gate) then
+        place = draw_point_in_urn(table, stay%urn, key, count)
+      else if (stay%phase == from_gate) then
         place = in_channel(0.5_wp*table%channel(gated)%length - left, 1.0_wp)
       else
         place = in_channel(begins + left, -1.0_wp)
@@ -254,15 +258,15 @@ contains
 
   contains
 
-    !> In a channel at the distance `x` from the middle of the table, on the way away from it
+    !> State in a channel at the distance `x` from the middle of the table, moving away from it
     !> (`way` = 1) or towards it (-1).
     pure function in_channel(x, way) result(found)
       real(wp), intent(in) :: x, way
       real(wp) :: found(4)
       real(wp) :: reflected, hits
 
-      call fold(stay%y + stay%u_lateral*(now - stay%time), width_of(table, stay), found(2), &
-        reflected, hits)
+      call fold_into_channel(stay%y + stay%u_lateral*(now - stay%time), channel_width_of(table, &
+        stay), found(2), reflected, hits)
       found(1) = x
       found(3) = way*stay%u_axial
       found(4) = reflected*stay%u_lateral
@@ -270,59 +274,60 @@ contains
 
   end function locate_stay
 
-  !> Uniform in an urn, as if that lay at x > 0, with a direction.
-  pure function drawn_in_urn(table, side, key, count) result(place)
+  !> Draws a position uniform in an urn, as if that lay at x > 0, and a direction.
+  pure function draw_point_in_urn(table, urn, key, count) result(place)
     type(table_type), intent(in) :: table
-    integer(int32), intent(in) :: side
+    integer(int32), intent(in) :: urn
     integer(int64), intent(in) :: key, count
     real(wp) :: place(4)
-    integer(int64) :: turn
+    integer(int64) :: counter
     real(wp) :: angle
     logical :: inside
 
-    turn = ishft(count, 20)
+    counter = ishft(count, 20)
     do
-      call try_random_point(table%urn(side), 1.0_wp - hashed_uniform(key, turn), &
-        hashed_uniform(key, turn + 1), place(1), place(2), inside)
-      turn = turn + 2
+      call try_random_point(table%urn(urn), 1.0_wp - hashed_uniform(key, counter), &
+        hashed_uniform(key, counter + 1), place(1), place(2), inside)
+      counter = counter + 2
       if (inside) exit
     end do
-    place(1) = x_direction(side)*place(1)
-    angle = 2.0_wp*pi*hashed_uniform(key, turn)
+    place(1) = x_direction(urn)*place(1)
+    angle = 2.0_wp*pi*hashed_uniform(key, counter)
     place(3:) = [cos(angle), sin(angle)]
-  end function drawn_in_urn
+  end function draw_point_in_urn
 
-  !> The stays, and when each has `entered` its urn, through an archive.
+  !> Serialises the stays, and when each particle has `entered` its urn.
   subroutine serialize_stays(table, stay, entered, parked_x, archive)
     type(table_type), intent(in) :: table
     type(stay_type), intent(inout) :: stay(:)
     real(wp), intent(inout) :: entered(:)
-    !> Where each is along x in the frame of the table, if any is parked.
+    !> x of each particle in the frame of the table; allocated if there are parked ones.
     real(wp), allocatable, intent(inout) :: parked_x(:)
     type(archive_type), intent(inout) :: archive
 
-    ! In a state x of who is parked stands with `u_axial`, and one heading for both channels.
+    ! In a saved state, x of a parked particle is stored in place of `u_axial`, and parked has one
+    ! phase for both channels.
     if (allocated(parked_x) .and. .not. archive%reading) then
       where (is_parked(stay))
         stay%u_axial = parked_x
-        stay%heading = parked_in_gate
+        stay%phase = parked_in_gate
       end where
     end if
     call archive%serialize('time', stay%time, 'y', stay%y, 'along', stay%u_axial, 'across', &
       stay%u_lateral, 'entered', entered)
     call archive%serialize('hits', stay%hits)
-    call archive%serialize('heading', stay%heading)
+    call archive%serialize('heading', stay%phase)
     call archive%serialize('urn', stay%urn)
     if (.not. any(is_parked(stay))) return
     parked_x = stay%u_axial
     where (is_parked(stay))
       stay%u_axial = 0.0_wp
-      stay%heading = int(merge(parked_in_gate, parked_in_return, abs(parked_x) &
+      stay%phase = int(merge(parked_in_gate, parked_in_return, abs(parked_x) &
         <= 0.5_wp*table%channel(gated)%length), int32)
     end where
   end subroutine serialize_stays
 
-  !> The numbers drawn ahead, and the generator, through an archive.
+  !> Serialises the generator, and the numbers drawn ahead.
   pure subroutine serialize_draws(draws, archive)
     type(draws_type), intent(inout) :: draws
     type(archive_type), intent(inout) :: archive

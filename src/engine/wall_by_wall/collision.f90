@@ -1,18 +1,19 @@
-!> The engine `collision`: every wall collision is an event, and every particle has its own clock.
+!> The engine `collision`: every wall collision is an event, and every particle has its own time. An
+!> exact reference for `excursion`.
 !>
-!> A particle is where it was at its last event; it is moved when it has its next one. The earliest
-!> event of all stands at the root of a tournament. Crossings of chords, of the middle line and of
-!> the periodic line are events too, but no collisions. An event costs O(log N), whatever it is,
-!> except a reversal, which brings all those counted in a gate to its time.
+!> A particle is stored as it was at its last event, and moved only when its next one is due. A
+!> tournament holds the next event of each particle, with the earliest at its root. Crossings of
+!> chords, of the middle line and of the periodic line are events too, but not collisions. An event
+!> costs O(log N), except a reversal, which moves all particles that the gate counts.
 module battery_collision
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
   use battery_motion, only: motion_type, move_straight, meets_channel_wall, meets_nothing
   use battery_bounce, only: hit_wall, reverse_motion
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, load_motions, &
+  use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, load_motions, &
     serialize_counts, process_event, end_instant, count_hits, longest_window, end_of_window, &
     window_events, most_hits
-  use battery_tournament, only: tournament_type, new_tournament, set_time, time_of, &
+  use battery_tournament, only: tournament_type, new_tournament, set_event_time, event_time_of, &
     rebase_tournament
   use battery_engine, only: particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type
@@ -21,13 +22,13 @@ module battery_collision
   private
   public :: collision_type
 
-  !> The engine: where each was at its last event, and when each has its next.
+  !> The engine: state of each particle at its last event, and time of its next.
   type, extends(wall_by_wall_type) :: collision_type
     private
     type(motion_type), allocatable :: motion(:)
-    !> When each has its next event.
+    !> Next event of each particle.
     type(tournament_type) :: tournament
-    !> The same where there is no tournament yet.
+    !> Time of the next event of each particle, as long as there is no tournament.
     real(wp), allocatable :: due(:)
   contains
     procedure :: prepare_engine, load_particles, process_window, rebase_clock, serialize_own_state
@@ -36,11 +37,11 @@ module battery_collision
 
 contains
 
-  !> Walls, the longest window, and room for the particles.
+  !> Derives the longest window; allocates the particles.
   subroutine prepare_engine(self)
     class(collision_type), intent(inout) :: self
 
-    call prepare_walls(self)
+    call reset_counts(self)
     self%window = longest_window(self, window_events)
     if (allocated(self%motion)) deallocate (self%motion)
     if (allocated(self%due)) deallocate (self%due)
@@ -48,7 +49,7 @@ contains
     allocate (self%due(self%number), source=huge(1.0_wp))
   end subroutine prepare_engine
 
-  !> Takes in the particles, and begins the tournament of their first events.
+  !> Loads the particles, and builds the tournament of their first events.
   subroutine load_particles(self, particles)
     class(collision_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -57,6 +58,7 @@ contains
     call begin_tournament(self)
   end subroutine load_particles
 
+  !> Builds the tournament from the times of the next events.
   subroutine begin_tournament(self)
     class(collision_type), intent(inout) :: self
 
@@ -64,7 +66,7 @@ contains
     deallocate (self%due)
   end subroutine begin_tournament
 
-  !> Event by event, each at its particle alone, for the time `duration` at most.
+  !> Processes the events of a window of at most `duration`, one particle at a time.
   subroutine process_window(self, event_record, duration)
     class(collision_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -91,7 +93,7 @@ contains
         call move_straight(self%motion(i), self%now - self%motion(i)%time)
         self%motion(i)%time = self%now
         call process_event(self, event_record, i, self%motion(i), wait)
-        call set_time(self%tournament, i, self%now + wait)
+        call set_event_time(self%tournament, i, self%now + wait)
       end do
       call end_instant(self, first, event_record)
     end do
@@ -99,8 +101,8 @@ contains
     self%since = ends - self%began
   end subroutine process_window
 
-  !> The hot loop: wall collisions, until something else is due or the window ends. They touch only
-  !> the particle that has one.
+  !> Hot loop: processes wall collisions until another kind of event is due or the window ends. Each
+  !> touches only the particle that collides.
   pure subroutine process_collisions_until(table, number, motion, tournament, ends, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
@@ -119,12 +121,12 @@ contains
       call move_straight(motion(i), time - motion(i)%time)
       call hit_wall(table, motion(i), wait)
       motion(i)%time = time
-      call set_time(tournament, i, time + wait)
+      call set_event_time(tournament, i, time + wait)
       hits = hits + 1
     end do
   end subroutine process_collisions_until
 
-  !> Turns particle `i` of a gate back, where it is kept.
+  !> Turns particle `i` of a gate back.
   subroutine reverse_particle(self, i)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -133,10 +135,10 @@ contains
     call move_straight(self%motion(i), self%now - self%motion(i)%time)
     self%motion(i)%time = self%now
     call reverse_motion(self%table, self%motion(i), wait)
-    call set_time(self%tournament, i, self%now + wait)
+    call set_event_time(self%tournament, i, self%now + wait)
   end subroutine reverse_particle
 
-  !> Particle `i`, flown on from its last event until now, if it meets anything at all.
+  !> State of particle `i` now; one that meets nothing stays at its stored position.
   pure function motion_now(self, i) result(motion)
     class(collision_type), intent(in) :: self
     integer, intent(in) :: i
@@ -147,7 +149,7 @@ contains
     motion%time = self%now
   end function motion_now
 
-  !> Particle `i` as it is now; its next event is due after the time `wait`.
+  !> Stores the state of particle `i` now; its next event is due after the time `wait`.
   subroutine store_motion(self, i, motion, wait)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -158,11 +160,11 @@ contains
     if (allocated(self%due)) then
       self%due(i) = self%now + wait
     else
-      call set_time(self%tournament, i, self%now + wait)
+      call set_event_time(self%tournament, i, self%now + wait)
     end if
   end subroutine store_motion
 
-  !> Sets back the motions, the tournament and the clock.
+  !> Shifts all times back by one epoch.
   subroutine rebase_clock(self)
     class(collision_type), intent(inout) :: self
 
@@ -171,7 +173,7 @@ contains
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> The counts, the motions and when each has its event, through an archive.
+  !> Serialises the counts, the particles, and the time of each one's next event.
   subroutine serialize_own_state(self, archive)
     class(collision_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
@@ -180,10 +182,10 @@ contains
     call serialize_counts(self, archive)
     call archive%serialize('x', self%motion%x, 'y', self%motion%y, 'ux', self%motion%ux, &
       'uy', self%motion%uy, 'time', self%motion%time)
-    call archive%serialize('side', self%motion%side)
+    call archive%serialize('side', self%motion%urn)
     call archive%serialize('chamber', self%motion%chamber)
     call archive%serialize('next', self%motion%next)
-    if (.not. archive%reading) self%due = [(time_of(self%tournament, i), i=1, self%number)]
+    if (.not. archive%reading) self%due = [(event_time_of(self%tournament, i), i=1, self%number)]
     call archive%serialize('due', self%due)
     call begin_tournament(self)
   end subroutine serialize_own_state

@@ -1,21 +1,23 @@
-!> The engine `synchronous`: the paper's own algorithm. At every event all particles move to it.
+!> The engine `synchronous`: the algorithm of the paper, in which all particles move to every event.
+!> An exact reference for `excursion`.
 !>
-!> One pass over all particles takes the time that has gone by off what each has left until its next
-!> event, moves it along its straight line, and finds the earliest of the next events. Then the
-!> particle that has its event is treated alone. An event costs O(N): this engine is here to measure
-!> the others by, so the pass is as quick as it can be made:
-!> - A minimum is kept for each lane, not for each row of particles: vector instructions without a
-!>   branch and without a reduction, until the lanes themselves are compared by halves.
-!> - The five numbers of a row of particles stand side by side. Five long arrays of their own, as
-!>   long as a power of two, fell onto the same lines of the cache and took twice the time.
-!> - Every other pass goes backwards and finds the rows that the last one left in the cache: 1000
-!>   particles are a little more than the first level holds. That takes another third off.
-!> - Rows begin where a line of the cache does. Vectors that lie across two lines took a quarter
-!>   more time; where an array begins by itself hangs on what the program has asked for before.
+!> At each event one pass over all particles moves them along their straight lines, reduces the time
+!> that each has left until its next event, and finds the least of these times. Then the particle
+!> whose event it is is processed alone. An event costs O(N). Since other engines are measured
+!> against this one, the pass is as fast as it can be made:
+!> - Memory layout: particles are stored in rows of `row_length`, and the five numbers of a row side
+!>   by side. Five separate arrays, as long as a power of two, fell onto the same cache lines and
+!>   took twice the time.
+!> - The pass keeps a minimum for each lane, not for each row: vector instructions without a branch,
+!>   and without a reduction before the lanes themselves are compared.
+!> - Every other pass goes backwards, and finds in the cache the rows that the last one left there:
+!>   1000 particles are slightly more than the first level holds. That saves another third.
+!> - Rows start at a cache line. Vectors across two lines took a quarter more time, and where an
+!>   array starts depends on earlier allocations.
 module battery_synchronous
   use battery_kinds, only: wp, int8, int64
   use battery_motion, only: motion_type, meets_nothing, wall_kind
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, load_motions, &
+  use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, load_motions, &
     serialize_counts, process_event, end_instant, longest_window, end_of_window, window_events, &
     most_hits
   use battery_engine, only: particles_type
@@ -26,29 +28,29 @@ module battery_synchronous
   private
   public :: synchronous_type
 
-  !> Particles in a row: a multiple of any vector's length, and so many that the compiler does not
-  !> unroll the loop over them before it vectorises it. About as many as there are rows for
-  !> N = 1000, since both a row and a lane are searched at each event.
+  !> Particles in a row: a multiple of any vector length, and so many that the compiler does not
+  !> unroll the loop over them before it vectorises it. About as many as there are rows for N =
+  !> 1000, since both a row and a lane are searched at each event.
   integer, parameter :: row_length = 32
 
-  !> What is known of a particle: position, velocity, time left until its next event.
+  !> Numbers stored of a particle: position, velocity, time left until its next event.
   integer, parameter :: in_x = 1, in_y = 2, in_ux = 3, in_uy = 4, in_left = 5
 
-  !> A window has at most so many moves of particles.
+  !> Largest number of moves of particles in a window.
   real(wp), parameter :: window_moves = 1.0e9_wp
 
-  !> The engine: all particles as they are now, in rows.
+  !> The engine: state of all particles now, in rows.
   type, extends(wall_by_wall_type) :: synchronous_type
     private
-    !> All of them now, from `begins` on: lane, which number (`in_x` ...), row. Who is not there or
-    !> meets nothing stands still and has a huge time left.
+    !> From `begins` on: (lane, number (`in_x` ...), row). Padding, and particles that meet nothing,
+    !> have no velocity and a huge time left.
     real(wp), allocatable :: field(:)
     integer :: begins = 1, rows = 0
-    integer(int8), allocatable :: side(:), chamber(:)
+    integer(int8), allocatable :: urn(:), chamber(:)
     integer(wall_kind), allocatable :: next(:)
     !> Whether the next pass goes backwards.
     logical :: backwards = .false.
-    !> Velocities of those that meet nothing.
+    !> Velocities of particles that meet nothing.
     real(wp), allocatable :: parked_ux(:), parked_uy(:)
     !> Least time left in each lane.
     real(wp) :: least(row_length) = 0.0_wp
@@ -59,29 +61,29 @@ module battery_synchronous
 
 contains
 
-  !> Walls, the longest window, and rows in which nobody is yet.
+  !> Derives the longest window; allocates the rows, with padding only.
   subroutine prepare_engine(self)
     class(synchronous_type), intent(inout) :: self
     integer :: number, bytes, i
 
-    call prepare_walls(self)
+    call reset_counts(self)
     number = self%number
     self%rows = (number + row_length - 1)/row_length
     bytes = storage_size(1.0_wp)/8
     self%window = longest_window(self, min(window_events, window_moves/real(number, wp)))
-    if (allocated(self%field)) deallocate (self%field, self%side, self%chamber, self%next, &
+    if (allocated(self%field)) deallocate (self%field, self%urn, self%chamber, self%next, &
       self%parked_ux, self%parked_uy)
     allocate (self%field(row_length*in_left*self%rows + line_bytes/bytes - 1), source=0.0_wp)
     self%begins = 1 + bytes_to_next_line(self%field)/bytes
     do i = 1, row_length*self%rows
       self%field(field_index(self, i, in_left)) = huge(1.0_wp)
     end do
-    allocate (self%side(number), self%chamber(number), source=1_int8)
+    allocate (self%urn(number), self%chamber(number), source=1_int8)
     allocate (self%next(number), source=meets_nothing)
     allocate (self%parked_ux(number), self%parked_uy(number), source=0.0_wp)
   end subroutine prepare_engine
 
-  !> Where a number of particle `i` is kept.
+  !> Index in `field` of a number of particle `i`.
   pure function field_index(self, i, which) result(at)
     class(synchronous_type), intent(in) :: self
     integer, intent(in) :: i, which
@@ -91,16 +93,16 @@ contains
       /row_length))
   end function field_index
 
-  !> Takes in the particles, and finds the least time left in each lane.
+  !> Loads the particles, and finds the least time left in each lane.
   subroutine load_particles(self, particles)
     class(synchronous_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
 
     call load_motions(self, particles)
-    call move_all_by(self, 0.0_wp)
+    call move_all_particles(self, 0.0_wp)
   end subroutine load_particles
 
-  !> All from event to event, not beyond `duration`.
+  !> Processes the events of a window of at most `duration`.
   subroutine process_window(self, event_record, duration)
     class(synchronous_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -109,35 +111,36 @@ contains
 
     ends = end_of_window(self, duration)
     do
-      wait = earliest(self%least)
+      wait = least_of_lanes(self%least)
       if (self%now + wait >= ends) exit
       if (event_record%collisions_seen >= most_hits) then
         ends = self%now
         exit
       end if
-      call move_all_by(self, wait)
+      call move_all_particles(self, wait)
       self%now = self%now + wait
       self%since = self%now - self%began
       call process_instant(self, event_record)
     end do
-    ! Not by more than what is left, lest the event lie in the past by rounding.
+    ! No longer than the least time left: by rounding, the next event might lie in the past.
     wait = min(wait, ends - self%now)
-    call move_all_by(self, wait)
+    call move_all_particles(self, wait)
     self%now = ends
     self%since = ends - self%began
   end subroutine process_window
 
-  !> Moves everyone by `time`.
-  subroutine move_all_by(self, time)
+  !> Moves all particles by `time`.
+  subroutine move_all_particles(self, time)
     type(synchronous_type), intent(inout) :: self
     real(wp), intent(in) :: time
 
-    call move_all(self%rows, self%backwards, time, self%field(self%begins), self%least)
+    call move_rows(self%rows, self%backwards, time, self%field(self%begins), self%least)
     self%backwards = .not. self%backwards
-  end subroutine move_all_by
+  end subroutine move_all_particles
 
-  !> The pass itself. `least` is the least time left in each lane.
-  pure subroutine move_all(rows, backwards, time, field, least)
+  !> Kernel of the pass: moves all rows by `time`, and returns the least time left in each lane.
+  !> Vectorised over the lanes.
+  pure subroutine move_rows(rows, backwards, time, field, least)
     integer, intent(in) :: rows
     logical, intent(in) :: backwards
     real(wp), intent(in) :: time
@@ -157,25 +160,25 @@ contains
         least(lane) = merge(left, least(lane), left < least(lane))
       end do
     end do
-  end subroutine move_all
+  end subroutine move_rows
 
-  !> The least of all lanes, by halves, which the processor does side by side.
-  pure function earliest(least) result(time)
+  !> Least time over all lanes, by comparing halves, which is vectorised.
+  pure function least_of_lanes(least) result(time)
     real(wp), intent(in) :: least(row_length)
     real(wp) :: time
-    real(wp) :: half(row_length)
+    real(wp) :: lowest(row_length)
     integer :: width
 
-    half = least
+    lowest = least
     width = row_length
     do while (width > 1)
       width = width/2
-      half(:width) = min(half(:width), half(width + 1:2*width))
+      lowest(:width) = min(lowest(:width), lowest(width + 1:2*width))
     end do
-    time = half(1)
-  end function earliest
+    time = lowest(1)
+  end function least_of_lanes
 
-  !> Everything that is due now, then what the gates decide.
+  !> Processes all events that are due now, then the decisions of the gates.
   subroutine process_instant(self, event_record)
     type(synchronous_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -192,15 +195,15 @@ contains
       motion = self%motion_now(i)
       call process_event(self, event_record, i, motion, wait)
       call self%store_motion(i, motion, wait)
-      call renew_lane(self%rows, modulo(i - 1, row_length) + 1, self%field(self%begins), &
+      call update_lane_minimum(self%rows, modulo(i - 1, row_length) + 1, self%field(self%begins), &
         self%least)
     end do
     call end_instant(self, first, event_record)
-    if (any(event_record%reversals > reversals)) call renew_all(self%rows, &
+    if (any(event_record%reversals > reversals)) call update_all_minima(self%rows, &
       self%field(self%begins), self%least)
   end subroutine process_instant
 
-  !> A particle with no time left; 0 if there is none.
+  !> Finds a particle with no time left; 0 if there is none.
   pure subroutine find_due_particle(self, i)
     type(synchronous_type), intent(in) :: self
     integer, intent(out) :: i
@@ -219,7 +222,7 @@ contains
     i = 0
   end subroutine find_due_particle
 
-  !> Particle `i` from its row; with its velocity, even if it stands still there.
+  !> State of particle `i` now; its velocity also if it is parked.
   pure function motion_now(self, i) result(motion)
     class(synchronous_type), intent(in) :: self
     integer, intent(in) :: i
@@ -229,12 +232,12 @@ contains
     motion%y = self%field(field_index(self, i, in_y))
     motion%ux = self%field(field_index(self, i, in_ux)) + self%parked_ux(i)
     motion%uy = self%field(field_index(self, i, in_uy)) + self%parked_uy(i)
-    motion%side = self%side(i)
+    motion%urn = self%urn(i)
     motion%chamber = self%chamber(i)
     motion%next = self%next(i)
   end function motion_now
 
-  !> Particle `i` into its row, with the time `wait` left until its next event.
+  !> Stores particle `i` in its row, with the time `wait` left until its next event.
   subroutine store_motion(self, i, motion, wait)
     class(synchronous_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -248,7 +251,7 @@ contains
     do which = in_x, in_left
       self%field(field_index(self, i, which)) = own(which)
     end do
-    self%side(i) = motion%side
+    self%urn(i) = motion%urn
     self%chamber(i) = motion%chamber
     self%next(i) = motion%next
     if (motion%next /= meets_nothing) return
@@ -256,8 +259,8 @@ contains
     self%parked_uy(i) = motion%uy
   end subroutine store_motion
 
-  !> The least time left in one lane.
-  pure subroutine renew_lane(rows, lane, field, least)
+  !> Updates the least time left in one lane.
+  pure subroutine update_lane_minimum(rows, lane, field, least)
     integer, intent(in) :: rows, lane
     real(wp), intent(in) :: field(row_length, in_left, rows)
     real(wp), intent(inout) :: least(row_length)
@@ -269,10 +272,10 @@ contains
       time = merge(field(lane, in_left, row), time, field(lane, in_left, row) < time)
     end do
     least(lane) = time
-  end subroutine renew_lane
+  end subroutine update_lane_minimum
 
-  !> The least time left in each lane.
-  pure subroutine renew_all(rows, field, least)
+  !> Updates the least time left in each lane.
+  pure subroutine update_all_minima(rows, field, least)
     integer, intent(in) :: rows
     real(wp), intent(in) :: field(row_length, in_left, rows)
     real(wp), intent(out) :: least(row_length)
@@ -282,9 +285,9 @@ contains
     do row = 1, rows
       least = min(least, field(:, in_left, row))
     end do
-  end subroutine renew_all
+  end subroutine update_all_minima
 
-  !> The counts and the rows, as they stand, through an archive.
+  !> Serialises the counts and the rows.
   subroutine serialize_own_state(self, archive)
     class(synchronous_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
@@ -297,7 +300,7 @@ contains
         call archive%serialize('field', self%field(first:first + row_length - 1))
       end do
     end do
-    call archive%serialize('side', self%side)
+    call archive%serialize('side', self%urn)
     call archive%serialize('chamber', self%chamber)
     call archive%serialize('next', self%next)
     call archive%serialize('kept_ux', self%parked_ux, 'kept_uy', self%parked_uy, 'least', &

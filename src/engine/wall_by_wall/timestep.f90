@@ -1,32 +1,32 @@
-!> The engine `timestep`: all particles move by a fixed step, and walls are seen at its end.
+!> The engine `timestep`: all particles move by a fixed step, and walls take effect at its end. An
+!> approximation to compare with: the simplest algorithm, wrong by first order in the step.
 !>
-!> What one would write first, here to be measured against: it is wrong by one order of the step.
-!> After each step, for each particle that is not well inside its urn:
-!> - Beyond the wall of its urn it is put back by mirroring it in the wall, and its velocity is
-!>   reflected there; beyond a wall of its channel it is mirrored in that, as often as it takes.
-!>   That is a wall collision. The places and normals of these are wrong by as much as the particle
-!>   has gone too far.
-!> - Beyond the chord of an opening, between the channel's walls and on its way out, it has entered
-!>   the channel; short of the chord it has left it. Beyond the middle line or the periodic line it
-!>   has crossed that. Gates count at the end of the step: crossings first, then all entries, then
-!>   they decide (`battery_gate`). All events of a step happen at its end.
+!> After each step, each particle that may be near a wall of its urn, or is in a channel, is
+!> corrected:
+!> - If it is beyond the wall of its urn, its position is mirrored in the wall and its velocity
+!>   reflected there; beyond a wall of its channel, it is mirrored as often as needed. Each is a
+!>   wall collision. Its position and the normal are wrong by as much as the particle has overshot.
+!> - If it is beyond the chord of an opening, between the channel's walls and moving outwards, it
+!>   has entered the channel; short of the chord it has left it. Beyond the middle line or the
+!>   periodic line it has crossed that. All events of a step take place at its end: crossings first,
+!>   then all entries, then the decisions of the gates (`battery_gate`).
 !>
-!> **Corners.** Only the place at the end of a step counts. So a path that meets a wall less than a
-!> step from a corner may slip past it into the channel, or out of it. Where a change of rooms shows
-!> that the chord was crossed beyond its ends, that is counted in `slips`. Every place that a
-!> step can end at is one of the cases above: nobody is ever outside of the table at the end of a
-!> step, however long it is, as long as it is shorter than the radius and than half a channel.
+!> **Corners.** Only the position at the end of a step counts. So a path that meets a wall less than
+!> a step from a corner may pass the corner into the channel, or out of it. If a change of chambers
+!> shows that the chord was crossed beyond its ends, it is counted in `slips`. Every position at the
+!> end of a step is one of the cases above: no particle is ever outside the table then, as long as a
+!> step is shorter than the radius and than half a channel.
 !>
-!> A stop that falls into a step (a snapshot, the end of the run) makes that step shorter.
+!> A step during which the run stops (for a snapshot, or at its end) is made shorter.
 module battery_timestep
   use battery_kinds, only: wp, int8, int64
   use battery_text, only: to_text
   use battery_table, only: table_type, urn_type, gated, ungated, in_urn, in_gate, in_return, &
     x_direction, are_mirror_images, is_scattered
-  use battery_channel, only: fold, facing, is_open
+  use battery_channel, only: fold_into_channel, facing, is_open
   use battery_motion, only: motion_type
   use battery_urn, only: contains_point, reflect_overshoot
-  use battery_wall_by_wall, only: wall_by_wall_type, prepare_walls, serialize_counts, end_instant, &
+  use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, end_instant, &
     count_hits, record_gate_entry, record_line_crossing, window_reaches
   use battery_engine, only: unmet_requirement
   use battery_event_record, only: event_record_type
@@ -35,21 +35,20 @@ module battery_timestep
   private
   public :: timestep_type
 
-  !> The last step before a stop may be longer by this share of it, lest another follow that is
-  !> almost nothing.
+  !> The last step before a stop may be longer by this fraction, so that no tiny step follows.
   real(wp), parameter :: stretch = 1.0e-3_wp
 
-  !> A window has about so many moves of particles at most.
+  !> Largest number of moves of particles in a window.
   real(wp), parameter :: window_moves = 262144.0_wp
 
-  !> The engine: all particles as they are now, array by array.
+  !> The engine: state of all particles now, as arrays.
   type, extends(wall_by_wall_type) :: timestep_type
     private
-    !> Times that a particle went round a corner through the wall, as far as that could be seen.
+    !> Number of passages round a corner through a wall, as far as they are detected.
     integer(int64), public :: slips = 0
     real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
-    integer(int8), allocatable :: side(:), chamber(:)
-    !> Who is not well inside an urn.
+    integer(int8), allocatable :: urn(:), chamber(:)
+    !> Whether a particle may have met a wall, or is in a channel.
     logical, allocatable :: near_wall(:)
     !> Steps in a window.
     integer :: steps = 1
@@ -78,48 +77,49 @@ contains
       //'the way round it (a disc''s radius), and of the way between walls that are no neighbours'
   end function supports
 
-  !> Walls, the steps of a window, and room for the particles.
+  !> Derives the number of steps in a window; allocates the particles.
   subroutine prepare_engine(self)
     class(timestep_type), intent(inout) :: self
     integer :: number
 
-    call prepare_walls(self)
+    call reset_counts(self)
     number = self%number
     self%steps = int(max(1.0_wp, min(window_moves/real(number, wp), &
       window_reaches*maxval(self%table%urn%reach)/self%time_step)))
     self%slips = 0
-    if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%side, self%chamber, &
+    if (allocated(self%x)) deallocate (self%x, self%y, self%ux, self%uy, self%urn, self%chamber, &
       self%near_wall)
     allocate (self%x(number), self%y(number), self%ux(number), self%uy(number))
-    allocate (self%side(number), self%chamber(number), self%near_wall(number))
+    allocate (self%urn(number), self%chamber(number), self%near_wall(number))
   end subroutine prepare_engine
 
-  !> Some steps, within the time `duration`.
+  !> Advances by the steps of a window, of at most `duration`.
   subroutine process_window(self, event_record, duration)
     class(timestep_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
     real(wp), intent(in) :: duration
     real(wp) :: step
-    integer :: turn
+    integer :: step_number
 
     self%since = 0.0_wp
-    do turn = 1, self%steps
+    do step_number = 1, self%steps
       if (self%began + self%since >= self%epoch) exit
       step = self%time_step
       if (duration - self%since < (1.0_wp + stretch)*step) step = max(duration - self%since, 0.0_wp)
-      if (turn > 1 .and. .not. step > 0.0_wp) exit
+      if (step_number > 1 .and. .not. step > 0.0_wp) exit
       self%since = self%since + step
       self%now = self%began + self%since
-      call move_all(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
+      call move_particles(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
         self%chamber, self%near_wall)
       if (.not. are_mirror_images(self%table%urn)) call mark_near_walls_of_urn2(self)
       call process_step_end(self, event_record)
     end do
   end subroutine process_window
 
-  !> Straight on by `step`; who may have met something is busy.
-  pure subroutine move_all(urn, number, step, x, y, ux, uy, chamber, near_wall)
-    !> Of side 1; what is busy on the other side is right if the urns are alike.
+  !> Kernel: moves every particle straight by `step`; marks those that may have hit a wall.
+  !> Vectorised over the particles.
+  pure subroutine move_particles(urn, number, step, x, y, ux, uy, chamber, near_wall)
+    !> Urn 1; the marks of particles in urn 2 are right if the urns are mirror images.
     type(urn_type), intent(in) :: urn
     integer, intent(in) :: number
     real(wp), intent(in) :: step, ux(number), uy(number)
@@ -137,36 +137,36 @@ contains
     do i = 1, number
       x(i) = x(i) + ux(i)*step
       y(i) = y(i) + uy(i)*step
-      near_wall(i) = is_near(centre - abs(x(i)), y(i), clear2, chord1, chord2)
+      near_wall(i) = is_near_wall(centre - abs(x(i)), y(i), clear2, chord1, chord2)
     end do
     do i = 1, number
       near_wall(i) = near_wall(i) .or. chamber(i) /= in_urn
     end do
-  end subroutine move_all
+  end subroutine move_particles
 
-  !> Whether one at (x, y) in the frame of its urn may have met a wall or a chord of that.
-  elemental function is_near(x, y, clear2, chord1, chord2) result(near)
+  !> Whether a particle at (x, y) in the frame of its urn may have met a wall or a chord.
+  elemental function is_near_wall(x, y, clear2, chord1, chord2) result(near)
     real(wp), intent(in) :: x, y, clear2, chord1, chord2
     logical :: near
 
     near = x**2 + y**2 > clear2 .or. x >= chord1 .or. x <= -chord2
-  end function is_near
+  end function is_near_wall
 
-  !> Urns that differ: who is busy in urn 2.
+  !> If the urns differ: marks the particles in urn 2 that may have hit a wall.
   pure subroutine mark_near_walls_of_urn2(self)
     type(timestep_type), intent(inout) :: self
     integer :: i
 
     associate (urn => self%table%urn(2))
       do i = 1, self%number
-        if (self%side(i) == 2 .and. self%chamber(i) == in_urn) self%near_wall(i) = &
-          is_near(urn%centre - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), &
+        if (self%urn(i) == 2 .and. self%chamber(i) == in_urn) self%near_wall(i) = &
+          is_near_wall(urn%centre - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), &
           urn%chord(ungated))
       end do
     end associate
   end subroutine mark_near_walls_of_urn2
 
-  !> Puts the particles right at the end of a step, and lets the gates decide.
+  !> Corrects the particles at the end of a step, and lets the gates decide.
   subroutine process_step_end(self, event_record)
     type(timestep_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -184,7 +184,7 @@ contains
     call end_instant(self, first, event_record)
   end subroutine process_step_end
 
-  !> A particle of an urn that may be beyond a wall or beyond a chord.
+  !> Corrects a particle in an urn that may be beyond a wall or a chord.
   subroutine correct_in_urn(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -192,7 +192,7 @@ contains
     real(wp) :: x, ux
     logical :: was_beyond
 
-    associate (urn => self%table%urn(self%side(i)), y => self%y(i))
+    associate (urn => self%table%urn(self%urn(i)), y => self%y(i))
       x = urn%centre + urn%axis_sign*self%x(i)
       ux = urn%axis_sign*self%ux(i)
       if (x >= urn%chord(gated) .and. ux > 0.0_wp .and. abs(y) < urn%half_width(gated)) then
@@ -212,7 +212,8 @@ contains
     end associate
   end subroutine correct_in_urn
 
-  !> Through a chord into another chamber, `ago`; there the channel's half width is `half_width`.
+  !> Moves a particle through a chord, which it crossed `ago`, into another chamber; the channel's
+  !> half width is `half_width`.
   subroutine change_chamber(self, i, chamber, half_width, ago)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i, chamber
@@ -222,7 +223,7 @@ contains
     self%chamber(i) = int(chamber, int8)
   end subroutine change_chamber
 
-  !> A particle of a channel: walls, lines, and the way out.
+  !> Corrects a particle in a channel: walls, line, and the way into the urn.
   subroutine correct_in_channel(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -231,14 +232,14 @@ contains
     integer :: channel
     logical :: inward
 
-    out = x_direction(self%side(i))
+    out = x_direction(self%urn(i))
     channel = merge(gated, ungated, self%chamber(i) == in_gate)
-    ! On its way to the far end: such a particle cannot leave.
+    ! Towards the line: such a particle cannot leave the channel.
     inward = facing(channel)*out*self%ux(i) < 0.0_wp
-    associate (urn => self%table%urn(self%side(i)), x => self%x(i))
+    associate (urn => self%table%urn(self%urn(i)), x => self%x(i))
       half_width = urn%half_width(channel)
-      ! How far it is beyond the chord, and short of the line.
-      depth = facing(channel)*(urn%begins(channel) - out*x)
+      ! Distance beyond the chord, and distance to the line.
+      depth = facing(channel)*(urn%channel_start(channel) - out*x)
       ahead = merge(out*x, urn%periodic_line - out*x, channel == gated)
       if (.not. inward .and. depth < 0.0_wp .and. contains_point(urn, urn%centre - out*x, &
         self%y(i), 0.0_wp)) then
@@ -249,7 +250,7 @@ contains
       end if
       if (abs(self%y(i)) > half_width) call mirror_in_channel(self, i, half_width, event_record)
       if (.not. inward) then
-        ! In the wall beside the channel.
+        ! It is in the wall beside the channel.
         if (depth < 0.0_wp) call change_chamber(self, i, in_urn, half_width, 0.0_wp)
       else if (ahead < 0.0_wp) then
         call move_across_line(self, i, event_record)
@@ -265,22 +266,22 @@ contains
     type(event_record_type), intent(inout) :: event_record
     real(wp) :: height, reflected, hits
 
-    call fold(self%y(i), 2.0_wp*half_width, height, reflected, hits)
+    call fold_into_channel(self%y(i), 2.0_wp*half_width, height, reflected, hits)
     self%y(i) = height
     self%uy(i) = reflected*self%uy(i)
     call count_hits(self, event_record, int(hits, int64))
   end subroutine mirror_in_channel
 
-  !> Over the line of its channel, or back from the end wall.
+  !> Moves a particle across the line of its channel, or back from the end wall.
   subroutine move_across_line(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
     type(event_record_type), intent(inout) :: event_record
     integer :: from
 
-    from = self%side(i)
-    self%side(i) = int(self%table%beyond(from), int8)
-    if (self%side(i) == from) then
+    from = self%urn(i)
+    self%urn(i) = int(self%table%beyond(from), int8)
+    if (self%urn(i) == from) then
       self%x(i) = -self%x(i)
       self%ux(i) = -self%ux(i)
     else if (self%chamber(i) == in_return) then
@@ -290,17 +291,17 @@ contains
     call record_line_crossing(self, event_record, i, from, int(self%chamber(i)))
   end subroutine move_across_line
 
-  !> Particle `i` as it is now; what it meets next is not known.
+  !> State of particle `i` now; what it meets next is not computed.
   pure function motion_now(self, i) result(motion)
     class(timestep_type), intent(in) :: self
     integer, intent(in) :: i
     type(motion_type) :: motion
 
     motion = motion_type(x=self%x(i), y=self%y(i), ux=self%ux(i), uy=self%uy(i), &
-      side=self%side(i), chamber=self%chamber(i))
+      urn=self%urn(i), chamber=self%chamber(i))
   end function motion_now
 
-  !> Particle `i` as it is now; the time `wait` until its next event says whether it is busy.
+  !> Stores particle `i`; the time `wait` until its next event says whether it is near a wall.
   subroutine store_motion(self, i, motion, wait)
     class(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -311,13 +312,13 @@ contains
     self%y(i) = motion%y
     self%ux(i) = motion%ux
     self%uy(i) = motion%uy
-    self%side(i) = motion%side
+    self%urn(i) = motion%urn
     self%chamber(i) = motion%chamber
-    ! For the walls that it meets, the end of each step is looked at.
+    ! Walls that it meets later are detected at the end of a step.
     self%near_wall(i) = wait <= self%time_step
   end subroutine store_motion
 
-  !> The counts and the particles, through an archive.
+  !> Serialises the counts and the particles.
   subroutine serialize_own_state(self, archive)
     class(timestep_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
@@ -325,7 +326,7 @@ contains
     call serialize_counts(self, archive)
     call archive%serialize('slips', self%slips)
     call archive%serialize('x', self%x, 'y', self%y, 'ux', self%ux, 'uy', self%uy)
-    call archive%serialize('side', self%side)
+    call archive%serialize('side', self%urn)
     call archive%serialize('chamber', self%chamber)
   end subroutine serialize_own_state
 

@@ -1,10 +1,9 @@
-!> What the engines have in common in which a particle has an event at every wall.
+!> Base type of the engines in which a particle has an event at every wall.
 !>
-!> Such an engine knows when events happen; here is what they do to the gates, to the counts and to
-!> the event record. It hands over the particle that has an event (`process_event`), goes on until
-!> no other event is due at that same instant, and only then are the gates asked whether they turn
-!> (`end_instant`). Whatever the order in which the events of the instant came, that decides as the
-!> rule of `battery_gate` does.
+!> An extension finds when events are due. This type applies them to the gates, the counts and the
+!> event record: the extension passes each particle whose event is due (`process_event`), until no
+!> other event is due at that instant, and only then do the gates decide (`end_instant`). Whatever
+!> the order of the events within the instant, the decision is that of the rule in `battery_gate`.
 module battery_wall_by_wall
   use battery_kinds, only: wp, int64
   use battery_table, only: gated, ungated, in_gate
@@ -19,38 +18,39 @@ module battery_wall_by_wall
   use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: wall_by_wall_type, prepare_walls, load_motions, serialize_counts, process_event, &
+  public :: wall_by_wall_type, reset_counts, load_motions, serialize_counts, process_event, &
     end_instant, count_hits, record_gate_entry, record_line_crossing, longest_window, end_of_window
 
-  !> A window is at most so many times the reach of the larger urn long, and has about so many
-  !> events at most.
+  !> A window lasts at most so many times the reach of the larger urn, and has at most about so many
+  !> events.
   real(wp), parameter, public :: window_reaches = 2.0_wp, window_events = 65536.0_wp
 
-  !> A window ends after so many wall collisions, far more than usual: in a channel that is hardly
-  !> wider than nothing a single particle would keep the run from hearing a signal.
+  !> A window ends after so many wall collisions, far more than usual: in a channel of almost no
+  !> width, a single particle would keep the run from noticing a signal.
   integer(int64), parameter, public :: most_hits = 2_int64**24
 
-  !> What these engines have; a kind of them adds when events happen.
+  !> What these engines have in common.
   type, abstract, extends(engine_type) :: wall_by_wall_type
     !> N1 - N2.
     integer :: difference = 0
     !> Wall collisions since the start.
     integer(int64) :: hits = 0
-    !> When the window began, and how long it has lasted: at an instant, and at the end.
+    !> Start of the window; time since then, at the present instant or at its end.
     real(wp) :: began = 0.0_wp, since = 0.0_wp
-    !> Longest window, of an engine that has one.
+    !> Longest window; huge if the engine limits it otherwise.
     real(wp) :: window = huge(1.0_wp)
   contains
     procedure :: load_particles => load_motions
     procedure :: state_of, collisions, trapped
     procedure :: advance_window
-    !> Goes on by at most one window and not beyond `duration`; sets `now` and `since`.
+    !> Processes the events of at most one window, and not beyond `duration`; sets `now` and
+    !> `since`.
     procedure(process_window_interface), deferred :: process_window
     !> Turns a particle of a gate back.
     procedure :: reverse_particle
-    !> Where a particle is now, and how it moves.
+    !> State of a particle now.
     procedure(motion_interface), deferred :: motion_now
-    !> Takes note of a particle now, and of the time until its next event.
+    !> Stores the state of a particle now, and the time until its next event.
     procedure(store_motion_interface), deferred :: store_motion
   end type wall_by_wall_type
 
@@ -83,36 +83,36 @@ module battery_wall_by_wall
 
 contains
 
-  !> What follows from the table.
-  subroutine prepare_walls(self)
+  !> Resets the counts, and takes the epoch from the table.
+  subroutine reset_counts(self)
     class(wall_by_wall_type), intent(inout) :: self
 
     self%epoch = self%table%epoch
     self%difference = 0
     self%hits = 0
-  end subroutine prepare_walls
+  end subroutine reset_counts
 
-  !> As long as a window of so many events may be.
+  !> Longest window that has at most `events` events.
   pure function longest_window(self, events) result(window)
     class(wall_by_wall_type), intent(in) :: self
-    !> At most, in all.
+    !> Of all particles.
     real(wp), intent(in) :: events
     real(wp) :: window
 
     window = maxval(self%table%urn%reach)*min(window_reaches, events/real(self%number, wp))
   end function longest_window
 
-  !> When a window ends that begins now.
+  !> End of a window that starts now.
   pure function end_of_window(self, duration) result(ends)
     class(wall_by_wall_type), intent(in) :: self
-    !> At most so long.
+    !> Longest duration of it.
     real(wp), intent(in) :: duration
     real(wp) :: ends
 
     ends = min(self%now + min(duration, self%window), self%epoch)
   end function end_of_window
 
-  !> One window of at most the time `duration`.
+  !> Advances by one window of at most `duration`.
   subroutine advance_window(self, duration, event_record)
     class(wall_by_wall_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -127,8 +127,8 @@ contains
     event_record%collisions = self%hits - hits
   end subroutine advance_window
 
-  !> Takes in the particles. In a gate and on its way to the other one a particle is counted from
-  !> the start, but only an entry can make a gate turn.
+  !> Loads the particles. A particle that is in a gate at the start and heads for the other one is
+  !> counted, but only an entry can make a gate reverse.
   subroutine load_motions(self, particles)
     class(wall_by_wall_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -140,25 +140,26 @@ contains
       motion = motion_at(self%table, particles%x(i), particles%y(i), particles%ux(i), &
         particles%uy(i))
       call find_first_wall(self%table, motion, wait)
-      self%difference = self%difference + merge(1, -1, motion%side == 1)
-      if (heads_for_middle(motion)) call enter_gate(self%gate(motion%side), self%now &
+      self%difference = self%difference + merge(1, -1, motion%urn == 1)
+      if (heads_for_middle(motion)) call enter_gate(self%gate(motion%urn), self%now &
         + time_to_middle(motion), i)
       call self%store_motion(i, motion, wait)
     end do
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
   end subroutine load_motions
 
-  !> The event of a particle, which has been moved to it. `wait` is how long it takes to its next.
+  !> Processes the event of a particle, which has been moved to it; `wait` is the time until its
+  !> next event.
   subroutine process_event(self, event_record, particle, motion, wait)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
-    !> Its number, from 1.
+    !> Particle index, 1 ... N.
     integer, intent(in) :: particle
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
-    integer :: side, chamber, met
+    integer :: urn, chamber, met
 
-    side = motion%side
+    urn = motion%urn
     chamber = motion%chamber
     met = motion%next
     if (met >= meets_channel_wall) then
@@ -167,44 +168,45 @@ contains
     else
       call pass_line(self%table, motion, wait)
       if (met == meets_gate) call record_gate_entry(self, event_record, particle, motion)
-      if (met == meets_line) call record_line_crossing(self, event_record, particle, side, chamber)
+      if (met == meets_line) call record_line_crossing(self, event_record, particle, urn, chamber)
     end if
   end subroutine process_event
 
-  !> A particle has come into the gate of its side.
+  !> Counts a particle that has entered the gate of its urn.
   subroutine record_gate_entry(self, event_record, particle, motion)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
-    !> Its number, from 1.
+    !> Particle index, 1 ... N.
     integer, intent(in) :: particle
     type(motion_type), intent(in) :: motion
 
-    call enter_gate(self%gate(motion%side), self%now + time_to_middle(motion), particle)
+    call enter_gate(self%gate(motion%urn), self%now + time_to_middle(motion), particle)
     if (event_record%logging) call record_event(event_record, self%since, event_entry, &
-      int(motion%side), particle)
+      int(motion%urn), particle)
   end subroutine record_gate_entry
 
-  !> A particle has come to the line of its channel, from `chamber` of `side`.
-  subroutine record_line_crossing(self, event_record, particle, side, chamber)
+  !> Records the crossing of a line: a particle from `chamber` of `urn` has reached the line of its
+  !> channel.
+  subroutine record_line_crossing(self, event_record, particle, urn, chamber)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
-    !> Its number; side 1 or 2; `in_gate` or `in_return`.
-    integer, intent(in) :: particle, side, chamber
+    !> Particle index; 1 or 2; `in_gate` or `in_return`.
+    integer, intent(in) :: particle, urn, chamber
 
     if (chamber == in_gate) then
-      call uncount_particle(self%gate(side), particle)
-      call record_crossing(event_record, self%since, crossing_of(side, gated), particle)
+      call uncount_particle(self%gate(urn), particle)
+      call record_crossing(event_record, self%since, crossing_of(urn, gated), particle)
     else
-      call record_crossing(event_record, self%since, crossing_of(side, ungated), particle)
+      call record_crossing(event_record, self%since, crossing_of(urn, ungated), particle)
     end if
-    if (self%table%beyond(side) == side) then
+    if (self%table%beyond(urn) == urn) then
       call count_hits(self, event_record, 1_int64)
     else
-      self%difference = self%difference + merge(-2, 2, side == 1)
+      self%difference = self%difference + merge(-2, 2, urn == 1)
     end if
   end subroutine record_line_crossing
 
-  !> `hits` wall collisions, and the state right after them.
+  !> Counts `hits` wall collisions, and the mass spread right after each.
   subroutine count_hits(self, event_record, hits)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -216,34 +218,35 @@ contains
     event_record%collisions_seen = event_record%collisions_seen + hits
   end subroutine count_hits
 
-  !> The gates decide, and the log of the instant, events `first` and later, is put in order.
+  !> Ends an instant: the gates decide, and the logged events of the instant, from `first` on, are
+  !> sorted.
   subroutine end_instant(self, first, event_record)
     class(wall_by_wall_type), intent(inout) :: self
     integer, intent(in) :: first
     type(event_record_type), intent(inout) :: event_record
 
-    if (has_undecided_entries(self%gate)) call let_gates_decide(self, event_record)
+    if (has_undecided_entries(self%gate)) call decide_reversals(self, event_record)
     if (event_record%events > first) call sort_simultaneous_events(event_record, first, &
       event_record%events)
   end subroutine end_instant
 
-  !> Where a gate turns, all those counted in it turn back.
-  subroutine let_gates_decide(self, event_record)
+  !> Lets each gate decide; if it reverses, all particles that it counts turn back.
+  subroutine decide_reversals(self, event_record)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
-    integer :: side, place
-    logical :: turns
+    integer :: urn, place
+    logical :: reverses
 
-    do side = 1, 2
-      call decide_reversal(self%gate(side), turns)
-      if (.not. turns) cycle
-      call record_reversal(event_record, self%since, side, number_inside(self%gate(side)))
-      do place = 1, number_inside(self%gate(side))
-        call self%reverse_particle(counted_particle(self%gate(side), place))
+    do urn = 1, 2
+      call decide_reversal(self%gate(urn), reverses)
+      if (.not. reverses) cycle
+      call record_reversal(event_record, self%since, urn, number_inside(self%gate(urn)))
+      do place = 1, number_inside(self%gate(urn))
+        call self%reverse_particle(counted_particle(self%gate(urn), place))
       end do
-      call uncount_all(self%gate(side))
+      call uncount_all(self%gate(urn))
     end do
-  end subroutine let_gates_decide
+  end subroutine decide_reversals
 
   !> Turns particle `i` of a gate back.
   subroutine reverse_particle(self, i)
@@ -276,7 +279,7 @@ contains
     total = self%hits
   end function collisions
 
-  !> How many can never leave where they are.
+  !> Number of particles that can never leave their urn or channel.
   function trapped(self) result(total)
     class(wall_by_wall_type), intent(in) :: self
     integer(int64) :: total
@@ -288,7 +291,7 @@ contains
     end do
   end function trapped
 
-  !> The counts, through an archive.
+  !> Serialises the counts.
   subroutine serialize_counts(self, archive)
     class(wall_by_wall_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

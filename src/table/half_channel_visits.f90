@@ -1,9 +1,9 @@
-!> Whole visits to half of channel 2 where discs stand in it, in batches: from wall to wall.
+!> Kernel: visits to half of channel 2 with discs in it, computed in batches, from wall to wall.
 !>
-!> `lanes` particles fly side by side, each alone, one flight of each at a time, without branches. A
-!> lane whose particle has come to the line or to the urn takes the next one of the batch. So the
-!> result of a particle does not depend on who else is in its batch.
-module battery_scattered_visits
+!> `lanes` particles are processed together, one flight of each at a time, in loops that have no
+!> branches and are vectorised. When a particle has reached the line or the urn, its lane loads the
+!> next visit of the batch. The result of a visit does not depend on the other visits of the batch.
+module battery_half_channel_visits
   use battery_kinds, only: wp, int64
   use battery_motion, only: motion_type, wall_kind, slowest, meets_nothing, meets_urn, meets_line, &
     meets_channel_wall
@@ -12,32 +12,32 @@ module battery_scattered_visits
   private
   public :: compute_half_channel_visits
 
-  !> Particles that the kernel flies side by side.
+  !> Particles processed together.
   integer, parameter :: lanes = 8
 
-  !> What flies in the lanes.
+  !> State of the particles in the lanes.
   type :: lanes_type
     integer :: who(lanes) = 0
     real(wp), dimension(lanes) :: x = 0.0_wp, y = 0.0_wp, ux = 1.0_wp, uy = 0.0_wp
     real(wp), dimension(lanes) :: time = 0.0_wp, until = 0.0_wp, delay = 0.0_wp, hits = 0.0_wp
-    !> What is met, as a whole number; and if that is a disc, where it is.
+    !> What each meets, as a whole number; if that is a disc, its centre and radius.
     real(wp), dimension(lanes) :: met = 0.0_wp, met_x = 0.0_wp, met_y = 0.0_wp, met_radius = 0.0_wp
   end type lanes_type
 
 contains
 
-  !> All visits of a batch, of which there are `count`.
-  subroutine compute_half_channel_visits(half, limit, count, motion, hits)
-    !> That of all of them.
-    type(scattered_half_channel_type), intent(in) :: half
-    !> Nobody is flown beyond this time.
+  !> Computes the visits of a batch, `count` of them.
+  subroutine compute_half_channel_visits(half_channel, limit, count, motion, hits)
+    !> Half channel that they are in.
+    type(scattered_half_channel_type), intent(in) :: half_channel
+    !> Time at which a visit stops at the latest.
     real(wp), intent(in) :: limit
     integer, intent(in) :: count
-    !> In the frame of the half (`battery_scatterers`). In: how each visit begins. Out: what it has
-    !> come to, and `next` is what ends it: the line or the urn, `meets_nothing` if its time was up,
-    !> or a wall after `longest_part` hits.
+    !> In the frame of the half channel (`battery_scatterers`). In: start of each visit. Out: state
+    !> at its end, with `next` for what ended it: the line or the urn, `meets_nothing` if it was the
+    !> time limit, or a wall after `longest_part` hits.
     type(motion_type), intent(inout) :: motion(count)
-    !> Of walls.
+    !> Wall hits of each visit.
     integer(int64), intent(out) :: hits(count)
     type(lanes_type) :: now
     integer :: lane, next, flying
@@ -48,16 +48,16 @@ contains
       call load_lane(lane)
     end do
     do while (flying > 0)
-      call find_strip_end(half%length, half%half_width, now%x, now%y, now%ux, now%uy, now%met, &
-        now%delay)
-      call find_nearest_disc(half%count, half%x, half%y, half%radius, now%x, now%y, now%ux, &
+      call find_strip_end(half_channel%length, half_channel%half_width, now%x, now%y, now%ux, &
         now%uy, now%met, now%delay)
+      call find_nearest_disc(half_channel%count, half_channel%x, half_channel%y, &
+        half_channel%radius, now%x, now%y, now%ux, now%uy, now%met, now%delay)
       call advance_lanes(now%until, now%x, now%y, now%ux, now%uy, now%met, now%delay, now%time, &
         now%hits)
-      call look_up_discs(half%count, half%x, half%y, half%radius, now%met, now%met_x, now%met_y, &
-        now%met_radius)
-      call reflect_lanes(half%half_width, now%met_x, now%met_y, now%met_radius, now%x, now%y, &
-        now%ux, now%uy, now%met)
+      call look_up_discs(half_channel%count, half_channel%x, half_channel%y, half_channel%radius, &
+        now%met, now%met_x, now%met_y, now%met_radius)
+      call reflect_lanes(half_channel%half_width, now%met_x, now%met_y, now%met_radius, now%x, &
+        now%y, now%ux, now%uy, now%met)
       do lane = 1, lanes
         if (now%who(lane) == 0) cycle
         if (now%met(lane) >= real(meets_channel_wall, wp) .and. now%hits(lane) < longest_part) cycle
@@ -68,20 +68,20 @@ contains
 
   contains
 
-    !> The result of a lane.
+    !> Stores the result of a lane.
     subroutine store_lane(lane)
       integer, intent(in) :: lane
 
       associate (j => now%who(lane))
         motion(j) = motion_type(now%x(lane), now%y(lane), now%ux(lane), now%uy(lane), &
-          motion(j)%time + now%time(lane), motion(j)%side, motion(j)%chamber, &
+          motion(j)%time + now%time(lane), motion(j)%urn, motion(j)%chamber, &
           nint(now%met(lane), wall_kind))
         hits(j) = int(now%hits(lane), int64)
       end associate
       flying = flying - 1
     end subroutine store_lane
 
-    !> The next of the batch into a lane, if there is one; else the lane idles.
+    !> Loads the next visit of the batch into a lane; if there is none, the lane idles.
     subroutine load_lane(lane)
       integer, intent(in) :: lane
 
@@ -103,7 +103,8 @@ contains
 
   end subroutine compute_half_channel_visits
 
-  !> The end of the half that a particle flies to, or the wall if that is sooner.
+  !> End of the half channel that each particle moves towards, or the wall if that comes first; and
+  !> the time until then.
   pure subroutine find_strip_end(length, half_width, x, y, ux, uy, met, delay)
     real(wp), intent(in) :: length, half_width
     real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
@@ -111,7 +112,8 @@ contains
     real(wp) :: speed, ahead, at_end, px, py, v, way(lanes), to_wall(lanes)
     integer :: j
 
-    ! Loop by loop: a condition that is asked twice in one would become a branch.
+    ! One loop for each quantity: a condition that is tested twice in one loop would become a
+    ! branch.
     !GCC$ unroll 1
     do j = 1, lanes
       v = ux(j)
@@ -139,7 +141,7 @@ contains
     end do
   end subroutine find_strip_end
 
-  !> A disc instead, if one is met before.
+  !> Replaces that by a disc, if the particle meets one before.
   pure subroutine find_nearest_disc(count, disc_x, disc_y, radius, x, y, ux, uy, met, delay)
     integer, intent(in) :: count
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
@@ -160,7 +162,7 @@ contains
         time = ahead - sqrt(max(room, 0.0_wp))
         time = merge(time, huge(1.0_wp), room > 0.0_wp)
         time = merge(time, huge(1.0_wp), ahead > 0.0_wp)
-        ! So written, the compiler keeps both in registers from disc to disc.
+        ! In this form the compiler keeps both in registers from disc to disc.
         before = delay(j)
         met_before = met(j)
         best = min(time, before)
@@ -168,14 +170,14 @@ contains
         delay(j) = best
       end do
     end do
-    ! Who is in a disc by rounding, and does not fly away from it, meets it now.
+    ! By rounding, a particle may be in a disc: it meets the disc now, unless it moves away.
     !GCC$ unroll 1
     do j = 1, lanes
       delay(j) = max(delay(j), 0.0_wp)
     end do
   end subroutine find_nearest_disc
 
-  !> Straight on to what is met, or until time is up.
+  !> Moves each particle straight on to what it meets, or until its time limit.
   pure subroutine advance_lanes(until, x, y, ux, uy, met, delay, time, hits)
     real(wp), dimension(lanes), intent(in) :: until, ux, uy
     real(wp), dimension(lanes), intent(inout) :: x, y, met, delay, time, hits
@@ -194,7 +196,7 @@ contains
     end do
   end subroutine advance_lanes
 
-  !> Where the discs are that are met; of other walls, some disc.
+  !> Centres and radii of the discs that are met; those of some disc if it is another wall.
   pure subroutine look_up_discs(count, disc_x, disc_y, radius, met, met_x, met_y, met_radius)
     integer, intent(in) :: count
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
@@ -210,8 +212,8 @@ contains
     end do
   end subroutine look_up_discs
 
-  !> Reflection, as in `reflect_in_half_channel`; whoever met the line or the urn goes on as it
-  !> flew.
+  !> Reflects each particle as `reflect_in_half_channel` does; one that has met the line or the urn
+  !> keeps its velocity.
   pure subroutine reflect_lanes(half_width, met_x, met_y, met_radius, x, y, ux, uy, met)
     real(wp), intent(in) :: half_width
     real(wp), dimension(lanes), intent(in) :: met_x, met_y, met_radius
@@ -247,4 +249,4 @@ contains
     end do
   end subroutine reflect_lanes
 
-end module battery_scattered_visits
+end module battery_half_channel_visits

@@ -1,8 +1,8 @@
-!> What a run shows while it goes on and when it is over.
+!> Progress of a running ensemble on standard output; texts for times and rates.
 !>
-!> On a terminal one line that is written over and over; in a log a plain line now and then. Only
-!> rank 0 speaks.
-module battery_screen
+!> On a terminal one line that is overwritten; in a log a plain line at intervals. Only
+!> rank 0 prints.
+module battery_progress_line
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds
   use battery_communicator, only: task_queue_type, read_counter, output_is_terminal, &
@@ -10,17 +10,18 @@ module battery_screen
   use battery_terminal, only: print_line, print_text
   implicit none (type, external)
   private
-  public :: screen_type, new_screen, show_ensemble, end_progress, duration_text, rate_text
+  public :: progress_line_type, new_progress_line, show_progress, clear_progress_line, &
+    duration_text, rate_text
 
-  !> What is shown, and when next.
-  type :: screen_type
+  !> State of the progress line.
+  type :: progress_line_type
     !> Whether anything is shown, and whether lines can be written over.
     logical :: speaks = .false., terminal = .false.
     real(dp) :: began = 0.0_dp, next = 0.0_dp
     logical :: line_open = .false.
     !> Tasks of the ensemble.
     integer :: tasks = 0
-  end type screen_type
+  end type progress_line_type
 
   !> Seconds between two lines: on a terminal, in a log.
   real(dp), parameter :: terminal_interval = 0.2_dp, log_interval = 60.0_dp
@@ -30,26 +31,27 @@ module battery_screen
 
 contains
 
-  !> A screen that speaks or not.
-  function new_screen(speaks, tasks) result(screen)
+  !> A progress line that prints or is silent.
+  function new_progress_line(speaks, tasks) result(progress_line)
     !> Whether anything is shown.
     logical, intent(in) :: speaks
-    !> Of the ensemble.
+    !> Number of tasks of the ensemble.
     integer, intent(in) :: tasks
-    type(screen_type) :: screen
+    type(progress_line_type) :: progress_line
 
-    screen%speaks = speaks
-    screen%terminal = output_is_terminal()
-    screen%tasks = tasks
-    screen%began = wall_seconds()
-    screen%next = screen%began + merge(terminal_interval, log_interval, screen%terminal)
-  end function new_screen
+    progress_line%speaks = speaks
+    progress_line%terminal = output_is_terminal()
+    progress_line%tasks = tasks
+    progress_line%began = wall_seconds()
+    progress_line%next = progress_line%began + merge(terminal_interval, log_interval, &
+      progress_line%terminal)
+  end function new_progress_line
 
   !> Tells how far the ensemble is, if it is time to: tasks finished of all, and the collisions a
   !> second. This rank's task is done to `share` (0 to 1); the tasks of the other ranks are taken to
   !> be as far.
-  subroutine show_ensemble(screen, task_queue, share)
-    type(screen_type), intent(inout) :: screen
+  subroutine show_progress(progress_line, task_queue, share)
+    type(progress_line_type), intent(inout) :: progress_line
     type(task_queue_type), intent(in) :: task_queue
     real(dp), intent(in) :: share
     integer :: finished, finished_before
@@ -58,27 +60,27 @@ contains
     character(len=160) :: buffer
 
     now = wall_seconds()
-    if (.not. screen%speaks .or. now < screen%next) return
-    screen%next = now + merge(terminal_interval, log_interval, screen%terminal)
-    finished_before = screen%tasks - task_queue%tasks
+    if (.not. progress_line%speaks .or. now < progress_line%next) return
+    progress_line%next = now + merge(terminal_interval, log_interval, progress_line%terminal)
+    finished_before = progress_line%tasks - task_queue%tasks
     finished = int(read_counter(task_queue, tasks_finished)) + finished_before
-    done_before = real(finished_before, dp)/screen%tasks
-    done = min(1.0_dp, (finished + share*min(task_queue%communicator%size, screen%tasks &
-      - finished)) /screen%tasks)
-    spent = now - screen%began
+    done_before = real(finished_before, dp)/progress_line%tasks
+    done = min(1.0_dp, (finished + share*min(task_queue%communicator%size, progress_line%tasks &
+      - finished)) /progress_line%tasks)
+    spent = now - progress_line%began
     left = 0.0_dp
     if (done > done_before) left = spent*(1.0_dp - done)/(done - done_before)
-    write (buffer, '(i0, a, i0, a, f5.1, a)') finished, ' of ', screen%tasks, ' tasks ', &
+    write (buffer, '(i0, a, i0, a, f5.1, a)') finished, ' of ', progress_line%tasks, ' tasks ', &
       100.0_dp*done, ' %  '//rate_text(real(read_counter(task_queue, collisions_done), dp) &
       /max(spent, 1.0e-9_dp))//' collisions/s  '//duration_text(left)//' left'
     line = bar_of(done, screen_width - len_trim(buffer) - 2)//trim(buffer)
-    if (screen%terminal) then
+    if (progress_line%terminal) then
       call print_text(achar(13)//line//repeat(' ', max(0, screen_width - len(line))))
-      screen%line_open = .true.
+      progress_line%line_open = .true.
     else
       call print_line(line)
     end if
-  end subroutine show_ensemble
+  end subroutine show_progress
 
   !> A bar as wide as there is room for, within reason, with two blanks behind it.
   pure function bar_of(share, room) result(text)
@@ -96,16 +98,16 @@ contains
   end function bar_of
 
   !> Clears the progress line.
-  subroutine end_progress(screen)
-    type(screen_type), intent(inout) :: screen
+  subroutine clear_progress_line(progress_line)
+    type(progress_line_type), intent(inout) :: progress_line
 
-    if (screen%line_open) call print_text(achar(13)//repeat(' ', screen_width)//achar(13))
-    screen%line_open = .false.
-  end subroutine end_progress
+    if (progress_line%line_open) call print_text(achar(13)//repeat(' ', screen_width)//achar(13))
+    progress_line%line_open = .false.
+  end subroutine clear_progress_line
 
   !> A time as a reader would say it: `8 s`, `3 min 20 s`, `2 h 05 min`.
   pure function duration_text(seconds) result(text)
-    !> Negative ones are 0.
+    !> Time in seconds; a negative one is shown as 0.
     real(dp), intent(in) :: seconds
     character(len=:), allocatable :: text
     character(len=32) :: buffer
@@ -128,7 +130,7 @@ contains
 
   !> A rate with three digits, such as `2.13e8`.
   pure function rate_text(rate) result(text)
-    !> In any unit, not negative.
+    !> Rate in any unit, not negative.
     real(dp), intent(in) :: rate
     character(len=:), allocatable :: text
     character(len=32) :: buffer
@@ -140,4 +142,4 @@ contains
     text = trim(buffer)
   end function rate_text
 
-end module battery_screen
+end module battery_progress_line

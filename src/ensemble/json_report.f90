@@ -1,19 +1,19 @@
-!> What a script wants to know of a run or a plan, as a JSON file: what is on the screen may pass
+!> JSON report of a run or a plan for scripts, written to a file: standard output may pass
 !> through a launcher that changes it, and is worded for people.
-module battery_answer
+module battery_json_report
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_failure
   use battery_paths, only: real_folder_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: write_run_answer, write_plan_answer
+  public :: write_run_json, write_plan_json
 
 contains
 
   !> Writes the absolute path of the results file; null where none is there.
-  subroutine write_run_answer(path, results, error)
-    !> Of the JSON file; empty: none is written.
+  subroutine write_run_json(path, results, error)
+    !> Path of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
     !> Path of the results file, from the folder in which the program was started.
     character(len=*), intent(in) :: results
@@ -26,11 +26,11 @@ contains
     if (folder /= '') &
       place = json_text(folder//'/'//results(index(results, '/', back=.true.) + 1:))
     call write_members(path, '"results": '//place, error)
-  end subroutine write_run_answer
+  end subroutine write_run_json
 
   !> Writes how many tasks a plan has and what it will cost.
-  subroutine write_plan_answer(path, tasks, pending, seconds, memory, error)
-    !> Of the JSON file; empty: none is written.
+  subroutine write_plan_json(path, tasks, pending, seconds, memory, error)
+    !> Path of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
     !> All tasks, and those that are still to be done.
     integer, intent(in) :: tasks, pending
@@ -44,7 +44,7 @@ contains
     call write_members(path, '"tasks": '//to_text(tasks)//', "pending": '//to_text(pending) &
       //', "seconds_a_task": '//trim(adjustl(numbers(1)))//', "memory_a_rank": ' &
       //trim(adjustl(numbers(2))), error)
-  end subroutine write_plan_answer
+  end subroutine write_plan_json
 
   !> Writes an object with these members.
   subroutine write_members(path, members, error)
@@ -63,7 +63,7 @@ contains
 
   !> A text between quotes, as JSON has it.
   pure function json_text(text) result(quoted)
-    !> Of any bytes.
+    !> Text of any bytes.
     character(len=*), intent(in) :: text
     character(len=:), allocatable :: quoted
     integer, parameter :: first_printable = 32
@@ -83,4 +83,4 @@ contains
     quoted = quoted//'"'
   end function json_text
 
-end module battery_answer
+end module battery_json_report

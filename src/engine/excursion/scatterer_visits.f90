@@ -1,100 +1,102 @@
 !> Visits of the engine `excursion` on tables with discs in channel 2.
 !>
-!> There a particle may come back to its own urn, or cross the counted line to and fro. So each side
-!> of the table is one chamber with two openings: the gate and the line. A visit starts at either,
-!> or wherever a particle is at the start of the run, and alternates between the urn and its half of
-!> channel 2 until it ends at either. A flight to channel 2 ends at the line: its `through` is 0. A
-!> visit with too many hits is truncated in the channel or in the urn (`partial_visit`) and
-!> continued later.
+!> There a particle may come back to its own urn, or cross the counted line to and fro. So an urn
+!> and its half of channel 2 are one chamber with two openings: the gate and the line. A visit
+!> starts at either, or wherever a particle is at the start of the run, and alternates between the
+!> urn and its half of channel 2 until it ends at either. A flight to channel 2 ends at the line:
+!> its `through` is 0. A visit with too many hits is truncated in the channel or in the urn
+!> (`partial_visit`) and continued later.
 !>
 !> Paths among discs diverge so fast that tracing them back leads elsewhere. So the start of each
 !> visit is stored, in the frame of the urn or in that of its half of channel 2
 !> (`battery_scatterers`), and a particle is located by computing its visit once more from there.
-module battery_scattered_sides
+module battery_scatterer_visits
   use battery_kinds, only: wp, int8, int16, int32, int64
   use battery_calendar, only: flight_type
-  use battery_channel, only: fold, gated, ungated
+  use battery_channel, only: fold_into_channel, gated, ungated
   use battery_flight, only: to_gate, to_return, parked_in_urn, partial_visit
   use battery_motion, only: motion_type, meets_line, meets_urn, meets_nothing, in_urn, in_return
-  use battery_scattered_visits, only: compute_half_channel_visits
+  use battery_half_channel_visits, only: compute_half_channel_visits
   use battery_archive, only: archive_type
   use battery_table, only: table_type
   use battery_urn, only: are_mirror_images, compute_visits, locate_in_visit, locate_after
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
   private
-  public :: sides_type, new_sides, visit_start_at, reserve_side_visits, add_side_visit, &
-    compute_side_visits, store_side_flights
+  public :: scatterer_visits_type, new_scatterer_visits, visit_start_at, reserve_scatterer_visits, &
+    add_scatterer_visit, compute_scatterer_visits, store_scatterer_flights
   public :: locate_by_replay, serialize_visit_starts
 
-  !> Heading of a visit that has not ended.
+  !> Next event of a visit that has not ended.
   integer(int16), parameter :: undetermined = 0
 
   !> A visit while it is computed.
-  type :: side_visit_type
+  type :: scatterer_visit_type
     integer :: particle = 0
-    !> State it has reached; heading that it ends with, and wall hits so far.
+    !> State it has reached; next event after its end, and wall hits so far.
     type(motion_type) :: now
-    integer(int16) :: heading = undetermined
+    integer(int16) :: next_event = undetermined
     integer(int64) :: hits = 0
     !> As in `flight_type`, once it has ended.
     real(wp) :: y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
-  end type side_visit_type
+  end type scatterer_visit_type
 
   !> Start of the present visit of each particle, and the batch of visits that are computed.
-  type :: sides_type
+  type :: scatterer_visits_type
     type(motion_type), allocatable :: visit_start(:)
     integer :: count = 0
-    type(side_visit_type), allocatable :: side_visit(:)
+    type(scatterer_visit_type), allocatable :: visit(:)
     !> Work space: visits that have not ended; the batch in an urn; positions in the batch, motions
     !> and wall hits of those in a half of channel 2.
     integer, allocatable, private :: open(:), place(:)
     type(visits_type), private :: visits
     type(motion_type), allocatable, private :: motions(:)
     integer(int64), allocatable, private :: hits(:)
-  end type sides_type
+  end type scatterer_visits_type
 
 contains
 
-  !> Allocates the store; no visit is known.
-  pure subroutine new_sides(sides, number)
-    type(sides_type), intent(out) :: sides
+  !> Allocates the store, without visits.
+  pure subroutine new_scatterer_visits(scatterer_visits, number)
+    type(scatterer_visits_type), intent(out) :: scatterer_visits
     !> Number of particles.
     integer, intent(in) :: number
 
-    allocate (sides%visit_start(number), sides%side_visit(0))
-  end subroutine new_sides
+    allocate (scatterer_visits%visit_start(number), scatterer_visits%visit(0))
+  end subroutine new_scatterer_visits
 
   !> The start of a visit.
-  elemental function visit_start_at(time, side, chamber, x, y, ux, uy) result(visit_start)
+  elemental function visit_start_at(time, urn, chamber, x, y, ux, uy) result(visit_start)
     !> On the clock of the epoch.
     real(wp), intent(in) :: time
-    !> Side of the table; `in_urn` or `in_return`.
-    integer, intent(in) :: side, chamber
+    !> Index of the urn; `in_urn` or `in_return`.
+    integer, intent(in) :: urn, chamber
     !> Position and velocity in the frame of that chamber: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     type(motion_type) :: visit_start
 
-    visit_start = motion_type(x, y, ux, uy, time, int(side, int8), int(chamber, int8))
+    visit_start = motion_type(x, y, ux, uy, time, int(urn, int8), int(chamber, int8))
   end function visit_start_at
 
-  !> Empties the batch and makes room for `room` visits.
-  pure subroutine reserve_side_visits(sides, room)
-    type(sides_type), intent(inout) :: sides
+  !> Empties the batch, and allocates it for `room` visits if it is smaller.
+  pure subroutine reserve_scatterer_visits(scatterer_visits, room)
+    type(scatterer_visits_type), intent(inout) :: scatterer_visits
     integer, intent(in) :: room
     integer :: n
 
-    sides%count = 0
-    if (size(sides%side_visit) >= room) return
-    deallocate (sides%side_visit)
-    if (allocated(sides%open)) deallocate (sides%open, sides%place, sides%motions, sides%hits)
+    scatterer_visits%count = 0
+    if (size(scatterer_visits%visit) >= room) return
+    deallocate (scatterer_visits%visit)
+    if (allocated(scatterer_visits%open)) deallocate (scatterer_visits%open, &
+      scatterer_visits%place, scatterer_visits%motions, scatterer_visits%hits)
     n = max(64, room + room/2)
-    allocate (sides%side_visit(n), sides%open(n), sides%place(n), sides%motions(n), sides%hits(n))
-  end subroutine reserve_side_visits
+    allocate (scatterer_visits%visit(n), scatterer_visits%open(n), scatterer_visits%place(n), &
+      scatterer_visits%motions(n), scatterer_visits%hits(n))
+  end subroutine reserve_scatterer_visits
 
-  !> Adds a visit to the batch; there is room for it.
-  pure subroutine add_side_visit(sides, particle, visit_start, hits)
-    type(sides_type), intent(inout) :: sides
+  !> Adds a visit to the batch, which is large enough.
+  pure subroutine add_scatterer_visit(scatterer_visits, particle, visit_start, hits)
+    type(scatterer_visits_type), intent(inout) :: scatterer_visits
     !> Its particle.
     integer, intent(in) :: particle
     !> Its start.
@@ -102,63 +104,64 @@ contains
     !> Wall hits in the channel before.
     integer(int64), intent(in) :: hits
 
-    sides%count = sides%count + 1
-    sides%side_visit(sides%count) = side_visit_type(particle=particle, now=visit_start, hits=hits)
-  end subroutine add_side_visit
+    scatterer_visits%count = scatterer_visits%count + 1
+    scatterer_visits%visit(scatterer_visits%count) = scatterer_visit_type(particle=particle, &
+      now=visit_start, hits=hits)
+  end subroutine add_scatterer_visit
 
   !> Computes all visits of the batch to their ends, but not beyond the time `limit`.
-  subroutine compute_side_visits(sides, table, limit)
-    type(sides_type), intent(inout) :: sides
+  subroutine compute_scatterer_visits(scatterer_visits, table, limit)
+    type(scatterer_visits_type), intent(inout) :: scatterer_visits
     type(table_type), intent(in) :: table
-    !> On the clock of the epoch; a visit that has not ended by then stops there with the heading
-    !> `undetermined`.
+    !> On the clock of the epoch; a visit that has not ended by then stops there with
+    !> `next_event` `undetermined`.
     real(wp), intent(in) :: limit
-    integer :: side, j, open, kept
+    integer :: urn, j, open, kept
 
-    open = sides%count
+    open = scatterer_visits%count
     do j = 1, open
-      sides%open(j) = j
+      scatterer_visits%open(j) = j
     end do
     do
       kept = 0
       do j = 1, open
-        sides%open(kept + 1) = sides%open(j)
-        associate (at => sides%side_visit(sides%open(j)))
-          if (at%heading == undetermined .and. at%now%time < limit) kept = kept + 1
+        scatterer_visits%open(kept + 1) = scatterer_visits%open(j)
+        associate (at => scatterer_visits%visit(scatterer_visits%open(j)))
+          if (at%next_event == undetermined .and. at%now%time < limit) kept = kept + 1
         end associate
       end do
       open = kept
       if (open == 0) exit
       ! Mirror-image urns share a batch.
       if (are_mirror_images(table%urn)) then
-        call cross_urn_of_side(sides, table, 1, 2, open, limit)
+        call cross_urns(scatterer_visits, table, 1, 2, open, limit)
       else
-        call cross_urn_of_side(sides, table, 1, 1, open, limit)
-        call cross_urn_of_side(sides, table, 2, 2, open, limit)
+        call cross_urns(scatterer_visits, table, 1, 1, open, limit)
+        call cross_urns(scatterer_visits, table, 2, 2, open, limit)
       end if
-      do side = 1, 2
-        call cross_half_of_side(sides, table, side, open, limit)
+      do urn = 1, 2
+        call cross_half_channels(scatterer_visits, table, urn, open, limit)
       end do
     end do
-  end subroutine compute_side_visits
+  end subroutine compute_scatterer_visits
 
   !> Moves all visits that are in an urn to its openings.
-  subroutine cross_urn_of_side(sides, table, first, last, open, limit)
-    type(sides_type), intent(inout) :: sides
+  subroutine cross_urns(scatterer_visits, table, first, last, open, limit)
+    type(scatterer_visits_type), intent(inout) :: scatterer_visits
     type(table_type), intent(in) :: table
-    !> First and last side.
+    !> First and last urn.
     integer, intent(in) :: first, last
     !> Number of visits that have not ended.
     integer, intent(in) :: open
     real(wp), intent(in) :: limit
     integer :: j, k
 
-    associate (v => sides%visits)
+    associate (v => scatterer_visits%visits)
       call reserve_visits(v, open)
       do k = 1, open
-        j = sides%open(k)
-        associate (at => sides%side_visit(j))
-          if (at%now%chamber /= in_urn .or. at%now%side < first .or. at%now%side > last) cycle
+        j = scatterer_visits%open(k)
+        associate (at => scatterer_visits%visit(j))
+          if (at%now%chamber /= in_urn .or. at%now%urn < first .or. at%now%urn > last) cycle
           v%count = v%count + 1
           v%particle(v%count) = j
           v%x(v%count) = at%now%x
@@ -171,19 +174,19 @@ contains
       if (v%count == 0) return
       call compute_visits(table%urn(first), v)
       do k = 1, v%count
-        call end_urn_passage(table, v, k, limit, sides%side_visit(v%particle(k)))
+        call end_urn_passage(table, v, k, limit, scatterer_visits%visit(v%particle(k)))
       end do
     end associate
-  end subroutine cross_urn_of_side
+  end subroutine cross_urns
 
-  !> Continues or ends a visit at the end of its way through an urn.
+  !> Continues or ends a visit at the end of its path through an urn.
   subroutine end_urn_passage(table, v, k, limit, at)
     type(table_type), intent(in) :: table
     type(visits_type), intent(in) :: v
     !> Its index in the batch.
     integer, intent(in) :: k
     real(wp), intent(in) :: limit
-    type(side_visit_type), intent(inout) :: at
+    type(scatterer_visit_type), intent(inout) :: at
     real(wp) :: position(2), velocity(2), leaves, after, until
     integer(int64) :: later
     logical :: stays, goes_on_now
@@ -198,23 +201,23 @@ contains
       after = merge(-v%through(k), limit - leaves, goes_on_now)
       until = merge(leaves - v%through(k), limit, goes_on_now)
       if (stays .or. until - at%now%time < 0.5_wp*v%length(k)) then
-        call locate_after(table%urn(at%now%side), at%now%x, at%now%y, at%now%ux, at%now%uy, &
+        call locate_after(table%urn(at%now%urn), at%now%x, at%now%y, at%now%ux, at%now%uy, &
           until - at%now%time, position, velocity, later)
         later = later - int(v%hits(k), int64)
       else
-        call locate_in_visit(table%urn(at%now%side), int(v%channel(k)), v%y(k), v%u_axial(k), &
+        call locate_in_visit(table%urn(at%now%urn), int(v%channel(k)), v%y(k), v%u_axial(k), &
           v%u_lateral(k), after, position, velocity, later)
       end if
       at%hits = at%hits + later
-      if (goes_on_now) at%heading = partial_visit
-      at%now = visit_start_at(until, int(at%now%side), in_urn, position(1), position(2), &
+      if (goes_on_now) at%next_event = partial_visit
+      at%now = visit_start_at(until, int(at%now%urn), in_urn, position(1), position(2), &
         velocity(1), velocity(2))
     else if (v%channel(k) == ungated) then
-      at%now = visit_start_at(leaves, int(at%now%side), in_return, &
-        table%scattered(at%now%side)%length, v%y(k), -v%u_axial(k), v%u_lateral(k))
+      at%now = visit_start_at(leaves, int(at%now%urn), in_return, &
+        table%half_channel2(at%now%urn)%length, v%y(k), -v%u_axial(k), v%u_lateral(k))
     else
       at%now%time = leaves
-      at%heading = merge(parked_in_urn, to_gate, stays)
+      at%next_event = merge(parked_in_urn, to_gate, stays)
       at%y = v%y(k)
       at%u_axial = v%u_axial(k)
       at%u_lateral = v%u_lateral(k)
@@ -223,85 +226,86 @@ contains
   end subroutine end_urn_passage
 
   !> Moves all visits that are in one half of channel 2 to its ends.
-  subroutine cross_half_of_side(sides, table, side, open, limit)
-    type(sides_type), intent(inout) :: sides
+  subroutine cross_half_channels(scatterer_visits, table, urn, open, limit)
+    type(scatterer_visits_type), intent(inout) :: scatterer_visits
     type(table_type), intent(in) :: table
-    integer, intent(in) :: side
-    !> Number of visits that had not ended before `cross_urn_of_side`.
+    integer, intent(in) :: urn
+    !> Number of visits that had not ended before `cross_urns`.
     integer, intent(in) :: open
     real(wp), intent(in) :: limit
     integer :: j, k, n
 
     n = 0
     do k = 1, open
-      j = sides%open(k)
-      associate (at => sides%side_visit(j))
-        if (at%now%chamber /= in_return .or. at%now%side /= side) cycle
-        if (at%heading /= undetermined .or. at%now%time >= limit) cycle
+      j = scatterer_visits%open(k)
+      associate (at => scatterer_visits%visit(j))
+        if (at%now%chamber /= in_return .or. at%now%urn /= urn) cycle
+        if (at%next_event /= undetermined .or. at%now%time >= limit) cycle
         n = n + 1
-        sides%place(n) = j
-        sides%motions(n) = at%now
+        scatterer_visits%place(n) = j
+        scatterer_visits%motions(n) = at%now
       end associate
     end do
     if (n == 0) return
-    call compute_half_channel_visits(table%scattered(side), limit, n, sides%motions, sides%hits)
+    call compute_half_channel_visits(table%half_channel2(urn), limit, n, scatterer_visits%motions, &
+      scatterer_visits%hits)
     do k = 1, n
-      call end_half_passage(table, sides%motions(k), sides%hits(k), limit, &
-        sides%side_visit(sides%place(k)))
+      call end_half_channel_passage(table, scatterer_visits%motions(k), scatterer_visits%hits(k), &
+        limit, scatterer_visits%visit(scatterer_visits%place(k)))
     end do
-  end subroutine cross_half_of_side
+  end subroutine cross_half_channels
 
-  !> Continues or ends a visit at the end of its way through a half of channel 2.
-  pure subroutine end_half_passage(table, motion, hits, limit, at)
+  !> Continues or ends a visit at the end of its path through a half of channel 2.
+  pure subroutine end_half_channel_passage(table, motion, hits, limit, at)
     type(table_type), intent(in) :: table
-    !> State at that end, and the wall hits on the way.
+    !> State at that end, and the wall hits on the path.
     type(motion_type), intent(in) :: motion
     integer(int64), intent(in) :: hits
     real(wp), intent(in) :: limit
-    type(side_visit_type), intent(inout) :: at
+    type(scatterer_visit_type), intent(inout) :: at
 
-    associate (half_channel => table%scattered(motion%side), now => at%now)
+    associate (half_channel => table%half_channel2(motion%urn), now => at%now)
       at%hits = at%hits + hits
       now = motion
       now%y = sign(min(abs(motion%y), half_channel%half_width), motion%y)
       if (motion%next == meets_nothing) then
         now%time = limit
       else if (motion%next == meets_urn) then
-        now%x = -table%urn(motion%side)%chord(ungated)
+        now%x = -table%urn(motion%urn)%chord(ungated)
         now%chamber = int(in_urn, int8)
       else
-        at%heading = merge(to_return, partial_visit, motion%next == meets_line)
+        at%next_event = merge(to_return, partial_visit, motion%next == meets_line)
         at%y = now%y
         at%u_axial = abs(motion%ux)
         at%u_lateral = motion%uy
         at%through = 0.0_wp
       end if
     end associate
-  end subroutine end_half_passage
+  end subroutine end_half_channel_passage
 
   !> Stores the flights that the visits of the batch end in.
-  pure subroutine store_side_flights(sides, flight, computed_hits)
-    type(sides_type), intent(in) :: sides
+  pure subroutine store_scatterer_flights(scatterer_visits, flight, computed_hits)
+    type(scatterer_visits_type), intent(in) :: scatterer_visits
     type(flight_type), intent(inout) :: flight(:)
     !> Increased by the wall hits of the visits.
     integer(int64), intent(inout) :: computed_hits
     integer :: j
 
-    do j = 1, sides%count
-      associate (at => sides%side_visit(j), its => flight(sides%side_visit(j)%particle))
-        its%heading = at%heading
-        its%urn = at%now%side
+    do j = 1, scatterer_visits%count
+      associate (at => scatterer_visits%visit(j), its => flight(scatterer_visits%visit(j)%particle))
+        its%next_event = at%next_event
+        its%urn = at%now%urn
         its%time = at%now%time
         its%y = at%y
         its%u_axial = at%u_axial
         its%u_lateral = at%u_lateral
         its%through = at%through
-        its%length = at%now%time - sides%visit_start(at%particle)%time
-        its%due = merge(huge(1.0_wp), at%now%time, at%heading == parked_in_urn)
+        its%length = at%now%time - scatterer_visits%visit_start(at%particle)%time
+        its%due = merge(huge(1.0_wp), at%now%time, at%next_event == parked_in_urn)
         computed_hits = computed_hits + at%hits
       end associate
     end do
-  end subroutine store_side_flights
+  end subroutine store_scatterer_flights
 
   !> State at the time `now` of a particle within its visit, or in the gate before it, in the frame
   !> of the table; and the `hits` to be added to `computed_hits` for it (negative: hits that are
@@ -316,23 +320,23 @@ contains
     real(wp), intent(out) :: state(4)
     !> Of either sign.
     integer(int64), intent(out) :: hits
-    type(sides_type) :: whole, part
+    type(scatterer_visits_type) :: whole, part
     real(wp) :: before, reflected, passed
     type(motion_type) :: here
 
-    call new_sides(whole, 1)
-    call reserve_side_visits(whole, 1)
-    call add_side_visit(whole, 1, visit_start, 0_int64)
+    call new_scatterer_visits(whole, 1)
+    call reserve_scatterer_visits(whole, 1)
+    call add_scatterer_visit(whole, 1, visit_start, 0_int64)
     part = whole
-    call compute_side_visits(whole, table, huge(1.0_wp))
-    if (now > visit_start%time) call compute_side_visits(part, table, now)
-    here = part%side_visit(1)%now
-    hits = part%side_visit(1)%hits - whole%side_visit(1)%hits
-    associate (urn => table%urn(visit_start%side))
+    call compute_scatterer_visits(whole, table, huge(1.0_wp))
+    if (now > visit_start%time) call compute_scatterer_visits(part, table, now)
+    here = part%visit(1)%now
+    hits = part%visit(1)%hits - whole%visit(1)%hits
+    associate (urn => table%urn(visit_start%urn))
       before = visit_start%time - now
       if (visit_start%chamber == in_urn .and. before > 0.0_wp) then
-        call fold(visit_start%y - visit_start%uy*before, urn%width(gated), here%y, reflected, &
-          passed)
+        call fold_into_channel(visit_start%y - visit_start%uy*before, urn%width(gated), here%y, &
+          reflected, passed)
         here%x = visit_start%x + min(abs(visit_start%ux)*before, 0.5_wp*urn%length(gated))
         here%uy = reflected*visit_start%uy
         hits = hits - int(passed, int64)
@@ -343,15 +347,15 @@ contains
   end subroutine locate_by_replay
 
   !> Serialises the starts of all visits.
-  subroutine serialize_visit_starts(sides, side, archive)
-    type(sides_type), intent(inout) :: sides
-    !> Side of the table that each particle is on.
-    integer(int16), intent(in) :: side(:)
+  subroutine serialize_visit_starts(scatterer_visits, urn, archive)
+    type(scatterer_visits_type), intent(inout) :: scatterer_visits
+    !> Urn that each particle belongs to.
+    integer(int16), intent(in) :: urn(:)
     type(archive_type), intent(inout) :: archive
-    integer(int32) :: chamber(size(side))
+    integer(int32) :: chamber(size(urn))
 
-    associate (visit_start => sides%visit_start)
-      visit_start%side = int(side, int8)
+    associate (visit_start => scatterer_visits%visit_start)
+      visit_start%urn = int(urn, int8)
       chamber = visit_start%chamber
       call archive%serialize('leg_time', visit_start%time, 'leg_x', visit_start%x, 'leg_y', &
         visit_start%y, 'leg_ux', visit_start%ux, 'leg_uy', visit_start%uy)
@@ -360,4 +364,4 @@ contains
     end associate
   end subroutine serialize_visit_starts
 
-end module battery_scattered_sides
+end module battery_scatterer_visits

@@ -1,8 +1,8 @@
 !> What each rank does in an ensemble: task after task, until none is left or all must stop.
-module battery_work
+module battery_task_loop
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds, cpu_seconds, utc_seconds, sleep_for
-  use battery_communicator, only: task_queue_type, take_task, add_to_counter, read_counter, &
+  use battery_communicator, only: task_queue_type, fetch_task, add_to_counter, read_counter, &
     drive_mpi_progress, mpi_progress_interval, tasks_finished, tasks_failed, collisions_done, &
     stop_wanted
   use battery_engine, only: particles_type
@@ -15,63 +15,65 @@ module battery_work
   use battery_plan, only: plan_type
   use battery_process, only: exit_process
   use battery_results, only: task_failed
-  use battery_screen, only: screen_type, new_screen, show_ensemble, end_progress
+  use battery_progress_line, only: progress_line_type, new_progress_line, show_progress, &
+    clear_progress_line
   use battery_signals, only: stop_requested
   use battery_simulation, only: simulation_type, begin_simulation, advance_simulation, progress, &
     verify_simulation
   use battery_task_result, only: task_result_type, result_of, failed_result
-  use battery_tasks, only: task_type, task_count, task_of, place_particles
+  use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_error
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: watch_type, run_tasks
+  public :: monitor_type, run_tasks
 
-  !> What a running task looks at from time to time.
-  type :: watch_type
+  !> Timers and the stop flag that a running task checks between windows.
+  type :: monitor_type
     !> How often states are saved, and when next, in seconds of `wall_seconds`.
     real(dp) :: checkpoint_interval = huge(1.0_dp)
     real(dp) :: next_checkpoint = huge(1.0_dp)
     real(dp) :: next_look = 0.0_dp
-    !> When rank 0 next lends the network a hand.
+    !> Next time at which rank 0 calls MPI, so that one-sided requests make progress.
     real(dp) :: next_mpi_progress = 0.0_dp
     !> Whether the run stops early.
     logical :: stopping = .false.
     !> Time spent in tasks.
     real(dp) :: busy = 0.0_dp
-  end type watch_type
+  end type monitor_type
 
   !> Windows between two looks at the clock, for as many particles or fewer.
   integer, parameter :: windows_between_looks = 16, few_particles = 2000
 
-  !> Seconds between two looks at the board: this long, or so long that all ranks together look this
-  !> often a second, or that looking takes this share of the time, but no longer than this.
+  !> Seconds between two reads of the task queue: this long, or so long that all ranks together read
+  !> it this often a second, or that looking takes this share of the time, but no longer than this.
   real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, look_share = 0.005_dp, &
     longest_interval = 5.0_dp
 
 contains
 
-  !> One rank's part: takes tasks from the board until none is left.
-  subroutine run_tasks(plan, journal, task_queue, watch, quiet, error)
+  !> One rank's part: runs tasks from the queue until none is left.
+  subroutine run_tasks(plan, journal, task_queue, monitor, quiet, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(inout) :: journal
     type(task_queue_type), intent(in) :: task_queue
-    type(watch_type), intent(inout) :: watch
+    type(monitor_type), intent(inout) :: monitor
     !> Whether nothing is shown.
     logical, intent(in) :: quiet
     type(error_type), allocatable, intent(out) :: error
     type(task_result_type) :: found
-    type(screen_type) :: screen
+    type(progress_line_type) :: progress_line
     integer :: task
     logical :: stopped
 
-    screen = new_screen(task_queue%communicator%rank == 0 .and. .not. quiet, task_count(plan))
+    progress_line = new_progress_line(task_queue%communicator%rank == 0 .and. .not. quiet, &
+      task_count(plan))
     do
       if (stop_is_wanted()) exit
-      call take_task(task_queue, task)
+      call fetch_task(task_queue, task)
       if (task == 0) exit
-      call run_task(task_of(plan, task), plan%start, journal, task_queue, watch, screen, found, &
-        stopped, error)
+      call run_task(task_of(plan, task), plan%start, journal, task_queue, monitor, progress_line, &
+        found, stopped, error)
       if (stopped .or. allocated(error)) exit
       call write_finished(journal, found, error)
       if (allocated(error)) exit
@@ -91,7 +93,7 @@ contains
     else
       call wait_for_others()
     end if
-    call end_progress(screen)
+    call clear_progress_line(progress_line)
 
   contains
 
@@ -115,7 +117,7 @@ contains
         if (wall_seconds() >= next_look .or. stop_requested()) then
           if (stop_is_wanted()) exit
           if (read_counter(task_queue, tasks_finished) >= task_queue%tasks) exit
-          call show_ensemble(screen, task_queue, 0.5_dp)
+          call show_progress(progress_line, task_queue, 0.5_dp)
           next_look = wall_seconds() + max(nap, task_queue%communicator%size/looks_a_second)
         end if
         call sleep_for(nap)
@@ -127,15 +129,16 @@ contains
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
   !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's
   !> troubles.
-  subroutine run_task(task, start, journal, task_queue, watch, screen, found, stopped, error)
+  subroutine run_task(task, start, journal, task_queue, monitor, progress_line, found, stopped, &
+    error)
     type(task_type), intent(in) :: task
     !> What the initial file says; no arrays: there is none.
     type(particles_type), intent(in) :: start
     type(journal_type), intent(inout) :: journal
     type(task_queue_type), intent(in) :: task_queue
-    type(watch_type), intent(inout) :: watch
-    type(screen_type), intent(inout) :: screen
-    !> Its result, unless stopped.
+    type(monitor_type), intent(inout) :: monitor
+    type(progress_line_type), intent(inout) :: progress_line
+    !> Result of the task, unless it was stopped.
     type(task_result_type), intent(out) :: found
     logical, intent(out) :: stopped
     type(error_type), allocatable, intent(out) :: error
@@ -151,27 +154,27 @@ contains
     call resume_or_begin_task(task, start, journal, simulation, cpu_before, failure)
     reported = 0
     if (.not. allocated(failure)) reported = simulation%observer%collisions
-    watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
+    monitor%next_checkpoint = wall_seconds() + monitor%checkpoint_interval
     do while (.not. allocated(failure))
       if (simulation%done) exit
       call advance_some_windows(simulation)
       now = wall_seconds()
-      if (now >= watch%next_mpi_progress) then
+      if (now >= monitor%next_mpi_progress) then
         call drive_mpi_progress(task_queue)
-        watch%next_mpi_progress = now + mpi_progress_interval
+        monitor%next_mpi_progress = now + mpi_progress_interval
       end if
-      if (now < watch%next_look .and. .not. stop_requested()) cycle
+      if (now < monitor%next_look .and. .not. stop_requested()) cycle
       call exchange_with_queue()
-      call show_ensemble(screen, task_queue, real(progress(simulation), dp))
+      call show_progress(progress_line, task_queue, real(progress(simulation), dp))
       if (simulation%done) exit
-      stopped = watch%stopping
+      stopped = monitor%stopping
       now = wall_seconds()
-      if (.not. stopped .and. now < watch%next_checkpoint) cycle
+      if (.not. stopped .and. now < monitor%next_checkpoint) cycle
       call write_state(journal, task, simulation, cpu_before + cpu_seconds() - cpu_began, error)
       if (stopped .or. allocated(error)) exit
-      watch%next_checkpoint = wall_seconds() + watch%checkpoint_interval
+      monitor%next_checkpoint = wall_seconds() + monitor%checkpoint_interval
     end do
-    watch%busy = watch%busy + wall_seconds() - began
+    monitor%busy = monitor%busy + wall_seconds() - began
     ! A task that was stopped before it had a state begins anew.
     if (allocated(failure)) stopped = failure%code == exit_stopped_early
     if (stopped .or. allocated(error)) return
@@ -185,7 +188,7 @@ contains
 
   contains
 
-    !> Tells the board what was done, and hears whether to stop.
+    !> Adds finished collisions to the queue's counter, and reads whether to stop.
     subroutine exchange_with_queue()
       real(dp) :: now, after
 
@@ -193,9 +196,9 @@ contains
       call add_to_counter(task_queue, collisions_done, simulation%observer%collisions - reported)
       reported = simulation%observer%collisions
       if (stop_requested()) call add_to_counter(task_queue, stop_wanted, 1_int64)
-      watch%stopping = read_counter(task_queue, stop_wanted) > 0
+      monitor%stopping = read_counter(task_queue, stop_wanted) > 0
       after = wall_seconds()
-      watch%next_look = after + min(longest_interval, max((after - now)/look_share, &
+      monitor%next_look = after + min(longest_interval, max((after - now)/look_share, &
         look_interval, task_queue%communicator%size/looks_a_second))
     end subroutine exchange_with_queue
 
@@ -212,7 +215,7 @@ contains
     end do
   end subroutine advance_some_windows
 
-  !> From the saved state if there is one, else from the start.
+  !> Continues a task from its saved state if there is one, else begins it.
   subroutine resume_or_begin_task(task, start, journal, simulation, cpu_before, error)
     type(task_type), intent(in) :: task
     type(particles_type), intent(in) :: start
@@ -229,9 +232,9 @@ contains
     if (allocated(error)) return
     call read_state(journal, task, simulation, cpu_before, resumed, error)
     if (resumed .or. allocated(error)) return
-    call place_particles(task, start, particles, error)
+    call initial_particles(task, start, particles, error)
     if (allocated(error)) return
     call begin_simulation(simulation, task%setup, particles, error)
   end subroutine resume_or_begin_task
 
-end module battery_work
+end module battery_task_loop

@@ -1,27 +1,28 @@
-!> The courses of runs in a results file: series, snapshots, final states, events.
+!> Output of tasks over time in a results file: series, snapshots, final states, events.
 !>
-!> They are what is large in it, so no more than one task's is ever in memory. The datasets are
-!> prepared for all tasks, (.., replica, point), where nothing is known yet; then the course of each
-!> task goes into its place, straight from where it was kept. Reading goes the same way: one
-!> procedure says what is in either. Columns are the values of one task in a dataset; tasks are best
-!> passed in the order of their numbers (`serialize_column`).
-module battery_courses
+!> They are the large part of the file, so never more than one task's is in memory. The datasets are
+!> prepared for all tasks, (.., replica, point), filled with NaN or -1; then the output of each
+!> task is written into its hyperslab, straight from its record. Reading uses the same code: one
+!> procedure names the datasets for both. Columns are the values of one task in a dataset; tasks are
+!> best passed in the order of their numbers (`serialize_column`).
+module battery_task_output
   use battery_kinds, only: dp, int32
   use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, make_group
-  use battery_hdf5_attributes, only: write_attribute, write_text
+  use battery_hdf5_attributes, only: write_attribute, write_text_attribute
   use battery_hdf5_datasets, only: dataset_type, prepare_dataset, serialize_column, &
     release_dataset, write_dataset, write_scale, write_dimension
   use battery_quantities, only: quantity_type, averaged_quantities, place_of, flow_names, &
     unknown_count, unknown_real
   implicit none (type, external)
   private
-  public :: course_type, extents_type, courses_type, by_task
-  public :: prepare_courses, write_course, read_course, close_courses, write_events, write_count
+  public :: task_output_type, output_extents_type, output_datasets_type, task_dimensions
+  public :: prepare_output_datasets, write_task_output, read_task_output, close_output_datasets, &
+    write_events, write_counting_scale
 
-  !> The course of one task. Arrays are empty or not allocated where there is nothing; those read
+  !> Output of one task over time. Arrays are empty or not allocated where there is none; those read
   !> are allocated.
-  type :: course_type
+  type :: task_output_type
     !> Series: N1, and flows as (4, entry), which is 1_12, 1_21, 2_12, 2_21.
     integer(int32), allocatable :: series_urn1_number(:)
     real(dp), allocatable :: series_flow(:)
@@ -30,27 +31,27 @@ module battery_courses
     !> Events: kind, where, particle one after the other; times.
     integer(int32), allocatable :: events(:)
     real(dp), allocatable :: event_times(:)
-  end type course_type
+  end type task_output_type
 
-  !> The most that any task of a file has; 0: the file has no such dataset.
-  type :: extents_type
+  !> Greatest extents over all tasks of a file; 0: the file has no such dataset.
+  type :: output_extents_type
     !> Entries of the series; snapshots.
     integer :: entries = 0, snapshots = 0
     !> Particles of snapshots and of final states.
     integer :: particles = 0, final_particles = 0
     !> All replicas and points, complete or not.
     integer :: replicas = 0, points = 0
-  end type extents_type
+  end type output_extents_type
 
-  !> The datasets of an open file that have a column, or some, of each task.
-  type :: courses_type
-    type(extents_type) :: most
+  !> Datasets of an open file that hold one or more columns for each task.
+  type :: output_datasets_type
+    type(output_extents_type) :: most
     !> N1 and the flows; x, y, ux, uy.
     type(dataset_type), private :: urn1_number, flow(4), snapshot(4), final(4)
-  end type courses_type
+  end type output_datasets_type
 
   !> Paths of the dimension scales of what every task has, in Fortran order.
-  character(len=*), parameter :: by_task(*) = [character(len=8) :: '/replica', '/point']
+  character(len=*), parameter :: task_dimensions(*) = [character(len=8) :: '/replica', '/point']
 
   !> What times and numbers of particles mean.
   character(len=*), parameter :: since_start = 'time since the start'
@@ -58,50 +59,52 @@ module battery_courses
 
 contains
 
-  !> Makes the datasets for so much in a new file, or opens those of a file that is read; there they
-  !> must be as large. Does nothing after an error.
-  subroutine prepare_courses(file, most, series_interval, snapshot_time, courses, error)
-    !> Open.
+  !> Creates the datasets of a new file, or opens those of a file that is read; there they
+  !> must have these extents. Does nothing after an error.
+  subroutine prepare_output_datasets(file, most, series_interval, snapshot_time, output_datasets, &
+    error)
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> For how much; what is 0 is not there.
-    type(extents_type), intent(in) :: most
+    !> Extents of the datasets; of an extent of 0 there is no dataset.
+    type(output_extents_type), intent(in) :: most
     !> Time between two entries, and times of the snapshots, since the start: for the dimension
     !> scales of a new file.
     real(dp), intent(in) :: series_interval, snapshot_time(:)
-    !> To be closed with `close_courses`.
-    type(courses_type), intent(out) :: courses
+    !> Open datasets, to be closed with `close_output_datasets`.
+    type(output_datasets_type), intent(out) :: output_datasets
     type(error_type), allocatable, intent(inout) :: error
 
-    courses%most = most
-    if (most%entries > 0) call prepare_series(file, most, series_interval, courses, error)
+    output_datasets%most = most
+    if (most%entries > 0) call prepare_series(file, most, series_interval, output_datasets, error)
     if (most%snapshots > 0 .and. most%particles > 0) then
       if (file%is_new) then
         call make_group(file, '/snapshots', error)
         call write_scale(file, '/snapshots/time', snapshot_time, 'time', since_start, error)
-        call write_count(file, '/snapshots/particle', 1, most%particles, in_order, error)
+        call write_counting_scale(file, '/snapshots/particle', 1, most%particles, in_order, error)
       end if
       call prepare_states(file, '/snapshots', [most%particles, most%snapshots, most%replicas, &
-        most%points], [character(len=19) :: '/snapshots/particle', '/snapshots/time', by_task], &
-        courses%snapshot, error)
+        most%points], [character(len=19) :: '/snapshots/particle', '/snapshots/time', &
+        task_dimensions], output_datasets%snapshot, error)
     end if
     if (most%final_particles > 0) then
       if (file%is_new) then
         call make_group(file, '/final', error)
-        call write_count(file, '/final/particle', 1, most%final_particles, in_order, error)
+        call write_counting_scale(file, '/final/particle', 1, most%final_particles, in_order, error)
       end if
       call prepare_states(file, '/final', [most%final_particles, most%replicas, most%points], &
-        [character(len=15) :: '/final/particle', by_task], courses%final, error)
+        [character(len=15) :: '/final/particle', task_dimensions], output_datasets%final, error)
     end if
-  end subroutine prepare_courses
+  end subroutine prepare_output_datasets
 
-  !> The course of N1 and of the flows.
-  subroutine prepare_series(file, most, interval, courses, error)
+  !> Datasets of the series: N1 and the flows.
+  subroutine prepare_series(file, most, interval, output_datasets, error)
     type(hdf5_file_type), intent(in) :: file
-    type(extents_type), intent(in) :: most
+    type(output_extents_type), intent(in) :: most
     real(dp), intent(in) :: interval
-    type(courses_type), intent(inout) :: courses
+    type(output_datasets_type), intent(inout) :: output_datasets
     type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', by_task]
+    character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', &
+      task_dimensions]
     type(quantity_type), allocatable :: list(:)
     integer :: extents(3), k
 
@@ -112,7 +115,7 @@ contains
         'time', since_start, error)
     end if
     call prepare_dataset(file, '/series/urn1_number', extents, int(unknown_count, int32), '1', &
-      'particles at x < 0', error, by_time, courses%urn1_number)
+      'particles at x < 0', error, by_time, output_datasets%urn1_number)
     call write_attribute(file, '/series/urn1_number', '_FillValue', int(unknown_count, int32), &
       error)
     list = averaged_quantities()
@@ -120,7 +123,7 @@ contains
       associate (flow => list(place_of(flow_names(k), list)))
         call prepare_dataset(file, '/series/'//trim(flow%name), extents, unknown_real(), &
           trim(flow%unit), trim(flow%meaning)//', since the entry before', error, by_time, &
-          courses%flow(k))
+          output_datasets%flow(k))
       end associate
     end do
   end subroutine prepare_series
@@ -144,67 +147,71 @@ contains
     end do
   end subroutine prepare_states
 
-  !> Puts the course of a task into its place in a new file. Does nothing after an error.
-  subroutine write_course(file, courses, replica, point, course, error)
-    !> Open, as the datasets in it are.
+  !> Writes the output of a task into its hyperslabs of a new file. Does nothing after an error.
+  subroutine write_task_output(file, output_datasets, replica, point, task_output, error)
+    !> File, open, as the datasets in it are.
     type(hdf5_file_type), intent(in) :: file
-    type(courses_type), intent(in) :: courses
-    !> Which task.
+    type(output_datasets_type), intent(in) :: output_datasets
+    !> Indices of the task, from 1.
     integer, intent(in) :: replica, point
-    !> No more of anything than there is room for; stays as it is.
-    type(course_type), intent(inout) :: course
+    !> Output of the task, at most as long as the datasets; not changed.
+    type(task_output_type), intent(inout) :: task_output
     type(error_type), allocatable, intent(inout) :: error
 
-    call serialize_series(file, courses, replica, point, course, error)
-    call serialize_states(file, courses%snapshot, [replica, point], courses%most%snapshots, &
-      course%snapshots, error)
-    call serialize_states(file, courses%final, [replica, point], 0, course%final_state, error)
-  end subroutine write_course
+    call serialize_series(file, output_datasets, replica, point, task_output, error)
+    call serialize_states(file, output_datasets%snapshot, [replica, point], &
+      output_datasets%most%snapshots, task_output%snapshots, error)
+    call serialize_states(file, output_datasets%final, [replica, point], 0, &
+      task_output%final_state, error)
+  end subroutine write_task_output
 
-  !> The course of a task in a file that is read, but for events; empty after an error.
-  subroutine read_course(file, courses, replica, point, number, course, error)
-    !> Open, as the datasets in it are.
+  !> Reads the output of a task without its events; empty after an error.
+  subroutine read_task_output(file, output_datasets, replica, point, number, task_output, error)
+    !> File, open, as the datasets in it are.
     type(hdf5_file_type), intent(in) :: file
-    type(courses_type), intent(in) :: courses
+    type(output_datasets_type), intent(in) :: output_datasets
     !> Which task, and how many particles it has.
     integer, intent(in) :: replica, point, number
-    type(course_type), intent(out) :: course
+    type(task_output_type), intent(out) :: task_output
     type(error_type), allocatable, intent(inout) :: error
     integer :: entries
 
-    associate (most => courses%most)
-      allocate (course%series_urn1_number(most%entries), course%series_flow(4*most%entries))
-      allocate (course%snapshots(4*min(number, most%particles)*most%snapshots))
-      allocate (course%final_state(4*min(number, most%final_particles)))
-      allocate (course%events(0), course%event_times(0))
-      call serialize_series(file, courses, replica, point, course, error)
-      call serialize_states(file, courses%snapshot, [replica, point], most%snapshots, &
-        course%snapshots, error)
-      call serialize_states(file, courses%final, [replica, point], 0, course%final_state, error)
+    associate (most => output_datasets%most)
+      allocate (task_output%series_urn1_number(most%entries), &
+        task_output%series_flow(4*most%entries))
+      allocate (task_output%snapshots(4*min(number, most%particles)*most%snapshots))
+      allocate (task_output%final_state(4*min(number, most%final_particles)))
+      allocate (task_output%events(0), task_output%event_times(0))
+      call serialize_series(file, output_datasets, replica, point, task_output, error)
+      call serialize_states(file, output_datasets%snapshot, [replica, point], most%snapshots, &
+        task_output%snapshots, error)
+      call serialize_states(file, output_datasets%final, [replica, point], 0, &
+        task_output%final_state, error)
     end associate
     ! Runs may be of unequal length.
     entries = 0
-    if (.not. allocated(error)) entries = count(course%series_urn1_number >= 0)
-    course%series_urn1_number = course%series_urn1_number(:entries)
-    course%series_flow = course%series_flow(:4*entries)
-  end subroutine read_course
+    if (.not. allocated(error)) entries = count(task_output%series_urn1_number >= 0)
+    task_output%series_urn1_number = task_output%series_urn1_number(:entries)
+    task_output%series_flow = task_output%series_flow(:4*entries)
+  end subroutine read_task_output
 
-  subroutine serialize_series(file, courses, replica, point, course, error)
+  subroutine serialize_series(file, output_datasets, replica, point, task_output, error)
     type(hdf5_file_type), intent(in) :: file
-    type(courses_type), intent(in) :: courses
+    type(output_datasets_type), intent(in) :: output_datasets
     integer, intent(in) :: replica, point
-    type(course_type), intent(inout) :: course
+    type(task_output_type), intent(inout) :: task_output
     type(error_type), allocatable, intent(inout) :: error
     real(dp), allocatable :: flow(:)
     integer :: first(3), k
 
-    if (size(course%series_urn1_number) == 0) return
+    if (size(task_output%series_urn1_number) == 0) return
     first = [1, replica, point]
-    call serialize_column(file, courses%urn1_number, course%series_urn1_number, first, error)
+    call serialize_column(file, output_datasets%urn1_number, task_output%series_urn1_number, &
+      first, error)
     do k = 1, 4
-      flow = course%series_flow(k::4)
-      call serialize_column(file, courses%flow(k), flow, first, error)
-      if (.not. file%is_new) course%series_flow(k::4) = flow
+      flow = task_output%series_flow(k::4)
+      call serialize_column(file, output_datasets%flow(k), flow, first, error)
+      if (.not. file%is_new) task_output%series_flow(k::4) = flow
     end do
   end subroutine serialize_series
 
@@ -214,7 +221,7 @@ contains
     type(dataset_type), intent(in) :: states(4)
     !> Replica and point.
     integer, intent(in) :: task(2), times
-    !> One time after the other: x, y, ux, uy of all particles.
+    !> States, one time after the other: x, y, ux, uy of all particles.
     real(dp), intent(inout) :: flat(:)
     type(error_type), allocatable, intent(inout) :: error
     integer :: n, at, time, k
@@ -232,63 +239,63 @@ contains
   end subroutine serialize_states
 
   !> Closes the datasets of a file that is still open.
-  subroutine close_courses(file, courses, error)
-    !> Open still.
+  subroutine close_output_datasets(file, output_datasets, error)
+    !> File, still open.
     type(hdf5_file_type), intent(in) :: file
-    !> Open, or not.
-    type(courses_type), intent(inout) :: courses
-    !> Not all may have been brought into a new file. Stays as it is after an error.
+    !> Datasets, which may be open.
+    type(output_datasets_type), intent(inout) :: output_datasets
+    !> Error if not all values were brought into a new file; an earlier error stays.
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
 
-    call release_dataset(file, courses%urn1_number, error)
+    call release_dataset(file, output_datasets%urn1_number, error)
     do k = 1, 4
-      call release_dataset(file, courses%flow(k), error)
-      call release_dataset(file, courses%snapshot(k), error)
-      call release_dataset(file, courses%final(k), error)
+      call release_dataset(file, output_datasets%flow(k), error)
+      call release_dataset(file, output_datasets%snapshot(k), error)
+      call release_dataset(file, output_datasets%final(k), error)
     end do
-  end subroutine close_courses
+  end subroutine close_output_datasets
 
   !> The event log of the only task. Does nothing after an error.
-  subroutine write_events(file, course, error)
-    !> New, open.
+  subroutine write_events(file, task_output, error)
+    !> New file, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    type(course_type), intent(in) :: course
+    type(task_output_type), intent(in) :: task_output
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: by_event(*) = ['/events/event']
     integer :: n
 
-    n = size(course%event_times)
+    n = size(task_output%event_times)
     call make_group(file, '/events', error)
     call write_dimension(file, '/events/event', n, 'events in the order of time', error)
-    call write_dataset(file, '/events/time', course%event_times, 'time', since_start, error, &
+    call write_dataset(file, '/events/time', task_output%event_times, 'time', since_start, error, &
       by_event)
-    call write_dataset(file, '/events/kind', course%events(:n), '1', 'what happens', error, &
+    call write_dataset(file, '/events/kind', task_output%events(:n), '1', 'what happens', error, &
       by_event)
     call write_attribute(file, '/events/kind', 'flag_values', [1_int32, 2_int32, 3_int32, &
       4_int32], error)
-    call write_text(file, '/events/kind', 'flag_meanings', &
+    call write_text_attribute(file, '/events/kind', 'flag_meanings', &
       'enters_gate gate_reverses crosses_channel_1 crosses_channel_2', error)
-    call write_dataset(file, '/events/where', course%events(n + 1:2*n), '1', &
+    call write_dataset(file, '/events/where', task_output%events(n + 1:2*n), '1', &
       'gate (1 or 2), or direction of a crossing (12 or 21)', error, by_event)
-    call write_dataset(file, '/events/particle', course%events(2*n + 1:3*n), '1', &
+    call write_dataset(file, '/events/particle', task_output%events(2*n + 1:3*n), '1', &
       'particle, from 1; where a gate reverses, how many turn back', error, by_event)
   end subroutine write_events
 
   !> A dimension whose coordinates count up from `first`. Does nothing after an error.
-  subroutine write_count(file, path, first, length, long_name, error)
-    !> New, open.
+  subroutine write_counting_scale(file, path, first, length, long_name, error)
+    !> New file, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> The first coordinate, and how many there are.
     integer, intent(in) :: first, length
-    !> What it counts.
+    !> Attribute of that name: what the dimension counts.
     character(len=*), intent(in) :: long_name
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
 
     call write_scale(file, path, int([(first + k, k=0, length - 1)], int32), '1', long_name, error)
-  end subroutine write_count
+  end subroutine write_counting_scale
 
-end module battery_courses
+end module battery_task_output
