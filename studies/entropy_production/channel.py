@@ -1,9 +1,11 @@
 """What entered channel 1, given what left it: the weight of all pasts, many particles, any T.
 
-If entries are Poisson, a past weighs the product of its entries' rates. Pasts are weighed together,
-going back: two that have the same particles in the channel, doing the same, are one, with the sum
-of their weights. Whom a hypothetical reversal turned is decided only where it makes a difference:
-where a particle would enter if it was turned, or be at the middle line if it was not.
+If entries are Poisson, a past weighs the product of its entries' rates. All pasts have the same
+particles that leave; so one weighs as much as if all had been turned, times the ratio of the rates
+for each that came through, which is known once that is at the middle line. Pasts are weighed
+together, going back: two that have the same particles in the channel, doing the same, are one, with
+the sum of their weights. Whom a hypothetical reversal turned is decided only where it makes a
+difference: where a particle would enter if it was turned, or be at the middle line if it was not.
 """
 
 from __future__ import annotations
@@ -16,13 +18,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from studies.entropy_production.flights import Pass
-
-    Weights = Callable[[int, Pass], float]
 
 NEVER = -math.inf
 
@@ -58,6 +58,11 @@ class Past(NamedTuple):
     weight: float
     true: bool
 
+    @property
+    def inside(self) -> int:
+        """Return how many particles are in the channel."""
+        return sum(len(gate.outward) + len(gate.counted) for gate in self.situation.gates)
+
 
 @dataclass(frozen=True)
 class Weighed:
@@ -80,13 +85,14 @@ class Weighed:
 class Channel:
     """Passes through channel 1, and the rule by which pasts of what left it are found."""
 
-    def __init__(self, passes: Sequence[Pass], threshold: int, weight: Weights) -> None:
-        """Take passes in the order in which they leave, and the rate of entries by side."""
+    def __init__(self, passes: Sequence[Pass], threshold: int, rates: Sequence[float]) -> None:
+        """Take passes in the order in which they leave, and the rates of entries from both urns."""
         self.passes = passes
         self.threshold = threshold
+        self.rates = rates
         self.left = [one.left for one in passes]
         self.half = [one.half for one in passes]
-        self.weight = [(weight(1, one), weight(2, one)) for one in passes]
+        self.ratio = [rates[2 - one.exit.side] / rates[one.exit.side - 1] for one in passes]
 
     def truth(self, time: float) -> Situation:
         """Return the true past at a time."""
@@ -133,9 +139,8 @@ class Channel:
         now = past.next
         for which, gate in enumerate(past.gates):
             if gate.counted and gate.counted[-1][0] == now:
-                factor = self.weight[gate.counted[-1][1]][which]
                 gone = gate._replace(counted=gate.counted[:-1])
-                yield self._with(past, which, gone), factor, True
+                yield self._with(past, which, gone), 1.0, True
                 return
             for at in gate.outward:
                 middle = self.left[at] - self.half[at] == now
@@ -151,15 +156,14 @@ class Channel:
                         counted = tuple(sorted((*counted, (mirrored, at))))
                     rest = gate.unknown - 1
                     fired = gate.fired if rest else NEVER
-                    factor = 1.0 if mirrored < now else self.weight[at][which]
                     turned = Gate(others, counted, rest, fired)
-                    yield self._with(past, which, turned), factor, was_turned
+                    yield self._with(past, which, turned), 1.0, was_turned
                     if self._undecided(gate, now) < gate.unknown:
                         return
                 if not middle:
                     yield self._with(past, which, gate), 1.0, not was_turned
                 elif (through := self._through(past, which, at, others)) is not None:
-                    yield through, 1.0, not was_turned
+                    yield through, self.ratio[at], not was_turned
                 return
         raise AssertionError("nothing happens at the next time")
 
@@ -204,18 +208,21 @@ class Channel:
         if not gate.counted and not gate.unknown and len(gate.outward) >= self.threshold:
             fired = Gate(gate.outward, (), self.threshold, now if self.threshold else NEVER)
             pair = (fired, past.gates[1]) if side == 1 else (past.gates[0], fired)
-            yield self._situation(*pair, now), self.weight[at][side - 1], entrant
+            yield self._situation(*pair, now), 1.0, entrant
 
     def weigh(self, begin: float, end: float, most: int) -> Weighed:
         """Weigh all pasts of what left between two times.
 
-        Of more than `most`, the heaviest and the true one go on: then the sum is too small.
+        Of more than `most`, the true one and the heaviest go on: then the sum is too small. One
+        with many particles in the channel has still to explain them: it counts for less.
         """
+        rate = sum(self.rates)
         present = self.truth(end)
         pasts = [Past(present, 1.0, true=True)]
         first, last = np.searchsorted(self.left, [begin, end])
-        entries = sorted(((one.entered, math.log(self.weight[at][one.entry.side - 1]))
-                          for at, one in enumerate(self.passes) if begin < one.entered <= end),
+        through = sorted(((one.left - one.half, math.log(self.ratio[at]))
+                          for at, one in enumerate(self.passes)
+                          if math.isinf(one.turned) and begin < one.left - one.half <= end),
                          reverse=True)  # fmt: skip
         times, ratios, counts = [], [], []
         log_all, log_true, known, lost = 0.0, 0.0, 0, 0.0
@@ -224,8 +231,8 @@ class Channel:
             found: dict[tuple[Gate, Gate], Past] = {}
             for past in pasts:
                 self._until(past, now, found)
-            while known < len(entries) and entries[known][0] > now:
-                log_true += entries[known][1]
+            while known < len(through) and through[known][0] > now:
+                log_true += through[known][1]
                 known += 1
             total = sum(one.weight for one in found.values())
             times.append(now)
@@ -233,7 +240,7 @@ class Channel:
             counts.append(len(found))
             kept = list(found.values())
             if len(kept) > most:
-                kept.sort(key=lambda one: (not one.true, -one.weight))
+                kept.sort(key=lambda one: (not one.true, -one.weight * rate ** -one.inside))
                 lost = max(lost, sum(one.weight for one in kept[most:]) / total)
                 kept = kept[:most]
             log_all += math.log(total)

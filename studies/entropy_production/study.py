@@ -26,7 +26,7 @@ from studies.entropy_production.pasts import COUNTED, History, Tree, coordinates
 from studies.event_log import CROSSING1, CROSSING2, ENTRY, REVERSAL, read_log
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from matplotlib.figure import Figure
@@ -38,17 +38,19 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 TABLE = Table()
-FEW = (2, 3, 5, 10)  # N, at T = 1
-MANY = ((100, 1), (1000, 1), (1000, 2), (1000, 4), (1000, 7), (1000, 10), (1000, 14))  # N, T
-# N at T = 1, depth, over which both quick and full runs go
-DEEP = ((3, 4000.0), (10, 400.0), (100, 12.0))
-DEPTHS = 24  # at which pasts are counted
+FEW = (2, 3, 5, 10, 30)  # N, at T = 1
+CHECKED = (2, 3, 5, 10)
+MANY = ((100, 1), (200, 2), (300, 2), (300, 3), (1000, 1))  # N, T
+DENSE = ((1000, 2), (1000, 4), (1000, 7), (1000, 10))  # too many pasts: bounds alone
+# N at T = 1, depth, and over how many states of long runs and quick ones
+DEEP = ((3, 8000.0, 60, 20), (10, 800.0, 60, 20), (30, 100.0, 16, 6), (100, 12.0, 20, 10))
+DEPTHS = 20  # at which pasts are counted
 SHARE_OF_TWO = 0.2732  # of firings after which a state has two pasts, of two particles
 TRANSIENT = 2000.0
 EDGE = 2.0  # time at both ends of a window, over which logarithms of weights are averaged
-COLLISIONS = 40  # presents with several pasts that are run forwards again
-CHECK_DEPTH = 15.0
-CLOSE = 1e-6  # of places and velocities that are the same
+LENGTH = 12.0  # of windows
+COLLISIONS = 3  # presents with several pasts that are run forwards again
+CHECK_DEPTH = 20.0
 
 
 def ran(work: study.Study, name: str, number: int, threshold: int, duration: float) -> Path:
@@ -101,7 +103,7 @@ def folding(
     Each window gives a slope of the logarithm of the weight of all pasts over the true one's,
     between its mean over the first and over the last `EDGE`.
     """
-    channel = Channel(passes, threshold, lambda side, _: entries[side - 1])
+    channel = Channel(passes, threshold, entries)
     slopes, lost = [], 0.0
     for begin, end in windows:
         found = channel.weigh(begin, end, most)
@@ -124,11 +126,11 @@ def few(work: study.Study) -> list[dict[str, float]]:
     for number in FEW:
         foreseen = 2.0 * number * (number - 1) * (0.25 * math.pi) * (
             TABLE.width1 / (math.pi * TABLE.area)) ** 2  # fmt: skip
-        duration = round(work.pick(2000.0, 20000.0) / foreseen, -2)
+        duration = round(work.pick(1000.0, 6000.0) / foreseen, -2)
         path = ran(work, f"few_{number}", number, 1, duration)
         found = rates(path, 0.0, duration)
         starts, *_ = numbers_in_urns(path)
-        span = work.pick(2000.0, 10000.0) / foreseen
+        span = work.pick(500.0, 3000.0) / foreseen
         passes, log = histories(TABLE, 1, starts, span)
         edges = np.linspace(0.02, 1.0, 21) * span
         value, error, lost = folding(
@@ -156,20 +158,22 @@ def renewal_chain(number: int, threshold: int, urn2: float, area: float) -> floa
 def many(work: study.Study) -> list[dict[str, float]]:
     """Return the same of many particles, with what the net current would cost."""
     rows = []
-    for number, threshold in MANY:
+    for number, threshold in (*MANY, *DENSE):
         end = work.pick(4000.0, 22000.0)
         path = ran(work, f"many_{number}_{threshold}", number, threshold, end)
         row = {"number": number, "threshold": threshold, **rates(path, TRANSIENT, end)}
         chi = float(np.abs(postproc.open_results(path).squeeze().chi))
         starts, *_ = numbers_in_urns(path)
         entries, out = ([row[f"{what}{gate}"] for gate in (1, 2)] for what in ("entries", "out"))
-        length = work.pick(12.0, 22.0) * (10.0 if number == 100 else 1.0)
-        windows = [(2.0 + at * length, 2.0 + (at + 1.0) * length)
-                   for at in range(int(work.pick(3, 8)))]  # fmt: skip
-        passes, _ = histories(TABLE, threshold, starts, windows[-1][1] + 1.0)
-        most = int(work.pick(300, 1000))
-        row["folding"], row["folding_error"], row["lost"] = folding(
-            passes, threshold, entries, windows, most)  # fmt: skip
+        row["folding"] = row["folding_error"] = row["lost"] = math.nan
+        if (number, threshold) in MANY:
+            length = LENGTH * (5.0 if number == 100 else 1.0)
+            windows = [(2.0 + at * length, 2.0 + (at + 1.0) * length)
+                       for at in range(int(work.pick(2, 4)))]  # fmt: skip
+            passes, _ = histories(TABLE, threshold, starts, windows[-1][1] + 1.0)
+            row["folding"], row["folding_error"], row["lost"] = folding(
+                passes, threshold, entries, windows, int(work.pick(150, 300))
+            )
         row["current"] = row["flow2_21"] - row["flow2_12"]
         row["bound"] = sum(b * math.log(b) - e * math.log(e)
                            for e, b in zip(entries, out, strict=True))  # fmt: skip
@@ -216,10 +220,10 @@ def pasts_of_a_run(
 def deep(work: study.Study) -> list[dict[str, float]]:
     """Return how many pasts there are against depth: of what runs arrive at, of all states."""
     rows = []
-    for number, deepest in DEEP:
+    for number, deepest, most, least in DEEP:
         random = np.random.default_rng(number)
         depth = np.arange(1, DEPTHS + 1) * deepest / DEPTHS
-        runs = int(work.pick(60, 400))
+        runs = int(work.pick(least, most))
         logs = np.array([
             np.log(pasts_of_a_run(random, number, 1, deepest)[0].number(depth * (1.0 - 1e-9)))
             for _ in range(runs)
@@ -227,14 +231,14 @@ def deep(work: study.Study) -> list[dict[str, float]]:
         tree = Tree(TABLE, 1)
         all_states = np.array([
             tree.pasts(drawn_present(random, number, 1), deepest).number(depth * (1.0 - 1e-9))
-            for _ in range(4 * runs)
+            for _ in range(2 * runs)
         ])  # fmt: skip
         for at, one in enumerate(depth):
             rows.append({
                 "number": number, "depth": one, "log": logs[:, at].mean(),
                 "log_error": logs[:, at].std(ddof=1) / math.sqrt(runs),
                 "pasts": all_states[:, at].mean(),
-                "pasts_error": all_states[:, at].std(ddof=1) / math.sqrt(4 * runs),
+                "pasts_error": all_states[:, at].std(ddof=1) / math.sqrt(2 * runs),
             })  # fmt: skip
     return rows
 
@@ -271,9 +275,9 @@ def same_present(work: study.Study, name: str, states: Sequence[Floats], depth: 
 def checks(work: study.Study) -> list[dict[str, float]]:
     """Run the program from all pasts of presents that have several: each ends in the present."""
     rows = []
-    for number in FEW:
+    for number in CHECKED:
         random, found, ran_from, worst, drawn_states = np.random.default_rng(number), 0, 0, 0.0, 0
-        while found < work.pick(3, COLLISIONS):
+        while found < work.pick(2, COLLISIONS):
             drawn_states += 1
             pasts, tree = pasts_of_a_run(random, number, 1, CHECK_DEPTH)
             if len(pasts.states) < 2:
@@ -308,8 +312,8 @@ def tables(
         [str(one["number"]), str(one["threshold"]),
          *(text.number(one[key]) if abs(one[key]) > 0.02 else "0.0" for key in
            ("firings", "current", "density", "flows", "chain", "bound")),
-         text.measured(one["folding"], one["folding_error"]),
-         text.measured(one["folding"] / one["firings"], one["folding_error"] / one["firings"])]
+         *(text.measured(one["folding"] / over, one["folding_error"] / over)
+           for over in (1.0, one["firings"]))]
         for one in many_rows
     ])  # fmt: skip
     work.table("deep", ["N", "depth s", "mean of ln n", "mean of n, all states"], [
@@ -326,25 +330,31 @@ def tables(
 def figure(
     few_rows: Sequence[dict], many_rows: Sequence[dict], deep_rows: Sequence[dict]
 ) -> Figure:
-    """Return F against T with what the net current would cost; pasts against depth."""
+    """Return F a firing against N with lower bounds; pasts against depth."""
     made = style.figure(style.PAGE, 3.3)
     left, right = made.subplots(1, 2)
-    rows = [one for one in many_rows if one["number"] == 1000]
-    at = [one["threshold"] for one in rows]
-    left.errorbar(at, [one["folding"] for one in rows], [one["folding_error"] for one in rows],
-                  fmt="o-", color=style.BLUE, ms=4, capsize=2, label="$F$")  # fmt: skip
-    for key, mark, colour, name in (
-        ("chain", "D--", style.GREEN, "renewal chain"),
-        ("bound", "s--", style.BLACK, "lower bound on $F$"),
-        ("density", "v--", style.VERMILION, "$J \\ln(n_2/n_1)$"),
-    ):
-        left.plot(at, [one[key] for one in rows], mark, color=colour, ms=4, lw=0.8, mfc="none",
-                  label=name)  # fmt: skip
-    left.set_xlabel("threshold $T$")
-    left.set_ylabel("a unit time")
-    left.set_title("(a)  $N = 1000$")
+    own = [one for one in many_rows if math.isfinite(one["folding"])]
+    left.errorbar([one["number"] for one in few_rows], [one["a_firing"] for one in few_rows],
+                  [one["a_firing_error"] for one in few_rows], fmt="o", color=style.BLUE, ms=4,
+                  capsize=2, label="$T = 1$")  # fmt: skip
+    for threshold, colour, mark in zip((1, 2, 3), style.CYCLE, "osD", strict=False):
+        rows = [one for one in own if one["threshold"] == threshold]
+        left.errorbar([one["number"] for one in rows],
+                      [one["folding"] / one["firings"] for one in rows],
+                      [one["folding_error"] / one["firings"] for one in rows], fmt=mark,
+                      color=colour, ms=4, capsize=2,
+                      label=f"$T = {threshold}$" if threshold > 1 else None)  # fmt: skip
+        left.plot([one["number"] for one in rows], [one["bound"] / one["firings"] for one in rows],
+                  mark, color=colour, ms=4, mfc="none",
+                  label="lower bounds" if threshold == 3 else None)  # fmt: skip
+    left.axhline(2.0 * SHARE_OF_TWO * math.log(2.0), color=style.BLACK, lw=0.8, ls=":")
+    left.set_xscale("log")
+    left.set_ylim(bottom=0.0)
+    left.set_xlabel("$N$")
+    left.set_ylabel("$F$ a firing")
+    left.set_title("(a)  what a firing folds")
     left.legend(frameon=False, fontsize=7)
-    for (number, _), colour, mark in zip(DEEP, style.CYCLE, "osD", strict=False):
+    for (number, *_), colour, mark in zip(DEEP, style.CYCLE, "osD^", strict=False):
         own = [one for one in deep_rows if one["number"] == number]
         rate = next(one["folding"] for one in (*few_rows, *many_rows) if one["number"] == number)
         depth = rate * np.array([one["depth"] for one in own])
@@ -362,12 +372,21 @@ def figure(
     return made
 
 
+def part(work: study.Study, made: Callable[[study.Study], list[dict]]) -> list[dict]:
+    """Return the rows of a part of the study, those that are kept if it is not made afresh."""
+    kept = None if work.afresh else work.kept(made.__name__)
+    if kept is None:
+        work.keep(made.__name__, {"rows": made(work)})
+        kept = work.kept(made.__name__)
+    return [{key: math.nan if value is None else value for key, value in row.items()}
+            for row in kept["rows"]]  # fmt: skip
+
+
 def run(work: study.Study) -> None:
     """Make everything of the page."""
-    few_rows, many_rows, deep_rows, check_rows = few(work), many(work), deep(work), checks(work)
-    work.keep("entropy_production", {
-        "few": few_rows, "many": many_rows, "deep": deep_rows, "checks": check_rows,
-    })  # fmt: skip
+    few_rows, many_rows, check_rows, deep_rows = (
+        part(work, one) for one in (few, many, checks, deep)
+    )
     tables(work, few_rows, many_rows, deep_rows, check_rows)
     work.draw(figure(few_rows, many_rows, deep_rows), "entropy_production")
 

@@ -80,7 +80,7 @@ def test_weight_of_all_pasts_is_that_of_a_brute_force(threshold: int) -> None:
     for _ in range(100):
         passes = _drawn(random, 3 + threshold, threshold)
         rates = (1.0, 3.0)
-        channel = Channel(passes, threshold, lambda side, _, r=rates: r[side - 1])
+        channel = Channel(passes, threshold, rates)
         found = channel.weigh(LONG_AGO - 1.0, max(one.left for one in passes) + 1.0, 10**6)
         want = _weight_of_all(threshold, passes, rates)
         assert math.exp(found.log_ratio[-1]) == pytest.approx(want, rel=1e-9)
