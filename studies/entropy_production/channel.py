@@ -73,7 +73,7 @@ class Weighed:
     time : of each particle that leaves channel 1, descending.
     log_ratio : logarithm of this ratio just before.
     pasts : how many were told apart then.
-    lost : largest share of the weight that was dropped at one of them.
+    lost : largest share of the weight dropped at one of them; most of it would have died later.
     """
 
     time: NDArray[np.float64]

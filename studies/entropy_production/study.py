@@ -4,7 +4,7 @@ Runs entropy.nml with other N, T and times, into build/entropy_production/quick,
 states and rates are the program's; from its states flights.py goes on, whose particles channel.py
 (channel 1 alone, many particles) and pasts.py (all of the state, few particles) follow back. Writes
 few.csv, many.csv, deep.csv, checks.csv and entropy_production.png. Quick: some minutes of a core;
---full: what is shown on the page.
+--full: what is shown on the page. Parts that are made are kept; --afresh makes them again.
 """
 
 from __future__ import annotations
