@@ -1,0 +1,248 @@
+"""All pasts of a present state of few particles, with the exact rule of the gates.
+
+Backwards in time every particle flies with its velocity turned. One that reaches a chord from the
+urn left its gate there: either it had come through, or been turned before, and flies on towards the
+middle line; or the gate fired at that instant, and it is back in the urn. The second is possible if
+no particle is counted in that gate; then any T of those on their way out were counted. A past is
+invalid where it comes to more than T that are counted: the last entry would have made the gate
+fire.
+
+Rounding errors grow too fast for a run back over more than some 60 time units. So particles that do
+in a past what they did in the history take their passes from there. Those that did not are computed
+from where they parted; they are typical of the past, if not exact.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from studies.entropy_production.flights import Ray
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from studies.entropy_production.flights import Pass, Start, Table
+
+    Floats = NDArray[np.float64]
+
+AWAY, OUTWARD, COUNTED = 0, 1, 2  # in forward time: not in channel 1, on the way out of it, counted
+UNKNOWN = -1
+NOWHERE = Ray(0, 0.0, 1.0, 0.0)
+
+
+class Backward(NamedTuple):
+    """A particle of a past: what it does, going back, and when that ends.
+
+    Attributes
+    ----------
+    status : AWAY until `until`, when it comes into its gate; OUTWARD until it is at the middle
+        line; COUNTED until it is at the chord.
+    until : time before the present.
+    since : if OUTWARD, when it came in.
+    ray : at the chord where it came in, or will come in or leave; the gate is `ray.side`.
+    known : index of its pass in the history, as long as it does what it did there.
+    """
+
+    status: int
+    until: float
+    since: float
+    ray: Ray
+    known: int = UNKNOWN
+
+
+@dataclass(frozen=True)
+class Pasts:
+    """The tree of all pasts; one that branches goes on as one of its branches.
+
+    Attributes
+    ----------
+    born, died : times before the present; that of those that are there at the end is infinite.
+    states : of those that are there at the end, at that depth.
+    """
+
+    born: Floats
+    died: Floats
+    states: list[list[Backward]]
+
+    def number(self, depth: ArrayLike) -> NDArray[np.int64]:
+        """Return how many pasts there are at each depth."""
+        wanted = np.asarray(depth, float)[..., None]
+        return np.sum((self.born <= wanted) & (wanted < self.died), axis=-1)
+
+
+class History:
+    """The passes of each particle, and the present: a time between passes."""
+
+    def __init__(self, passes: Sequence[Pass], number: int) -> None:
+        self.passes: list[list[Pass]] = [[] for _ in range(number)]
+        for one in sorted(passes, key=lambda one: one.entered):
+            self.passes[one.particle].append(one)
+        self.entered = [[one.entered for one in mine] for mine in self.passes]
+
+    def state(self, time: float) -> list[Backward]:
+        """Return the state at a time, as pasts begin."""
+        return [
+            self._present(particle, int(np.searchsorted(entered, time, "right")) - 1, time)
+            for particle, entered in enumerate(self.entered)
+        ]
+
+    def _present(self, particle: int, known: int, time: float) -> Backward:
+        """Return a particle at a time, the pass that it is in or had last being known."""
+        if known < 0:  # it has not been in channel 1 yet
+            return Backward(AWAY, math.inf, 0.0, NOWHERE)
+        one = self.passes[particle][known]
+        if time < min(one.turned, one.entered + one.half):
+            return Backward(COUNTED, time - one.entered, 0.0, _back(one.entry), known)
+        since, ray = time - one.left, _back(one.exit)
+        if since >= 0.0:
+            return Backward(AWAY, since, 0.0, ray, known)
+        return Backward(OUTWARD, since + one.half, since, ray, known)
+
+
+class Tree:
+    """The rule, back from one present, at `time` of a history if there is one."""
+
+    def __init__(
+        self, table: Table, threshold: int, history: History | None = None, time: float = 0.0
+    ) -> None:
+        self.table, self.threshold, self.history, self.time = table, threshold, history, time
+
+    def pasts(self, present: Sequence[Backward], depth: float) -> Pasts:
+        """Return all pasts of a state, down to a depth; the history, if known, goes on as it."""
+        lives: list[tuple[float, float]] = []
+        states: list[list[Backward]] = []
+        todo = [(list(present), 0.0)]
+        while todo:
+            past, born = todo.pop()
+            while True:
+                first = min(range(len(past)), key=lambda at: past[at].until)
+                now = past[first].until
+                if now > depth:
+                    lives.append((born, math.inf))
+                    states.append(past)
+                    break
+                branches = self._before(past, first)
+                if not branches:
+                    lives.append((born, now))
+                    break
+                past = branches.pop(0)
+                todo.extend((other, now) for other in branches)
+        born, died = np.array(lives).T
+        return Pasts(born, died, states)
+
+    def _before(self, past: list[Backward], first: int) -> list[list[Backward]]:
+        """Return what may have been before something happens to a particle, what was first."""
+        one, gate = past[first], past[first].ray.side
+        counted = sum(other.status == COUNTED and other.ray.side == gate for other in past)
+        if one.status == COUNTED:
+            return [_with(past, {first: self._gone(first, one)})]
+        if one.status == OUTWARD:
+            before = _with(past, {first: self._through(first, one)})
+            now_counted = sum(
+                other.status == COUNTED and other.ray.side != gate for other in before
+            )
+            return [before] * (now_counted <= self.threshold)
+        flight = self._with_known(first, one, fired=False)
+        half = 0.5 * self.table.length1 / one.ray.axial
+        flight = flight._replace(status=OUTWARD, until=one.until + half, since=one.until)
+        branches = [_with(past, {first: flight})]
+        if counted:
+            return branches
+        others = [at for at, other in enumerate(past)
+                  if other.status == OUTWARD and other.ray.side == gate]  # fmt: skip
+        entrant = self._with_known(first, one, fired=True)
+        for chosen in combinations(others, self.threshold):
+            turned = {at: self._turned(at, past[at], one.until) for at in chosen}
+            branches.append(_with(past, {first: self._gone(first, entrant), **turned}))
+            if all(other.known != UNKNOWN for other in (entrant, *turned.values())):
+                branches.insert(0, branches.pop())  # as in the history
+        return branches
+
+    def _with_known(self, particle: int, one: Backward, *, fired: bool) -> Backward:
+        """Return a particle that comes into a gate, or is its entrant; what it did, if so."""
+        if one.known != UNKNOWN:
+            did = self.history.passes[particle][one.known]
+            if (did.turned == did.left) != fired:
+                return one._replace(known=UNKNOWN)
+        return one
+
+    def _gone(self, particle: int, one: Backward) -> Backward:
+        """Return a counted particle, or an entrant, that leaves channel 1, going back."""
+        if one.known > 0:
+            did = self.history.passes[particle][one.known - 1]
+            return Backward(AWAY, self.time - did.left, 0.0, _back(did.exit), one.known - 1)
+        away, back = self.table.excursion(one.ray)
+        return Backward(AWAY, one.until + away, 0.0, back)
+
+    def _through(self, particle: int, one: Backward) -> Backward:
+        """Return a particle at the middle line, which was counted in the other gate before."""
+        if one.known != UNKNOWN:
+            did = self.history.passes[particle][one.known]
+            if math.isinf(did.turned):
+                return Backward(COUNTED, self.time - did.entered, 0.0, _back(did.entry), one.known)
+        half = one.until - one.since
+        ray = self.table.along(one.ray, 2.0 * half)._replace(side=3 - one.ray.side)
+        return Backward(COUNTED, one.until + half, 0.0, ray)
+
+    def _turned(self, particle: int, one: Backward, now: float) -> Backward:
+        """Return a particle on its way out as it was before the gate turned it at this instant."""
+        if one.known != UNKNOWN:
+            did = self.history.passes[particle][one.known]
+            if self.time - did.turned == now:
+                return Backward(COUNTED, self.time - did.entered, 0.0, _back(did.entry), one.known)
+        stay = now - one.since
+        return Backward(COUNTED, now + stay, 0.0, self.table.along(one.ray, 2.0 * stay))
+
+
+def turned_start(table: Table, one: Start) -> Backward:
+    """Return a particle of a past that begins, going back, at such a start."""
+    if not one.inside:
+        return Backward(AWAY, one.time, 0.0, one.ray)
+    if one.time > 0.0:  # heads, backwards, for the chord
+        return Backward(COUNTED, one.time, 0.0, one.ray)
+    half = 0.5 * table.length1 / one.ray.axial
+    return Backward(OUTWARD, one.time + half, one.time, one.ray)
+
+
+def _back(ray: Ray) -> Ray:
+    return ray._replace(lateral=-ray.lateral)
+
+
+def _with(past: list[Backward], changed: dict[int, Backward]) -> list[Backward]:
+    """Return a past with some particles changed."""
+    branch = list(past)
+    for at, one in changed.items():
+        branch[at] = one
+    return branch
+
+
+def coordinates(table: Table, past: Sequence[Backward], depth: float) -> Floats | None:
+    """Return x, y, ux, uy of a past's particles in the program's frame, forward in time.
+
+    None if one of them was in channel 2 since it left channel 1, or has never been in that.
+    """
+    rows = []
+    for one in past:
+        ray = _back(one.ray)
+        if one.status == AWAY:
+            found = None if math.isinf(one.until) else table.in_urn(ray, one.until - depth)
+            if found is None:
+                return None
+            place, velocity = found
+        else:
+            stay = one.until - depth if one.status == COUNTED else depth - one.since
+            inward = 1.0 if one.status == COUNTED else -1.0
+            now = table.along(ray, inward * stay)
+            place = complex(-table.chords[0] - stay * now.axial, now.y)
+            velocity = complex(-inward * now.axial, now.lateral)
+        sign = 2 * ray.side - 3
+        middle = place.real + table.chords[0] + 0.5 * table.length1
+        rows.append((sign * middle, place.imag, sign * velocity.real, velocity.imag))
+    return np.array(rows)
