@@ -11,6 +11,7 @@ DOORS = ("postproc.study", "postproc.figures.style")
 # theories that these hold against runs, and rungs of the ladder
 MORE = {
     "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
+    "order_of_transition": ("postproc.theory",),
     "paper_statements": ("postproc.theory",),
     "where_models_fail": ("postproc.accuracy", "postproc.theory"),
 }

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+WIDTH = 0.3  # w; r = 1
+LOAD_PER_REACH = WIDTH * float(1.0 / (8.0 * Circuit(1000, 7).urn_area))  # x over N l
 PLACES = 800  # of d, evenly between 0 and x
 NEAR_HALF = 1e-3  # of x: the first of them
 
@@ -85,7 +87,7 @@ def transition(threshold: int, load: float) -> Transition:
     """Return the transition at one T and load."""
     part, k = curve(threshold, load)
     top = int(np.argmax(k))
-    if part[top] < 0.02:  # noqa: PLR2004 (below it the fit of q is not smooth enough)
+    if part[top] < 0.02:  # below it the fit of q is not smooth enough
         return Transition(k[0], k[top], 0.0, k[0], 0.0)
 
     def wells(at: float) -> tuple[int, int, Floats]:
@@ -128,9 +130,33 @@ def ranges(threshold: int, ratios: Floats) -> list[tuple[float, float, float, fl
     """
     part, k = curve(threshold, threshold * ratios, 200)
     top = k.argmax(axis=1)
-    there = (k.max(axis=1) > 0.0) & (part[top] > 0.02)  # noqa: PLR2004
+    there = (k.max(axis=1) > 0.0) & (part[top] > 0.02)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], there.astype(int), [0]])))
     return [
         (float(ratios[low]), float(ratios[high - 1]), float(k[low].max()), float(k[high - 1].max()))
         for low, high in zip(edges[::2], edges[1::2], strict=True)
     ]
+
+
+def chain(threshold: int, load: float, number: int, known: Transition) -> tuple[float, float]:
+    """Return the largest barrier of log P(chi) over k, and the least cumulant, at a finite N.
+
+    Of N2 as a birth-death chain with these gates, N2 urns' particles; in bins of 0.04 of chi.
+    """
+    count = np.arange(number + 1)
+    sent = through(threshold, load * count / (0.5 * number))
+    spread = 2.0 * count / number - 1.0
+    bins = np.minimum((np.abs(spread) * 25).astype(int), 24)
+    deepest, lowest = 0.0, 1.0
+    for k in known.homogeneous + np.linspace(-0.5, 1.5, 81) * max(
+        known.polarised - known.homogeneous, 0.2 * abs(known.homogeneous)
+    ):
+        out = sent + max(k, 1e-4) * load * count / (0.5 * number)
+        weight = np.concatenate([[0.0], np.cumsum(np.log(out[:0:-1]) - np.log(out[1:]))])
+        share = np.exp(weight - weight.max())
+        share /= share.sum()
+        filled = np.maximum(np.bincount(bins, share, 25), 1e-300)
+        left, right = np.maximum.accumulate(filled), np.maximum.accumulate(filled[::-1])[::-1]
+        deepest = max(deepest, float(np.log(np.minimum(left, right) / filled).max()))
+        lowest = min(lowest, float(1.0 - share @ spread**4 / (3.0 * (share @ spread**2) ** 2)))
+    return deepest, lowest
