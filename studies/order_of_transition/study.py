@@ -73,14 +73,14 @@ def _widths(first: float, last: float, step: float) -> tuple[float, ...]:
 CASES = {
     "A": Case(5, 1000, _widths(0.018, 0.034, 0.0016), (500, 1000, 2000, 4000, 8000)),
     "D": Case(28, 4000, _widths(0.058, 0.074, 0.002), (1000, 2000, 4000, 8000)),
-    "B": Case(7, 1000, _widths(0.050, 0.062, 0.0024), (500, 1000, 2000, 4000)),
-    "C": Case(10, 1000, _widths(0.080, 0.100, 0.005), (500, 1000, 2000, 4000)),
-    "U": Case(64, 4200, (0.010, 0.014, 0.018), (16000,)),
-    "V": Case(64, 4120, (0.004, 0.008), (16000,)),
+    "B": Case(7, 1000, _widths(0.050, 0.062, 0.0024), (1000, 4000)),
+    "C": Case(10, 1000, _widths(0.080, 0.100, 0.005), (1000, 4000)),
+    "V": Case(64, 4120, (0.004,), (16000,)),
+    "U": Case(64, 4200, (0.015,), (16000,)),
 }
 # Where both states take turns: long runs of few particles, for barriers and cumulants.
 LONG = {"A": Case(5, 1000, (0.0284, 0.0292, 0.0300), (250, 500, 1000, 1500))}
-RADII = (0.012, 0.013, 0.014, 0.015, 0.016, 0.017)
+RADII = {7: (0.012, 0.013, 0.014, 0.015, 0.016), 28: (0.012, 0.013)}  # by T
 NOTHING = dict.fromkeys(("barrier", "barrier_error", "w'"), math.nan)
 FIELDS = ("circuit", "T", "N", "l", "w'", "chi_equal", "chi_equal_error", "chi_full",
           "chi_full_error", "cumulant", "cumulant_error", "barrier", "barrier_error",
@@ -153,9 +153,11 @@ def rows_of(
         row: Row = {"circuit": name, "T": case.threshold, "N": number, "l": length, "w'": width}
         runs, crossed = [], 0
         for start, kept in enumerate(("chi_equal", "chi_full")):
-            at = {"urn1_fraction": start} | ({} if discs is not None else {"channel2_width": place})
-            row[kept], row[f"{kept}_error"] = with_error(whole.chi.isel(at).to_numpy())
-            looks = series.isel(at)
+            at = {"urn1_fraction": start, "channel2_width": place}
+            row[kept], row[f"{kept}_error"] = with_error(
+                whole.chi.isel(at, missing_dims="ignore").to_numpy()
+            )
+            looks = series.isel(at, missing_dims="ignore")
             spread = 2.0 * looks.urn1_number.to_numpy() / number - 1.0
             late = spread[:, looks.time.to_numpy() >= TRANSIENT][:, :-1]  # the last may be missing
             runs += list(late)
@@ -238,7 +240,7 @@ def sizes(rows: list[Row]) -> list[Row]:
 
 def figure(rows: list[Row], long: list[Row], shown: dict[str, prediction.Transition]) -> Figure:
     """Return chi over w' of four circuits, histograms of one of them, and barriers over N."""
-    made = style.figure(style.PAGE, 5.2)
+    made = style.figure(style.PAGE, 5.0)
     panels = made.subplots(2, 3)
     for axes, name in zip(panels.flat, "ABCD", strict=False):
         case = CASES[name]
@@ -258,21 +260,18 @@ def figure(rows: list[Row], long: list[Row], shown: dict[str, prediction.Transit
     for place, number in enumerate(LONG["A"].numbers):
         own = [row for row in long if row["N"] == number]
         row = max(own, key=lambda one: one["barrier"])
-        counts = row["counts"] / row["counts"].sum() / BINS[1]
-        shares.semilogy(middles, counts, lw=1.0, color=f"C{place}",
-                        label=f"N = {number}")  # fmt: skip
+        density = row["counts"] / row["counts"].sum() / BINS[1]
+        shares.semilogy(middles, density, lw=1.0, color=f"C{place}", label=f"N = {number}")
     shares.set(xlabel=r"$\chi$", ylabel="density", title="A: both states take turns")
     shares.legend(fontsize=6, frameon=False)
-    for table, look in ((sizes(long), "s-"), (sizes(rows), "o:")):
-        for place, name in enumerate("ABCD"):
-            own = [row for row in table if row["circuit"] == name
-                   and row["barrier"] == row["barrier"]]  # fmt: skip
-            depth.errorbar(
-                [row["N"] for row in own], [row["barrier"] for row in own],
-                [row["barrier_error"] for row in own], fmt=look, ms=3, lw=0.9, color=f"C{place}",
-                label=f"{name}, long" if look == "s-" and own else name if own else None,
-            )  # fmt: skip
-    depth.set(xscale="log", xlabel="N", ylabel="barrier of log density")
+    for table, name, colour in ((sizes(long), "A", "C0"), (sizes(rows), "D", "C1")):
+        own = [row for row in table if row["circuit"] == name and row["barrier"] >= 0.0]
+        number = [row["N"] for row in own]
+        error = [row["barrier_error"] for row in own]
+        depth.errorbar(number, [row["barrier"] for row in own], error, fmt="o-", ms=3, lw=0.9,
+                       color=colour, label=name)  # fmt: skip
+        depth.plot(number, [shown[name].barrier * one for one in number], ":", color=colour)
+    depth.set(xlabel="N", ylabel="barrier of log density", title="dotted: predicted")
     depth.legend(fontsize=6, frameon=False)
     return made
 
@@ -285,7 +284,8 @@ def run(work: study.Study) -> None:
     work.table("long", FIELDS, _texts(long, FIELDS))
     discs = [
         {"radius": radius, **row}
-        for name, threshold, reach in (("L7", 7, 1000), ("L28", 28, 4000)) for radius in RADII
+        for name, threshold, reach in (("L7", 7, 1000), ("L28", 28, 4000))
+        for radius in RADII[threshold]
         for row in rows_of(work, name, Case(threshold, reach, (WIDE,), (MANY,)), MANY,
                            discs=radius, label=f"_{radius:g}")
     ]  # fmt: skip
