@@ -12,6 +12,7 @@ DOORS = ("postproc.study", "postproc.figures.style")
 MORE = {
     "entropy_production": ("postproc.theory",),
     "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
+    "order_of_transition": ("postproc.theory",),
     "paper_statements": ("postproc.theory",),
     "where_models_fail": ("postproc.accuracy", "postproc.theory"),
 }

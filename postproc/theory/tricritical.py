@@ -11,6 +11,9 @@ With J(x) = x q(x), x the load of the gate, f is J and what channel 2 carries. T
 and drops out of f''': the order hangs on T and the load alone, the same for any Ohmic channel 2,
 and f' = 0 is J' = -w'/w. (If those in the channels are counted f is a function of them as well.)
 
+It tells of small d alone. From about T = 50 up, at small loads, a polarised state with large d is
+stable beside the homogeneous one although f''' > 0; `order` calls that continuous.
+
 This is mean field: fluctuations of a finite N round a jump, and make it harder to see.
 """
 
