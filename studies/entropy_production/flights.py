@@ -12,6 +12,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from studies.event_log import Circuit
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -76,41 +78,24 @@ class Pass(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
-    """Widths and lengths of both channels between urns of radius 1."""
-
-    width1: float = 0.3
-    width2: float = 0.01
-    length1: float = 1.0
-    length2: float = 1.0
-
-    @property
-    def chords(self) -> tuple[float, float]:
-        """Distances of the openings' chords from the centre."""
-        first, second = (math.sqrt(1.0 - 0.25 * one**2) for one in (self.width1, self.width2))
-        return first, second
-
-    @property
-    def urn_area(self) -> float:
-        """Area of an urn, up to the chords."""
-        cut = (
-            math.asin(0.5 * width) - 0.5 * width * chord
-            for width, chord in zip((self.width1, self.width2), self.chords, strict=True)
-        )
-        return math.pi - sum(cut)
+class Table(Circuit):
+    """A circuit between urns of radius 1, and the rays in it."""
 
     @property
     def area(self) -> float:
         """Area of the table."""
-        return 2.0 * self.urn_area + self.width1 * self.length1 + self.width2 * self.length2
+        channels = (
+            self.channel1_width * self.channel1_length + self.channel2_width * self.channel2_length
+        )
+        return 2.0 * self.urn_area + channels
 
     def entries(self, number: int) -> float:
         """Return the rate at which `number` particles enter from one urn in equilibrium."""
-        return number * self.width1 / (math.pi * self.area)
+        return number * self.channel1_width / (math.pi * self.area)
 
     def along(self, ray: Ray, time: float) -> Ray:
         """Return a ray in channel 1 after some time, or before if negative: across, not along."""
-        y, lateral = fold(ray.y + ray.lateral * time, ray.lateral, self.width1)
+        y, lateral = fold(ray.y + ray.lateral * time, ray.lateral, self.channel1_width)
         return ray._replace(y=y, lateral=lateral)
 
     def visit(
@@ -144,8 +129,8 @@ class Table:
         """Return when a particle at a point of an urn enters channel 1, and the ray then."""
         time, channel, y, axial, lateral = self.visit(place, velocity)
         while channel == 2:
-            duration = self.length2 / axial
-            y, lateral = fold(y + lateral * duration, lateral, self.width2)
+            duration = self.channel2_length / axial
+            y, lateral = fold(y + lateral * duration, lateral, self.channel2_width)
             side = 3 - side
             again = self.visit(complex(self.chords[1], y), complex(-axial, lateral))
             time += duration + again[0]
@@ -176,7 +161,7 @@ class Table:
         """Return where a particle is, from place and velocity in the program's frame."""
         side, sign = (2, 1.0) if x > 0.0 else (1, -1.0)
         first, second = self.chords
-        place = complex(sign * x - 0.5 * self.length1 - first, y)
+        place = complex(sign * x - 0.5 * self.channel1_length - first, y)
         velocity = complex(sign * ux, uy)
         if place.real < -first:
             depth, axial = -first - place.real, abs(velocity.real)
@@ -187,24 +172,24 @@ class Table:
         # in channel 2: as if it came out of its end
         depth, axial = place.real - second, abs(velocity.real)
         if velocity.real > 0.0:
-            side, depth = 3 - side, self.length2 - depth
+            side, depth = 3 - side, self.channel2_length - depth
         time = depth / axial
-        y, lateral = fold(y + uy * time, uy, self.width2)
+        y, lateral = fold(y + uy * time, uy, self.channel2_width)
         away, ray = self.flight(side, complex(second, y), complex(-axial, lateral))
         return Start(False, time + away, ray)
 
     def random_starts(self, random: np.random.Generator, number: int) -> list[Start]:
         """Draw a state from Liouville's measure: uniform in the table and in direction."""
         first, second = self.chords
-        far = 0.5 * self.length1 + first + second + 0.5 * self.length2
+        far = 0.5 * self.channel1_length + first + second + 0.5 * self.channel2_length
         starts: list[Start] = []
         while len(starts) < number:
             x, y = random.uniform(-far, far), random.uniform(-1.0, 1.0)
-            inner = abs(x) - 0.5 * self.length1 - first
+            inner = abs(x) - 0.5 * self.channel1_length - first
             if inner < -first:
-                within = abs(y) < 0.5 * self.width1
+                within = abs(y) < 0.5 * self.channel1_width
             elif inner > second:
-                within = abs(y) < 0.5 * self.width2
+                within = abs(y) < 0.5 * self.channel2_width
             else:
                 within = inner**2 + y**2 < 1.0
             if within:
@@ -237,7 +222,7 @@ def histories(  # noqa: C901 -- the loop over events, of three kinds
     log: list[tuple[float, int, int, int]] = []
 
     def half(ray: Ray) -> float:
-        return 0.5 * table.length1 / ray.axial
+        return 0.5 * table.channel1_length / ray.axial
 
     def leave(particle: int, side: int, turned: float) -> None:
         """Put the rest of the pass into the list, the next entry into the queue."""

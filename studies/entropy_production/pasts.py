@@ -150,7 +150,7 @@ class Tree:
             )
             return [before] * (now_counted <= self.threshold)
         flight = self._with_known(first, one, fired=False)
-        half = 0.5 * self.table.length1 / one.ray.axial
+        half = 0.5 * self.table.channel1_length / one.ray.axial
         flight = flight._replace(status=OUTWARD, until=one.until + half, since=one.until)
         branches = [_with(past, {first: flight})]
         if counted:
@@ -207,7 +207,7 @@ def turned_start(table: Table, one: Start) -> Backward:
         return Backward(AWAY, one.time, 0.0, one.ray)
     if one.time > 0.0:  # heads, backwards, for the chord
         return Backward(COUNTED, one.time, 0.0, one.ray)
-    half = 0.5 * table.length1 / one.ray.axial
+    half = 0.5 * table.channel1_length / one.ray.axial
     return Backward(OUTWARD, one.time + half, one.time, one.ray)
 
 
@@ -243,6 +243,6 @@ def coordinates(table: Table, past: Sequence[Backward], depth: float) -> Floats 
             place = complex(-table.chords[0] - stay * now.axial, now.y)
             velocity = complex(-inward * now.axial, now.lateral)
         sign = 2 * ray.side - 3
-        middle = place.real + table.chords[0] + 0.5 * table.length1
+        middle = place.real + table.chords[0] + 0.5 * table.channel1_length
         rows.append((sign * middle, place.imag, sign * velocity.real, velocity.imag))
     return np.array(rows)

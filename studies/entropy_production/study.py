@@ -89,7 +89,7 @@ def numbers_in_urns(path: Path) -> tuple[list[Start], int, int]:
     """Return the final state of a run, and how many are in either urn."""
     end = postproc.open_results(path, group="final").squeeze("replica")
     x, y, ux, uy = (end[name].to_numpy() for name in ("x", "y", "ux", "uy"))
-    inside = np.abs(np.abs(x) - 0.5 * TABLE.length1 - TABLE.chords[0]) < TABLE.chords[1]
+    inside = np.abs(np.abs(x) - 0.5 * TABLE.channel1_length - TABLE.chords[0]) < TABLE.chords[1]
     starts = [TABLE.start(*one) for one in zip(x, y, ux, uy, strict=True)]
     return starts, int((inside & (x < 0.0)).sum()), int((inside & (x > 0.0)).sum())
 
@@ -125,7 +125,7 @@ def few(work: study.Study) -> list[dict[str, float]]:
     rows = []
     for number in FEW:
         foreseen = 2.0 * number * (number - 1) * (0.25 * math.pi) * (
-            TABLE.width1 / (math.pi * TABLE.area)) ** 2  # fmt: skip
+            TABLE.channel1_width / (math.pi * TABLE.area)) ** 2  # fmt: skip
         duration = round(work.pick(1000.0, 6000.0) / foreseen, -2)
         path = ran(work, f"few_{number}", number, 1, duration)
         found = rates(path, 0.0, duration)
@@ -148,9 +148,9 @@ def few(work: study.Study) -> list[dict[str, float]]:
 def renewal_chain(number: int, threshold: int, urn2: float, area: float) -> float:
     """Return the entropy production of the chain of urns that forget, at its stationary state."""
     inside = np.array([number - urn2, urn2])
-    entries = inside * TABLE.width1 / (math.pi * area)
-    share = RenewalGate().share(threshold, entries * 0.25 * math.pi * TABLE.length1)
-    through, around = entries * share, inside * TABLE.width2 / (math.pi * area)
+    entries = inside * TABLE.channel1_width / (math.pi * area)
+    share = RenewalGate().share(threshold, entries * 0.25 * math.pi * TABLE.channel1_length)
+    through, around = entries * share, inside * TABLE.channel2_width / (math.pi * area)
     return float((through[0] - through[1]) * math.log(through[0] / through[1])
                  + (around[1] - around[0]) * math.log(around[1] / around[0]))  # fmt: skip
 
