@@ -10,7 +10,7 @@ import time
 
 from postproc import cli
 from postproc.figures import style
-from postproc.study import Study, add_options, study_of
+from postproc.study import Study, add_options, chosen_parts, study_of
 from postproc.study.study import NAMELISTS, ROOT
 
 PARTS = ("stability", "polygons", "observables", "ladder_map")  # modules here with run(study)
@@ -26,17 +26,11 @@ def make(part: str, study: Study) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Make all parts, or those that are named."""
     options = cli.parser("accuracy", __doc__)
-    options.add_argument(
-        "parts", metavar="PART", nargs="*", help=f"parts to make, by default all: {' '.join(PARTS)}"
-    )
-    add_options(options, ROOT / "build/accuracy")
+    add_options(options, ROOT / "build/accuracy", PARTS)
     given = options.parse_args(arguments)
-    wrong = [part for part in given.parts if part not in PARTS]
-    if wrong:
-        raise cli.InputError(f"there is no part {wrong[0]}; allowed: {' '.join(PARTS)}")
     study = study_of(given, NAMELISTS, (ROOT / "docs", "accuracy_"))
     style.figure()  # sets the look
-    for part in given.parts or PARTS:
+    for part in chosen_parts(given, PARTS):
         make(part, study)
     return 0
 

@@ -3,6 +3,6 @@
 `Study` is what a script that answers a question uses; `main` is its command line.
 """
 
-from postproc.study.study import Study, add_options, main, study_of
+from postproc.study.study import Study, add_options, chosen_parts, main, study_of
 
-__all__ = ["Study", "add_options", "main", "study_of"]
+__all__ = ["Study", "add_options", "chosen_parts", "main", "study_of"]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     Groups = Mapping[str, Mapping[str, object]]  # values by group and key
+    Parts = Mapping[str, Callable[["Study"], None]]
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMELISTS = ROOT / "namelists"
@@ -157,8 +158,15 @@ def namelist_text(groups: Groups, changes: Groups) -> str:
     return f"{merged}\n"
 
 
-def add_options(options: argparse.ArgumentParser, output: Path) -> None:
+def add_options(
+    options: argparse.ArgumentParser, output: Path, parts: Sequence[str] = ()
+) -> None:
     """Add the options that every study has; results go to a folder in `output` by default."""
+    if parts:
+        options.add_argument(
+            "parts", metavar="PART", nargs="*",
+            help=f"parts to make, by default all: {' '.join(parts)}",
+        )  # fmt: skip
     options.add_argument("--full", action="store_true", help="long runs, as on the page")
     options.add_argument("--afresh", action="store_true", help="discard the runs that are there")
     options.add_argument(
@@ -175,6 +183,14 @@ def add_options(options: argparse.ArgumentParser, output: Path) -> None:
     options.set_defaults(default_output=output)
 
 
+def chosen_parts(given: argparse.Namespace, parts: Sequence[str]) -> Sequence[str]:
+    """Return the parts that a command line names, all if none; an error names those there are."""
+    wrong = [part for part in given.parts if part not in parts]
+    if wrong:
+        raise cli.InputError(f"there is no part {wrong[0]}; allowed: {' '.join(parts)}")
+    return given.parts or parts
+
+
 def study_of(given: argparse.Namespace, place: Path, page: tuple[Path, str]) -> Study:
     """Return the study that is asked for on a command line with the options of `add_options`."""
     folder = given.output or given.default_output / ("full" if given.full else "quick")
@@ -184,7 +200,7 @@ def study_of(given: argparse.Namespace, place: Path, page: tuple[Path, str]) -> 
 
 
 def main(
-    file: str, description: str | None, run: Callable[[Study], None],
+    file: str, description: str | None, run: Callable[[Study], None] | Parts,
     arguments: list[str] | None = None,
 ) -> int:  # fmt: skip
     """Be the command line of a study that is a script in a folder of its own; return its exit code.
@@ -193,7 +209,7 @@ def main(
     ----------
     file : the script, beside which are its namelists and its page.
     description : what it does.
-    run : does it.
+    run : does it; or its parts by name, of which the command line may choose.
     arguments : words of the command line; None: those of the process.
     """
     place = Path(file).resolve().parent
@@ -201,10 +217,17 @@ def main(
         prog=f"python -m studies.{place.name}.study", description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
-    add_options(options, ROOT / "build" / place.name)
+    add_options(options, ROOT / "build" / place.name, [*run] if isinstance(run, Mapping) else ())
 
     def asked(words: list[str] | None) -> int:
-        run(study_of(options.parse_args(words), place, (place, "")))
+        given = options.parse_args(words)
+        study = study_of(given, place, (place, ""))
+        if not isinstance(run, Mapping):
+            run(study)
+            return 0
+        for name in chosen_parts(given, [*run]):
+            print(f"{name}:", flush=True)
+            run[name](study)
         return 0
 
     return cli.run(asked, arguments)

@@ -1,29 +1,25 @@
-"""Counts of channel 2 with and against the current: python studies/fluctuations/study.py [--full].
+"""Counts of channel 2 with and against the current: tables and picture of the page beside.
 
-Runs the namelists beside it (or takes their results where they are in the folder) and writes
-slopes.csv, variances.csv and fluctuations.png. Quick: a tenth of their time, two minutes of a core.
---full: as the namelists say, some twenty minutes of a core and 0.1 GB.
+Quick: a tenth of the time of the namelists, a minute of a core. --full: as the namelists say, some
+minutes of a core and 0.1 GB.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
-import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import f90nml
-import matplotlib as mpl
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
-PLACE = Path(__file__).resolve().parent
-sys.path.insert(0, str(PLACE.parents[1]))
+import postproc
+from postproc import study
+from postproc.figures import style
 
-import postproc  # noqa: E402 (of the checkout, whose folder is known only now)
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Rows = list[dict[str, object]]
 
 CASES = {
     "free": "free",
@@ -38,14 +34,13 @@ FEWEST = 25  # counts of -j for a ratio
 PARTS = 4  # of each run, for errors of variances
 
 
-def counts_of(name: str, folder: Path, *, full: bool) -> tuple[np.ndarray, float, float]:
+def counts_of(work: study.Study, name: str) -> tuple[np.ndarray, float, float]:
     """Return net counts per replica and interval, its length, and ln of the ratio of flows."""
-    groups = f90nml.read(PLACE / f"{name}.nml").todict()
-    transient = groups["run"]["transient_duration"]
-    if not full:
-        groups["run"]["duration"] = transient + 0.1 * (groups["run"]["duration"] - transient)
-        groups["output"]["file"] = f"{name}_quick.h5"
-    data = postproc.open_results(postproc.run(groups, folder=folder), group="series").squeeze()
+    groups = f90nml.read(work.place / f"{name}.nml")
+    transient, duration = (groups["run"][key] for key in ("transient_duration", "duration"))
+    length = work.pick(0.1, 1.0) * (duration - transient)
+    path = work.run(name, name, {"run": {"duration": transient + length}})
+    data = postproc.open_results(path, group="series").squeeze()
     time = data.time.to_numpy()
     step = float(time[1] - time[0])
     # A run may end just before its last entry.
@@ -65,7 +60,7 @@ def summed(counts: np.ndarray, length: int) -> np.ndarray:
     return counts[:, : many * length].reshape(counts.shape[0], many, length).sum(axis=2)
 
 
-def slopes(name: str, counts: np.ndarray, step: float, predicted: float) -> list[dict[str, object]]:
+def slopes(name: str, counts: np.ndarray, step: float, predicted: float) -> Rows:
     """Return ln P(j)/P(-j) over j for each length and each j that has counts enough."""
     rows = []
     for length in SHORT:
@@ -79,7 +74,7 @@ def slopes(name: str, counts: np.ndarray, step: float, predicted: float) -> list
     return rows
 
 
-def variances(name: str, counts: np.ndarray, step: float) -> list[dict[str, object]]:
+def variances(name: str, counts: np.ndarray, step: float) -> Rows:
     """Return the variance of counts per unit time, and 2 mean/variance, by length.
 
     Each run is cut into parts; errors are those of means over replicas and parts.
@@ -100,20 +95,10 @@ def variances(name: str, counts: np.ndarray, step: float) -> list[dict[str, obje
     return rows
 
 
-def write(path: Path, rows: list[dict[str, object]]) -> None:
-    """Write rows as a table."""
-    with path.open("w", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        table.writeheader()
-        table.writerows(
-            {key: f"{value:.6g}" if isinstance(value, float) else value
-             for key, value in row.items()} for row in rows
-        )  # fmt: skip
-
-
-def draw(ratios: list[dict], spreads: list[dict], path: Path) -> None:
-    """Draw ln P(j)/P(-j) against j at t = 1, and the rate of the variance against t."""
-    made, panels = plt.subplots(1, 2, figsize=(8.0, 3.4), layout="constrained")
+def figure(ratios: Rows, spreads: Rows) -> Figure:
+    """Return ln P(j)/P(-j) against j at t = 1, and the rate of the variance against t."""
+    made = style.figure(style.PAGE, 3.4)
+    panels = made.subplots(1, 2)
     for at, (name, label) in enumerate(CASES.items()):
         mark = {"fmt": "osD^v"[at], "ms": 4.5, "color": f"C{at}", "label": label, "lw": 1.0,
                 "mfc": "white" if "reservoir" in name else f"C{at}"}  # fmt: skip
@@ -125,36 +110,29 @@ def draw(ratios: list[dict], spreads: list[dict], path: Path) -> None:
         first = own[0]["variance_rate"]
         panels[1].errorbar([row["t"] for row in own], [row["variance_rate"] / first for row in own],
                            [row["error"] / first for row in own], **mark)  # fmt: skip
-    panels[0].set_xlabel("net crossings j of channel 2 in one time unit")
-    panels[0].set_ylabel("ln P(j)/P(-j)")
-    panels[0].set_ylim(-0.5, 10.5)
+    panels[0].set(xlabel="net crossings j of channel 2 in one time unit", ylabel="ln P(j)/P(-j)",
+                  ylim=(-0.5, 10.5))  # fmt: skip
     panels[1].legend(fontsize=8, loc="upper left")
-    panels[1].set_xscale("log")
-    panels[1].set_yscale("log")
-    panels[1].set_xlabel("length t of the intervals")
-    panels[1].set_ylabel("variance of counts / t, relative to t = 1")
-    made.savefig(path, dpi=150)
+    panels[1].set(xscale="log", yscale="log", xlabel="length t of the intervals",
+                  ylabel="variance of counts / t, relative to t = 1")  # fmt: skip
+    return made
 
 
-def main() -> None:
-    """Run, write the tables and the picture."""
-    options = argparse.ArgumentParser(description=__doc__.split("\n\n", maxsplit=1)[0])
-    options.add_argument("--full", action="store_true", help="as the namelists say")
-    options.add_argument("--runs", type=Path, default="fluctuation_runs", help="of results")
-    options.add_argument("--output", type=Path, help="of tables and picture (default: --runs)")
-    given = options.parse_args()
-    ratios: list[dict[str, object]] = []
-    spreads: list[dict[str, object]] = []
+def run(work: study.Study) -> None:
+    """Make everything of the page."""
+    found: dict[str, Rows] = {"slopes": [], "variances": []}
     for name in CASES:
-        counts, step, predicted = counts_of(name, given.runs, full=given.full)
-        ratios += slopes(name, counts, step, predicted)
-        spreads += variances(name, counts, step)
-    place = given.output or given.runs
-    place.mkdir(parents=True, exist_ok=True)
-    write(place / "slopes.csv", ratios)
-    write(place / "variances.csv", spreads)
-    draw(ratios, spreads, place / "fluctuations.png")
+        counts, step, predicted = counts_of(work, name)
+        found["slopes"] += slopes(name, counts, step, predicted)
+        found["variances"] += variances(name, counts, step)
+    for name, rows in found.items():
+        work.table(name, list(rows[0]), [[_text(one) for one in row.values()] for row in rows])
+    work.draw(figure(*found.values()), "fluctuations")
+
+
+def _text(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(study.main(__file__, __doc__, run))

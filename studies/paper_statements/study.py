@@ -1,7 +1,6 @@
-"""Statements of the paper that need more than a run prints: study.py [PART ...] [--runs DIR].
+"""Statements of the paper that need more than a run prints: numbers that docs/paper.md cites.
 
-Each part makes its runs, or takes those that are in the folder, and prints the numbers that
-docs/paper.md cites, with standard errors over replicas:
+Each part makes its runs, and prints numbers with standard errors over replicas:
 
 - flows: what channel 1 carries from urn 1 at T = 18, runs of comp05.nml, and theories (5 s);
 - slices: chi over T, and current over chi, of paper_slice.nml (15 s);
@@ -15,30 +14,26 @@ docs/paper.md cites, with standard errors over replicas:
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
-
-import postproc  # noqa: E402 (of the checkout, whose folder is known only now)
-from postproc.study import Study  # noqa: E402
-from postproc.theory.circuit import Circuit, flow1  # noqa: E402
-from postproc.theory.gates import WINDOW  # noqa: E402
-from postproc.theory.renewal import RENEWAL  # noqa: E402
-from postproc.theory.states import stable_state  # noqa: E402
-from studies.event_log import mean_of_groups  # noqa: E402
-from studies.experiments import study as experiments  # noqa: E402
-from studies.lorentz import study as lorentz  # noqa: E402
-from studies.shapes import study as shapes  # noqa: E402
+import postproc
+from postproc import study
+from postproc.study.study import NAMELISTS
+from postproc.theory.circuit import Circuit, flow1
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import stable_state
+from studies.event_log import mean_of_groups
+from studies.experiments import study as experiments
+from studies.lorentz import study as lorentz
+from studies.shapes import study as shapes
 
 if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
-
 
 POLARISED = 0.3  # chi from which on a state is called so
 
@@ -49,13 +44,12 @@ def plain(width: float) -> float:
 
 
 def made(
-    folder: Path, name: str, run: dict[str, object], scan: dict[str, object],
+    work: study.Study, name: str, run: dict[str, object], scan: dict[str, object],
     **groups: dict[str, object],
 ) -> xr.Dataset:  # fmt: skip
     """Run N = 1000, w = 0.3, unless the groups say otherwise; return the results."""
-    own = {"particles": {"number": 1000}, **groups, "run": run, "scan": scan,
-           "output": {"file": f"{name}.h5"}}  # fmt: skip
-    return postproc.open_results(postproc.run(own, folder=folder, quiet=True))
+    own = {"particles": {"number": 1000}, **groups, "run": run, "scan": scan}
+    return postproc.open_results(work.run(own, name))
 
 
 def said(values: np.ndarray) -> str:
@@ -63,24 +57,22 @@ def said(values: np.ndarray) -> str:
     return "{:.4g} +- {:.2g}".format(*mean_of_groups(values))
 
 
-def of_namelist(name: str, folder: Path) -> xr.Dataset:
+def of_namelist(work: study.Study, name: str) -> xr.Dataset:
     """Run a namelist of `namelists/`; return the results."""
-    return postproc.open_results(
-        postproc.run(ROOT / f"namelists/{name}.nml", folder=folder, quiet=True)
-    )
+    return postproc.open_results(replace(work, place=NAMELISTS).run(name, name))
 
 
-def flows(folder: Path) -> None:
+def flows(work: study.Study) -> None:
     """Print the flow of channel 1 out of urn 1 at T = 18, and what theories have."""
-    measured = of_namelist("comp05", folder).flow1_12.sel(threshold=18).to_numpy().ravel()
+    measured = of_namelist(work, "comp05").flow1_12.sel(threshold=18).to_numpy().ravel()
     window, renewal = (float(flow1(Circuit(1000, 18, gate=gate), 500.0))
                        for gate in (WINDOW, RENEWAL))  # fmt: skip
     print(f"runs {said(measured)}, window {window:.2f}, renewal gate {renewal:.2f}")
 
 
-def slices(folder: Path) -> None:
+def slices(work: study.Study) -> None:
     """Print chi over T of four w', and current over chi in w' N/(pi A) where chi is above 0.3."""
-    data = of_namelist("paper_slice", folder)
+    data = of_namelist(work, "paper_slice")
     for width in data.channel2_width.to_numpy():
         print(f"w' = {width:g}:")
         for threshold in data.threshold.to_numpy():
@@ -91,9 +83,9 @@ def slices(folder: Path) -> None:
             print(f"  T = {threshold}: chi {said(chi)}{known}")
 
 
-def single(folder: Path) -> None:
+def single(work: study.Study) -> None:
     """Print how far the paper's current of the single urn is above that of runs, by w and T."""
-    data = of_namelist("paper_single_urn", folder)
+    data = of_namelist(work, "paper_single_urn")
     for width in data.channel1_width.to_numpy():
         told = []
         for at, threshold in enumerate(data.threshold.to_numpy()):
@@ -105,10 +97,10 @@ def single(folder: Path) -> None:
         print(f"w = {width:g}: {', '.join(told)}")
 
 
-def one_channel(folder: Path) -> None:
+def one_channel(work: study.Study) -> None:
     """Print chi against N w l/(8 T A) without channel 2, for N = 1000 and 10,000."""
     for name in ("paper_one_channel", "one_channel_starts"):
-        data = of_namelist(name, folder)
+        data = of_namelist(work, name)
         number, threshold = int(data.number), int(data.threshold)
         area = float(Circuit(number, threshold, 0.5, 0.0).urn_area)
         for length in data.channel1_length.to_numpy():
@@ -117,9 +109,9 @@ def one_channel(folder: Path) -> None:
             print(f"N = {number}, {number * 0.5 * length / (8.0 * threshold * area):.3f}: {told}")
 
 
-def averages(folder: Path) -> None:
+def averages(work: study.Study) -> None:
     """Print chi as averaged over time, and what averages over wall collisions add to it."""
-    data = made(folder, "averages", {"engine": "collision", "duration": 4000.0,
+    data = made(work, "averages", {"engine": "collision", "duration": 4000.0,
                                      "transient_duration": 500.0},
                 {"threshold": [2, 7, 14, 18], "replicas": 8},
                 table={"channel2_width": 0.01})  # fmt: skip
@@ -129,19 +121,18 @@ def averages(folder: Path) -> None:
         print(f"T = {threshold}: chi {said(here.chi.to_numpy())}, by collisions {said(apart)} more")
 
 
-def larger(folder: Path) -> None:
+def larger(work: study.Study) -> None:
     """Print experiment 3 of `studies/experiments`."""
-    place = ROOT / "studies/experiments"
-    work = Study(folder, place=place, ranks=1, program=ROOT / "build/bin/battery")
+    work = replace(work, place=Path(experiments.__file__).parent, ranks=1)
     for row in experiments.sizes(work):
         print(f"{row.what}: {row.measured:.4g} +- {row.error:.2g}")
 
 
-def polygons(folder: Path) -> None:
+def polygons(work: study.Study) -> None:
     """Print chi and current of four shapes of one area, and over that of well mixed urns."""
     state = stable_state(Circuit(1000, 7, gate=RENEWAL, occupation=True))
     for shape, table in shapes.tables(shapes.WIDTH).items():
-        data = made(folder, shape.replace(" ", "_"),
+        data = made(work, shape.replace(" ", "_"),
                     {"duration": 6000.0, "transient_duration": 4000.0},
                     {"urn1_fraction": [1.0], "replicas": 32},
                     table={"channel2_width": shapes.WIDTH, **table},
@@ -151,10 +142,10 @@ def polygons(folder: Path) -> None:
               f"over that of well mixed urns {said(current / state.net_current)}")  # fmt: skip
 
 
-def discs(folder: Path) -> None:
+def discs(work: study.Study) -> None:
     """Print the conductance of channel 2 with 15 discs over T; chi of both starts at N = 4000."""
     table = {"channel2_width": lorentz.WIDTH, "scatterers": lorentz.lattice(6, 0.015)}
-    data = made(folder, "discs", {"duration": 3000.0, "transient_duration": 1000.0},
+    data = made(work, "discs", {"duration": 3000.0, "transient_duration": 1000.0},
                 {"threshold": [8, 9, 11, 13, 14], "replicas": 16}, table=table)  # fmt: skip
     for threshold in data.threshold.to_numpy():
         here = data.sel(threshold=threshold)
@@ -163,7 +154,7 @@ def discs(folder: Path) -> None:
               "of a straight channel")  # fmt: skip
     for number, radius in ((1000, 0.015), (4000, 0.012)):
         table["scatterers"] = lorentz.lattice(6, radius)
-        data = made(folder, f"starts_{number}", {"duration": 16000.0, "transient_duration": 8000.0},
+        data = made(work, f"starts_{number}", {"duration": 16000.0, "transient_duration": 8000.0},
                     {"urn1_fraction": [0.5, 1.0], "replicas": 8}, table=table,
                     particles={"number": number},
                     gate={"threshold": 7 * number // 1000})  # fmt: skip
@@ -172,25 +163,7 @@ def discs(folder: Path) -> None:
               "from even urns and from one full urn")  # fmt: skip
 
 
-PARTS = {
-    part.__name__: part
-    for part in (flows, slices, single, one_channel, averages, larger, polygons, discs)
-}
-
-
-def main() -> None:
-    """Make the parts that are named, or all."""
-    options = argparse.ArgumentParser(description=__doc__.split("\n\n", maxsplit=1)[0])
-    options.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
-    options.add_argument("--runs", type=Path, default=Path("paper_runs"), help="folder of results")
-    given = options.parse_args()
-    for name in given.parts or PARTS:
-        if name not in PARTS:
-            options.error(f"there is no part {name}; allowed: {', '.join(PARTS)}")
-        given.runs.mkdir(parents=True, exist_ok=True)
-        print(f"{name}:")
-        PARTS[name](given.runs.resolve())
-
+PARTS = (flows, slices, single, one_channel, averages, larger, polygons, discs)
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(study.main(__file__, __doc__, {part.__name__: part for part in PARTS}))

@@ -1,39 +1,36 @@
-"""Where each model fails on the map of T and w': python studies/where_models_fail/study.py.
+"""Where each model fails on the map of T and w': tables and picture of the page beside.
 
-Runs map.nml beside it and the same map by engines that are models (or takes their results where
-they are in the folder), asks the theories at each point, and writes where_models_fail.csv and
-where_models_fail.png. Some twenty minutes of a core.
+Runs map.nml beside it and the same map by engines that are models, and asks the theories at each
+point. Quick: three thresholds, runs of a tenth. --full: some twenty minutes of a core. The table
+is published where `postproc.advise` reads it.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
-import json
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import f90nml
-import matplotlib as mpl
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
-PLACE = Path(__file__).resolve().parent
-ROOT = PLACE.parents[1]
-sys.path.insert(0, str(ROOT))
+import postproc
+from postproc import study
+from postproc.accuracy import ladder
+from postproc.accuracy.model_errors import TABLE
+from postproc.figures import style
+from postproc.theory.models import MODELS
 
-import postproc  # noqa: E402 (of the checkout, whose folder is known only now)
-from postproc.accuracy import ladder  # noqa: E402
-from postproc.theory.models import MODELS  # noqa: E402
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
 
 POLARISED = 0.3  # chi from which on a state is called so
 BOUNDS = (0.01, 0.03, 0.1)
 COLOURS = ("tab:green", "gold", "tab:orange", "tab:red")
 THEORIES = [*MODELS]
+QUICK = (4, 10, 16)  # thresholds of quick runs
 # what the map of an engine is changed to: a fixed step costs a hundred times as much
 COARSE = {"threshold": [4, 6, 8, 10, 12, 14, 16], "replicas": 1}
 LENGTHS = {
@@ -45,17 +42,19 @@ LENGTHS = {
 Points = dict[tuple[int, float], tuple[float, float]]
 
 
-def run_map(folder: Path, engine: str | None = None) -> Path:
+def run_map(work: study.Study, engine: str | None = None) -> Path:
     """Run the map, by an engine of the ladder if one is named; return its results file."""
-    if engine is None:
-        return postproc.run(PLACE / "map.nml", folder=folder)
-    rung = next(one for one in ladder.RUNGS if one.name == engine)
-    length, scan = LENGTHS[engine]
-    groups = f90nml.read(PLACE / "map.nml").todict()
-    groups["run"] |= ladder.engine_keys(rung) | length
-    groups["scan"] |= scan
-    groups["output"]["file"] = f"map_{ladder.stem(rung)}.h5"
-    return postproc.run(groups, folder=folder)
+    groups = f90nml.read(work.place / "map.nml").todict()
+    name, run, scan = "map", {}, {}
+    if engine is not None:
+        rung = next(one for one in ladder.RUNGS if one.name == engine)
+        length, scan = LENGTHS[engine]
+        name, run = f"map_{ladder.stem(rung)}", ladder.engine_keys(rung) | length
+    if not work.full:
+        whole = groups["run"] | run
+        run |= {key: 0.1 * whole[key] for key in ("duration", "transient_duration")}
+        scan = scan | {"threshold": [*QUICK]}
+    return work.run(groups, name, {"run": groups["run"] | run, "scan": groups["scan"] | scan})
 
 
 def of_runs(file: Path) -> tuple[Points, Points]:
@@ -75,13 +74,16 @@ def of_runs(file: Path) -> tuple[Points, Points]:
     return means, errors
 
 
-def kept(folder: Path, model: str, points: list[tuple[int, float]]) -> Points:
-    """Return what a theory says, from the file in the folder if it was asked before."""
-    file = folder / f"theory_{model}.json"
-    if not file.is_file():
-        found = of_theory(model, points)
-        file.write_text(json.dumps([[*at, *said] for at, said in found.items()]))
-    return {(at, width): (chi, share) for at, width, chi, share in json.loads(file.read_text())}
+def asked(work: study.Study, model: str, points: list[tuple[int, float]]) -> Points:
+    """Return what a theory says; what it said before of the same points is kept."""
+    before = work.kept(f"theory_{model}")
+    if before is None or work.afresh or before["points"] != [list(one) for one in points]:
+        said = of_theory(model, points)
+        before = {"points": [list(one) for one in points], "said": [*said.values()]}
+        work.keep(f"theory_{model}", before)
+        return said
+    return {at: (chi, math.nan if share is None else share)
+            for at, (chi, share) in zip(points, before["said"], strict=True)}  # fmt: skip
 
 
 def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
@@ -102,9 +104,7 @@ def transition(means: Points, width: float) -> float:
     return ladder.transition(thresholds, [means[one, width][0] for one in thresholds])
 
 
-def rows_of(
-    truth: Points, errors: Points, said: dict[str, Points]
-) -> list[dict[str, float | str]]:
+def rows_of(truth: Points, errors: Points, said: dict[str, Points]) -> list[dict[str, float | str]]:
     """Return a row for each model and point that it has an answer of."""
     found = []
     for model, theirs in said.items():
@@ -129,11 +129,11 @@ def colour(off: float) -> str:
     return COLOURS[int(np.searchsorted(BOUNDS, abs(off)))] if math.isfinite(off) else COLOURS[-1]
 
 
-def draw(rows: list[dict[str, float | str]], path: Path) -> None:
-    """Draw a panel for each model and quantity; a cross is where model and runs differ in state."""
+def figure(rows: list[dict[str, float | str]]) -> Figure:
+    """Return a panel for each model and quantity; a cross is where model and runs differ."""
     models = list(dict.fromkeys(row["model"] for row in rows))
-    made, panels = plt.subplots(3, len(models), figsize=(1.55 * len(models), 8.0),
-                                layout="constrained", sharex=True, sharey=True)  # fmt: skip
+    made = style.figure(1.55 * len(models), 8.0)
+    panels = made.subplots(3, len(models), sharex=True, sharey=True)
     made.get_layout_engine().set(w_pad=0.06)
     widths = sorted({row["w2"] for row in rows})
     for column, model in enumerate(models):
@@ -168,7 +168,7 @@ def draw(rows: list[dict[str, float | str]], path: Path) -> None:
     panels[0, 0].plot([], [], "o", color="0.5", label="runs' transition")
     panels[0, 0].plot([], [], "_", color="black", label="the model's")
     made.legend(loc="outside upper center", ncols=8, fontsize=7)
-    made.savefig(path, dpi=110)
+    return made
 
 
 def table(rows: list[dict[str, float | str]]) -> list[str]:
@@ -188,35 +188,22 @@ def table(rows: list[dict[str, float | str]]) -> list[str]:
     return lines
 
 
-def write(rows: list[dict[str, float | str]], place: Path) -> None:
-    """Write the table and the picture to a folder; print how many points are within bounds."""
-    with (place / "where_models_fail.csv").open("w", newline="") as file:
-        out = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        out.writeheader()
-        out.writerows(
-            {key: f"{value:.5g}" if isinstance(value, float) else value
-             for key, value in row.items()} for row in rows
-        )  # fmt: skip
-    draw(rows, place / "where_models_fail.png")
+def run(work: study.Study) -> None:
+    """Make the table and the picture of the page; print how many points are within bounds."""
+    truth, errors = of_runs(run_map(work))
+    said = {name: asked(work, name, [*truth]) for name in THEORIES}
+    said |= {name: of_runs(run_map(work, name))[0] for name in LENGTHS}
+    rows = rows_of(truth, errors, said)
+    beside_advice = replace(work, page=work.page and (TABLE.parent, ""))
+    beside_advice.table("where_models_fail", list(rows[0]),
+                        [[_text(one) for one in row.values()] for row in rows])  # fmt: skip
+    work.draw(figure(rows), "where_models_fail")
     print(*table(rows), sep="\n")
 
 
-def main() -> None:
-    """Run, ask, write the table and the picture."""
-    options = argparse.ArgumentParser(description=__doc__.split("\n\n", maxsplit=1)[0])
-    options.add_argument("--runs", type=Path, default=Path("map_runs"), help="folder of results")
-    options.add_argument("--output", type=Path, help="of table and picture (default: --runs)")
-    given = options.parse_args()
-    truth, errors = of_runs(run_map(given.runs))
-    said = {}
-    for name in [*THEORIES, *LENGTHS]:
-        engine = name in LENGTHS
-        said[name] = (
-            of_runs(run_map(given.runs, name))[0] if engine else kept(given.runs, name, [*truth])
-        )
-        print(f"{name}: done", flush=True)
-    write(rows_of(truth, errors, said), given.output or given.runs)
+def _text(value: object) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(study.main(__file__, __doc__, run))

@@ -1,11 +1,14 @@
-"""Errors of single runs: what the study says of made numbers, and of the program."""
+"""What the study says of made numbers, and of the program."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from postproc.accuracy import own_errors
+from postproc.study import Study
+from studies.errors_of_single_runs import study as own_errors
 
 
 def test_right_errors_are_called_right() -> None:
@@ -37,10 +40,14 @@ def test_decay_time_is_that_of_the_slowest_part() -> None:
 
 
 @pytest.mark.full
-def test_errors_of_runs_of_the_program_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_runs_of_the_program_are_right(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Wide openings, where directions relax in 32 time units: 200 runs of thirty times that."""
     monkeypatch.setattr(own_errors, "TRANSIENT", 300.0)
-    found = own_errors.measure(20, {"channel1_width": 0.9, "channel2_width": 0.3}, 1000.0)
+    work = Study(tmp_path, full=True)
+    widths = {"channel1_width": 0.9, "channel2_width": 0.3}
+    found = own_errors.measure(work, "wide", 20, widths, 1000.0)
     for name in ("chi", "polarised_current"):
         assert found[name]["told"] > 0.9, name
         assert 0.53 < found[name]["one"] < 0.86, name  # five standard deviations of 200 runs

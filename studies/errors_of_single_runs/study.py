@@ -1,29 +1,30 @@
-"""Whether the errors of single runs are right: python -m postproc.accuracy.own_errors [PICTURE].
+"""Whether the errors of single runs are right: tables and picture of the page beside.
 
 Many runs of the same circuit and length, each with its own standard error, against their scatter.
-Printed for each circuit, quantity and length: in how many runs the error is told, the median of the
-told ones over the true one, and how often the mean over all runs is within one and two of them. The
-picture shows the ratio, and how often within one, against the length. Before that: the correlation
-time of the polarised current at the reference point. Takes half an hour of a core.
+In the table for each circuit, quantity and length: in how many runs the error is told, the median
+of the told ones over the true one, and how often the mean over all runs is within one and two of
+them. Printed first: the correlation time of the polarised current at the reference point. Quick: 40
+runs of up to 37,000 time units, two minutes of a core; --full: half an hour.
 """
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 import postproc
-from postproc import cli
+from postproc import study
 from postproc.figures import style
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
+    Found = dict[str, dict[float, dict[str, dict[str, float]]]]
 
 REPLICAS = 200
 ENOUGH = 0.5  # share of runs that tell an error, from which on these are compared
@@ -32,7 +33,7 @@ INTERVAL = 1000.0  # of the series that tells the correlation time
 TRANSIENT = 2800.0  # three relaxation times of directions, 25 r^4/w^3
 CORNERS = [-1.0, -0.4, 0.2, -1.15, 1.0, -0.55, 1.0, 0.45, -0.15, 1.05, -1.0, 0.5]  # crooked
 # What is asked of each circuit besides w = 0.3, w' = 0.01, N = 1000, and the lengths of its runs.
-LENGTHS = (5600.0, 18_500.0, 37_000.0, 75_000.0)
+LENGTHS = (18_500.0, 37_000.0, 75_000.0)
 CIRCUITS: dict[str, tuple[int, dict[str, object], tuple[float, ...]]] = {
     "T = 7": (7, {}, (*LENGTHS, 150_000.0, 400_000.0)),
     "beside a transition, T = 16": (16, {}, (*LENGTHS, 150_000.0)),
@@ -40,9 +41,10 @@ CIRCUITS: dict[str, tuple[int, dict[str, object], tuple[float, ...]]] = {
     "crooked hexagons, T = 7": (
         7, {"urn_shape": "polygon", "urn_vertices": CORNERS}, LENGTHS,
     ),
-    "regular hexagons, T = 7": (7, {"urn_shape": "polygon", "urn_sides": 6}, LENGTHS[1:2]),
+    "regular hexagons, T = 7": (7, {"urn_shape": "polygon", "urn_sides": 6}, LENGTHS[:1]),
 }  # fmt: skip
 QUANTITIES = ("chi", "polarised_current", "current1")
+LABELS = dict(zip(QUANTITIES, ("chi", "polarised current", "current 1"), strict=True))
 
 
 def held(values: Floats, errors: Floats) -> dict[str, float]:
@@ -85,45 +87,47 @@ def decay_time(values: Floats, interval: float, lags: tuple[int, int]) -> float:
     return float(-interval / np.polyfit(lag, np.log(together), 1)[0])
 
 
-def results(
-    threshold: int, table: dict[str, object], length: float, replicas: int = REPLICAS,
-    series_interval: float = 0.0, group: str | None = None,
-) -> xr.Dataset:  # fmt: skip
-    """Return what a results file, or a group of it, holds of runs of a length after a transient."""
+def runs(
+    work: study.Study, name: str, threshold: int, table: dict[str, object], length: float,
+    replicas: int, series_interval: float = 0.0,
+) -> Path:  # fmt: skip
+    """Return the results file of runs of a length after the transient."""
     groups = {
         "table": {"channel1_width": 0.3, "channel2_width": 0.01, **table},
         "particles": {"number": 1000},
         "gate": {"threshold": threshold},
         "run": {"duration": TRANSIENT + length, "transient_duration": TRANSIENT},
         "scan": {"replicas": replicas},
-        "output": {"file": "runs.h5", "series_interval": series_interval},
+        "output": {"series_interval": series_interval},
     }
-    with tempfile.TemporaryDirectory() as folder:
-        file = postproc.run(groups, folder=folder, quiet=True)
-        return postproc.open_results(file, group=group)
+    return work.run(groups, name)
 
 
-def measure(threshold: int, table: dict[str, object], length: float) -> dict[str, dict[str, float]]:
+def measure(
+    work: study.Study, name: str, threshold: int, table: dict[str, object], length: float
+) -> dict[str, dict[str, float]]:
     """Return `held` of each quantity, of runs of a length after the transient."""
-    data = results(threshold, table, length)
+    replicas = int(work.pick(40, REPLICAS))
+    data = postproc.open_results(runs(work, name, threshold, table, length, replicas))
     return {
         name: held(data[name].values.ravel(), data[f"{name}_error"].values.ravel())
         for name in QUANTITIES
     }
 
 
-def reference_correlation_time() -> float:
+def reference_correlation_time(work: study.Study) -> float:
     """Return the time in which the slowest part of the current is forgotten, at T = 7.
 
     Its polarity lasts, so the polarised current is the current by size.
     """
-    data = results(7, {}, 400_000.0, 100, INTERVAL, "series")
+    path = runs(work, "series", 7, {}, 400_000.0, int(work.pick(30, 100)), INTERVAL)
+    data = postproc.open_results(path, group="series")
     current = np.abs(data["flow2_12"] - data["flow2_21"]).transpose("replica", "time").values
-    return decay_time(current[:, int(TRANSIENT / INTERVAL) + 1 :], INTERVAL, (8, 64))
+    return decay_time(current[:, int(TRANSIENT / INTERVAL) + 1 : -1], INTERVAL, (8, 64))
 
 
-def draw(found: dict[str, dict[float, dict[str, dict[str, float]]]], path: Path) -> None:
-    """Draw the told error over the true one, and how often it holds, against the length of a run.
+def figure(found: Found, replicas: int) -> Figure:
+    """Return the told error over the true one, and how often it holds, against the length of a run.
 
     Only where half of the runs tell one, since fewer are a selection; error bars are the chance
     that the true one, and a share, are known with, from so many runs.
@@ -141,40 +145,46 @@ def draw(found: dict[str, dict[float, dict[str, dict[str, float]]]], path: Path)
                 np.where(enough, [float(line[key]) for line in told], np.nan)
                 for key in ("told", "ratio", "one")
             )
-            errors = (ratio / np.sqrt(2.0 * (REPLICAS - 1)),
-                      np.sqrt(one * (1.0 - one) / (REPLICAS * share)))  # fmt: skip
+            errors = (ratio / np.sqrt(2.0 * (replicas - 1)),
+                      np.sqrt(one * (1.0 - one) / (replicas * share)))  # fmt: skip
             for axes, values, error in zip(column, (ratio, one), errors, strict=True):
                 axes.errorbar(lengths, values, error, fmt=f"{mark}-", color=colour, mfc="none",
                               lw=0.8, label=label)  # fmt: skip
         column[0].axhline(1.0, color=style.GREY, lw=0.8)
-        column[0].set(title=name.replace("_", " "))
+        column[0].set(title=LABELS[name])
         column[1].axhspan(*ASKED, color=style.GREY, alpha=0.2, lw=0.0)
         column[1].set(xscale="log", xlabel="length of a run")
     panels[0, 0].set(ylabel="told error over true error", ylim=(0.0, 1.6), xlim=(4e3, 6e5))
     panels[1, 0].set(ylabel="share within one error", ylim=(0.4, 0.9))
     made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    style.save(made, path.parent, path.stem)
+    return made
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run all circuits at all lengths, print a line each, and draw the picture if asked for."""
-    options = cli.parser("accuracy.own_errors", __doc__)
-    options.add_argument("picture", metavar="PICTURE", type=Path, nargs="?")
-    picture = options.parse_args(arguments).picture
-    print(f"correlation time of the current at T = 7: {reference_correlation_time():.0f}")
-    found: dict[str, dict[float, dict[str, dict[str, float]]]] = {}
-    print("| circuit | length | quantity | told | told/true | within 1 | within 2 |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
-    for label, (threshold, table, lengths) in CIRCUITS.items():
-        found[label] = {length: measure(threshold, table, length) for length in lengths}
-        for length, row in found[label].items():
-            for name, one in row.items():
-                print(f"| {label} | {length:.0f} | {name} | {one['told']:.0%} | {one['ratio']:.2f} "
-                      f"| {one['one']:.0%} | {one['two']:.0%} |", flush=True)  # fmt: skip
-    if picture:
-        draw(found, picture)
-    return 0
+def run(work: study.Study) -> None:
+    """Make everything of the page."""
+    print(f"correlation time of the current at T = 7: {reference_correlation_time(work):.0f}")
+    found: Found = {}
+    for at, (label, (threshold, table, lengths)) in enumerate(CIRCUITS.items()):
+        found[label] = {
+            length: measure(work, f"circuit_{at}_{length:.0f}", threshold, table, length)
+            for length in (lengths if work.full else lengths[:2])
+        }
+    head = ("circuit", "length", "quantity", "told", "ratio", "within 1", "within 2")
+    work.table("errors", head, [
+        [label, f"{length:,.0f}", LABELS[name], *_cells(one)]
+        for label, rows in found.items() for length, row in rows.items()
+        for name, one in row.items()
+    ])  # fmt: skip
+    work.draw(figure(found, int(work.pick(40, REPLICAS))), "errors_of_single_runs")
+
+
+def _cells(one: dict[str, float]) -> list[str]:
+    """Return a row's numbers; `-` where fewer than half of the runs tell an error."""
+    told = f"{100.0 * one['told']:.0f} %"
+    if one["told"] < ENOUGH:
+        return [told, "-", "-", "-"]
+    return [told, f"{one['ratio']:.2f}", *(f"{100.0 * one[key]:.0f} %" for key in ("one", "two"))]
 
 
 if __name__ == "__main__":
-    raise SystemExit(cli.run(main))
+    raise SystemExit(study.main(__file__, __doc__, run))
