@@ -45,6 +45,9 @@ module battery_observer
   !> Gates are unlike if one reverses this many times as often as the other.
   integer(int64), parameter :: unlike = 10
 
+  !> A ratio of two times is right up to this share of it.
+  real(wp), parameter :: rounding = 8.0_wp*epsilon(1.0_wp)
+
   !> What has been measured of a run so far.
   type :: observer_type
     integer :: number = 0
@@ -130,13 +133,17 @@ contains
     observer%block_left = observer%blocks(of_chi)%length
   end subroutine begin_measuring
 
-  !> Ends the series: adds an entry that is due now, up to `rounding` of the sum of times.
-  pure subroutine end_series(observer, rounding)
+  !> Ends the series at the end of a run of `duration`: adds the entry that is due there, if the
+  !> rounding of the sums of times made the run end a little earlier than the series expects it.
+  pure subroutine end_series(observer, duration)
     type(observer_type), intent(inout) :: observer
-    real(wp), intent(in) :: rounding
+    real(wp), intent(in) :: duration
+    real(wp) :: due
 
-    if (observer%series_interval > 0.0_wp .and. observer%series_left <= rounding) &
-      call add_series_entry(observer)
+    if (.not. observer%series_interval > 0.0_wp) return
+    due = 1.0_wp + aint(duration/observer%series_interval*(1.0_wp + rounding))
+    if (real(observer%entries, wp) < due .and. &
+      observer%series_left < 0.5_wp*observer%series_interval) call add_series_entry(observer)
   end subroutine end_series
 
   !> Adds one window.

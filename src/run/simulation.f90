@@ -246,9 +246,7 @@ contains
         call end_transient(simulation, simulation%engine%collisions())
     end if
     if (reached(simulation, simulation%setup%duration)) then
-      call end_series(simulation%observer, &
-        min(rounding*max(maxval(simulation%setup%table%urn%reach), simulation%setup%duration), &
-        0.5_wp*simulation%setup%series_interval))
+      call end_series(simulation%observer, simulation%setup%duration)
       simulation%collisions = simulation%engine%collisions()
       simulation%done = .true.
     end if
