@@ -109,6 +109,22 @@ def test_fates_at_any_load_are_chances() -> None:
             before = float(shares @ found)
 
 
+@pytest.mark.parametrize("threshold", [2, 5, 15])
+def test_share_that_passes_has_no_jump(threshold: int) -> None:
+    """Though first passages do not know it where next to no particle passes."""
+    sine, weights = fate.directions(12)
+    shares = weights * (1.0 + 0.2 * (sine - 0.5))
+    shares = shares / shares.sum()
+    stays = 0.5 / np.sqrt(1.0 - sine**2)
+    loads = np.geomspace(1.5, 6.0, 241) * threshold
+    found = [fate.overall_share(threshold, one / float(shares @ stays), stays, shares)
+             for one in loads]  # fmt: skip
+    assert found[0] > 3.0 * fate.CLOSED > fate.CLOSED > 10.0 * found[-1]
+    slope = np.diff(np.log(found))
+    assert np.all(slope < 0.0)
+    assert np.abs(np.diff(slope)).max() < 0.05
+
+
 @pytest.mark.parametrize("widths", [(0.3, 0.01), (0.3, 0.4)])
 def test_transfer_reads_backwards_and_loses_nobody(widths: tuple[float, float]) -> None:
     found = direction.transfer(1.0, *widths)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 ANGLES = 24
 STEPS, LAST = 64, 6.0  # of the time axis, and its end in shortest stays
-CLOSED = 0.01  # overall share below which the law of stays is not asked for
+CLOSED = 0.01  # least overall share of which first passages know how the law of stays changes it
 FREE = 1.0 - 1e-12  # overall share from which everyone passes
 STEEPEST = 60.0  # power of S
 SMALL = 1e-200
@@ -92,20 +92,35 @@ def passing(threshold: int, rate: float, stays: Floats, shares: Floats) -> Float
 
 
 def overall_share(threshold: int, rate: float, stays: Floats, shares: Floats) -> float:
-    """Return <q>: the cosine law's at this load, corrected for the law of stays."""
-    load = rate * float(shares @ stays)
+    """Return <q>: the cosine law's at this load, corrected for the law of stays.
+
+    First passages know the correction down to shares of `CLOSED`; below, it stays what it is there,
+    so that shares have no jump.
+    """
+    mean_stay = float(shares @ stays)
+    load = rate * mean_stay
+    known = min(load, _closed_load(threshold))
     usual_stays, usual = cosine_law(float(stays.min()))
-    if RENEWAL.share(threshold, load) < CLOSED:
-        return float(RENEWAL.share(threshold, load))
-    usual_rate = load / float(usual @ usual_stays)
-    here, there = (
-        _thrown_out(threshold, *law)
-        for law in ((rate, stays, shares), (usual_rate, usual_stays, usual))
+    out, usual_out = (
+        min(_thrown_out(threshold, *law), 1.0 - CLOSED)
+        for law in (
+            (known / mean_stay, stays, shares),
+            (known / float(usual @ usual_stays), usual_stays, usual),
+        )
     )
     logit = float(RENEWAL.logit(threshold, load))
-    if min(here, there) > SMALL and max(here, there) < 1.0 - CLOSED:
-        logit += float(np.log(there / here) + np.log1p(-here) - np.log1p(-there))
+    if min(out, usual_out) > SMALL:
+        logit += float(np.log(usual_out / out) + np.log1p(-out) - np.log1p(-usual_out))
     return float(special.expit(logit))
+
+
+@cache
+def _closed_load(threshold: int) -> float:
+    """Return the load at which a gate lets the share `CLOSED` pass."""
+    goal = special.logit(CLOSED)
+    return float(
+        optimize.brentq(lambda load: float(RENEWAL.logit(threshold, load)) - goal, 1e-3, 1e6)
+    )
 
 
 def _lasting(stays: Floats, shares: Floats, time: Floats) -> tuple[Floats, Floats]:
