@@ -10,6 +10,7 @@ HERE = Path(__file__).parent
 DOORS = ("postproc.study", "postproc.figures.style")
 # theories that these hold against runs, and rungs of the ladder
 MORE = {
+    "circulation": ("postproc.theory",),
     "entropy_production": ("postproc.theory",),
     "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
     "order_of_transition": ("postproc.theory",),

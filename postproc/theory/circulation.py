@@ -1,36 +1,40 @@
-"""Particles that fly round and round through both channels, and the current they carry.
+"""Particles that cross urns without a bounce, round after round, and the current they carry.
 
-A particle that leaves channel 2 nearly along the axis, or so that the wall of channel 1 reflects it
-back, crosses both urns without a bounce and comes back to channel 2. Unfolded at the walls of
-channel 1 it is displaced by eps = u Lam - k w a round (slope u, k reflections, Lam the way outside
-channel 2: urn, channel 1, urn), and is lost if that takes it beyond the edge of channel 2. Inside
-channel 2 the walls reflect; unfolded there its place x turns by u l' on a circle of circumference
-w'. So a round is
+Two ports have an urn forget where a particle came in, but for its opening. Along the axis it does
+not: a particle that leaves one mouth nearly along the axis crosses the urn without a bounce, passes
+channel 1 or is turned back there as by a flat mirror, crosses an urn again, and so on until it hits
+a wall. Nothing but walls and gates decides: so such particles are followed, one by one.
 
-    x -> x + eps, lost unless |x| < w'/2          x -> x + u l' mod w'
+All lengths along the axis, slope u > 0 (a state and its mirror image in the axis are one). From
+place x in the mouth of channel 2 to y in that of channel 1 and back
 
-and every round loses one arc of that circle, next to the edge, of length |eps| (more where channel
-1's mouths cut off too). What lasts m rounds is what m such arcs, each turned by eps + u l' against
-the one before, leave uncovered. Integrated over slopes that is V_m, a volume in (y, sin(theta));
-it falls as 1/m, so that each decade of m carries as much current as the one before.
+    x -> y = x + u d                              lost unless |y| < w/2
+    y -> y + u l  mod w    if the gate lets it through, chance q, into the other urn
+    y -> y + 2 u s mod w   if it is turned back at depth s, into the same urn
+    y -> x = y + u d                              lost unless |x| < w'/2
+    x -> x + u l' mod w'                          through channel 2, into the other urn
 
-The gate of a dense urn turns back nearly all, as a flat mirror: it fills these orbits with rho_2 =
-e_2/(2w), what flows out of that urn, on top of those that come round already. On orbits that have
-made m rounds the density is c_m = (1 - q_2) rho_2 + q_1 c_(m-1), with c_0 = f_2/(2w') in channel 2,
-where two urns that forget would have (1 - q_2) rho_2 + q_1 rho_1. What is more of it circulates,
+d is the way across the urn. What comes from walls has the densities, in place and sin(theta), of
+what urns send: e/(2w) into channel 1, f/(2w') into channel 2. So particles are put into channel 2
+evenly in x and u, with the weight of each way by which they come *from a wall* in one step:
+straight out of the urn; turned back by its gate; through channel 1 from the other urn. Those that
+come from a mouth are there already, as the sequel of others: this is why a particle between two
+mouths is not filled up from the dense urn at each of its rounds.
 
-    q_1 (c_0 - rho_1) V_1 + ((1 - q_2) rho_2 - (1 - q_1) c_0) (sum over m > 1 of q_1^(m-1) V_m),
+Of what is turned back in a gate that T + 1 fill, the j-th to come has been inside for j entries.
 
-less the same for those that go round the other way, 1 and 2 exchanged. q is that of the shortest
-stay, l/2. It is 0 where both urns are alike. Each passes urn 2 for certain, where the two ports
-have it pass by the chance P12 already, and urn 1 where they send it back by the chance a; the rest
-is a source between the openings, to which the urns answer (`response`).
+What passes an urn straight is held against what two ports have pass there, e (1 - q) + e' q' and f
+on the same lines. The difference passes for certain, where two ports have it pass by the chance
+P12, or come back by the chance a: a source between the openings, to which the urns answer
+(`response`). Beyond `ROUNDS` what is left falls as 1/m, less what the sparse gate turns back.
+
+Particles are drawn, always the same, half of them with slopes at which they may last: where a round
+shifts them by no more than whole parts of w'. The current is known to some 1e-3 of the net current.
 """
 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,7 +43,7 @@ from scipy import special
 from postproc.theory import fate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -47,87 +51,162 @@ if TYPE_CHECKING:
     from postproc.theory.ports import Ports
 
     Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Flags = NDArray[np.bool_]
 
-ROUNDS = 128  # looked at; from there on V_m falls as 1/m
-LATE = 32  # rounds from which the 1/m is taken
-SAMPLES = 14  # of the numbers of rounds
-PARTS = 12  # of w', turned by which a place comes back after as many rounds: told apart
-LADDER = np.geomspace(3e-4, 0.1, 19)  # of w', towards each of these
-
-
-@lru_cache(maxsize=64)
-def _volumes(
-    width1: float, width2: float, across: tuple[float, float], length1: float, length2: float
-) -> Floats:
-    """Return V_m for m = 1 ... ROUNDS; `across` are d + d' of urns 1 and 2."""
-    outside = sum(across) + length1
-    reach = 0.5 * (width1 + width2) / max(across)  # the steepest slope through both openings
-    rounds = np.unique(np.geomspace(1, ROUNDS, SAMPLES).round().astype(int))
-    found = np.zeros(rounds.size)
-    for k in range(int(reach * outside / width1 + 1.0) + 1):
-        slope, weight = _slopes(k * width1, width2, outside, length2, reach)
-        shift = slope * outside - k * width1
-        above = np.minimum(0.5 * width2 - np.maximum(shift, 0.0), 0.5 * width1 - slope * across[0])
-        below = 0.5 * width1 - slope * across[1] + shift
-        below = np.minimum(0.5 * width2 + np.minimum(shift, 0.0), below)
-        lost = width2 - np.maximum(above + below, 0.0)
-        share = 2.0 * weight * (1.0 + slope**2) ** -1.5  # slopes of both signs
-        turn = shift + slope * length2
-        found += [share @ _uncovered(width2, lost, turn, int(m)) for m in rounds]
-    every = np.arange(1, ROUNDS + 1)
-    return np.exp(np.interp(np.log(every), np.log(rounds), np.log(np.maximum(found, 1e-300))))
+SAMPLES = 2**16  # particles that are put into channel 2, each way
+PARTS = 6  # of w', by which a round may shift what lasts
+NEAR = (3e-4, 0.3)  # of w' a round: how near to such shifts slopes are drawn
+ROUNDS = 512  # that they are followed for
+LATE = 64  # rounds from which the 1/m is taken
+GONE = 30.0  # exponent from which on nothing is left
 
 
-def _slopes(
-    across1: float, width2: float, outside: float, length2: float, reach: float
-) -> tuple[Floats, Floats]:
-    """Return slopes u and weights where |u Lam - `across1`| < w', with `across1` = k w.
+def _folded(place: Floats, width: float) -> Floats:
+    """Return places in a channel, unfolded at its walls, as places within it."""
+    return place - width * np.floor(place / width + 0.5)
 
-    They crowd where a round turns by a simple part of w', for there a place may last.
+
+class Straight:
+    """Particles of a circuit that cross urns without a bounce.
+
+    Parameters
+    ----------
+    circuit : the circuit.
+    entries, across : e and f, what urns 1 and 2 send into channels 1 and 2 per unit time.
+    share : q of the shortest stay, of both gates.
     """
-    low = max((across1 - width2) / outside, 0.0)
-    high = min((across1 + width2) / outside, reach)
-    if high <= low:
-        return np.zeros(0), np.zeros(0)
-    whole = outside + length2
-    first, last = ((one * whole - across1) / width2 for one in (low, high))
-    n = np.arange(1, PARTS + 1)
-    parts = [np.arange(np.floor(first * q), np.ceil(last * q) + 1.0) / q for q in n]
-    middle = np.unique(np.concatenate(parts).round(12))
-    ends = (middle[:, None] + np.concatenate([-LADDER, [0.0], LADDER])).ravel()
-    ends = (ends * width2 + across1) / whole
-    # and where u Lam = k w, on a ladder too
-    still = (across1 + width2 * np.concatenate([-LADDER, [0.0], LADDER])) / outside
-    ends = np.unique(np.concatenate([[low, high], ends, still]))
-    ends = ends[(ends >= low) & (ends <= high)]
-    return 0.5 * (ends[1:] + ends[:-1]), np.diff(ends)
+
+    def __init__(self, circuit: Circuit, entries: Floats, across: Floats, share: Floats) -> None:
+        """Prepare the numbers that particles are followed by."""
+        self.widths = float(circuit.channel1_width), float(circuit.channel2_width)
+        self.lengths = float(circuit.channel1_length), float(circuit.channel2_length)
+        self.distance = np.array([float(sum(one.chords)) for one in circuit.sides])
+        self.threshold = np.array([int(one.threshold) for one in circuit.sides])
+        self.entries, self.share = entries, share
+        self.into_gate = entries / (2.0 * self.widths[0])
+        self.in_channel = across / (2.0 * self.widths[1])
+
+    def depth(self, urn: Integers, slope: Floats, draw: np.random.Generator) -> Floats:
+        """Return how deep in their gates particles are turned back."""
+        place = draw.integers(0, self.threshold[urn] + 1)
+        inside = draw.standard_gamma(place) / np.maximum(self.entries[urn], 1e-300)
+        deep = inside / np.sqrt(1.0 + slope**2)
+        anywhere = 0.5 * self.lengths[0] * draw.random(urn.size)
+        return np.where(deep < 0.5 * self.lengths[0], deep, anywhere)
+
+    def slopes(self, draw: np.random.Generator) -> tuple[Floats, Floats]:
+        """Return slopes, and the volume in slope that each stands for; 0 outside of all mouths."""
+        (width1, width2), outside = self.widths, self.distance.sum() + self.lengths[0]
+        whole = outside + self.lengths[1]
+        steepest = 0.5 * (width1 + width2) / self.distance.min()
+        lasting = [np.zeros(0)]
+        for k in range(int(steepest * outside / width1 + 1.0) + 1):
+            first, last = ((k * width1 + sign * width2) / outside for sign in (-1.0, 1.0))
+            lasting.append(np.array([k * width1 / outside]))
+            for part in range(1, PARTS + 1):
+                ends = [(one * whole - k * width1) * part / width2 for one in (first, last)]
+                turns = np.arange(math.ceil(ends[0]), math.floor(ends[1]) + 1) / part
+                lasting.append((k * width1 + turns * width2) / whole)
+        middle = np.unique(np.concatenate(lasting).round(12))
+        middle = middle[(middle >= 0.0) & (middle <= steepest)]
+        least, most = (one * width2 / whole for one in NEAR)
+        spread = math.log(most / least)
+        off = least * np.exp(spread * draw.random(SAMPLES)) * draw.choice([-1.0, 1.0], SAMPLES)
+        near = draw.choice(middle, SAMPLES) + off
+        slope = np.where(draw.random(SAMPLES) < 0.5, near, steepest * draw.random(SAMPLES))
+        density = np.full(SAMPLES, 0.5 / steepest)
+        for one in middle:
+            away = np.abs(slope - one)
+            here = (away >= least) & (away <= most)
+            density[here] += 0.25 / (spread * middle.size * away[here])
+        allowed = (slope > 0.0) & (slope < steepest)
+        return np.abs(slope), np.where(allowed, 1.0 / (density * SAMPLES), 0.0)
+
+    def begun(self, start: int, draw: np.random.Generator) -> tuple[Floats, ...]:
+        """Return place, slope, and volume in both, of what urn `start` sends into channel 2.
+
+        And what comes of it from a wall, per unit time: straight out of the urn; turned back by its
+        gate; through channel 1 from the other urn; shape (origin, particle).
+        """
+        other, (width1, width2) = 1 - start, self.widths
+        slope, share = self.slopes(draw)
+        place = width2 * (draw.random(SAMPLES) - 0.5)
+        volume = 2.0 * width2 * share * (1.0 + slope**2) ** -1.5  # slopes of both signs
+        mouth = place - slope * self.distance[start]
+        on_line = np.abs(mouth) < 0.5 * width1
+        weights = [np.where(on_line, 0.0, self.in_channel[start]) * volume]
+        turned = 2.0 * slope * self.depth(np.full(slope.size, start), slope, draw)
+        for urn, chance, shift in (
+            (start, 1.0 - self.share[start], turned),
+            (other, self.share[other], slope * self.lengths[0]),
+        ):
+            came = _folded(mouth - shift, width1) - slope * self.distance[urn]
+            from_wall = on_line & (np.abs(came) >= 0.5 * width2)
+            weights.append(np.where(from_wall, chance * self.into_gate[urn], 0.0) * volume)
+        return place, slope, volume, np.array(weights)
+
+    def rounds(
+        self, start: int, place: Floats, slope: Floats, draw: np.random.Generator
+    ) -> Iterator[tuple[Integers, Integers, Integers, Integers, Flags]]:
+        """Follow particles that urn `start` sends into channel 2 at a place and slope, by round.
+
+        Yields which of them have crossed an urn from channel 2 to channel 1, and which urn; which
+        have crossed one from channel 1 to channel 2 after that, which, and whether from the other
+        one, through channel 1.
+        """
+        (width1, width2), (length1, length2) = self.widths, self.lengths
+        which, urn = np.arange(slope.size), np.full(slope.size, 1 - start)
+        for _ in range(ROUNDS):
+            place = _folded(place + slope * length2, width2) + slope * self.distance[urn]
+            there = np.abs(place) < 0.5 * width1
+            place, slope, urn, which = (one[there] for one in (place, slope, urn, which))
+            arrived = which, urn
+            through = draw.random(urn.size) < self.share[urn]
+            shift = np.where(through, length1, 2.0 * self.depth(urn, slope, draw))
+            urn = np.where(through, 1 - urn, urn)
+            place = _folded(place + slope * shift, width1) + slope * self.distance[urn]
+            there = np.abs(place) < 0.5 * width2
+            place, slope, urn, which = (one[there] for one in (place, slope, urn, which))
+            yield *arrived, which, urn, through[there]
+            if not which.size:
+                return
+            urn = 1 - urn
+
+    def passages(self, start: int) -> tuple[Floats, Floats]:
+        """Return what crosses urns straight, beyond what two ports have, by round.
+
+        Of those that begin with urn `start`, per unit time: from channel 1 to channel 2, and from
+        channel 2 to channel 1; shape (urn, round).
+        """
+        draw = np.random.default_rng(1)
+        place, slope, volume, weights = self.begun(start, draw)
+        weight, other = weights.sum(axis=0), 1 - start
+        down, up = np.zeros((2, ROUNDS + 1)), np.zeros((2, ROUNDS + 1))
+        arriving = (1.0 - self.share[start]) * self.into_gate[start]
+        arriving += self.share[other] * self.into_gate[other]
+        on_line = np.abs(place - slope * self.distance[start]) < 0.5 * self.widths[0]
+        down[start, 0] = weights[1:].sum() - arriving * volume[on_line].sum()
+        ahead = _folded(place + slope * self.lengths[1], self.widths[1])
+        on_line = np.abs(ahead + slope * self.distance[other]) < 0.5 * self.widths[0]
+        up[other, 0] = -self.in_channel[start] * volume[on_line].sum()
+        known = weight > 0.0
+        weight = weight[known]
+        followed = self.rounds(start, place[known], slope[known], draw)
+        for m, (arrived, urn1, left, urn2, _) in enumerate(followed, start=1):
+            up[:, m] = np.bincount(urn1, weight[arrived], 2)
+            down[:, m] = np.bincount(urn2, weight[left], 2)
+        return down, up
 
 
-def _uncovered(around: float, arc: Floats, turn: Floats, count: int) -> Floats:
-    """Return what `count` arcs, each turned against the last, leave of circles; shape (circle,)."""
-    places = np.sort(np.mod(np.arange(count) * turn[:, None], around), axis=1)
-    gaps = np.diff(places, axis=1, append=places[:, :1] + around)
-    return np.maximum(gaps - arc[:, None], 0.0).sum(axis=1)
-
-
-def volumes(circuit: Circuit) -> Floats:
-    """Return V_m, the volume in (y, sin(theta)) that makes m = 1 ... ROUNDS rounds."""
-    across = tuple(float(sum(one.chords)) for one in circuit.sides)
-    return _volumes(
-        float(circuit.channel1_width), float(circuit.channel2_width), across,
-        float(circuit.channel1_length), float(circuit.channel2_length),
-    )  # fmt: skip
-
-
-def series(lasting: Floats, share: float, rounds: float = math.inf) -> float:
-    """Return the sum of share^(m-1) V_m over 1 < m <= `rounds`, with V_m as 1/m beyond the last."""
-    m = np.arange(1, lasting.size + 1)
-    total = float((share ** (m[1:] - 1) * lasting[1:])[m[1:] <= rounds].sum())
-    if rounds <= lasting.size:
-        return total
-    decay = -np.log(min(max(share, 1e-300), 1.0 - 1e-12))
-    ends = special.exp1(decay * (np.array([lasting.size, rounds]) + 0.5)) * np.exp(decay)
-    return total + float((m * lasting)[LATE - 1 :].mean() * (ends[0] - ends[1]))
+def followed(circuit: Circuit, entries: Floats, across: Floats) -> Straight:
+    """Return the particles that cross urns straight, with the gates' shares at these entries."""
+    stays, shares = fate.cosine_law(0.5 * float(circuit.channel1_length))
+    share = [
+        fate.passing(int(one.threshold), float(rate), stays, shares)[0]
+        for one, rate in zip(circuit.sides, entries, strict=True)
+    ]
+    return Straight(circuit, entries, across, np.array(share))
 
 
 def round_time(circuit: Circuit) -> float:
@@ -145,11 +224,30 @@ def response(one: Ports) -> float:
     return 1.0 / (1.0 + one.return_chance - 2.0 * one.across + drop)
 
 
+def beyond(late: Floats, decay: float, rounds: Floats) -> Floats:
+    """Return the sum of what follows `late`, as exp(-decay m)/m, to each of `rounds`.
+
+    Parameters
+    ----------
+    late : terms to be summed, of rounds 0 to ROUNDS.
+    decay : the logarithm by which each round is less, apart from the 1/m.
+    rounds : of any shape.
+    """
+    if decay * ROUNDS > GONE:
+        return np.zeros(rounds.shape)
+    m = np.arange(LATE, late.size)
+    height = (m * np.exp(decay * m) * late[LATE:]).mean()
+    ends = [special.exp1(decay * (one + 0.5)) for one in (ROUNDS, np.maximum(rounds, ROUNDS))]
+    return height * (ends[0] - ends[1])
+
+
 def circulating_current(
     circuit: Circuit, urns: Sequence[Ports], entries: Floats, across: Floats,
     age: ArrayLike = math.inf,
 ) -> Floats:  # fmt: skip
-    """Return the current of channel 2 from urn 2 to urn 1 that goes round, at each age.
+    """Return the current of channel 2 from urn 2 to urn 1 by straight passages, at each age.
+
+    Less than two ports have of it already.
 
     Parameters
     ----------
@@ -160,22 +258,19 @@ def circulating_current(
     """
     if float(circuit.channel2_width) == 0.0:
         return np.zeros(np.shape(age))
-    lasting = volumes(circuit)
-    stays, shares = fate.cosine_law(0.5 * float(circuit.channel1_length))
-    into_gate = np.asarray(entries, float) / (2.0 * float(circuit.channel1_width))
-    in_channel = np.asarray(across, float) / (2.0 * float(circuit.channel2_width))
-    q = [
-        float(fate.passing(int(one.threshold), float(rate), stays, shares)[0])
-        for one, rate in zip(circuit.sides, entries, strict=True)
-    ]
+    straight = followed(circuit, np.asarray(entries, float), np.asarray(across, float))
     rounds = np.asarray(age, float) / round_time(circuit)
+    decay = -math.log(min(max(float(straight.share.max()), 1e-300), 1.0 - 1e-12))
 
-    def around(sparse: int, dense: int) -> Floats:
-        first = q[sparse] * (in_channel[dense] - into_gate[sparse]) * lasting[0]
-        fed = (1.0 - q[dense]) * into_gate[dense] - (1.0 - q[sparse]) * in_channel[dense]
-        sums = [series(lasting, q[sparse], float(one)) for one in rounds.flat]
-        rest = fed * np.reshape(sums, rounds.shape)
-        source = (1.0 - urns[dense].across) * (first + rest) + urns[sparse].return_chance * rest
-        return response(urns[sparse]) * source
+    def around(start: int) -> Floats:
+        """Return what begins in urn `start` drives, from urn 2 to urn 1."""
+        down, up = straight.passages(start)
+        terms = np.zeros(ROUNDS + 1)
+        for urn, sign in ((0, -1.0), (1, 1.0)):
+            one = urns[urn]
+            source = (1.0 - one.across) * down[urn] - one.return_chance * up[urn]
+            terms += sign * response(one) * source
+        flown = np.interp(rounds, np.arange(ROUNDS + 1), np.cumsum(terms))
+        return flown + beyond(terms, decay, rounds)
 
-    return around(0, 1) - around(1, 0)
+    return around(0) + around(1)

@@ -24,7 +24,7 @@ import numpy as np
 from scipy import optimize
 
 from postproc.theory import ports
-from postproc.theory.circulation import circulating_current
+from postproc.theory.circulation import circulating_current, followed
 from postproc.theory.states import State, crossings, places_of
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from postproc.theory.circuit import Circuit
+    from postproc.theory.circulation import Straight
     from postproc.theory.ports import Ports
 
     Floats = NDArray[np.float64]
@@ -239,6 +240,12 @@ def flows(circuit: Circuit, number2: float) -> Floats:
     """
     at = _with_number2(circuit, number2)
     return np.stack([at.through[:, 0], at.across[:, 0]])
+
+
+def straight_at(circuit: Circuit, number2: float) -> Straight:
+    """Return the particles that cross urns without a bounce where N2 is `number2`."""
+    at = _with_number2(circuit, number2)
+    return followed(circuit, at.entries[:, 0], at.across[:, 0])
 
 
 def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:

@@ -1,0 +1,200 @@
+"""How circulations begin and end, and the current they carry: tables and picture of the page.
+
+Event logs of seven circuits, around T = 7, w' = 0.01, l' = 1, against particles that theory follows
+(postproc/theory/circulation.py). Quick: one log of 3e4 time units each, two minutes of a core.
+--full: eight of 1e5, twenty minutes.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import postproc
+from postproc import study
+from postproc.figures import style
+from postproc.theory import two_port
+from postproc.theory.circuit import Circuit
+from postproc.theory.models import MODELS
+from studies.circulations import TRANSIENT, circulations
+from studies.event_log import circuit_of, read_log, stories
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from postproc.theory.circulation import Straight
+    from postproc.theory.states import State
+
+    Floats = NDArray[np.float64]
+    Row = dict[str, float | str]
+
+ROUNDS = 2 ** np.arange(9)  # at which circulations are counted
+AGES = Path(__file__).parents[1] / "age_of_a_run/results.csv"
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a circuit has besides N = 1000, w = 0.3, r = l = 1."""
+
+    threshold: int = 7
+    channel2_width: float = 0.01
+    channel2_length: float = 1.0
+
+    @property
+    def circuit(self) -> Circuit:
+        """The circuit as `two_port` asks for it."""
+        return MODELS["two_port"].of(
+            Circuit(1000, self.threshold, channel2_width=self.channel2_width,
+                    channel2_length=self.channel2_length)
+        )  # fmt: skip
+
+    @property
+    def label(self) -> str:
+        """Its name in tables."""
+        return f"T = {self.threshold}, w' = {self.channel2_width:g}, l' = {self.channel2_length:g}"
+
+
+CASES = (
+    Case(), Case(threshold=5), Case(threshold=10), Case(channel2_width=0.003),
+    Case(channel2_width=0.03), Case(channel2_length=0.5), Case(channel2_length=2.0),
+)  # fmt: skip
+
+
+def state_of(circuit: Circuit, model: str = "two_port") -> State:
+    """Return the most polarised stable state by a model."""
+    return max(MODELS[model].solve_stable(circuit), key=lambda one: one.mass_spread)
+
+
+def reached(straight: Straight) -> Floats:
+    """Return how often per unit time a passage from urn 2 to 1 is the m-th round, of `ROUNDS`.
+
+    A round is a way from the middle of channel 1 through urn 2 and channel 2, without a bounce, as
+    event logs have it: what gates turn back begins anew.
+    """
+    rates = np.zeros(ROUNDS[-1] + 1)
+    for start in (0, 1):
+        draw = np.random.default_rng(1)
+        place, slope, _, weights = straight.begun(start, draw)
+        for origin, first in ((weights[0] + weights[1], 0), (weights[2], 1)):
+            if first == 1 and start == 1:
+                rates[1] += origin.sum()
+            made = np.full(slope.size, first)
+            draw = np.random.default_rng(2)
+            for _, _, left, urn, through in straight.rounds(start, place, slope, draw):
+                made[left] = np.where(through, made[left] + 1, 0)
+                down = left[(urn == 1) & (made[left] < rates.size)]
+                rates += np.bincount(made[down], origin[down], rates.size)
+    return rates[ROUNDS]
+
+
+def measured(work: study.Study, at: int, case: Case) -> tuple[Floats, Floats]:
+    """Return how often per unit time event logs have a passage as the m-th round, with errors."""
+    logs, end = int(work.pick(1, 8)), work.pick(3e4, 1e5)
+    number = round(1000.0 - state_of(case.circuit).urn2_number)
+    counts = np.zeros((logs, ROUNDS.size))
+    for seed in range(logs):
+        changes = {
+            "table": {"channel2_width": case.channel2_width,
+                      "channel2_length": case.channel2_length},
+            "gate": {"threshold": case.threshold},
+            "particles": {"seed": 2820 + seed, "urn1_number": number},
+            "run": {"duration": end},
+        }  # fmt: skip
+        path = work.run("circuit", f"case_{at}_{seed}", changes, alone=True)
+        found = circulations(stories(read_log(path)), circuit_of(postproc.open_results(path)))
+        rounds = found.rounds[found.sign == 1]
+        counts[seed] = [np.count_nonzero(rounds == m) for m in ROUNDS]
+        path.unlink()
+    total = counts.sum(axis=0)
+    duration = logs * (end - TRANSIENT)
+    return total / duration, np.sqrt(np.maximum(total, 1.0)) / duration
+
+
+def rates(work: study.Study) -> list[Row]:
+    """Return a row for each circuit and number of rounds."""
+    rows: list[Row] = []
+    for at, case in enumerate(CASES):
+        kept = work.kept(f"rates_{at}")
+        if kept is None or work.afresh:
+            seen, error = measured(work, at, case)
+            kept = {"seen": list(seen), "error": list(error)}
+            work.keep(f"rates_{at}", kept)
+        expected = reached(two_port.straight_at(case.circuit, state_of(case.circuit).urn2_number))
+        rows += [
+            {"circuit": case.label, "rounds": str(m), "measured": one, "error": other, "theory": it}
+            for m, one, other, it in zip(ROUNDS, kept["seen"], kept["error"], expected, strict=True)
+        ]
+    return rows
+
+
+def by_age() -> list[Row]:
+    """Return currents of *The age of a run* beside those of theory at the age.
+
+    Theory: `direction` without what circulates, and that at the age.
+    """
+    rows: list[Row] = []
+    with AGES.open(encoding="utf-8") as file:
+        table = [*csv.DictReader(file)]
+    for threshold in dict.fromkeys(row["T"] for row in table):
+        own = [row for row in table if row["T"] == threshold]
+        case = Case(int(threshold), float(own[0]["w2"]))
+        state = state_of(case.circuit, "direction")
+        ages = [math.sqrt(float(row["from"]) * float(row["to"])) for row in own]
+        around = two_port.circulating_at(case.circuit, state.urn2_number, ages)
+        rest = state.net_current - (state.circulating_current or 0.0)
+        rows += [{
+            "T": threshold, "w'": row["w2"], "from": float(row["from"]), "to": float(row["to"]),
+            "current": float(row["current"]), "error": float(row["current_error"]),
+            "theory": rest + float(one), "without": rest,
+        } for row, one in zip(own, around, strict=True)]  # fmt: skip
+    return rows
+
+
+def figure(counted: list[Row], aged: list[Row]) -> Figure:
+    """Return rates at which rounds are reached, over those of theory, and currents by age."""
+    made = style.figure(style.PAGE, 3.6)
+    left, right = made.subplots(1, 2)
+    for at, case in enumerate(CASES):
+        own = [row for row in counted if row["circuit"] == case.label and row["measured"] > 0.0]
+        rounds = np.array([float(row["rounds"]) for row in own]) * 1.06 ** (at - 3)
+        ratio = [row["measured"] / row["theory"] for row in own]
+        error = [row["error"] / row["theory"] for row in own]
+        left.errorbar(rounds, ratio, error, fmt="osD^v<>"[at], ms=3.5, lw=0.8, color=f"C{at}",
+                      mfc="none", label=case.label)  # fmt: skip
+    left.axhline(1.0, color="black", lw=0.8)
+    left.set(xscale="log", xlabel="round m", ylabel="m-th rounds: measured over theory",
+             ylim=(0.0, 2.4))  # fmt: skip
+    left.legend(fontsize=6, frameon=False, loc="upper left")
+    for at, threshold in enumerate(dict.fromkeys(row["T"] for row in aged)):
+        own = [row for row in aged if row["T"] == threshold]
+        age = [math.sqrt(row["from"] * row["to"]) for row in own]
+        last = own[-1]["theory"]
+        right.errorbar(age, [row["current"] / last for row in own],
+                       [row["error"] / last for row in own], fmt="osD"[at], ms=3.5, lw=0.8,
+                       color=f"C{at}", mfc="none", label=f"T = {threshold}")  # fmt: skip
+        right.plot(age, [row["theory"] / last for row in own], color=f"C{at}", lw=1.0)
+    right.set(xscale="log", xlabel="age of the run", ylabel="net current over the theory's last")
+    right.legend(fontsize=7, frameon=False)
+    return made
+
+
+def run(work: study.Study) -> None:
+    """Make everything of the page."""
+    tables = {"rates": rates(work), "ages": by_age()}
+    for name, rows in tables.items():
+        work.table(name, list(rows[0]), [[_text(one) for one in row.values()] for row in rows])
+    work.draw(figure(*tables.values()), "circulation")
+
+
+def _text(value: float | str) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else value
+
+
+if __name__ == "__main__":
+    raise SystemExit(study.main(__file__, __doc__, run))
