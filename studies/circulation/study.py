@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     Row = dict[str, float | str]
 
 ROUNDS = 2 ** np.arange(9)  # at which circulations are counted
-AGES = Path(__file__).parents[1] / "age_of_a_run/results.csv"
+AGES, WIDTHS = (Path(__file__).parents[1] / f"{one}/results.csv"
+                for one in ("age_of_a_run", "narrow_channels"))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -156,40 +157,75 @@ def by_age() -> list[Row]:
     return rows
 
 
-def figure(counted: list[Row], aged: list[Row]) -> Figure:
-    """Return rates at which rounds are reached, over those of theory, and currents by age."""
-    made = style.figure(style.PAGE, 3.6)
-    left, right = made.subplots(1, 2)
+def by_width() -> list[Row]:
+    """Return currents of *The limit of narrow channels* beside those of theory at their age."""
+    rows: list[Row] = []
+    with WIDTHS.open(encoding="utf-8") as file:
+        table = [row for row in csv.DictReader(file) if row["current"]]
+    for row in table:
+        width, (one, other) = float(row["w"]), (int(row[key]) for key in ("T1", "T2"))
+        circuit = MODELS["direction"].of(
+            Circuit(int(row["N"]), one, width, channel2_width=float(row["ratio"]) * width,
+                    gate2_threshold=None if one == other else other)
+        )  # fmt: skip
+        state = state_of(circuit, "direction")
+        age = max(50.0 / width**3, 1e4) + 0.5 * float(row["time"]) / 4.0  # 4 replicas
+        around = float(two_port.circulating_at(circuit, state.urn2_number, age))
+        rest = state.net_current - (state.circulating_current or 0.0)
+        sign = math.copysign(1.0, rest)
+        rows.append({
+            "circuit": row["circuit"], "w": row["w"], "age": age,
+            "current": float(row["current"]), "error": float(row["current_error"]),
+            "theory": sign * (rest + around), "without": sign * rest,
+        })  # fmt: skip
+    return rows
+
+
+def figure(rates: list[Row], ages: list[Row], widths: list[Row]) -> Figure:
+    """Return how often rounds are reached, over theory; currents by age; by width, over theory."""
+    made = style.figure(style.PAGE, 3.4)
+    reached, aged, wide = made.subplots(1, 3)
     for at, case in enumerate(CASES):
-        own = [row for row in counted if row["circuit"] == case.label and row["measured"] > 0.0]
+        own = [row for row in rates if row["circuit"] == case.label
+               and row["measured"] > 4.0 * row["error"]]  # fmt: skip
         rounds = np.array([float(row["rounds"]) for row in own]) * 1.06 ** (at - 3)
         ratio = [row["measured"] / row["theory"] for row in own]
         error = [row["error"] / row["theory"] for row in own]
-        left.errorbar(rounds, ratio, error, fmt="osD^v<>"[at], ms=3.5, lw=0.8, color=f"C{at}",
-                      mfc="none", label=case.label)  # fmt: skip
-    left.axhline(1.0, color="black", lw=0.8)
-    left.set(xscale="log", xlabel="round m", ylabel="m-th rounds: measured over theory",
-             ylim=(0.0, 2.4))  # fmt: skip
-    left.legend(fontsize=6, frameon=False, loc="upper left")
-    for at, threshold in enumerate(dict.fromkeys(row["T"] for row in aged)):
-        own = [row for row in aged if row["T"] == threshold]
-        age = [math.sqrt(row["from"] * row["to"]) for row in own]
-        last = own[-1]["theory"]
-        right.errorbar(age, [row["current"] / last for row in own],
-                       [row["error"] / last for row in own], fmt="osD"[at], ms=3.5, lw=0.8,
-                       color=f"C{at}", mfc="none", label=f"T = {threshold}")  # fmt: skip
-        right.plot(age, [row["theory"] / last for row in own], color=f"C{at}", lw=1.0)
-    right.set(xscale="log", xlabel="age of the run", ylabel="net current over the theory's last")
-    right.legend(fontsize=7, frameon=False)
+        reached.errorbar(rounds, ratio, error, fmt="osD^v<>"[at], ms=3.5, lw=0.8, color=f"C{at}",
+                         mfc="none", label=case.label)  # fmt: skip
+    reached.axhline(1.0, color="black", lw=0.8)
+    reached.set(xscale="log", xlabel="round m", ylabel="m-th rounds, measured over theory",
+                ylim=(0.0, 3.0))  # fmt: skip
+    reached.legend(fontsize=6, frameon=False, loc="upper left")
+    for at, threshold in enumerate(dict.fromkeys(row["T"] for row in ages)):
+        own = [row for row in ages if row["T"] == threshold]
+        age, last = [math.sqrt(row["from"] * row["to"]) for row in own[1:]], own[-1]["theory"]
+        aged.errorbar(age, [row["current"] / last for row in own[1:]],
+                      [row["error"] / last for row in own[1:]], fmt="osD"[at], ms=3.5, lw=0.8,
+                      color=f"C{at}", mfc="none", label=f"T = {threshold}")  # fmt: skip
+        aged.plot(age, [row["theory"] / last for row in own[1:]], color=f"C{at}", lw=1.0)
+        aged.axhline(own[0]["without"] / last, color=f"C{at}", lw=0.8, ls=":")
+    aged.set(xscale="log", xlabel="age of the run", ylabel="current over the theory's last")
+    aged.legend(fontsize=6, frameon=False)
+    for at, circuit in enumerate(dict.fromkeys(row["circuit"] for row in widths)):
+        own = [row for row in widths if row["circuit"] == circuit]
+        width = [float(row["w"]) * 1.03 ** (at - 1.5) for row in own]
+        wide.errorbar(width, [row["current"] / row["theory"] for row in own],
+                      [row["error"] / row["theory"] for row in own], fmt="osD^"[at], ms=3.5,
+                      lw=0.8, color=f"C{at}", mfc="none", label=circuit)  # fmt: skip
+        wide.plot(width, [row["without"] / row["theory"] for row in own], ":", color=f"C{at}")
+    wide.axhline(1.0, color="black", lw=0.8)
+    wide.set(xscale="log", xlabel="w", ylabel="current over theory")
+    wide.legend(fontsize=6, frameon=False, ncols=2)
     return made
 
 
 def run(work: study.Study) -> None:
     """Make everything of the page."""
-    tables = {"rates": rates(work), "ages": by_age()}
+    tables = {"rates": rates(work), "ages": by_age(), "widths": by_width()}
     for name, rows in tables.items():
         work.table(name, list(rows[0]), [[_text(one) for one in row.values()] for row in rows])
-    work.draw(figure(*tables.values()), "circulation")
+    work.draw(figure(**tables), "circulation")
 
 
 def _text(value: float | str) -> str:
