@@ -134,7 +134,8 @@ contains
       key_type('output', 'final_state', logical_key, '.false.', &
       'whether the final state is stored'), &
       key_type('limits', 'wall_minutes', real_key, '0', &
-      'the run stops cleanly before this time; 0: no limit', least=0.0_wp, unit='min', decides=.false.), &
+      'the run stops cleanly before this time; 0: no limit', least=0.0_wp, unit='min', &
+      decides=.false.), &
       key_type('limits', 'checkpoint_minutes', real_key, '10', &
       'how often long tasks save their state', least=0.0_wp, unit='min', decides=.false.)]
   end function keys_behind_scan
