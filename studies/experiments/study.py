@@ -61,7 +61,7 @@ TITLES = {
     1: "Directions last from visit to visit",
     2: "An urn remembers by which opening one came",
     3: "Larger urns do not forget more",
-    4: "Who flies along the axis goes on doing so",
+    4: "Particles on the axis stay on it",
     5: "The transient near the upper transition",
 }
 CLOSE = 3.0  # standard errors within which a prediction counts as met
