@@ -59,8 +59,8 @@ TRANSIENTS = (500.0, 5000.0)
 SLOW = 3000.0  # time in which chi was supposed to relax near the upper transition; it does not
 TITLES = {
     1: "Directions last from visit to visit",
-    2: "An urn remembers by which opening one came",
-    3: "Larger urns do not forget more",
+    2: "An urn remembers the opening of entry",
+    3: "The memory is not weaker in larger urns",
     4: "Particles on the axis stay on it",
     5: "The transient near the upper transition",
 }
