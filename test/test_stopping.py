@@ -31,7 +31,7 @@ def test_the_help_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
     """--help says how to stop a run under mpirun, and what mpirun does to its ranks."""
     text = run("--help", folder=tmp_path).stdout
     assert all(way in text for way in WAYS)
-    assert "mpirun itself says 1" in text
+    assert "mpirun itself exits with 1" in text
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/ensembles.md", "docs/clusters.md"])

@@ -112,7 +112,7 @@ class Model:
     def answers(self) -> list[str]:
         """What it says something of besides the states of two equal urns, in words."""
         told = (
-            (self.unlike is not None, "unlike urns"),
+            (self.unlike is not None, "unequal urns"),
             (self.has_rates, "eta, lifetimes"),
             (self.has_line, "line of transition"),
             (self.mixed, "tricritical point, single urn, polygons"),

@@ -69,40 +69,44 @@ _CHAIN_TO = 3000.0  # N; a state of 10000 takes 1.6 s, and time grows faster tha
 DECLARED = (
     Model(
         "window", "window (the paper's)", "the paper's gate, a window of fixed time",
-        "to see where a circuit may polarise, and to repeat the paper", 1e-3, "--", "P",
+        "where a circuit may polarise; the paper's results", 1e-3, "--", "P",
         "vermilion", changes={"gate": WINDOW}, unlike=_MIXED_UNLIKE, mixed=True,
     ),
     Model(
-        "renewal", "renewal gate", "the gate's own rule",
+        "renewal", "renewal gate", "the gate's exact rule",
         "the upper transition in milliseconds; the single urn", 3e-3, "-.", "X", "orange",
         "window", {"gate": RENEWAL}, unlike=_MIXED_UNLIKE, mixed=True,
     ),
     Model(
-        "renewal_occupation", "renewal gate with channels", "and those in the channels counted",
-        "what exact gates do between urns that forget", 0.03, ":", "*", "brown",
+        "renewal_occupation", "renewal gate with channels",
+        "as `renewal`, and particles in the channels taken into account",
+        "the effect of exact gates between urns without memory", 0.03, ":", "*", "brown",
         "renewal", _COUNTED, unlike=_MIXED_UNLIKE, mixed=True,
     ),
     Model(
-        "renewal_chain", "renewal chain", "and the fluctuations of N2, means over them",
-        "the same where fluctuations count: small N, next to a transition", 0.04,
+        "renewal_chain", "renewal chain",
+        "as `renewal_occupation`, averaged over the fluctuations of N2",
+        "the same where fluctuations matter: small N, next to a transition", 0.04,
         (0, (4, 1, 1, 1, 1, 1)), "v", "olive",
         "renewal_occupation", _COUNTED, Theory(chain.mean_state), largest=_CHAIN_TO,
     ),
     Model(
-        "two_port", "two ports", "renewal_occupation and urns that know by which opening one "
-        "came, and circulation", "net currents well inside the polarised region; their age", 0.05,
-        "-.", "P", "purple",
+        "two_port", "two ports",
+        "as `renewal_occupation`, with memory of the opening of entry, and circulation",
+        "net currents well inside the polarised region, and their growth with time", 0.05, "-.",
+        "P", "purple",
         "renewal_occupation", _COUNTED, _PORTS, replace(_PORTS, transition_width=_no_line),
         extras=_of_ports, by_age=two_port.by_age,
     ),
     Model(
-        "direction", "directions", "and in which direction",
+        "direction", "directions", "as `two_port`, with memory of the direction of entry",
         "chi, currents and transitions alike; lifetimes", 1.0, "-", "X", "violet",
         "two_port", _COUNTED, _DIRECTIONS, _DIRECTIONS,
     ),
     Model(
-        "one_particle", "one particle", "walkers between gates made of all the others",
-        "the best single numbers without a run; it draws, so they have errors", 1.0, "-", "*",
+        "one_particle", "one particle",
+        "simulated independent particles; each gate counts particles of independent copies",
+        "the most accurate numbers without a run; they have statistical errors", 1.0, "-", "*",
         "navy", "direction", _COUNTED, _WALKERS, _WALKERS, draws=True, program="one_particle",
     ),
 )  # fmt: skip
@@ -111,7 +115,7 @@ MODELS = {model.name: model for model in DECLARED}
 
 def guide() -> list[str]:
     """Return the lines of a table of all theories, in Markdown: when to ask which."""
-    lines = ["| `--model` | label | what it is | a state takes | knows besides | ask it for |",
+    lines = ["| `--model` | label | what it is | time per state | also computes | use it for |",
              "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
     for one in MODELS.values():
         seconds = f"{1e3 * one.seconds:g} ms" if one.seconds < 1.0 else f"{one.seconds:g} s"

@@ -155,20 +155,20 @@ contains
     text = usage_line//nl//nl &
       //'Runs, or resumes, what FILE.nml describes; mpirun -n P battery FILE.nml shares it'//nl &
       //'among P ranks.'//nl//nl &
-      //'  --check      check the input and show the plan; write nothing'//nl &
-      //'  --overwrite  discard results that are there'//nl &
-      //'  --quiet      print nothing but problems'//nl &
-      //'  --json FILE  write where the results are (--check: time and memory) as JSON'//nl &
+      //'  --check      check the input and print the plan; write nothing'//nl &
+      //'  --overwrite  discard existing results'//nl &
+      //'  --quiet      print problems only'//nl &
+      //'  --json FILE  write the path of the results (--check: time and memory) as JSON'//nl &
       //'  --help       print this'//nl &
       //'  --schema     print a JSON Schema of FILE.nml as f90nml turns it into JSON'//nl &
-      //'  --self-test  test in seconds, on all ranks, that what is installed works'//nl &
+      //'  --self-test  test the installed program, on all ranks, in seconds'//nl &
       //'  --version    print version, commit, compiler and libraries'//nl//nl &
       //'Exit codes:'//nl &
       //'  0  every task is complete'//nl &
-      //'  1  the run failed, or some tasks did; finished ones are kept'//nl &
+      //'  1  the run or some tasks failed; results of finished tasks are kept'//nl &
       //'  2  bad command line or input: all problems are listed, nothing was written'//nl &
-      //'  3  stopped early, state saved; the same command goes on'//nl &
-      //'mpirun itself says 1 where it was told to stop.'//nl//nl &
+      //'  3  stopped early, state saved; the same command resumes'//nl &
+      //'Open MPI''s mpirun itself exits with 1 after SIGTERM or SIGINT.'//nl//nl &
       //'To stop a run: '//ways_to_stop//nl//nl &
       //'Groups and keys of the namelist, with their defaults:'//nl//nl &
       //keys_text(all_keys())

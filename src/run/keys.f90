@@ -64,40 +64,41 @@ contains
       key_type('table', 'urn_shape', text_key, '''disc''', 'shape of the urns', &
       choices='disc polygon'), &
       key_type('table', 'urn_sides', whole_key, '', &
-      'sides of regular polygons, even: one at each opening; urn_radius is to corners', &
+      'number of sides of regular polygons, even; urn_radius: from centre to corner', &
       least=4.0_wp, greatest=int(most_corners, int64)), &
       key_type('table', 'urn_vertices', real_key, '', &
-      'corners x1, y1, x2, y2, ... of urn 1, counterclockwise, x to channel 1', &
+      'corners x1, y1, x2, y2, ... of urn 1, counterclockwise, x towards channel 1', &
       most_values=2*most_corners, unit='length'), &
       key_type('table', 'urn2_vertices', real_key, '', &
-      'those of urn 2, x to channel 1 as well; else the mirror image of urn 1', &
+      'corners of urn 2, x towards channel 1 as well; without: mirror image of urn 1', &
       most_values=2*most_corners, unit='length'), &
       key_type('table', 'scatterers', real_key, '', &
-      'fixed discs in channel 2: z, y, radius of each; z = 0 is its counted line', &
+      'fixed discs in channel 2: z, y, radius of each; z = 0 is the periodic line', &
       most_values=30000, unit='length'), &
-      key_type('particles', 'number', whole_key, '', 'how many particles', least=1.0_wp, &
+      key_type('particles', 'number', whole_key, '', 'number of particles', least=1.0_wp, &
       greatest=most_particles, symbol='N'), &
-      key_type('particles', 'urn1_number', whole_key, '', 'how many start in urn 1; else half', &
-      least=0.0_wp, symbol='N1'), &
-      key_type('particles', 'urn1_fraction', real_key, '', 'share that starts in urn 1 instead', &
+      key_type('particles', 'urn1_number', whole_key, '', &
+      'how many start in urn 1; without: half of number', least=0.0_wp, symbol='N1'), &
+      key_type('particles', 'urn1_fraction', real_key, '', 'urn1_number as a fraction of number', &
       least=0.0_wp, greatest=1_int64, symbol='N1/N'), &
       key_type('particles', 'seed', whole_key, '1', 'base seed of the random numbers', &
       least=0.0_wp, greatest=long), &
       key_type('particles', 'initial_file', text_key, '''''', &
       'file with x y ux uy of each particle; x = 0 is the middle of channel 1'), &
       key_type('gate', 'threshold', whole_key, '', &
-      'a gate with more particles reverses; one T for both, or one for each gate', least=0.0_wp, &
+      'a gate that counts more than T reverses; one T for both gates, or two', least=0.0_wp, &
       most_values=2, symbol='T'), &
-      key_type('gate', 'threshold_fraction', real_key, '', 'the same as a share of number', &
+      key_type('gate', 'threshold_fraction', real_key, '', 'threshold as a fraction of number', &
       least=0.0_wp, most_values=2, symbol='T/N'), &
-      key_type('run', 'engine', text_key, '''excursion''', 'how the particles are moved', &
+      key_type('run', 'engine', text_key, '''excursion''', 'method of the simulation', &
       choices=engine_choices()), &
-      key_type('run', 'collisions', whole_key, '100000000', 'wall collisions in all', &
-      least=1.0_wp, greatest=long), &
+      key_type('run', 'collisions', whole_key, '100000000', &
+      'wall collisions in all, the transient included', least=1.0_wp, greatest=long), &
       key_type('run', 'transient_collisions', whole_key, '', &
-      'those before the averages begin; else half', least=0.0_wp, greatest=long), &
-      key_type('run', 'duration', real_key, '0', 'length in time instead of collisions; 0: none', &
-      least=0.0_wp, unit='time'), &
+      'wall collisions before the averages begin; without: half of all', least=0.0_wp, &
+      greatest=long), &
+      key_type('run', 'duration', real_key, '0', &
+      'length of the run in time, instead of collisions; 0: none', least=0.0_wp, unit='time'), &
       key_type('run', 'transient_duration', real_key, '0', 'time before the averages begin', &
       least=0.0_wp, unit='time'), &
       key_type('run', 'start_time', real_key, '0', 'time at the start of the run', &
@@ -110,30 +111,31 @@ contains
     type(key_type), allocatable :: keys(:)
 
     keys = [ &
-      key_type('scan', 'replicas', whole_key, '1', 'runs of each point, with other seeds', &
+      key_type('scan', 'replicas', whole_key, '1', 'runs of each point, with different seeds', &
       least=1.0_wp), &
       key_type('precision', 'chi_replica_error', real_key, '', &
-      'standard error over replicas that chi is to have', least=0.0_wp, above=.true.), &
+      'required standard error of chi over replicas', least=0.0_wp, above=.true.), &
       key_type('precision', 'polarised_current_replica_error', real_key, '', &
-      'standard error over replicas that polarised_current is to have', least=0.0_wp, &
+      'required standard error of polarised_current over replicas', least=0.0_wp, &
       above=.true., unit='1/time'), &
       key_type('precision', 'largest_replicas', whole_key, '64', &
       'largest number of replicas of a point', least=1.0_wp), &
-      key_type('output', 'file', text_key, '''battery.h5''', 'where the results go', &
+      key_type('output', 'file', text_key, '''battery.h5''', 'name of the results file', &
       decides=.false.), &
       key_type('output', 'series_interval', real_key, '0', 'time between series entries; 0: none', &
       least=0.0_wp, unit='time'), &
       key_type('output', 'snapshot_times', real_key, '', &
-      'times at which positions and velocities are kept', least=0.0_wp, most_values=most_values, &
+      'times at which positions and velocities are stored', least=0.0_wp, most_values=most_values, &
       unit='time'), &
       key_type('output', 'snapshot_times_range', real_key, '', 'the same, evenly spaced', &
       least=0.0_wp, most_values=3, is_range=.true., unit='time'), &
       key_type('output', 'event_log', logical_key, '.false.', &
-      'whether events are kept (one task)'), &
+      'whether events are stored (one task)'), &
       key_type('output', 'final_state', logical_key, '.false.', &
-      'whether the final state is kept'), &
-      key_type('limits', 'wall_minutes', real_key, '0', 'the run stops cleanly before; 0: never', &
-      least=0.0_wp, unit='min', decides=.false.), &
+      'whether the final state is stored'), &
+      key_type('limits', 'wall_minutes', real_key, '0', &
+      'the run stops cleanly before this time; 0: no limit', least=0.0_wp, unit='min', &
+      decides=.false.), &
       key_type('limits', 'checkpoint_minutes', real_key, '10', &
       'how often long tasks save their state', least=0.0_wp, unit='min', decides=.false.)]
   end function keys_behind_scan
@@ -155,7 +157,7 @@ contains
     pair(2)%is_range = .true.
     pair(2)%kind = real_key
     pair%meaning = [character(len=80) :: 'values of &'//group//' '//name, 'the same, evenly spaced']
-    if (present(whose)) pair(1)%meaning = 'those of '//whose//', in pairs with '//name &
+    if (present(whose)) pair(1)%meaning = 'values for '//whose//', in pairs with '//name &
       //' if that is a list'
   end function twins
 

@@ -59,9 +59,9 @@ TRANSIENTS = (500.0, 5000.0)
 SLOW = 3000.0  # time in which chi was supposed to relax near the upper transition; it does not
 TITLES = {
     1: "Directions last from visit to visit",
-    2: "An urn remembers by which opening one came",
-    3: "Larger urns do not forget more",
-    4: "Who flies along the axis goes on doing so",
+    2: "An urn remembers the opening of entry",
+    3: "The memory is not weaker in larger urns",
+    4: "Particles on the axis stay on it",
     5: "The transient near the upper transition",
 }
 CLOSE = 3.0  # standard errors within which a prediction counts as met

@@ -85,7 +85,7 @@ def words(kind: int, where: int, particle: int) -> str:
     urns = "from urn 1 to urn 2" if where == 12 else "from urn 2 to urn 1"
     return {
         ENTRY: f"particle {particle} enters gate {where}",
-        REVERSAL: f"gate {where} turns back {particle}",
+        REVERSAL: f"gate {where} reverses {particle} particles",
         CROSSING1: f"particle {particle} crosses the middle line {urns}",
         CROSSING2: f"particle {particle} crosses the periodic line {urns}",
     }[int(kind)]

@@ -76,7 +76,7 @@ def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
     assert [words for _, words in bad["back"]] == [
         "particle 3 enters gate 2",
         "particle 1 enters gate 2",
-        "gate 2 turns back 2",
+        "gate 2 reverses 2 particles",
         "particle 2 enters gate 2",
     ]
     assert [time for time, _ in bad["back"]] == pytest.approx([0.2, 0.4, 0.4, 0.5])
@@ -90,7 +90,7 @@ def test_two_pasts_have_one_present(tmp_path: Path) -> None:
     ]
     ends = [np.array(one["forth_end"]) for one in told]
     assert ends[0] == pytest.approx(ends[1], abs=1e-14)
-    fired = [[time for time, text in one["forth"] if "turns back 2" in text] for one in told]
+    fired = [[time for time, text in one["forth"] if "reverses 2" in text] for one in told]
     assert fired == [pytest.approx([1.3]), pytest.approx([1.1])]
     starts = np.array(pasts.PASTS)[:, :, 0]
     assert (np.abs(starts) > 0.5).all()  # all begin in the urns
