@@ -1,8 +1,8 @@
 """How circulations begin and end, and the current they carry: tables and picture of the page.
 
-Event logs of seven circuits, around T = 7, w' = 0.01, l' = 1, against particles that theory follows
+Event logs of nine circuits, around T = 7, w' = 0.01, l' = 1, against particles that theory follows
 (postproc/theory/circulation.py). Quick: one log of 3e4 time units each, two minutes of a core.
---full: eight of 1e5, twenty minutes.
+--full: eight of 1e5, fifteen minutes.
 """
 
 from __future__ import annotations
@@ -64,6 +64,7 @@ class Case:
 CASES = (
     Case(), Case(threshold=5), Case(threshold=10), Case(channel2_width=0.003),
     Case(channel2_width=0.03), Case(channel2_length=0.5), Case(channel2_length=2.0),
+    Case(channel2_length=0.25), Case(channel2_length=4.0),
 )  # fmt: skip
 
 
@@ -188,10 +189,10 @@ def figure(rates: list[Row], ages: list[Row], widths: list[Row]) -> Figure:
     for at, case in enumerate(CASES):
         own = [row for row in rates if row["circuit"] == case.label
                and row["measured"] > 4.0 * row["error"]]  # fmt: skip
-        rounds = np.array([float(row["rounds"]) for row in own]) * 1.06 ** (at - 3)
+        rounds = np.array([float(row["rounds"]) for row in own]) * 1.05 ** (at - 4)
         ratio = [row["measured"] / row["theory"] for row in own]
         error = [row["error"] / row["theory"] for row in own]
-        reached.errorbar(rounds, ratio, error, fmt="osD^v<>"[at], ms=3.5, lw=0.8, color=f"C{at}",
+        reached.errorbar(rounds, ratio, error, fmt="osD^v<>ph"[at], ms=3.5, lw=0.8, color=f"C{at}",
                          mfc="none", label=case.label)  # fmt: skip
     reached.axhline(1.0, color="black", lw=0.8)
     reached.set(xscale="log", xlabel="round m", ylabel="m-th rounds, measured over theory",
