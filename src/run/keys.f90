@@ -80,7 +80,8 @@ contains
       key_type('particles', 'urn1_number', whole_key, '', &
       'how many start in urn 1; if not given: half of number', least=0.0_wp, symbol='N1'), &
       key_type('particles', 'urn1_fraction', real_key, '', &
-      'fraction of the particles that starts in urn 1', least=0.0_wp, greatest=1_int64, symbol='N1/N'), &
+      'fraction of the particles that starts in urn 1', least=0.0_wp, greatest=1_int64, &
+      symbol='N1/N'), &
       key_type('particles', 'seed', whole_key, '1', 'base seed of the random numbers', &
       least=0.0_wp, greatest=long), &
       key_type('particles', 'initial_file', text_key, '''''', &
