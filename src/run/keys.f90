@@ -70,7 +70,7 @@ contains
       'corners x1, y1, x2, y2, ... of urn 1, counterclockwise, x towards channel 1', &
       most_values=2*most_corners, unit='length'), &
       key_type('table', 'urn2_vertices', real_key, '', &
-      'corners of urn 2, x towards channel 1 as well; without: mirror image of urn 1', &
+      'corners of urn 2, x towards channel 1 as well; if not given: mirror image', &
       most_values=2*most_corners, unit='length'), &
       key_type('table', 'scatterers', real_key, '', &
       'fixed discs in channel 2: z, y, radius of each; z = 0 is the periodic line', &
@@ -78,9 +78,10 @@ contains
       key_type('particles', 'number', whole_key, '', 'number of particles', least=1.0_wp, &
       greatest=most_particles, symbol='N'), &
       key_type('particles', 'urn1_number', whole_key, '', &
-      'how many start in urn 1; without: half of number', least=0.0_wp, symbol='N1'), &
-      key_type('particles', 'urn1_fraction', real_key, '', 'urn1_number as a fraction of number', &
-      least=0.0_wp, greatest=1_int64, symbol='N1/N'), &
+      'how many start in urn 1; if not given: half of number', least=0.0_wp, symbol='N1'), &
+      key_type('particles', 'urn1_fraction', real_key, '', &
+      'fraction of the particles that starts in urn 1', least=0.0_wp, greatest=1_int64, &
+      symbol='N1/N'), &
       key_type('particles', 'seed', whole_key, '1', 'base seed of the random numbers', &
       least=0.0_wp, greatest=long), &
       key_type('particles', 'initial_file', text_key, '''''', &
@@ -88,14 +89,14 @@ contains
       key_type('gate', 'threshold', whole_key, '', &
       'a gate that counts more than T reverses; one T for both gates, or two', least=0.0_wp, &
       most_values=2, symbol='T'), &
-      key_type('gate', 'threshold_fraction', real_key, '', 'threshold as a fraction of number', &
+      key_type('gate', 'threshold_fraction', real_key, '', 'T as a fraction of number', &
       least=0.0_wp, most_values=2, symbol='T/N'), &
       key_type('run', 'engine', text_key, '''excursion''', 'method of the simulation', &
       choices=engine_choices()), &
       key_type('run', 'collisions', whole_key, '100000000', &
       'wall collisions in all, the transient included', least=1.0_wp, greatest=long), &
       key_type('run', 'transient_collisions', whole_key, '', &
-      'wall collisions before the averages begin; without: half of all', least=0.0_wp, &
+      'wall collisions before the averages begin; if not given: half of all', least=0.0_wp, &
       greatest=long), &
       key_type('run', 'duration', real_key, '0', &
       'length of the run in time, instead of collisions; 0: none', least=0.0_wp, unit='time'), &
