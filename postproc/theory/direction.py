@@ -349,9 +349,13 @@ def stationary_states(circuit: Circuit) -> list[State]:
         if np.sign(before) * np.sign(after) >= 0.0:
             continue
 
-        latest = [here]
+        latest, ends = [here], {one: before, other: after}
 
-        def excess(share: float, latest: list[Held] = latest) -> float:
+        def excess(
+            share: float, latest: list[Held] = latest, ends: dict[float, float] = ends
+        ) -> float:
+            if share in ends:  # as found before: iterated from elsewhere it might differ
+                return ends[share]
             latest[0] = equations.held(share, latest[0])
             return _excess(latest[0])
 

@@ -93,7 +93,7 @@ DECLARED = (
     Model(
         "two_port", "two ports",
         "as `renewal_occupation`, with memory of the opening of entry, and circulation",
-        "net currents well inside the polarised region, and their growth with time", 0.05, "-.",
+        "net currents well inside the polarised region, and their growth with time", 0.3, "-.",
         "P", "purple",
         "renewal_occupation", _COUNTED, _PORTS, replace(_PORTS, transition_width=_no_line),
         extras=_of_ports, by_age=two_port.by_age,
