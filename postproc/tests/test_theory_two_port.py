@@ -320,9 +320,12 @@ def test_nothing_goes_round_between_equal_urns() -> None:
     assert around == pytest.approx(0.0, abs=1e-12)
 
 
-def test_circulations_fill_up_with_the_age_of_a_run(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("model", ["two_port", "direction"])
+def test_circulations_fill_up_with_the_age_of_a_run(
+    model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Decade for decade about as much, to the stationary state's; chi stays as it is."""
-    words = ["--number", "1000", "--threshold", "7", "--model", "two_port"]
+    words = ["--number", "1000", "--threshold", "7", "--model", model]
     ages = [0.0, 100.0, 1000.0, 10000.0, 1e9]
     assert call("theory", [*words, "--age", *map(str, ages)]) == 0
     printed = json.loads(capsys.readouterr().out)

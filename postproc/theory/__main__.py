@@ -4,9 +4,9 @@ Options are named like the keys of the namelist; lengths are over the speed v = 
 of two_port and direction includes what circulates, which is told as well. All but window and
 renewal count particles in the channels always. With --tricritical, of theories of well mixed urns:
 where on their line of transition a jump turns into a continuous one, at this T, w, l and r, and
-which of the two the transition is at this N. With --age, of two_port: the net current of a run of
-that age, in the most polarised stable state. Circulations of more rounds than fit into it are left
-out.
+which of the two the transition is at this N. With --age, of two_port and direction: the net
+current of a run of that age, in the most polarised stable state. Circulations of more rounds than
+fit into it are left out.
 """
 
 from __future__ import annotations

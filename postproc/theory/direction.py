@@ -48,7 +48,9 @@ from postproc.theory.states import State
 from postproc.theory.visits import NARROW, visits
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
 
     Floats = NDArray[np.float64]
 
@@ -341,9 +343,9 @@ def homogeneous_kind(circuit: Circuit) -> str:
     return min(states, key=lambda one: abs(one.urn2_number - second)).kind if states else "neutral"
 
 
-def stationary_states(circuit: Circuit) -> list[State]:
-    """Return all states of a circuit, of equal urns those with N2 > N/2 (chi above 0.02)."""
-    equations, number, found = Directions(circuit), float(circuit.number), []
+def _held_states(circuit: Circuit) -> list[tuple[Held, str]]:
+    """Return the circuit held in each of its states, and what kind that is."""
+    equations, found = Directions(circuit), []
     for (one, here), (other, there) in pairwise(scan(circuit)):
         before, after = _excess(here), _excess(there)
         if np.sign(before) * np.sign(after) >= 0.0:
@@ -360,20 +362,34 @@ def stationary_states(circuit: Circuit) -> list[State]:
             return _excess(latest[0])
 
         optimize.brentq(excess, other, one, xtol=1e-5)
-        held = latest[0]
-        urns = [ports.disc(side) for side in circuit.sides]
-        around = float(circulating_current(circuit, urns, held.entries[:, 0], held.across[:, 0]))
-        second = float(held.in_half[1])
-        found.append(
-            State(
-                second,
-                "stable" if before > 0.0 else "unstable",
-                abs(2.0 * second - number) / number,
-                held.net_current + around,
-                around,
-            )
-        )
+        found.append((latest[0], "stable" if before > 0.0 else "unstable"))
     return found
+
+
+def _circulating(circuit: Circuit, held: Held, age: ArrayLike = math.inf) -> Floats:
+    urns = [ports.disc(side) for side in circuit.sides]
+    return circulating_current(circuit, urns, held.entries[:, 0], held.across[:, 0], age)
+
+
+def stationary_states(circuit: Circuit) -> list[State]:
+    """Return all states of a circuit, of equal urns those with N2 > N/2 (chi above 0.02)."""
+    number, found = float(circuit.number), []
+    for held, kind in _held_states(circuit):
+        around, second = float(_circulating(circuit, held)), float(held.in_half[1])
+        chi = abs(2.0 * second - number) / number
+        found.append(State(second, kind, chi, held.net_current + around, around))
+    return found
+
+
+def by_age(circuit: Circuit, ages: Sequence[float]) -> list[dict[str, float]]:
+    """Return the net current of runs of each age in the most polarised stable state, if any."""
+    stable = [held for held, kind in _held_states(circuit) if kind == "stable"]
+    if not stable:
+        return []
+    held = max(stable, key=lambda one: abs(one.in_half[1] - one.in_half[0]))
+    around = _circulating(circuit, held, ages)
+    return [{"age": age, "net_current": held.net_current + float(one)}
+            for age, one in zip(ages, around, strict=True)]  # fmt: skip
 
 
 def flows(circuit: Circuit, number2: float) -> Floats:

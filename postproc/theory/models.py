@@ -60,9 +60,7 @@ _DIRECTIONS = Theory(
     direction.stationary_states, direction.homogeneous_kind, _no_line, direction.outflows,
     settling.passages, direction.flows, direction.growth,
 )  # fmt: skip
-_WALKERS = Theory(
-    one_particle.stationary_states, _walked_kind, _no_line, flows=one_particle.flows
-)
+_WALKERS = Theory(one_particle.stationary_states, _walked_kind, _no_line, flows=one_particle.flows)
 _COUNTED = {"gate": RENEWAL, "occupation": True}
 _CHAIN_TO = 3000.0  # N; a state of 10000 takes 1.6 s, and time grows faster than N
 
@@ -101,7 +99,7 @@ DECLARED = (
     Model(
         "direction", "directions", "as `two_port`, with memory of the direction of entry",
         "chi, currents and transitions alike; lifetimes", 1.0, "-", "X", "violet",
-        "two_port", _COUNTED, _DIRECTIONS, _DIRECTIONS,
+        "two_port", _COUNTED, _DIRECTIONS, _DIRECTIONS, by_age=direction.by_age,
     ),
     Model(
         "one_particle", "one particle",

@@ -230,6 +230,8 @@ def _with_number2(circuit: Circuit, number2: float) -> Balance:
     fewest, most = FEWEST * number, (1.0 - FEWEST) * number
     if excess(fewest) <= 0.0:  # so many do not fit in there beside those that fly
         return balance(circuit, fewest)
+    if excess(most) >= 0.0:  # so few do not fit in there: channel 2 brings more
+        return balance(circuit, most)
     return balance(circuit, optimize.brentq(excess, fewest, most, rtol=1e-12))
 
 
