@@ -1,11 +1,11 @@
 !> Archive of a state: what a type must save for the run to continue to the same last bit.
 !>
 !> A type passes its components through an archive once, in one procedure for both ways: into an
-!> archive that is written they are copied, out of one that is read they are taken. So nobody counts
-!> places, and the two ways cannot differ. Every component travels with its name, its kind and its
-!> size; at the head stand the number of the format and the precision of the program. On reading,
-!> the first that does not fit ends it: `problem` says what was expected, and what follows is left
-!> as it is.
+!> archive that is written they are copied, out of one that is read they are taken. So no offsets
+!> are numbered, and the two ways cannot differ. Every component travels with its name, its kind and
+!> its size; at the head stand the number of the format and the precision of the program. On
+!> reading, the first that does not fit ends it: `problem` says what was expected, and what follows
+!> is left as it is.
 !>
 !> What reads what: an archive is read by a program that passes the same components in the same
 !> order. `format_number` grows when the meaning of a component changes and its name does not.

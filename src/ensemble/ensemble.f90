@@ -34,7 +34,7 @@ contains
   subroutine run_ensemble(plan, communicator, overwrite, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
-    !> Whether to discard what is there; whether only what is wrong is told.
+    !> Whether to discard existing results; whether to print errors only.
     logical, intent(in) :: overwrite, quiet
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
@@ -103,7 +103,7 @@ contains
     real(dp), intent(in) :: busy_seconds, began
     !> The same by the time of day.
     character(len=*), intent(in) :: begun
-    !> Whether only failures are told.
+    !> Whether to print errors only.
     logical, intent(in) :: quiet
     !> What the program should end with; the same on all ranks.
     integer, intent(out) :: exit_code

@@ -333,8 +333,8 @@ contains
       *(times - 1)))
   end function ended_early
 
-  !> Replicas that nobody asks for, of points that are decided, are as if they had never been: they
-  !> may be left from a run that asked for more.
+  !> Removes the replicas of decided points that the plan does not ask for: they may be left from a
+  !> run that asked for more.
   subroutine drop_unwanted_replicas(results, wanted)
     type(results_type), intent(inout) :: results
     integer, intent(in) :: wanted(:)

@@ -36,7 +36,7 @@ contains
     real(dp), intent(in) :: busy(3), seconds
     !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
-    !> Whether no task is left; whether only failures are told.
+    !> Whether no task is left; whether to print errors only.
     logical, intent(in) :: all_done, quiet
     integer :: point, replica, done, task
 

@@ -82,7 +82,7 @@ contains
     end do
     ! All results of this rank must be on the disk.
     if (.not. allocated(error)) call sync_finished(journal, error)
-    ! Its rank 0 may be dead: nobody can be told any more.
+    ! Its rank 0 may have ended, so no message is sent to it.
     if (allocated(error) .and. is_lock_lost(journal%lock)) then
       call print_error(error%message)
       call exit_process(exit_failure)
@@ -97,7 +97,7 @@ contains
 
   contains
 
-    !> Whether the run ends here; if this rank is the first to know, it tells the others.
+    !> Whether the run ends here; the first rank to know informs the others.
     function stop_is_wanted() result(stopping)
       logical :: stopping
 

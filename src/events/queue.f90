@@ -11,7 +11,8 @@ module battery_queue
   public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, rebase_queue, &
     serialize_queue
 
-  !> Particles, each with a time; the arrays `time` and `who` have the size `room`.
+  !> Particles, each with a time; the arrays `time` and `who` (the particles' indices) have the size
+  !> `room`.
   type :: queue_type
     !> Number of particles in it, and size of the arrays.
     integer :: count = 0, room = 0

@@ -78,7 +78,7 @@ contains
         call set_from_entry(entries(at), settings%all(place), settings%problems)
       end if
     end do
-    ! A key that is misspelt counts as given and refused, so it is not told to be missing as well.
+    ! A misspelt key counts as given and refused, so it is not reported as missing as well.
     do at = 1, size(entries)
       if (meant(at) == 0) cycle
       associate (setting => settings%all(meant(at)))

@@ -1,11 +1,11 @@
 !> One run owns an output: a file beside it (`FILE.h5.owner`) says which, on which machine, since
 !> when, and is locked as long as that process lives.
 !>
-!> Who makes the file has the output. An owner of this machine that holds the lock no more is dead,
-!> however it ended, and the next run takes over at once. Of an owner on another machine nobody can
-!> know that: it may be dead, or cut off from the network, and write again when that is back. So
-!> nothing is ever taken from another machine; a user who knows better removes the file. The same
-!> holds on this machine where the file system has no locks.
+!> The run that creates the file owns the output. If no process of this machine holds the lock, the
+!> owner has ended, and the next run takes over at once. Whether an owner on another machine has
+!> ended cannot be known: it may be cut off from the network, and write again when that is back. So
+!> no output is ever taken over from another machine; a user who knows that the owner has ended
+!> removes the file. The same holds on this machine where the file system has no locks.
 !>
 !> Ranks that outlive their rank 0 may still write, and so may a run whose file was removed: each
 !> asks the file before it does (`is_lock_lost`), no two starts write to the same rank file, and
@@ -133,8 +133,8 @@ contains
     lock%handle = c_null_ptr
   end subroutine release_lock
 
-  !> Whether the output is another run's now: then nothing may be written any more. A file that is
-  !> gone tells nothing.
+  !> Whether another run owns the output now: then nothing may be written any more. If the file is
+  !> gone, this is not known, and the answer is no.
   logical function is_lock_lost(lock) result(yes)
     type(lock_type), intent(in) :: lock
     character(len=longest_text) :: now
@@ -207,7 +207,7 @@ contains
     words = holder(:max(0, index(holder, c_null_char) - 1))
   end function words_of
 
-  !> Who owns an output since when, in words.
+  !> The owner of an output, and since when, in words.
   pure function owner_phrase(holder) result(words)
     character(len=*), intent(in) :: holder
     character(len=:), allocatable :: words

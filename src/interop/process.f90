@@ -11,7 +11,7 @@ module battery_process
     subroutine exit_process(code) bind(c, name='exit')
       import :: c_int
       implicit none (type, external)
-      !> What the shell is told, 0 to 255.
+      !> Exit code, 0 to 255.
       integer(c_int), value, intent(in) :: code
     end subroutine exit_process
 
@@ -21,7 +21,7 @@ module battery_process
       implicit none (type, external)
       !> Time from now on.
       integer(c_int), value, intent(in) :: seconds
-      !> What the shell is told, 0 to 255.
+      !> Exit code, 0 to 255.
       integer(c_int), value, intent(in) :: code
     end subroutine exit_after
   end interface

@@ -47,7 +47,7 @@ contains
     if (printed) printed = terminal_write(0_c_int, text, len(text, c_size_t)) == 0
   end subroutine print_text
 
-  !> Prints a line, or several, on standard error; where that fails nobody can be told.
+  !> Prints one or several lines on standard error; an error in doing so is ignored.
   subroutine print_error(text)
     !> Text to print, without its line end.
     character(len=*), intent(in) :: text

@@ -14,7 +14,7 @@
 !>
 !> That was measured, and so (1) is used, for equal discs with equal gates, channels without
 !> scatterers, engines that are exact, T up to 20, and runs without an initial file. Elsewhere, and
-!> where the balance has no polarised state, nothing is told.
+!> where the balance has no polarised state, no remark is made.
 module battery_current_age
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type, point_type, point_of, point_text, table_of
@@ -192,7 +192,7 @@ contains
   !> sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
   pure real(dp) function reversed_share(threshold, load) result(share)
     integer, intent(in) :: threshold
-    !> Mean number inside were nobody reversed, above 0.
+    !> Mean number of particles inside if the gate never reversed, above 0.
     real(dp), intent(in) :: load
     real(dp), parameter :: enough = 1.0e100_dp
     real(dp) :: one, total

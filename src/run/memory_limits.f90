@@ -161,8 +161,8 @@ contains
     close (unit)
   end function group_left
 
-  !> The least that a group or one above it leaves; within a container the path may not be there,
-  !> but its beginning is. Pages of files that nobody reads can be taken.
+  !> The least memory that a control group or one above it leaves; within a container only the
+  !> beginning of the path may exist. Cached pages of files that are not in use count as available.
   function group_and_parents_left(root, path, limit, used, idle) result(bytes)
     character(len=*), intent(in) :: root, path, limit, used, idle
     real(dp) :: bytes, most, now, spare

@@ -1,4 +1,4 @@
-!> From the text of a namelist to a plan: reads, checks, and tells all problems in one error, each
+!> From the text of a namelist to a plan: reads, checks, and reports all problems in one error, each
 !> with file, line, group, key, value and what is allowed. Does not look at files.
 module battery_namelist_input
   use battery_kinds, only: wp
@@ -97,7 +97,8 @@ contains
   end subroutine fill_values
 
   !> The shape of the urns. Of corners that are not whole pairs, none are taken. What was refused
-  !> when it was read is refused here as well, and told once: then there is nothing to compute with.
+  !> when it was read is refused here as well, and reported once: then there is no value to compute
+  !> with.
   subroutine fill_outlines(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan

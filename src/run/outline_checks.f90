@@ -131,7 +131,7 @@ contains
   end subroutine check_outline
 
   !> No side may come near another but at the corner that they share: a side that touches another,
-  !> or runs back along it, is refused whatever its slant. Of all that do, the first is told.
+  !> or runs back along it, is refused whatever its slant. The first of these is reported.
   subroutine check_gaps(plan, key, corner, least)
     type(plan_type), intent(inout) :: plan
     character(len=*), intent(in) :: key
@@ -245,7 +245,7 @@ contains
   end function has_other
 
   !> What of a polygon lies beyond its opening must stay beside the channel, short of its middle. Of
-  !> its corners the one that reaches farthest is told, of its sides the first in the channel.
+  !> its corners the one that reaches farthest is reported, of its sides the first in the channel.
   subroutine check_reach(plan, point, key, corner, channel, side)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point

@@ -1,9 +1,9 @@
 !> What a run is: table, particles, gates, length, scan, output and limits.
 !>
-!> A plan is filled from the namelist; `complete_plan` checks how its parts fit together, tells all
-!> problems at once, and counts the parameter points of the scan. The first of the lists of &scan
-!> varies slowest, the last fastest; every point has all replicas. A list replaces what the key's
-!> own group says, and a value there is a list of one.
+!> A plan is filled from the namelist; `complete_plan` checks how its parts fit together, reports
+!> all problems at once, and counts the parameter points of the scan. The first of the lists of
+!> &scan varies slowest, the last fastest; every point has all replicas. A list replaces what the
+!> key's own group says, and a value there is a list of one.
 !>
 !> Points are made one by one from their numbers (`point_of`): every rank has the plan, and must not
 !> hold a list that grows with the scan.

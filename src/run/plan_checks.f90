@@ -89,7 +89,7 @@ contains
     type(plan_type), intent(inout) :: plan
 
     if (plan%duration > 0.0_wp) then
-      ! What is left after it must be told from nothing.
+      ! The measured time must be more than the rounding of the duration.
       if (plan%transient_duration > (1.0_wp - finest)*plan%duration) &
         call refuse_value(plan, 'transient_duration', to_text(plan%transient_duration), &
         'below duration, which is '//to_text(plan%duration))
