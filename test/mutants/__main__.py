@@ -24,7 +24,8 @@ HERE = Path(__file__).resolve().parent
 #: Suites without MPI in which the physics and what is measured are met.
 SUITES = ["test_admit", "test_blocks", "test_calendar", "test_channel",
           "test_collision", "test_disc", "test_excursion", "test_frozen", "test_gate",
-          "test_identities", "test_instant", "test_laws", "test_observer", "test_opening_search",
+          "test_identities", "test_instant", "test_laws", "test_laws_statistics", "test_observer",
+          "test_opening_search",
           "test_ordering", "test_polarised_current", "test_polygon", "test_polygon_engines",
           "test_quantities", "test_queue", "test_random", "test_reservoir", "test_rotation",
           "test_half_channel_visits", "test_scatterers", "test_simulation", "test_archive",
