@@ -91,7 +91,7 @@ contains
       if (one%stopped) exit
     end do
     one%seconds = wall_seconds() - began
-    call one%engine%particles(1, one%number, one%particles)
+    call one%engine%get_particles(1, one%number, one%particles)
   end subroutine run_case
 
   !> Crossings of a window from half 1 to 2 (`odd` = 1) or back (0).

@@ -48,7 +48,7 @@ contains
       end do
       elapsed = elapsed + event_record%duration
     end do
-    call engine%particles(1, engine%number, found)
+    call engine%get_particles(1, engine%number, found)
     call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//argument(2) &
       //'", "trapped": '//to_text(engine%trapped())//', "hits": '//to_text(engine%collisions()) &
       //', "time": '//json_list(time)//', "kind": '//json_list(real(what(1, :), wp)) &

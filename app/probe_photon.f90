@@ -40,7 +40,7 @@ contains
       call engine%advance(10.0_wp - elapsed, event_record)
       elapsed = elapsed + event_record%duration
     end do
-    call engine%particles(1, 1, photon)
+    call engine%get_particles(1, 1, photon)
     distance = hypot(photon%x(1) - sign(table%urn(1)%periodic_line, photon%x(1)), photon%y(1))
     print '(a, 1x, i0, 1x, f0.32, 1x, es9.1)', precision_name(), engine%collisions(), distance, &
       abs(distance - published)

@@ -10,7 +10,7 @@ module battery_probe_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, gated, ungated, facing
   use battery_corners, only: distance_to_side
-  use battery_polygon, only: polygon_type, surely_next_side, reflect_from_side
+  use battery_polygon, only: polygon_type, find_next_side_robustly, reflect_from_side
   use battery_table, only: table_type, new_table, shape_circuit, urn_type
   use battery_urn, only: shape_polygon
   use battery_probe, only: rounded_to_bits, stop_with_message
@@ -78,8 +78,8 @@ contains
     length = 0.0_wp
     room = huge(1.0_wp)
     do hits = 0, most_hits
-      call surely_next_side(polygon, (side), place(1), place(2), velocity(1), velocity(2), side, &
-        wait)
+      call find_next_side_robustly(polygon, (side), place(1), place(2), velocity(1), velocity(2), &
+        side, wait)
       if (side == 0) return
       next = place + wait*velocity
       length = length + wait

@@ -288,7 +288,7 @@ contains
       one%crossings = one%crossings + [crossings(event_record, 1), crossings(event_record, 0)]
     end do
     one%seconds = wall_seconds() - began
-    call one%engine%particles(1, 1000, one%particles)
+    call one%engine%get_particles(1, 1000, one%particles)
     call print_case(one, farthest_beyond_walls(table, one%particles))
     one%name = 'long run, count of half 1'
     call print_case(one, real(count(one%particles%x < 0.0_wp) - first + int(one%crossings(1) &

@@ -62,7 +62,7 @@ contains
         elapsed = elapsed + event_record%duration
       end do
       spent = spent + (processor_seconds() - began)
-      call engine%particles(1, engine%number, found)
+      call engine%get_particles(1, engine%number, found)
       call print_json_line('{"time": '//to_text(real(one%times(k), dp))//', "x": ' &
         //json_list(found%x)//', "y": '//json_list(found%y)//'}')
     end do
@@ -91,12 +91,12 @@ contains
     do k = 1, size(one%times)
       call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
       call advance_for(engine, one%times(k), event_record)
-      call engine%particles(1, engine%number, found)
+      call engine%get_particles(1, engine%number, found)
       found%ux = -found%ux
       found%uy = -found%uy
       call start_engine(one%engine, one%table, one%threshold, found, one%step, engine)
       call advance_for(engine, one%times(k), event_record)
-      call engine%particles(1, engine%number, found)
+      call engine%get_particles(1, engine%number, found)
       call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//one%engine &
         //'", "time": '//to_text(real(one%times(k), dp))//', "error": '//json_list(hypot(found%x &
         - one%particles%x, found%y - one%particles%y))//'}')

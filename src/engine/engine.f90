@@ -22,7 +22,7 @@ module battery_engine
     real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
   end type particles_type
 
-  !> What all engines have. An engine extends it by how its particles move.
+  !> State that all engines have. An extension adds the motion of its particles.
   type, abstract :: engine_type
     type(table_type) :: table
     !> The gates of urn 1 and urn 2.
@@ -48,8 +48,8 @@ module battery_engine
     procedure :: supports
     !> Derives sizes and lengths from `table`, `number` and `time_step`; sets `epoch`.
     procedure(prepare_engine_interface), deferred :: prepare_engine
-    !> Loads the particles, which have been checked. May free their arrays on the way, so that large
-    !> systems fit.
+    !> Loads the particles, which have been checked. May free their arrays as it proceeds, so that
+    !> large systems fit into memory.
     procedure(load_particles_interface), deferred :: load_particles
     !> Advances by at most one window and at most `duration`; fills `event_record`, sets `now`.
     procedure(advance_window_interface), deferred :: advance_window
@@ -58,7 +58,7 @@ module battery_engine
     procedure :: rebase_clock => rebase_gates_and_clock
     !> Serialises what the engine itself adds.
     procedure(serialize_interface), deferred :: serialize_own_state
-    procedure, non_overridable :: particles
+    procedure, non_overridable :: get_particles
     !> x, y, u_x, u_y of one particle now.
     procedure(state_interface), deferred :: state_of
     !> Exact number of wall collisions from the start until now; may cost a pass over the particles,
@@ -167,7 +167,7 @@ contains
     class(engine_type), intent(inout) :: self
     !> In time units; above 0.
     real(wp), intent(in) :: duration
-    !> What happened in the window.
+    !> Events and counts of the window.
     type(event_record_type), intent(inout) :: event_record
 
     if (self%now >= self%epoch) call self%rebase_clock()
@@ -238,7 +238,7 @@ contains
   end subroutine serialize_state
 
   !> Positions and velocities of the particles `first` ... `last` now, in the frame of the table.
-  subroutine particles(self, first, last, found)
+  subroutine get_particles(self, first, last, found)
     class(engine_type), intent(in) :: self
     integer, intent(in) :: first, last
     !> The particles from `first` on.
@@ -255,9 +255,9 @@ contains
       found%ux(k) = state(3)
       found%uy(k) = state(4)
     end do
-  end subroutine particles
+  end subroutine get_particles
 
-  !> Allocates the arrays.
+  !> Allocates positions and velocities.
   pure subroutine allocate_particles(particles, number)
     type(particles_type), intent(out) :: particles
     !> Number of particles.

@@ -11,17 +11,16 @@ module battery_engines
   use battery_reservoir, only: reservoir_type
   implicit none (type, external)
   private
-  public :: engine_names, new_engine, engine_choices, has_step, bytes_a_particle, explain_refusal
+  public :: engine_names, new_engine, engine_choices, has_step, bytes_per_particle, explain_refusal
 
-  !> An engine, described before it is made.
+  !> Properties of an engine that are needed before one is made.
   type :: entry_type
     character(len=11) :: name
-    !> Bytes that it takes for each particle at most: with the initial positions and velocities,
-    !> with arrays whose size is a power of two, and with two copies of its state while that is
-    !> saved or read, as may happen at any time. Measured: 196, 177, 140, 109, 244; without a state
-    !> 93, 87, 93, 65, 89.
+    !> Largest number of bytes per particle: with the initial positions and velocities, with arrays
+    !> whose size is a power of two, and with two copies of the state, as while it is saved or read.
+    !> Measured: 196, 177, 140, 109, 244; without copies of the state 93, 87, 93, 65, 89.
     real(dp) :: bytes
-    !> Whether it takes `time_step`.
+    !> Whether the engine needs `time_step`.
     logical :: has_step
   end type entry_type
 
@@ -70,7 +69,7 @@ contains
     end do
   end function engine_choices
 
-  !> Whether an engine takes `time_step`.
+  !> Whether an engine needs `time_step`.
   pure function has_step(name)
     !> As in the namelist.
     character(len=*), intent(in) :: name
@@ -79,14 +78,14 @@ contains
     has_step = any(engines%has_step .and. engine_names == name)
   end function has_step
 
-  !> Largest number of bytes that an engine takes for each particle.
-  pure function bytes_a_particle(name) result(bytes)
+  !> Largest number of bytes per particle that an engine allocates.
+  pure function bytes_per_particle(name) result(bytes)
     !> As in the namelist.
     character(len=*), intent(in) :: name
     real(dp) :: bytes
 
     bytes = sum(engines%bytes, mask=engine_names == name)
-  end function bytes_a_particle
+  end function bytes_per_particle
 
   !> Why an engine cannot simulate a table: `reason`, in words for the user, empty if it can; and
   !> the engines that can: `others`.

@@ -1,10 +1,10 @@
-!> What happened in one window of an engine: crossings, counts, and the event log.
+!> Record of one window of an engine: crossings, counts, and the event log.
 !>
 !> Times count from the beginning of the window, so they stay sharp however long the run has been.
 module battery_event_record
   use battery_kinds, only: wp, int8, int32, int64
   use battery_channel, only: gated, ungated
-  use battery_ordering, only: put_times_in_order => sort_by_time
+  use battery_ordering, only: sort_by_time
   implicit none (type, external)
   private
   public :: event_record_type, reserve_event_record, grow_event_record, record_crossing, &
@@ -26,13 +26,13 @@ module battery_event_record
 
   !> Kind and direction of a crossing in the event log.
   integer, parameter :: event_of(4) = [event_crossing1, event_crossing1, event_crossing2, &
-    event_crossing2], way_of(4) = [12, 21, 12, 21]
+    event_crossing2], direction_of(4) = [12, 21, 12, 21]
 
-  !> What happened in one window. Arrays may be longer than their counts.
+  !> Events and counts of one window. Arrays may be longer than their counts.
   type :: event_record_type
     !> Length of the window.
     real(wp) :: duration = 0.0_wp
-    !> Crossings in the order of time: when, and which (`channel1_12` ...).
+    !> Crossings in the order of time: time and kind (`channel1_12` ...) of each.
     integer :: crossings = 0
     !> Size of the arrays of crossings; below 0 before they are allocated.
     integer, private :: room = -1
@@ -45,7 +45,8 @@ module battery_event_record
     !> Sum of |N1 - N2| over the states after each wall collision, and their number; only from
     !> engines that process every collision.
     integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
-    !> The event log, if asked for: kind, where (gate, or 12 or 21), particle (or how many).
+    !> The event log, if asked for: time, kind, place (gate, or direction 12 or 21) and particle (of
+    !> a reversal: number of particles) of each event.
     logical :: logging = .false.
     integer :: events = 0
     real(wp), allocatable :: event_time(:)
@@ -125,7 +126,7 @@ contains
     event_record%crossing_time(event_record%crossings) = time
     event_record%crossing(event_record%crossings) = int(crossing, int8)
     if (event_record%logging) call record_event(event_record, time, event_of(crossing), &
-      way_of(crossing), particle)
+      direction_of(crossing), particle)
   end subroutine record_crossing
 
   !> Adds a reversal of a gate, which turns back `counted` particles.
@@ -146,7 +147,7 @@ contains
     type(event_record_type), intent(inout) :: event_record
     !> Since the window began.
     real(wp), intent(in) :: time
-    !> `event_entry` ...; the gate, or 12 or 21; the particle, or how many.
+    !> Kind (`event_entry` ...); gate, or direction 12 or 21; particle, or number of particles.
     integer, intent(in) :: kind, where, particle
     integer :: at
 
@@ -207,12 +208,12 @@ contains
     integer :: first, last
 
     associate (n => event_record%crossings)
-      call sort_order_of_times(n, event_record%crossing_time, order)
+      call sort_times_with_permutation(n, event_record%crossing_time, order)
       event_record%crossing(:n) = event_record%crossing(order)
     end associate
     if (.not. event_record%logging) return
     associate (n => event_record%events)
-      call sort_order_of_times(n, event_record%event_time, order)
+      call sort_times_with_permutation(n, event_record%event_time, order)
       event_record%event_kind(:n) = event_record%event_kind(order)
       event_record%event_where(:n) = event_record%event_where(order)
       event_record%event_particle(:n) = event_record%event_particle(order)
@@ -227,15 +228,15 @@ contains
     end associate
   end subroutine sort_event_record
 
-  !> Sorts times, and returns where each was.
-  subroutine sort_order_of_times(n, time, order)
+  !> Sorts the first `n` times; `order` is the permutation: the index that each had before.
+  subroutine sort_times_with_permutation(n, time, order)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(:)
     integer, allocatable, intent(out) :: order(:)
     integer :: k
 
     order = [(k, k=1, n)]
-    call put_times_in_order(n, time(:n), order)
-  end subroutine sort_order_of_times
+    call sort_by_time(n, time(:n), order)
+  end subroutine sort_times_with_permutation
 
 end module battery_event_record

@@ -1,7 +1,7 @@
 !> The memory that a plan needs, set against what there is before anything is run.
 module battery_memory_estimate
   use battery_kinds, only: wp, dp, pi
-  use battery_engines, only: bytes_a_particle
+  use battery_engines, only: bytes_per_particle
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_memory_limits, only: free_memory_type, memory_left, bytes_an_entry, bytes_a_state, &
     bytes_an_event, bytes_a_task, merged_entry, merged_state, base_bytes, most_numbers, size_text
@@ -51,7 +51,7 @@ contains
       point = point_of(plan, at)
       estimate%least = min(estimate%least, point%number)
       estimate%greatest = max(estimate%greatest, point%number)
-      if (bytes_a_particle(plan%engine)*point%number + base_bytes > left%bytes) then
+      if (bytes_per_particle(plan%engine)*point%number + base_bytes > left%bytes) then
         estimate%too_large = estimate%too_large + 1
       else
         estimate%number = max(estimate%number, point%number)
@@ -61,7 +61,7 @@ contains
     tasks = real(task_count(plan), dp)
     others = real(plan%point_count - estimate%too_large, dp)*plan%replicas - 1.0_dp
     others = max(others, 0.0_dp)
-    estimate%particles = bytes_a_particle(plan%engine)*estimate%number
+    estimate%particles = bytes_per_particle(plan%engine)*estimate%number
     estimate%snapshots = bytes_a_state*size(plan%snapshot_times)*estimate%number
     if (plan%final_state) estimate%final_state = bytes_a_state*estimate%number
     estimate%merge = bytes_a_task*tasks + (estimate%snapshots + estimate%final_state) &

@@ -6,7 +6,7 @@ module battery_task_loop
     drive_mpi_progress, mpi_progress_interval, tasks_finished, tasks_failed, collisions_done, &
     stop_wanted
   use battery_engine, only: particles_type
-  use battery_engines, only: bytes_a_particle
+  use battery_engines, only: bytes_per_particle
   use battery_error, only: error_type, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, read_state, write_state, write_finished, &
     sync_finished
@@ -227,7 +227,7 @@ contains
     logical :: resumed
 
     cpu_before = 0.0_dp
-    call check_memory(bytes_a_particle(task%setup%engine)*task%number, to_text(task%number) &
+    call check_memory(bytes_per_particle(task%setup%engine)*task%number, to_text(task%number) &
       //' particles', error)
     if (allocated(error)) return
     call read_state(journal, task, simulation, cpu_before, resumed, error)

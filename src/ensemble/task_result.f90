@@ -74,7 +74,7 @@ contains
       found%snapshots(n*(k - 1) + 1:n*k) = flat(simulation%snapshot(k))
     end do
     if (task%final_state) then
-      call simulation%engine%particles(1, simulation%engine%number, particles)
+      call simulation%engine%get_particles(1, simulation%engine%number, particles)
       found%final_state = flat(particles)
     end if
   end function result_of

@@ -129,7 +129,7 @@ contains
         return
       end if
     end associate
-    call simulation%engine%particles(1, simulation%engine%number, final)
+    call simulation%engine%get_particles(1, simulation%engine%number, final)
     if (.not. is_final_state(log, final%x, final%y, final%ux, final%uy)) &
       problem = 'the final state differs'
   end function what_differs

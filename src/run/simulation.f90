@@ -13,7 +13,7 @@ module battery_simulation
   use battery_event_record, only: event_record_type
   use battery_observer, only: end_series, observer_type, new_observer, observe_window, &
     begin_measuring, serialize_observer
-  use battery_engines, only: new_engine, explain_refusal, bytes_a_particle
+  use battery_engines, only: new_engine, explain_refusal, bytes_per_particle
   use battery_event_log, only: event_log_type, append_events, serialize_events
   use battery_archive, only: archive_type
   use battery_memory_limits, only: check_memory, enough_memory, bytes_an_entry, bytes_a_state, &
@@ -148,7 +148,7 @@ contains
     real(dp) :: bytes
 
     associate (setup => simulation%setup, number => simulation%observer%number)
-      bytes = (bytes_a_particle(setup%engine) - there)*number &
+      bytes = (bytes_per_particle(setup%engine) - there)*number &
         + bytes_a_state*size(setup%snapshot_times)*number
       if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
         bytes = bytes + bytes_an_entry*real(setup%duration/setup%series_interval, dp)
@@ -230,7 +230,7 @@ contains
 
     do while (reached(simulation, next_snapshot(simulation)))
       simulation%snapshots_taken = simulation%snapshots_taken + 1
-      call simulation%engine%particles(1, simulation%engine%number, &
+      call simulation%engine%get_particles(1, simulation%engine%number, &
         simulation%snapshot(simulation%snapshots_taken))
     end do
   end subroutine take_snapshots
@@ -355,7 +355,7 @@ contains
     on_line = 0
     do first = 1, simulation%engine%number, chunk
       last = min(first + chunk - 1, simulation%engine%number)
-      call simulation%engine%particles(first, last, particles)
+      call simulation%engine%get_particles(first, last, particles)
       do i = 1, last - first + 1
         if (chamber_at(simulation%setup%table, particles%x(i), particles%y(i), sharp) == outside) &
           lost = lost + 1

@@ -1,11 +1,11 @@
-!> Motion of one particle from event to event: what it meets next and when, and its state after
-!> that.
+!> Motion of one particle from event to event: the next wall or line that it reaches, the time until
+!> then, and its state afterwards.
 !>
 !> Geometry in the coordinates of the table: in a channel one line and two straight walls, in an urn
-!> what its shape provides. Chords, the middle line and the periodic line are met like walls, but do
-!> not reflect. What a particle can meet follows from its chamber and its direction, never from its
-!> distance to a wall: no position has to be nudged, and a particle is placed exactly on what it
-!> meets.
+!> the walls of its shape. Chords, the middle line and the periodic line are treated like walls, but
+!> do not reflect. The walls and lines that a particle can reach follow from its chamber and its
+!> direction, never from its distance to a wall: no position has to be nudged, and a particle is
+!> placed exactly on the wall or line that it reaches.
 module battery_bounce
   use battery_kinds, only: wp, int8
   use battery_table, only: table_type, urn_type, gated, ungated, no_channel, in_urn, in_gate, &
@@ -13,7 +13,7 @@ module battery_bounce
   use battery_channel, only: facing
   use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
     meets_urn, meets_line, meets_channel_wall
-  use battery_scatterers, only: scattered_half_channel_type, next_wall_in_half_channel, &
+  use battery_scatterers, only: scattered_half_channel_type, find_next_wall_in_half_channel, &
     reflect_in_half_channel, detect_periodic_path
   use battery_urn, only: find_next_wall, reflect_at_wall
   implicit none (type, external)
@@ -34,7 +34,8 @@ contains
       chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
   end function motion_at
 
-  !> Finds what a particle whose state is new meets first, and the time `wait` until then.
+  !> Finds the first wall or line that a newly placed particle reaches, and the time `wait` until
+  !> then.
   pure subroutine find_first_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -87,13 +88,14 @@ contains
     x = urn%periodic_line + urn%axis_sign*motion%x
     ux = urn%axis_sign*motion%ux
     call reflect_in_half_channel(half_channel, int(motion%next), x, motion%y, ux, motion%uy)
-    call next_wall_in_half_channel(half_channel, x, motion%y, ux, motion%uy, motion%next, wait)
+    call find_next_wall_in_half_channel(half_channel, x, motion%y, ux, motion%uy, motion%next, wait)
     motion%x = urn%axis_sign*(x - urn%periodic_line)
     motion%ux = urn%axis_sign*ux
   end subroutine reflect_at_scatterer
 
-  !> Finds what a particle in a channel meets next. Of a wall and a chord at the same time the wall
-  !> comes first: the corner belongs to the channel.
+  !> Finds the next wall or line of a particle in a channel, and the time `wait` until then. If it
+  !> reaches a wall and a chord at the same time, the wall comes first: the corner belongs to the
+  !> channel.
   pure subroutine find_next_wall_in_channel(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -102,8 +104,9 @@ contains
     if (motion%chamber == in_return) then
       associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
         if (half_channel%count > 0) then
-          call next_wall_in_half_channel(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
-            motion%y, urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
+          call find_next_wall_in_half_channel(half_channel, &
+            urn%periodic_line + urn%axis_sign*motion%x, motion%y, urn%axis_sign*motion%ux, &
+            motion%uy, motion%next, wait)
           return
         end if
       end associate
@@ -111,7 +114,7 @@ contains
     call find_next_wall_in_strip(table%urn(motion%urn), motion, wait)
   end subroutine find_next_wall_in_channel
 
-  !> As `find_next_wall_in_channel`, without discs.
+  !> As `find_next_wall_in_channel`, for a channel without discs.
   pure subroutine find_next_wall_in_strip(urn, motion, wait)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
@@ -143,9 +146,9 @@ contains
     end if
   end subroutine find_next_wall_in_strip
 
-  !> Moves a particle over the line that it has met: through a chord into a channel or an urn; over
-  !> the middle line; over the periodic line, from one end of the table to the other; or back, if
-  !> the line is an end wall.
+  !> Moves a particle across the line that it has reached: through a chord into a channel or an urn;
+  !> over the middle line; over the periodic line, from one end of the table to the other; or back,
+  !> if the line is an end wall.
   pure subroutine pass_line(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -183,7 +186,7 @@ contains
     call find_next_wall_in_channel(table, motion, wait)
   end subroutine pass_line
 
-  !> Reverses a particle of channel 1, which has been moved to its present position.
+  !> Reverses u_x of a particle in channel 1, which has been moved to its present position.
   pure subroutine reverse_motion(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -238,7 +241,7 @@ contains
     channel = merge(gated, ungated, motion%chamber == in_gate)
   end function channel_of
 
-  !> Half the width of that channel.
+  !> Half the width of the channel that a particle is in.
   elemental function half_width_at(urn, motion) result(half_width)
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(in) :: motion

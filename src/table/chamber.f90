@@ -1,4 +1,4 @@
-!> A chamber: region of the table in which a visit takes place, and where a particle meets no other.
+!> A chamber: region of the table in which a visit takes place, and where particles do not interact.
 !>
 !> A chamber is an urn of any shape with the straight half channels before its openings. A visit is
 !> a pure function from entry (opening, position, direction) to exit (opening, position, direction,
@@ -27,8 +27,8 @@ module battery_chamber
     !> Greatest distance of a point of the urn from the origin. Points between the chords whose
     !> distance from the origin is at most `clear` are inside; 0 if the origin is outside.
     real(wp) :: reach = 0.0_wp, clear = 0.0_wp
-    !> A shorter time step is small compared with the urn, and crosses no wall between two of its
-    !> parts.
+    !> A time step below this is small compared with the urn, and leads across no wall from one part
+    !> of the urn into another.
     real(wp) :: longest_step = 0.0_wp
     !> A path through the urn is at least as long as the depths of its two openings together, which
     !> may be the same opening.

@@ -1,7 +1,7 @@
 !> Straight channels, and passages through them by unfolding.
 !>
-!> With the strip reflected over and over, the height after a time t is y + u_y t; the number of
-!> strips passed is the number of wall hits, and each reflection changes the sign of y and u_y.
+!> In the plane made of mirror images of the strip, the height after a time t is y + u_y t; the
+!> number of strips crossed is the number of wall hits, and each changes the sign of y and u_y.
 module battery_channel
   use battery_kinds, only: wp
   implicit none (type, external)
@@ -14,9 +14,9 @@ module battery_channel
   !> Direction along x from the middle of an urn to each channel, in the frame of the urn.
   real(wp), parameter :: facing(2) = [1.0_wp, -1.0_wp]
 
-  !> A channel of the table: lengths.
+  !> Dimensions of a channel of the table.
   type :: channel_type
-    !> From wall to wall (0: closed), and from urn to urn, both halves together.
+    !> Distance from wall to wall (0: closed), and from urn to urn, both halves together.
     real(wp) :: width = 0.0_wp, length = 1.0_wp
   end type channel_type
 

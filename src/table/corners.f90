@@ -7,7 +7,7 @@ module battery_corners
   use battery_kinds, only: wp, pi
   implicit none (type, external)
   private
-  public :: most_corners, regular_corners, enclosed_area, directions_stay, reversed_corners, &
+  public :: most_corners, regular_corners, enclosed_area, is_rational_polygon, reversed_corners, &
     next_corner, distance_to_side, sides_meet, side_distance, side_on_axis
 
   !> Largest number of corners of a polygon.
@@ -25,8 +25,8 @@ contains
     real(wp) :: angle
     integer :: k, half_count
 
-    ! Half of the corners, counterclockwise from the right to the left; those on the left are exact
-    ! mirror images of those on the right, and the other half is that of these.
+    ! The upper half of the corners, counterclockwise from the right to the left; those on the left
+    ! are exact mirror images of those on the right, and the lower half of those of the upper half.
     half_count = sides/2
     do k = 1, (half_count + 1)/2
       angle = pi*real(2*k - 1, wp)/real(sides, wp)
@@ -56,12 +56,12 @@ contains
     end do
   end function enclosed_area
 
-  !> Whether a particle only ever has finitely many directions: all sides are, within rounding of
-  !> typed digits, at whole multiples of one fraction of pi.
-  pure logical function directions_stay(corner)
+  !> Whether a polygon is rational, so that a particle in it has finitely many directions: the
+  !> angles of all sides are, within the rounding of typed digits, whole multiples of pi/n.
+  pure logical function is_rational_polygon(corner)
     !> Corners, (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
-    !> Smallest fraction that is tried, and tolerance for the angle of a side.
+    !> Largest n that is tried, and tolerance for the angle of a side.
     integer, parameter :: most_parts = 120
     real(wp), parameter :: sharp = 1.0e-6_wp
     real(wp) :: angle(size(corner, 2)), parts
@@ -73,13 +73,13 @@ contains
           corner(1, next_corner(k, n)) - corner(1, k))
       end do
     end associate
-    directions_stay = .true.
+    is_rational_polygon = .true.
     do k = 1, most_parts
       parts = real(k, wp)/pi
       if (all(abs(angle*parts - anint(angle*parts)) < sharp*parts)) return
     end do
-    directions_stay = .false.
-  end function directions_stay
+    is_rational_polygon = .false.
+  end function is_rational_polygon
 
   !> The same polygon with its corners in the opposite order; the first one stays the first.
   pure function reversed_corners(corner) result(reversed)
@@ -138,7 +138,7 @@ contains
 
   !> Whether the sides a-b and c-d have a point in common.
   pure function sides_meet(a, b, c, d) result(meet)
-    !> Their ends: lengths.
+    !> Ends of the sides: lengths.
     real(wp), intent(in) :: a(2), b(2), c(2), d(2)
     logical :: meet
     real(wp) :: side_c, side_d, side_a, side_b
@@ -156,7 +156,7 @@ contains
 
   !> Distance between the sides a-b and c-d.
   pure function side_distance(a, b, c, d) result(distance)
-    !> Their ends: lengths.
+    !> Ends of the sides: lengths.
     real(wp), intent(in) :: a(2), b(2), c(2), d(2)
     real(wp) :: distance
 

@@ -9,7 +9,7 @@
 !> `disc_visits.f90`.
 !>
 !> **From wall to wall** the intersections of a line and a circle are computed. A particle is placed
-!> exactly on what it meets; each hit sets its speed back to 1 by a Newton step.
+!> exactly on the wall or chord that it reaches; each hit sets its speed to 1 by a Newton step.
 module battery_disc
   use battery_kinds, only: wp, int64, angle_kind, pi
   use battery_channel, only: channel_type, gated, ungated, no_opening => no_channel
@@ -19,14 +19,14 @@ module battery_disc
   implicit none (type, external)
   private
   public :: disc_type, new_disc, is_in_disc, try_point_in_disc, locate_in_disc
-  public :: first_impact_in_disc, sharp_incidence
-  public :: next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
+  public :: find_first_impact_in_disc, recompute_grazing_incidence
+  public :: find_next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
 
-  !> Incidences with a smaller cosine are recomputed, accurate to all digits.
+  !> Incidences with a smaller cosine are recomputed to full precision.
   real(wp), parameter, public :: grazing_cosine = 1.0e-3_wp
 
-  !> Expected share of particles that leave at an impact; below it, stepping from impact to impact
-  !> does not pay.
+  !> If the expected share of particles that leave at an impact is below this, stepping from impact
+  !> to impact does not pay.
   real(wp), parameter :: least_exit_share = 0.01_wp
 
   !> Geometry of a disc with its openings.
@@ -43,9 +43,10 @@ module battery_disc
 
 contains
 
-  !> Disc with openings. Why `depth` is the distance of the chord: impacts go round the circle in
-  !> one sense, by at most half a turn each, so on the way back to an opening one of them lies in
-  !> the far half of the disc, and the way there and back is at least twice that distance.
+  !> Makes a disc with openings. `depth` is the distance of the chord from the centre: impacts
+  !> follow each other round the circle in one sense, by at most half a turn each, so on a path from
+  !> an opening back to it one impact lies in the far half of the disc, and the path is at least
+  !> twice as long as that distance.
   pure function new_disc(radius, channel) result(disc)
     !> Radius, a length.
     real(wp), intent(in) :: radius
@@ -115,27 +116,27 @@ contains
   end subroutine try_point_in_disc
 
   !> First impact of a particle that is in the disc; openings count as wall.
-  pure subroutine first_impact_in_disc(disc, x, y, ux, uy, angle, cosine, sine, wait, before)
+  pure subroutine find_first_impact_in_disc(disc, x, y, ux, uy, angle, cosine, sine, wait, before)
     type(disc_type), intent(in) :: disc
     !> Position, lengths, and velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     !> Angle of the impact (radians, from the x axis), cosine and sine of the incidence; time until
     !> the impact.
     real(wp), intent(out) :: angle, cosine, sine, wait
-    !> Wall hits until then that `locate_in_disc` does not count: none.
+    !> Wall hits until the impact that `locate_in_disc` does not count: none.
     integer(int64), intent(out) :: before
 
     sine = (x*uy - y*ux)/disc%radius
     cosine = sqrt(max((1.0_wp - sine)*(1.0_wp + sine), 0.0_wp))
-    if (cosine < grazing_cosine) call sharp_incidence(disc, x, y, ux, uy, cosine, sine)
+    if (cosine < grazing_cosine) call recompute_grazing_incidence(disc, x, y, ux, uy, cosine, sine)
     angle = atan2(uy*cosine - ux*sine, ux*cosine + uy*sine)
     wait = disc%radius*cosine - (x*ux + y*uy)
     before = 0
-  end subroutine first_impact_in_disc
+  end subroutine find_first_impact_in_disc
 
-  !> Recomputes a grazing incidence to all digits, from the depth below the circle and the velocity
-  !> component along the radius.
-  pure subroutine sharp_incidence(disc, x, y, ux, uy, cosine, sine)
+  !> Recomputes a grazing incidence to full precision, from the depth below the circle and the
+  !> velocity component along the radius.
+  pure subroutine recompute_grazing_incidence(disc, x, y, ux, uy, cosine, sine)
     type(disc_type), intent(in) :: disc
     !> Position, lengths, and velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
@@ -156,7 +157,7 @@ contains
     if (.not. c < grazing_cosine) return
     cosine = c
     sine = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), sine)
-  end subroutine sharp_incidence
+  end subroutine recompute_grazing_incidence
 
   !> Position of a particle in the disc at a time relative to an impact, or to the end of its visit.
   pure subroutine locate_in_disc(disc, channel, y, u_axial, u_lateral, since, position, velocity, &
@@ -167,11 +168,12 @@ contains
     !> Height (a length), |u_x| and u_y at the chord of that channel. For a visit that never ends:
     !> angle of an impact (radians, from the x axis), cosine and sine of the incidence.
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> Time since then; below 0: until then.
+    !> Time since the impact or the end of the visit; below 0: time until then.
     real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Wall hits since then, the impact itself included; below 0: hits that are still to come.
+    !> Wall hits since then, the impact itself included; below 0: minus the number of hits until
+    !> then.
     integer(int64), intent(out) :: hits
 
     if (channel == gated .or. channel == ungated) then
@@ -207,7 +209,7 @@ contains
     else
       hits = 0
     end if
-    ! Stay within the chord even where `before` is so long that its rounding exceeds a chord.
+    ! Within the chord even if `before` is so long that its rounding error exceeds a chord.
     rest = before + ahead - 2.0_wp*disc%radius*c*real(hits, wp)
     rest = min(max(rest, 0.0_wp), 2.0_wp*disc%radius*c)
     rotation = atan2(2.0_wp*s*c, (s - c)*(s + c))
@@ -230,8 +232,7 @@ contains
 
     step = 2.0_wp*disc%radius*cosine
     hits = 0
-    ! At most one impact back, to the start of the chord that leads to this one, whatever rounding
-    ! says.
+    ! Despite rounding, at most one impact back, to the start of the chord that leads to this one.
     if (step > 0.0_wp) hits = max(floor(elapsed/step, int64), -1_int64)
     rest = elapsed - real(hits, wp)*step
     impact_angle = angle + modulo(real(hits, wp)*2.0_wp*atan2(cosine, sine), 2.0_wp*pi)
@@ -246,14 +247,15 @@ contains
     hits = hits + 1
   end subroutine trace_along_chords
 
-  !> What a particle in the disc, or at an opening, meets next, and the time `wait` until then.
-  pure subroutine next_wall_in_disc(disc, from, x, y, ux, uy, next, wait)
+  !> Finds the wall or opening that a particle in the disc, or at an opening, reaches next, and the
+  !> time `wait` until then.
+  pure subroutine find_next_wall_in_disc(disc, from, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
-    !> Channel on whose chord it is, or `no_channel`.
+    !> Channel on whose chord the particle is, or `no_channel`.
     integer, intent(in) :: from
     !> Position, lengths, and velocity, in the frame of the disc.
     real(wp), intent(in) :: x, y, ux, uy
-    !> Wall or opening that it meets.
+    !> Wall or opening, as in `motion_type`.
     integer(wall_kind), intent(out) :: next
     real(wp), intent(out) :: wait
     real(wp) :: outward, root, room
@@ -272,18 +274,18 @@ contains
       wait = root - outward
     end if
     call choose_opening(disc, x, ux, x + ux*wait, y + uy*wait, next, wait)
-  end subroutine next_wall_in_disc
+  end subroutine find_next_wall_in_disc
 
-  !> Reflects a particle at the arc; finds what it meets next, and the time `wait` until then, huge
-  !> if that is nothing. From a point q of the circle the flight to the next one lasts -2 q.u:
-  !> without a root, and without cancellation.
+  !> Reflects a particle at the arc; finds the wall or opening that it reaches next, and the time
+  !> `wait` until then (huge if there is none). From a point q of the circle the path to the next
+  !> impact has the length -2 q.u: no root, and no cancellation.
   pure subroutine reflect_in_disc(disc, shortest, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
-    !> Shortest flight that a clock can resolve.
+    !> Shortest time between two impacts that a clock can resolve.
     real(wp), intent(in) :: shortest
     !> Position and velocity in the frame of the disc.
     real(wp), intent(inout) :: x, y, ux, uy
-    !> What it meets next.
+    !> Next wall or opening, as in `motion_type`.
     integer(wall_kind), intent(out) :: next
     real(wp), intent(out) :: wait
     real(wp) :: norm, outward, kick
@@ -301,8 +303,8 @@ contains
     uy = norm*uy
     wait = 2.0_wp*abs(outward)
     if (wait < shortest) then
-      ! Along the wall: the chords are too short for a clock, and the hits would never end at one
-      ! instant.
+      ! Motion along the wall: a clock does not resolve the chords, so one instant would have
+      ! infinitely many hits.
       next = meets_nothing
       wait = huge(1.0_wp)
     else
@@ -310,8 +312,9 @@ contains
     end if
   end subroutine reflect_in_disc
 
-  !> What a particle meets that would reach the circle at (px, py) after the time `wait`. It leaves
-  !> only through a point strictly within an opening: a corner belongs to the urn.
+  !> Chooses between wall and openings for a particle that would reach the circle at (px, py) after
+  !> the time `wait`. It leaves only through a point strictly within an opening: a corner belongs to
+  !> the urn.
   pure subroutine choose_opening(disc, x, ux, px, py, next, wait)
     type(disc_type), intent(in) :: disc
     real(wp), intent(in) :: x, ux, px, py
@@ -331,8 +334,8 @@ contains
     end if
   end subroutine choose_opening
 
-  !> Mirrors a particle that a step has moved beyond the arc (it `was_beyond`) in the circle, along
-  !> its radius, and reflects its velocity there.
+  !> If a step has moved a particle beyond the arc (`was_beyond`), mirrors its position in the
+  !> circle, along the radius, and reflects its velocity there.
   pure subroutine reflect_overshoot_in_disc(disc, x, y, ux, uy, was_beyond)
     type(disc_type), intent(in) :: disc
     !> Position and velocity in the frame of the disc.

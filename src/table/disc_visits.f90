@@ -9,7 +9,7 @@
 module battery_disc_visits
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: gated, ungated
-  use battery_disc, only: disc_type, sharp_incidence, grazing_cosine
+  use battery_disc, only: disc_type, recompute_grazing_incidence, grazing_cosine
   use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
   use battery_visits, only: visits_type, group_size, no_channel, many_hits
@@ -19,9 +19,9 @@ module battery_disc_visits
 
   !> Impacts that `step_impacts` computes of each particle.
   integer, parameter :: march_steps = 8
-  !> After this many rounds the opening is searched for instead.
+  !> Rounds after which the opening is found by a search instead.
   integer, parameter :: march_rounds = nint(many_hits)/march_steps - 2
-  !> In the first rounds few visits end: they are compacted after every second call only.
+  !> Number of rounds in which few visits end: the arrays are compacted after every second call.
   integer, parameter :: early_rounds = 2
 
 contains
@@ -40,7 +40,7 @@ contains
     call find_first_impacts(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%u_axial, &
       visits%u_lateral, visits%c, visits%s, visits%px, visits%py, visits%zx, visits%zy, &
       visits%steps, visits%first, grazing)
-    if (grazing) call sharpen_grazing(disc, visits)
+    if (grazing) call recompute_grazing_incidences(disc, visits)
     active = visits%count
     call number_slots(active, visits%slot)
     if (disc%stepping_pays) then
@@ -126,7 +126,8 @@ contains
     all_hits = int(sum(total), int64)
   end subroutine sum_hits
 
-  !> Incidence, first impact, rotation from impact to impact, and length until the first.
+  !> Computes incidence, first impact, rotation from impact to impact, and length until the first
+  !> impact.
   pure subroutine find_first_impacts(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, &
     first, grazing)
     integer, intent(in) :: n
@@ -155,8 +156,8 @@ contains
     grazing = low > 0
   end subroutine find_first_impacts
 
-  !> Recomputes grazing incidences to all digits.
-  pure subroutine sharpen_grazing(disc, visits)
+  !> Recomputes the grazing incidences of a batch to full precision.
+  pure subroutine recompute_grazing_incidences(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     real(wp) :: ux, uy, c, s
@@ -168,7 +169,7 @@ contains
       uy = visits%u_lateral(j)
       c = visits%c(j)
       s = visits%s(j)
-      call sharp_incidence(disc, visits%x(j), visits%y(j), ux, uy, c, s)
+      call recompute_grazing_incidence(disc, visits%x(j), visits%y(j), ux, uy, c, s)
       visits%c(j) = c
       visits%s(j) = s
       visits%px(j) = ux*c + uy*s
@@ -177,7 +178,7 @@ contains
       visits%zy(j) = 2.0_wp*s*c
       visits%first(j) = disc%radius*c - (visits%x(j)*ux + visits%y(j)*uy)
     end do
-  end subroutine sharpen_grazing
+  end subroutine recompute_grazing_incidences
 
   !> Computes `march_steps` impacts of each particle; one whose impact lies in an opening stays
   !> there. All impacts are computed first, as if there were no opening; then the first that lies in
@@ -236,7 +237,7 @@ contains
     next_y = x*sine + y*cosine
   end subroutine rotate_impact
 
-  !> Selects the impact (x, y), which `before` others precede, if it lies in an opening.
+  !> Selects the impact (x, y), which follows `before` others, if it lies in an opening.
   elemental subroutine choose_impact(half_opening1, half_opening2, before, x, y, first_x, first_y, &
     taken)
     real(wp), intent(in) :: half_opening1, half_opening2, before, x, y
@@ -299,7 +300,7 @@ contains
     real(wp) :: x, y
 
     step = turn_of_vector(zx, zy)
-    ! The impact before, which lies in the opening through which the particle has just entered.
+    ! The virtual impact before the entry: in the opening through which the particle entered.
     start = modulo(turn_of_vector(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
     call find_opening(disc%angle(gated), disc%angle(ungated), start, step, total, landing, &
       first_side, found)

@@ -1,6 +1,6 @@
 !> Kernel: visits to half of channel 2 with discs in it, computed in batches, from wall to wall.
 !>
-!> `lanes` particles are processed together, one flight of each at a time, in loops that have no
+!> `lanes` particles are processed together, from one wall to the next, in loops that have no
 !> branches and are vectorised. When a particle has reached the line or the urn, its lane loads the
 !> next visit of the batch. The result of a visit does not depend on the other visits of the batch.
 module battery_half_channel_visits
@@ -20,7 +20,8 @@ module battery_half_channel_visits
     integer :: who(lanes) = 0
     real(wp), dimension(lanes) :: x = 0.0_wp, y = 0.0_wp, ux = 1.0_wp, uy = 0.0_wp
     real(wp), dimension(lanes) :: time = 0.0_wp, until = 0.0_wp, delay = 0.0_wp, hits = 0.0_wp
-    !> What each meets, as a whole number; if that is a disc, its centre and radius.
+    !> Kind of the next wall of each particle (`motion_type`), as a real; centre and radius if it is
+    !> a disc.
     real(wp), dimension(lanes) :: met = 0.0_wp, met_x = 0.0_wp, met_y = 0.0_wp, met_radius = 0.0_wp
   end type lanes_type
 
@@ -28,14 +29,14 @@ contains
 
   !> Computes the visits of a batch, `count` of them.
   subroutine compute_half_channel_visits(half_channel, limit, count, motion, hits)
-    !> Half channel that they are in.
+    !> Half channel that the particles are in.
     type(scattered_half_channel_type), intent(in) :: half_channel
     !> Time at which a visit stops at the latest.
     real(wp), intent(in) :: limit
     integer, intent(in) :: count
-    !> In the frame of the half channel (`battery_scatterers`). In: start of each visit. Out: state
-    !> at its end, with `next` for what ended it: the line or the urn, `meets_nothing` if it was the
-    !> time limit, or a wall after `longest_part` hits.
+    !> States in the frame of the half channel (`battery_scatterers`). In: start of each visit. Out:
+    !> its end; `next` is the line or the urn, `meets_nothing` if the visit ended at the time limit,
+    !> or a wall if it ended after `longest_part` hits.
     type(motion_type), intent(inout) :: motion(count)
     !> Wall hits of each visit.
     integer(int64), intent(out) :: hits(count)
@@ -103,8 +104,8 @@ contains
 
   end subroutine compute_half_channel_visits
 
-  !> End of the half channel that each particle moves towards, or the wall if that comes first; and
-  !> the time until then.
+  !> Finds the end of the half channel that each particle moves towards, or the channel wall if the
+  !> particle hits that first, and the time `delay` until then.
   pure subroutine find_strip_end(length, half_width, x, y, ux, uy, met, delay)
     real(wp), intent(in) :: length, half_width
     real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
@@ -141,7 +142,7 @@ contains
     end do
   end subroutine find_strip_end
 
-  !> Replaces that by a disc, if the particle meets one before.
+  !> Replaces the end or wall by a disc, if the particle hits one before.
   pure subroutine find_nearest_disc(count, disc_x, disc_y, radius, x, y, ux, uy, met, delay)
     integer, intent(in) :: count
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
@@ -170,14 +171,14 @@ contains
         delay(j) = best
       end do
     end do
-    ! By rounding, a particle may be in a disc: it meets the disc now, unless it moves away.
+    ! By rounding, a particle may be in a disc: it hits the disc now, unless it moves away.
     !GCC$ unroll 1
     do j = 1, lanes
       delay(j) = max(delay(j), 0.0_wp)
     end do
   end subroutine find_nearest_disc
 
-  !> Moves each particle straight on to what it meets, or until its time limit.
+  !> Moves each particle straight to its next wall or end, or until its time limit.
   pure subroutine advance_lanes(until, x, y, ux, uy, met, delay, time, hits)
     real(wp), dimension(lanes), intent(in) :: until, ux, uy
     real(wp), dimension(lanes), intent(inout) :: x, y, met, delay, time, hits
@@ -196,7 +197,7 @@ contains
     end do
   end subroutine advance_lanes
 
-  !> Centres and radii of the discs that are met; those of some disc if it is another wall.
+  !> Looks up centre and radius of the disc that each particle hits; of any disc if it hits none.
   pure subroutine look_up_discs(count, disc_x, disc_y, radius, met, met_x, met_y, met_radius)
     integer, intent(in) :: count
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
@@ -212,7 +213,7 @@ contains
     end do
   end subroutine look_up_discs
 
-  !> Reflects each particle as `reflect_in_half_channel` does; one that has met the line or the urn
+  !> Reflects each particle as `reflect_in_half_channel` does; a particle at the line or the urn
   !> keeps its velocity.
   pure subroutine reflect_lanes(half_width, met_x, met_y, met_radius, x, y, ux, uy, met)
     real(wp), intent(in) :: half_width

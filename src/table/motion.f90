@@ -11,9 +11,10 @@ module battery_motion
   !> 2; `outside` is none of them.
   integer, parameter :: outside = 0, in_urn = 1, in_gate = 2, in_return = 3
 
-  !> What a particle meets next: nothing; the chord where channel 1 or channel 2 starts; the chord
-  !> where an urn starts; the line of its channel (the middle line or the periodic line); the wall
-  !> of its channel; from 1 on, the wall of its urn, or the disc in its channel, with that number.
+  !> Kinds of walls and lines that a particle reaches next: none; the chord where channel 1 or
+  !> channel 2 starts; the chord where an urn starts; the line of its channel (the middle line or
+  !> the periodic line); the wall of its channel; from 1 on, the wall of its urn, or the disc in its
+  !> channel, with that number.
   integer, parameter :: wall_kind = int16
   integer(wall_kind), parameter :: meets_nothing = -5_wall_kind, meets_gate = -4_wall_kind, &
     meets_return = -3_wall_kind, meets_urn = -2_wall_kind, meets_line = -1_wall_kind, &
@@ -30,16 +31,16 @@ module battery_motion
     real(wp) :: time = 0.0_wp
     !> Index of its urn, and chamber (`in_urn` ...).
     integer(int8) :: urn = 0_int8, chamber = 0_int8
-    !> What it meets next; a wall, until it is computed.
+    !> Kind of the next wall or line; a wall, until it is computed.
     integer(wall_kind) :: next = meets_wall
   end type motion_type
 
 contains
 
-  !> Moves a particle straight on.
+  !> Moves a particle along a straight line.
   elemental subroutine move_straight(motion, time)
     type(motion_type), intent(inout) :: motion
-    !> Time that it moves for.
+    !> Duration of the motion.
     real(wp), intent(in) :: time
 
     motion%x = motion%x + motion%ux*time

@@ -1,7 +1,7 @@
 !> First impact on a circle that lies in one of two opposite openings, in O(log) operations.
 !>
-!> Angles are taken modulo half a turn, so that the openings coincide, and the wider one is searched
-!> for; an impact that then misses the narrower opening is skipped.
+!> Angles are taken modulo half a turn, so that the openings overlap, and the wider one is searched
+!> for; an impact that is outside the narrower opening, if it is on that side, is skipped.
 module battery_opening_search
   use battery_kinds, only: angle_kind
   use battery_rotation, only: full_turn, first_step_into_arc
@@ -14,7 +14,7 @@ contains
   !> Finds the first impact in an opening. Impacts lie at start, start + step, ... (integer angles,
   !> see `battery_rotation`); the openings are the open arcs within `angle1` of 0 and within
   !> `angle2` of half a turn. `total` is the number of impacts before it, `landing` its angle from
-  !> the middle of its opening. `found` is false if the orbit is periodic and never meets an
+  !> the middle of its opening. `found` is false if the orbit is periodic and never enters an
   !> opening.
   pure subroutine find_opening(angle1, angle2, start, step, total, landing, first_side, found)
     !> Integer angles; `start` and `step` in [0, full_turn).
@@ -58,8 +58,8 @@ contains
     integer(angle_kind) :: other_total, other_landing
     logical :: other_found
 
-    call enter_arc(angle1, 0_angle_kind, total, landing, found)
-    call enter_arc(angle2, full_turn/2, other_total, other_landing, other_found)
+    call find_impact_in_arc(angle1, 0_angle_kind, total, landing, found)
+    call find_impact_in_arc(angle2, full_turn/2, other_total, other_landing, other_found)
     first_side = found .and. (.not. other_found .or. total <= other_total)
     found = found .or. other_found
     if (first_side) return
@@ -69,7 +69,7 @@ contains
   contains
 
     !> Finds the first impact in the open arc within `half_angle` of `middle`.
-    pure subroutine enter_arc(half_angle, middle, steps, landing, found)
+    pure subroutine find_impact_in_arc(half_angle, middle, steps, landing, found)
       integer(angle_kind), intent(in) :: half_angle, middle
       integer(angle_kind), intent(out) :: steps, landing
       logical, intent(out) :: found
@@ -81,7 +81,7 @@ contains
       call first_step_into_arc(modulo(start - middle + half_angle - 1, full_turn), step, &
         2*half_angle - 2, steps, landing, found)
       landing = landing - half_angle + 1
-    end subroutine enter_arc
+    end subroutine find_impact_in_arc
 
   end subroutine search_each_opening
 

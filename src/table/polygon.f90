@@ -8,8 +8,8 @@
 !>
 !> **From side to side.** A corner lies to the right or to the left of a path, never on both sides:
 !> a path ends at the nearest side that goes from its right to its left. So a path through a corner
-!> meets a side too, and no particle escapes. A particle is placed exactly on the side that it
-!> meets; each hit sets its speed back to 1 by a Newton step.
+!> hits a side too, and no particle escapes. A particle is placed exactly on the side that it hits;
+!> each hit sets its speed to 1 by a Newton step.
 !>
 !> Periodic orbits are recognised, and visits truncated, by `boundary_state_type`. Batches of
 !> visits: `polygon_visits.f90`.
@@ -23,9 +23,10 @@ module battery_polygon
   implicit none (type, external)
   private
   public :: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, nearest_side
-  public :: next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
-    locate_in_polygon, first_impact_in_polygon
-  public :: surely_next_side, reflect_from_side, boundary_state_type, state_on_side, has_returned
+  public :: find_next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
+    locate_in_polygon, find_first_impact_in_polygon
+  public :: find_next_side_robustly, reflect_from_side, boundary_state_type, state_on_side, &
+    has_returned
 
   !> Bound on the rounding error of a position on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
@@ -137,8 +138,8 @@ contains
     call find_clearance(polygon)
   end subroutine measure_outline
 
-  !> Distance from the origin to the walls, if the origin is inside; and the longest step. Twice the
-  !> area over the length of the outline is the inradius of a regular polygon.
+  !> Computes the distance from the origin to the walls, if the origin is inside, and the longest
+  !> step. Twice the area over the length of the outline is the inradius of a regular polygon.
   pure subroutine find_clearance(polygon)
     type(polygon_type), intent(inout) :: polygon
     integer :: j, k, n
@@ -169,9 +170,10 @@ contains
 
   end subroutine find_clearance
 
-  !> Whether the openings fit, and their depths. A path that returns to an opening was reflected by
-  !> a side that faces it: its length is at least twice the distance of the nearest of these. A path
-  !> from one opening to the other is at least as long as the chords are apart.
+  !> Determines whether the openings fit, and their depths. A path that returns to an opening was
+  !> reflected by a side that faces it: its length is at least twice the distance of the nearest
+  !> such side. A path from one opening to the other is at least as long as the distance of the
+  !> chords.
   pure subroutine measure_openings(polygon)
     type(polygon_type), intent(inout) :: polygon
     real(wp) :: a(2), b(2)
@@ -268,14 +270,14 @@ contains
     end do
   end function nearest_side
 
-  !> Side that a particle meets next, and the time `wait` until then. A particle that is on the side
-  !> `from` does not meet that; 0: it is on none.
-  pure subroutine next_side(polygon, from, x, y, ux, uy, side, wait)
+  !> Finds the side that a particle hits next, and the time `wait` until then. A particle on the
+  !> side `from` (0: on none) does not hit that side.
+  pure subroutine find_next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
     !> Position and velocity in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
-    !> 0 if it meets none, which only rounding can cause.
+    !> 0 if no side is found, which only rounding can cause.
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
     real(wp) :: before, after, time
@@ -300,13 +302,13 @@ contains
       wait = time
     end do
     wait = max(wait, 0.0_wp)
-  end subroutine next_side
+  end subroutine find_next_side
 
-  !> As `next_side`, but also for a particle that moves along a side, or that rounding has put
-  !> beyond one: then the path starts a little farther inside. From the side `from` (0: none), at
-  !> (`x`, `y`) with velocity (`ux`, `uy`), to the `side` that it meets (0: none) after the time
-  !> `wait`.
-  pure subroutine surely_next_side(polygon, from, x, y, ux, uy, side, wait)
+  !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
+  !> beyond one: then the path starts slightly farther inside. From the side `from` (0: none), at
+  !> (`x`, `y`) with velocity (`ux`, `uy`), to the `side` that the particle hits (0: none) after the
+  !> time `wait`.
+  pure subroutine find_next_side_robustly(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
     real(wp), intent(in) :: x, y, ux, uy
@@ -315,7 +317,7 @@ contains
     real(wp) :: inwards, shift_x, shift_y
     integer :: tries, k
 
-    call next_side(polygon, from, x, y, ux, uy, side, wait)
+    call find_next_side(polygon, from, x, y, ux, uy, side, wait)
     if (side > 0) return
     shift_x = 0.0_wp
     shift_y = 0.0_wp
@@ -327,11 +329,11 @@ contains
     end do
     inwards = polygon%sharp
     do tries = 1, 8
-      call next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
+      call find_next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
       if (side > 0) return
       inwards = 4.0_wp*inwards
     end do
-  end subroutine surely_next_side
+  end subroutine find_next_side_robustly
 
   !> Places a particle at (`x`, `y`) on the side number `side`, and reflects its velocity (`ux`,
   !> `uy`).
@@ -354,10 +356,11 @@ contains
     uy = norm*uy
   end subroutine reflect_from_side
 
-  !> What a particle in the polygon, or at an opening, meets `next`, and the time `wait` until then.
-  pure subroutine next_wall_in_polygon(polygon, from, x, y, ux, uy, next, wait)
+  !> Finds the wall or opening `next` that a particle in the polygon, or at an opening, reaches, and
+  !> the time `wait` until then.
+  pure subroutine find_next_wall_in_polygon(polygon, from, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
-    !> Channel on whose chord it is, or `no_channel`.
+    !> Channel on whose chord the particle is, or `no_channel`.
     integer, intent(in) :: from
     !> Position and velocity in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
@@ -367,12 +370,12 @@ contains
 
     side = 0
     if (from /= no_channel) side = polygon%side(from)
-    call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
-  end subroutine next_wall_in_polygon
+    call find_next_wall_from_side(polygon, side, x, y, ux, uy, next, wait)
+  end subroutine find_next_wall_in_polygon
 
-  !> As `next_wall_in_polygon`, for a particle on the side `from`. It leaves only through a point
-  !> strictly within an opening: a corner belongs to the urn.
-  pure subroutine next_wall_from(polygon, from, x, y, ux, uy, next, wait)
+  !> As `find_next_wall_in_polygon`, for a particle on the side `from`. It leaves only through a
+  !> point strictly within an opening: a corner belongs to the urn.
+  pure subroutine find_next_wall_from_side(polygon, from, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
     real(wp), intent(in) :: x, y, ux, uy
@@ -380,7 +383,7 @@ contains
     real(wp), intent(out) :: wait
     integer :: side
 
-    call surely_next_side(polygon, from, x, y, ux, uy, side, wait)
+    call find_next_side_robustly(polygon, from, x, y, ux, uy, side, wait)
     if (side == 0) then
       next = meets_nothing
       wait = huge(1.0_wp)
@@ -389,10 +392,10 @@ contains
     else
       next = int(side, wall_kind)
     end if
-  end subroutine next_wall_from
+  end subroutine find_next_wall_from_side
 
-  !> Reflects a particle at the side `next`; finds what it meets `next`, and the time `wait` until
-  !> then.
+  !> Reflects a particle at the side `next`; finds the wall or opening that it reaches `next`, and
+  !> the time `wait` until then.
   pure subroutine reflect_in_polygon(polygon, x, y, ux, uy, next, wait)
     type(polygon_type), intent(in) :: polygon
     !> Position and velocity in the frame of the polygon.
@@ -403,11 +406,11 @@ contains
 
     side = int(next)
     call reflect_from_side(polygon, side, x, y, ux, uy)
-    call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+    call find_next_wall_from_side(polygon, side, x, y, ux, uy, next, wait)
   end subroutine reflect_in_polygon
 
-  !> Mirrors a particle that a step has moved beyond a side (it `was_beyond`) in that side, and
-  !> reflects its velocity there; repeats this if it is then beyond another side.
+  !> If a step has moved a particle beyond a side (`was_beyond`), mirrors its position in that side
+  !> and reflects its velocity there; repeats this if it is then beyond another side.
   pure subroutine reflect_overshoot_in_polygon(polygon, x, y, ux, uy, was_beyond)
     type(polygon_type), intent(in) :: polygon
     !> Position and velocity in the frame of the polygon.
@@ -421,7 +424,7 @@ contains
     do tries = 1, most_sides
       if (is_in_polygon(polygon, x, y, 0.0_wp)) return
       was_beyond = .true.
-      side = side_behind(polygon, x, y, ux, uy)
+      side = last_crossed_side(polygon, x, y, ux, uy)
       if (side == 0) side = nearest_side(polygon, x, y)
       beyond = (x - polygon%x(side))*polygon%normal_x(side) &
         + (y - polygon%y(side))*polygon%normal_y(side)
@@ -435,7 +438,7 @@ contains
   end subroutine reflect_overshoot_in_polygon
 
   !> Side that a particle crossed last on its way out of the polygon; 0 if there is none.
-  pure function side_behind(polygon, x, y, ux, uy) result(side)
+  pure function last_crossed_side(polygon, x, y, ux, uy) result(side)
     type(polygon_type), intent(in) :: polygon
     !> Position and velocity in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
@@ -456,7 +459,7 @@ contains
       side = k
       latest = time
     end do
-  end function side_behind
+  end function last_crossed_side
 
   !> Moves a point to the nearest point of a side.
   pure subroutine project_on_side(polygon, side, x, y)
@@ -512,7 +515,7 @@ contains
     y = polygon%y(side) + along*polygon%normal_x(side)
   end subroutine locate_on_outline
 
-  !> Whether the `state` of a particle is the one it had `before`, up to rounding.
+  !> Whether a boundary state is the same as the one `before`, up to rounding.
   pure function has_returned(polygon, state, before) result(same)
     type(polygon_type), intent(in) :: polygon
     type(boundary_state_type), intent(in) :: state, before
@@ -522,14 +525,14 @@ contains
       abs(state%arc_length - before%arc_length)/polygon%outline_length) <= same_state
   end function has_returned
 
-  !> Moves a particle from side to side for the time `rest`, or to an opening; there it stays, and
-  !> `rest` keeps the time left.
+  !> Moves a particle from side to side for the time `rest`, or until it reaches an opening; then
+  !> `rest` is the time left.
   pure subroutine continue_flight(polygon, side, x, y, ux, uy, rest, hits)
     type(polygon_type), intent(in) :: polygon
-    !> Side that it is on, or 0.
+    !> Side that the particle is on, or 0.
     integer, intent(inout) :: side
     real(wp), intent(inout) :: x, y, ux, uy, rest
-    !> Wall hits on the way.
+    !> Wall hits within that time.
     integer(int64), intent(out) :: hits
     integer, parameter :: most_at_once = 10000
     integer(wall_kind) :: next
@@ -539,10 +542,10 @@ contains
     hits = 0
     at_once = 0
     do
-      call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+      call find_next_wall_from_side(polygon, side, x, y, ux, uy, next, wait)
       x = x + ux*min(wait, rest)
       y = y + uy*min(wait, rest)
-      ! A particle in a corner, from which rounding does not let it escape, stays there.
+      ! A particle that rounding keeps in a corner stays there.
       at_once = merge(0, at_once + 1, wait > polygon%sharp)
       if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
       rest = rest - wait
@@ -553,14 +556,14 @@ contains
   end subroutine continue_flight
 
   !> First impact of a particle that is in the polygon; openings count as wall.
-  pure subroutine first_impact_in_polygon(polygon, x, y, ux, uy, arc_length, u_axial, u_lateral, &
-    wait, before)
+  pure subroutine find_first_impact_in_polygon(polygon, x, y, ux, uy, arc_length, u_axial, &
+    u_lateral, wait, before)
     type(polygon_type), intent(in) :: polygon
     !> Position and velocity in the frame of the polygon: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
-    !> Boundary state after it: arc length, u_x, u_y; time until then.
+    !> Boundary state after the impact: arc length, u_x, u_y; time until the impact.
     real(wp), intent(out) :: arc_length, u_axial, u_lateral, wait
-    !> Wall hits until then that `locate_in_polygon` does not count: this one.
+    !> Wall hits until then that `locate_in_polygon` does not count: the impact itself.
     integer(int64), intent(out) :: before
     type(boundary_state_type) :: state
     real(wp) :: norm, px, py
@@ -569,7 +572,7 @@ contains
     norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
     u_axial = norm*ux
     u_lateral = norm*uy
-    call surely_next_side(polygon, 0, x, y, u_axial, u_lateral, side, wait)
+    call find_next_side_robustly(polygon, 0, x, y, u_axial, u_lateral, side, wait)
     before = 0
     if (side > 0) then
       px = x + u_axial*wait
@@ -578,12 +581,12 @@ contains
       state = state_on_side(polygon, side, px, py, u_axial, u_lateral)
       before = 1
     else
-      ! No side is met: the particle stays where it is.
+      ! No side is found: the particle stays where it is.
       wait = 0.0_wp
       state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, u_axial, u_lateral)
     end if
     arc_length = state%arc_length
-  end subroutine first_impact_in_polygon
+  end subroutine find_first_impact_in_polygon
 
   !> Position of a particle in the polygon at a time relative to a boundary state, or to the end of
   !> its visit.
@@ -595,11 +598,12 @@ contains
     !> Height (a length), |u_x| and u_y at the side of that channel; else a boundary state: arc
     !> length, u_x and u_y.
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> Time since then; below 0: until then.
+    !> Time since the boundary state or the end of the visit; below 0: time until then.
     real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Wall hits since then; below 0: hits still to come, that of a boundary state included.
+    !> Wall hits since then; below 0: minus the number of hits until then, that of the boundary
+    !> state included.
     integer(int64), intent(out) :: hits
     real(wp), parameter :: long = 1000.0_wp
     real(wp) :: rest, period
@@ -638,7 +642,7 @@ contains
     end if
   end subroutine locate_in_polygon
 
-  !> Time and hits after which a boundary state recurs; huge and 0 if it does not within
+  !> Finds time and hits after which a boundary state recurs; huge and 0 if it does not within
   !> `longest_period` hits.
   pure subroutine find_period(polygon, state, period, hits)
     type(polygon_type), intent(in) :: polygon
@@ -654,7 +658,7 @@ contains
     call locate_on_outline(polygon, state%arc_length, side, x, y)
     period = 0.0_wp
     do hits = 1, longest_period
-      call next_wall_from(polygon, side, x, y, ux, uy, next, wait)
+      call find_next_wall_from_side(polygon, side, x, y, ux, uy, next, wait)
       if (next < meets_wall) exit
       x = x + ux*wait
       y = y + uy*wait

@@ -12,7 +12,7 @@ module battery_polygon_visits
   use battery_channel, only: gated, ungated
   use battery_motion, only: slowest
   use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
-    has_returned, surely_next_side, reflect_from_side, longest_period
+    has_returned, find_next_side_robustly, reflect_from_side, longest_period
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
@@ -24,8 +24,8 @@ module battery_polygon_visits
   !> Visits of a block, and sides that `find_only_side` tests in one pass.
   integer, parameter :: lanes = 64, at_once = 3
 
-  !> A part of a truncated visit is at least this long, in units of the reach: longer than any
-  !> lookahead. It has at most so many hits, whatever its length.
+  !> A part of a truncated visit is at least `least_part` long, in units of the reach: longer than
+  !> any lookahead; but it has at most `most_part_hits` hits.
   real(wp), parameter :: least_part = 16.0_wp
   integer, parameter :: most_part_hits = 1000000
 
@@ -84,7 +84,7 @@ contains
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
-    !> 1 as long as the visit goes on, then 0.
+    !> 1 until the visit ends, then 0.
     real(wp), intent(inout) :: flies(n)
     real(wp), dimension(lanes) :: normal_x, normal_y, offset, half_opening
     real(wp) :: corner(2, 0:at_once*((polygon%sides + at_once - 1)/at_once))
@@ -112,8 +112,8 @@ contains
     end do
   end subroutine step_hits
 
-  !> Corners, the last one first; of each side the normal, the distance from the origin and half its
-  !> opening. Padded with sides of no length, which no path meets.
+  !> Lists the corners, the last one first; of each side the normal, the distance from the origin
+  !> and half its opening. Padded with sides of length 0, which no path hits.
   pure subroutine list_sides(polygon, n, corner, side)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: n
@@ -130,10 +130,10 @@ contains
     end do
   end subroutine list_sides
 
-  !> Side that each particle of a block meets, in a convex polygon: the only side that its path
-  !> leaves through; none, with a normal of no length, if rounding hides it. Unrolled by hand for
-  !> `at_once` sides, with the particles in registers; products with 1 or 0, since the compiler
-  !> turns a selection into a branch.
+  !> Finds the side that each particle of a block hits in a convex polygon: the only side that its
+  !> path leaves through; no side, and a normal of length 0, if rounding hides it. Unrolled by hand
+  !> for `at_once` sides, with the particles in registers; with products with 1 or 0, since the
+  !> compiler turns a selection into a branch.
   pure subroutine find_only_side(sides, corner, side, half_opening1, half_opening2, n, px, py, ux, &
     uy, normal_x, normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
@@ -145,8 +145,8 @@ contains
     real(wp) :: was, first, second, third, met1, met2, met3
     integer :: k, j
 
-    call begin_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
-      half_opening, before, ahead)
+    call begin_side_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, &
+      offset, half_opening, before, ahead)
     do k = 1, sides, at_once
       c = corner(:, k:k + at_once - 1)
       s = side(:, k:k + at_once - 1)
@@ -165,7 +165,7 @@ contains
       end do
     end do
     do j = 1, n
-      ! By rounding, a path may leave through one side twice, or through none: then none is met.
+      ! By rounding, a path may leave through two sides, or through none: then no side is found.
       met1 = merge(1.0_wp, 0.0_wp, abs(normal_x(j)**2 + normal_y(j)**2 - 1.0_wp) < 0.5_wp)
       normal_x(j) = met1*normal_x(j)
       normal_y(j) = met1*normal_y(j)
@@ -175,7 +175,7 @@ contains
     end do
   end subroutine find_only_side
 
-  !> As `find_only_side`, in any polygon: the nearest of the sides that a path leaves through.
+  !> As `find_only_side`, in any polygon: finds the nearest of the sides that a path leaves through.
   pure subroutine find_nearest_side(sides, corner, side, sharp, n, px, py, ux, uy, normal_x, &
     normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
@@ -187,8 +187,8 @@ contains
     real(wp) :: was, after, x, y, nx, ny, distance, opening, outward, time, met, kept, least, far
     integer :: k, j
 
-    call begin_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, offset, &
-      half_opening, before, ahead)
+    call begin_side_search(n, corner(1, 0), corner(2, 0), px, py, ux, uy, normal_x, normal_y, &
+      offset, half_opening, before, ahead)
     far = 1.0_wp/slowest
     soonest(:n) = far
     least = -sharp
@@ -218,8 +218,8 @@ contains
   end subroutine find_nearest_side
 
   !> Sets up the search before the first side.
-  pure subroutine begin_search(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, half_opening, &
-    before, ahead)
+  pure subroutine begin_side_search(n, x, y, px, py, ux, uy, normal_x, normal_y, offset, &
+    half_opening, before, ahead)
     integer, intent(in) :: n
     !> First corner.
     real(wp), intent(in) :: x, y
@@ -238,10 +238,10 @@ contains
       offset(j) = 0.0_wp
       half_opening(j) = -1.0_wp
     end do
-  end subroutine begin_search
+  end subroutine begin_side_search
 
-  !> Moves each particle of a block to the side that it meets, and reflects it there unless it is in
-  !> an opening. A particle that meets no side does not move.
+  !> Moves each particle of a block to the side that it hits, and reflects it there unless it is in
+  !> an opening. A particle for which no side was found does not move.
   pure subroutine reflect_visits(n, normal_x, normal_y, offset, half_opening, px, py, ux, uy, &
     hits, length, flies)
     integer, intent(in) :: n
@@ -252,7 +252,7 @@ contains
 
     do j = 1, n
       outward = normal_x(j)*ux(j) + normal_y(j)*uy(j)
-      ! If rounding puts the side behind the particle, it meets none.
+      ! If rounding puts the side behind the particle, the particle does not move.
       moves = merge(flies(j), 0.0_wp, outward > 0.0_wp)
       wait = moves*max((offset(j) - normal_x(j)*px(j) - normal_y(j)*py(j)) &
         /max(outward, slowest), 0.0_wp)
@@ -326,22 +326,22 @@ contains
     visits%length(mine) = visits%first(j)
     visits%through(mine) = polygon%length(channel)/visits%u_axial(mine)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
-    if (visits%steps(j) >= many_hits) call add_to_many(visits, mine)
+    if (visits%steps(j) >= many_hits) call list_long_visit(visits, mine)
   end subroutine store_exit
 
   !> Adds a visit to the list of those with many hits.
-  pure subroutine add_to_many(visits, which)
+  pure subroutine list_long_visit(visits, which)
     type(visits_type), intent(inout) :: visits
     !> Its index in the batch.
     integer, intent(in) :: which
 
     visits%many_count = visits%many_count + 1
     visits%many(visits%many_count) = which
-  end subroutine add_to_many
+  end subroutine list_long_visit
 
   !> Continues a visit of very many hits from side to side until it ends, its boundary state recurs,
-  !> or a part of it is complete. The states after 1, 2, 4, ... hits are kept; each is compared with
-  !> those that follow it, as many as it has predecessors.
+  !> or a part of it is complete. The states after 1, 2, 4, ... hits are stored; each is compared
+  !> with those that follow it until the next one is stored.
   pure subroutine finish_single_visit(polygon, visits, j)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
@@ -357,8 +357,8 @@ contains
       keep = 1
       same = .false.
       do hits = 1, most_part_hits
-        call surely_next_side(polygon, (side), x, y, ux, uy, side, wait)
-        ! No side is met: treated as an orbit that recurs.
+        call find_next_side_robustly(polygon, (side), x, y, ux, uy, side, wait)
+        ! No side is found: treated as an orbit that recurs.
         same = side == 0
         if (same) then
           state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
@@ -404,7 +404,7 @@ contains
     ! Time before its end at which the next part is due.
     visits%through(mine) = 0.5_wp*visits%first(j)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
-    call add_to_many(visits, mine)
+    call list_long_visit(visits, mine)
   end subroutine store_truncated
 
 end module battery_polygon_visits

@@ -12,7 +12,7 @@ module battery_rotation
   use battery_kinds, only: wp, angle_kind, pi
   implicit none (type, external)
   private
-  public :: full_turn, to_turn, turn_of_vector, from_turn, unit_vector, first_step_into_arc
+  public :: full_turn, to_turn, turn_of_vector, to_radians, unit_vector, first_step_into_arc
 
   !> One full turn; two bits are left free, so that the sum of two angles does not overflow.
   integer(angle_kind), parameter :: full_turn = 2_angle_kind**(bit_size(1_angle_kind) - 4)
@@ -52,10 +52,10 @@ contains
     !> Its cosine and its sine.
     real(wp), intent(out) :: x, y
     real(wp) :: angle, square
-    !> Below this angle the terms of the series written here suffice.
+    !> Below this angle the first terms of the power series suffice.
     real(wp), parameter :: small = (720.0_wp*epsilon(1.0_wp))**(1.0_wp/6.0_wp)
 
-    angle = from_turn(turn)
+    angle = to_radians(turn)
     if (abs(angle) < small) then
       square = angle**2
       x = 1.0_wp - square*(0.5_wp - square/24.0_wp)
@@ -67,13 +67,13 @@ contains
   end subroutine unit_vector
 
   !> An integer angle in (-full_turn, full_turn), in radians.
-  elemental function from_turn(turn) result(angle)
+  elemental function to_radians(turn) result(angle)
     !> The angle.
     integer(angle_kind), intent(in) :: turn
     real(wp) :: angle
 
     angle = real(turn, wp)/real(full_turn, wp)*(2.0_wp*pi)
-  end function from_turn
+  end function to_radians
 
   !> Smallest `steps` >= 0 for which (start + steps*step) mod circle lies in the arc [0, width], and
   !> the angle there (`landing`). `found` is false if the orbit is periodic and never enters the

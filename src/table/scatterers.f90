@@ -1,21 +1,21 @@
-!> Half of channel 2 with fixed discs in it (`scatterers`): what a particle meets there, and its
-!> reflection from a disc.
+!> Half of channel 2 with fixed discs in it (`scatterers`): the next wall or disc of a particle, and
+!> its reflection from a disc.
 !>
 !> **Frame.** x runs from the periodic line at 0 to the urn at `length`, y as in the table; the half
 !> of urn 2 is mirrored. A disc across the line is a wall of both halves; one that reaches over a
 !> wall of the channel is cut off there.
 !>
-!> A particle is placed exactly on the disc that it meets; its velocity is rotated by an angle that
+!> A particle is placed exactly on the disc that it hits; its velocity is rotated by an angle that
 !> follows from the distance at which its path passes the centre of the disc. A root is subtracted
-!> from a number of its own size only in the time of flight.
+!> from a number of similar size only in the time until the hit.
 module battery_scatterers
   use battery_kinds, only: wp, pi
   use battery_channel, only: channel_type
   use battery_motion, only: wall_kind, slowest, meets_urn, meets_line, meets_channel_wall
   implicit none (type, external)
   private
-  public :: scattered_half_channel_type, new_scattered_half_channel, next_wall_in_half_channel, &
-    reflect_in_half_channel, is_in_scatterer
+  public :: scattered_half_channel_type, new_scattered_half_channel, &
+    find_next_wall_in_half_channel, reflect_in_half_channel, is_in_scatterer
   public :: measure_scatterers, narrowest_gap, detect_periodic_path
 
   !> Hits after which a visit to a half channel is truncated; a state that has not recurred within
@@ -25,7 +25,7 @@ module battery_scatterers
   !> Half of a channel; `count` is 0 if the channel has no discs.
   type :: scattered_half_channel_type
     integer :: count = 0
-    !> From the line to the urn, and from the axis to the walls.
+    !> Distance from the line to the urn, and from the axis to the walls.
     real(wp) :: length = 0.0_wp, half_width = 0.0_wp
     !> Centres of the discs in the frame of the half channel, and their radii.
     real(wp), allocatable :: x(:), y(:), radius(:)
@@ -33,8 +33,8 @@ module battery_scatterers
 
 contains
 
-  !> Half of the channel at which `along` points on the channel's axis: 1, or -1 for the half of urn
-  !> 2. Discs that do not reach into it are left out, but one is kept if all would be.
+  !> Makes the half of the channel on the side `along` of the line: 1, or -1 for the half of urn 2.
+  !> Discs that do not reach into it are left out, but one is kept if all would be.
   pure function new_scattered_half_channel(channel, scatterers, along) result(half_channel)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.
@@ -53,15 +53,15 @@ contains
     half_channel%radius = pack(scatterers(3, :), here)
   end function new_scattered_half_channel
 
-  !> What a particle meets next: the wall, the line, the urn, or the disc with that number.
-  pure subroutine next_wall_in_half_channel(half_channel, x, y, ux, uy, next, wait)
+  !> Finds what a particle reaches next: the wall, the line, the urn, or the disc with that number.
+  pure subroutine find_next_wall_in_half_channel(half_channel, x, y, ux, uy, next, wait)
     !> Half channel that the particle is in.
     type(scattered_half_channel_type), intent(in) :: half_channel
     !> Position and velocity in the frame of the half channel.
     real(wp), intent(in) :: x, y, ux, uy
     !> As in `motion_type`.
     integer(wall_kind), intent(out) :: next
-    !> Time until then.
+    !> Time until the particle reaches it.
     real(wp), intent(out) :: wait
     real(wp) :: to_wall, dx, dy, beside, room, ahead, time(half_channel%count)
     integer :: k
@@ -83,7 +83,7 @@ contains
       ahead = dx*ux + dy*uy
       beside = abs(dx*uy - dy*ux)
       room = (half_channel%radius(k) - beside)*(half_channel%radius(k) + beside)
-      ! By rounding, a particle may be in a disc: it meets the disc now, unless it moves away.
+      ! By rounding, a particle may be in a disc: it hits the disc now, unless it moves away.
       time(k) = merge(max(ahead - sqrt(max(room, 0.0_wp)), 0.0_wp), huge(1.0_wp), &
         room > 0.0_wp .and. ahead > 0.0_wp)
     end do
@@ -92,7 +92,7 @@ contains
       wait = time(k)
       next = int(k, wall_kind)
     end do
-  end subroutine next_wall_in_half_channel
+  end subroutine find_next_wall_in_half_channel
 
   !> Reflects a particle at the wall of the channel, or at a disc, that it has reached.
   pure subroutine reflect_in_half_channel(half_channel, met, x, y, ux, uy)
@@ -134,7 +134,7 @@ contains
     type(scattered_half_channel_type), intent(in) :: half_channel
     !> Position and velocity in the frame of the half channel.
     real(wp), intent(in) :: x, y, ux, uy
-    !> Whether it does.
+    !> Whether the state recurs.
     logical, intent(out) :: yes
     real(wp) :: now(4), mark(4), wait
     integer(wall_kind) :: met
@@ -144,7 +144,7 @@ contains
     now = [x, y, ux, uy]
     do hit = 0, longest_part
       if (hit == 1) mark = now
-      call next_wall_in_half_channel(half_channel, now(1), now(2), now(3), now(4), met, wait)
+      call find_next_wall_in_half_channel(half_channel, now(1), now(2), now(3), now(4), met, wait)
       if (met < meets_channel_wall) return
       now(:2) = now(:2) + wait*now(3:)
       call reflect_in_half_channel(half_channel, int(met), now(1), now(2), now(3), now(4))
@@ -157,7 +157,7 @@ contains
   pure function is_in_scatterer(half_channel, x, y, tolerance) result(inside)
     !> Half channel that contains the point.
     type(scattered_half_channel_type), intent(in) :: half_channel
-    !> In the frame of the half channel.
+    !> Position in the frame of the half channel, and a distance: lengths.
     real(wp), intent(in) :: x, y
     real(wp), intent(in) :: tolerance
     logical :: inside
@@ -167,8 +167,8 @@ contains
       < half_channel%radius - tolerance)
   end function is_in_scatterer
 
-  !> Area of a channel that the discs cover; and the length of their walls in the channel, less that
-  !> of the channel walls that they cover.
+  !> Computes the area of a channel that the discs cover; and the length of their walls in the
+  !> channel, less that of the channel walls that they cover.
   pure subroutine measure_scatterers(channel, scatterers, area, added)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.
@@ -177,15 +177,15 @@ contains
     real(wp), intent(out) :: area, added
 
     associate (h => 0.5_wp*channel%width, y => scatterers(2, :), r => scatterers(3, :))
-      area = sum(pi*r**2 - beyond(.true., r, h - y) - beyond(.true., r, h + y))
-      added = sum(2.0_wp*pi*r - beyond(.false., r, h - y) - beyond(.false., r, h + y))
+      area = sum(pi*r**2 - cut_part(.true., r, h - y) - cut_part(.true., r, h + y))
+      added = sum(2.0_wp*pi*r - cut_part(.false., r, h - y) - cut_part(.false., r, h + y))
     end associate
 
   contains
 
     !> Part of a disc beyond a line at a distance from its centre: its area, or the length of its
     !> arc and of the line within the disc.
-    elemental real(wp) function beyond(as_area, radius, distance)
+    elemental real(wp) function cut_part(as_area, radius, distance)
       logical, intent(in) :: as_area
       real(wp), intent(in) :: radius, distance
       real(wp) :: cosine, sine
@@ -193,16 +193,16 @@ contains
       cosine = max(-1.0_wp, min(distance/radius, 1.0_wp))
       sine = sqrt((1.0_wp - cosine)*(1.0_wp + cosine))
       if (as_area) then
-        beyond = radius**2*(acos(cosine) - cosine*sine)
+        cut_part = radius**2*(acos(cosine) - cosine*sine)
       else
-        beyond = 2.0_wp*radius*(acos(cosine) + sine)
+        cut_part = 2.0_wp*radius*(acos(cosine) + sine)
       end if
-    end function beyond
+    end function cut_part
 
   end subroutine measure_scatterers
 
-  !> Smallest gap between two discs or between the walls: the distance from one hit to the next is
-  !> no shorter for long.
+  !> Smallest gap between two discs or between the walls: only within short times are hits closer
+  !> together than that.
   pure function narrowest_gap(channel, scatterers) result(gap)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.

@@ -16,7 +16,7 @@ module battery_table
   use battery_channel, only: channel_type, is_open, fold_into_channel, gated, ungated, no_channel, &
     facing
   use battery_chamber, only: mean_visit
-  use battery_corners, only: directions_stay
+  use battery_corners, only: is_rational_polygon
   use battery_motion, only: outside, in_urn, in_gate, in_return
   use battery_scatterers, only: scattered_half_channel_type, new_scattered_half_channel, &
     is_in_scatterer, measure_scatterers
@@ -34,7 +34,7 @@ module battery_table
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
 
-  !> Longest run, in units of the reach of an urn: after a longer one the clock would not resolve an
+  !> Longest run, in units of the reach of an urn: at longer times the clock would not resolve an
   !> urn.
   real(wp), parameter :: longest_run = 1.0e15_wp
 
@@ -54,21 +54,22 @@ module battery_table
     !> line at 0 to urn 1. Half of the channel with the discs in it, by urn.
     real(wp), allocatable :: scatterers(:, :)
     type(scattered_half_channel_type) :: half_channel2(2)
-    !> Length of an epoch: a power of two, at least four times the longest flight from wall to wall.
+    !> Length of an epoch: a power of two, at least four times the longest path from wall to wall.
     real(wp) :: epoch = 0.0_wp
   end type table_type
 
   !> Passage of a particle through a channel.
   type :: passage_type
-    !> Urn and chamber that it is in; its channel, or `no_channel`: then the rest is not set.
+    !> Urn and chamber that the particle is in; its channel, or `no_channel`: then the rest is not
+    !> set.
     integer :: urn = 0, chamber = outside, channel = no_channel
-    !> Whether it is too slow to reach either end; if not, whether it moves away from its urn, to
-    !> the line of the channel.
+    !> Whether the particle is too slow to reach either end; if not, whether it moves away from its
+    !> urn, towards the line of the channel.
     logical :: endless = .false., inward = .false.
-    !> Time until it reaches its urn; below 0: time since it left the urn.
+    !> Time until the particle reaches its urn; below 0: minus the time since it left the urn.
     real(wp) :: time = 0.0_wp
-    !> If it moves away from its urn: height at which it left the urn; -1 if u_y has been reversed
-    !> since, else 1; wall hits since.
+    !> If the particle moves away from its urn: height at which it left the urn; -1 if u_y has
+    !> changed its sign since, else 1; wall hits since.
     real(wp) :: height = 0.0_wp, reflected = 1.0_wp, hits = 0.0_wp
   end type passage_type
 
@@ -190,32 +191,32 @@ contains
     end associate
   end function shortest_excursion
 
-  !> Time in which the directions of flight relax in the larger urn: 25 r^4/w^3 in discs
+  !> Time in which the directions of motion relax in the larger urn: 25 r^4/w^3 in discs
   !> (docs/theory.md), with r the radius of a disc of the urn's area. Huge if channel 1 is closed,
-  !> or if all walls are straight and particles keep a few directions.
+  !> or if particles have only finitely many directions.
   pure function relaxation_time(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time, radius
 
     time = huge(1.0_wp)
-    if (.not. is_open(table%channel(gated)) .or. keeps_directions(table)) return
+    if (.not. is_open(table%channel(gated)) .or. has_finite_directions(table)) return
     radius = sqrt(maxval(table%urn(:table%sides)%area)/pi)
     time = 25.0_wp*radius*(radius/table%channel(gated)%width)**3
   end function relaxation_time
 
   !> Whether all urns are polygons in which a particle has only finitely many directions (the same
   !> ones in both, since both have an upright side), and channel 2 has no discs.
-  pure logical function keeps_directions(table)
+  pure logical function has_finite_directions(table)
     type(table_type), intent(in) :: table
     integer :: urn
 
-    keeps_directions = .not. is_scattered(table)
+    has_finite_directions = .not. is_scattered(table)
     do urn = 1, table%sides
-      if (.not. keeps_directions) return
-      keeps_directions = table%urn(urn)%shape == shape_polygon
-      if (keeps_directions) keeps_directions = directions_stay(table%urn(urn)%corner)
+      if (.not. has_finite_directions) return
+      has_finite_directions = table%urn(urn)%shape == shape_polygon
+      if (has_finite_directions) has_finite_directions = is_rational_polygon(table%urn(urn)%corner)
     end do
-  end function keeps_directions
+  end function has_finite_directions
 
   !> Urn to whose half of the table a point belongs; the middle line belongs to urn 2, if there is
   !> one.
@@ -259,8 +260,9 @@ contains
     if (table%sides == 1 .and. x > tolerance) chamber = outside
   end function chamber_at
 
-  !> When a particle in a channel left its urn, or will reach it. Passages that take longer than the
-  !> longest run, or have more wall hits than an integer can count, are endless.
+  !> Passage of a particle that is in a channel: the time since it left its urn, or until it reaches
+  !> it. Passages that take longer than the longest run, or have more wall hits than an integer can
+  !> count, are endless.
   pure function passage_at(table, x, y, ux, uy) result(passage)
     type(table_type), intent(in) :: table
     !> Position in the frame of the table, lengths; velocity, of length 1.

@@ -8,31 +8,31 @@ module battery_urn
   use battery_channel, only: channel_type, no_channel
   use battery_chamber, only: chamber_type
   use battery_disc, only: disc_type, new_disc, is_in_disc, try_point_in_disc, locate_in_disc, &
-    first_impact_in_disc, next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
+    find_first_impact_in_disc, find_next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
   use battery_disc_visits, only: compute_disc_visits
   use battery_motion, only: wall_kind
   use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, &
-    locate_in_polygon, first_impact_in_polygon, next_wall_in_polygon, reflect_in_polygon, &
-    reflect_overshoot_in_polygon
+    locate_in_polygon, find_first_impact_in_polygon, find_next_wall_in_polygon, &
+    reflect_in_polygon, reflect_overshoot_in_polygon
   use battery_polygon_visits, only: compute_polygon_visits
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: urn_type, shape_disc, shape_polygon, derive_shape, are_mirror_images, contains_point, &
-    try_random_point, compute_visits, locate_in_visit, first_impact, locate_after, find_next_wall, &
-    reflect_at_wall, reflect_overshoot
+    try_random_point, compute_visits, locate_in_visit, find_first_impact, locate_after, &
+    find_next_wall, reflect_at_wall, reflect_overshoot
 
   !> The shapes.
   integer, parameter :: shape_disc = 1, shape_polygon = 2
 
-  !> An urn of the table: lengths.
+  !> An urn of the table.
   type, extends(chamber_type) :: urn_type
     !> As specified by the user: shape, radius of a disc or of a regular polygon, corners of a
     !> polygon as (x, y) in columns.
     integer :: shape = shape_disc
     real(wp) :: radius = 1.0_wp
     real(wp), allocatable :: corner(:, :)
-    !> Derived from that, by shape.
+    !> Geometry derived from these, by shape.
     type(disc_type) :: disc
     type(polygon_type) :: polygon
     !> Position in the table: |x| of its origin, and of the periodic line at the end of its half of
@@ -40,7 +40,7 @@ module battery_urn
     !> 1 or -1.
     real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, channel_start(2) = 0.0_wp, axis_sign = &
       1.0_wp
-    !> Shortest flight that a clock can resolve.
+    !> Shortest time between two hits that a clock can resolve.
     real(wp) :: shortest = 0.0_wp
   end type urn_type
 
@@ -50,7 +50,8 @@ module battery_urn
 
 contains
 
-  !> A disc. The default constructor would require all components that have no default.
+  !> An urn with the shape of a disc. The default constructor would require all components that have
+  !> no default.
   elemental function urn_of_radius(radius) result(urn)
     !> Radius, a length.
     real(wp), intent(in) :: radius
@@ -135,30 +136,31 @@ contains
     end select
   end subroutine compute_visits
 
-  !> First impact of a particle in the urn, openings counted as wall, in the form in which
-  !> `locate_in_visit` expects it for a visit that never ends.
-  pure subroutine first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
+  !> Finds the first impact of a particle in the urn, openings counted as wall, in the form that
+  !> `locate_in_visit` expects for a visit that never ends.
+  pure subroutine find_first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     type(urn_type), intent(in) :: urn
     !> Position and velocity in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     !> y, `u_axial` and `u_lateral` of `visits_type` at that impact; the time until then.
     real(wp), intent(out) :: at, u_axial, u_lateral, wait
-    !> Wall hits that `locate_in_visit` does not count from there on.
+    !> Wall hits until the impact that `locate_in_visit` does not count.
     integer(int64), intent(out) :: before
 
     select case (urn%shape)
     case (shape_polygon)
-      call first_impact_in_polygon(urn%polygon, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
+      call find_first_impact_in_polygon(urn%polygon, x, y, ux, uy, at, u_axial, u_lateral, wait, &
+        before)
     case default
-      call first_impact_in_disc(urn%disc, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
+      call find_first_impact_in_disc(urn%disc, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     end select
-  end subroutine first_impact
+  end subroutine find_first_impact
 
-  !> Position of a particle a time `elapsed` after a given state in the urn, which it has not left
-  !> since.
+  !> Position of a particle at the time `elapsed` after a given state in the urn, which it has not
+  !> left since.
   pure subroutine locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
     type(urn_type), intent(in) :: urn
-    !> That state in the frame of the urn: lengths, and a vector of length 1.
+    !> The given state in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     !> Time since then.
     real(wp), intent(in) :: elapsed
@@ -169,7 +171,7 @@ contains
     real(wp) :: at, u_axial, u_lateral, wait
     integer(int64) :: before
 
-    call first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
+    call find_first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     call locate_in_visit(urn, no_channel, at, u_axial, u_lateral, elapsed - wait, position, &
       velocity, hits)
     hits = hits + before
@@ -181,13 +183,14 @@ contains
     type(urn_type), intent(in) :: urn
     !> Channel through which the visit ends; `no_channel` or `truncated`.
     integer, intent(in) :: channel
-    !> Height, |u_x| and u_y there, or what `visits_type` has instead.
+    !> Height, |u_x| and u_y at the chord, or the description of an impact (`visits_type`).
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> Time since then; below 0: until then. The particle has not left.
+    !> Time since the impact or the end of the visit; below 0: time until then. The particle has not
+    !> left the urn.
     real(wp), intent(in) :: since
     !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
-    !> Wall hits since then; below 0: hits that are still to come.
+    !> Wall hits since then; below 0: minus the number of hits until then.
     integer(int64), intent(out) :: hits
 
     select case (urn%shape)
@@ -199,11 +202,11 @@ contains
     end select
   end subroutine locate_in_visit
 
-  !> What a particle in the urn, or at an opening, meets first (`next`), and the time `wait` until
-  !> then.
+  !> Finds the wall or opening `next` that a particle in the urn, or at an opening, reaches first,
+  !> and the time `wait` until then.
   pure subroutine find_next_wall(urn, from, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
-    !> Channel on whose chord it is, or `no_channel`.
+    !> Channel on whose chord the particle is, or `no_channel`.
     integer, intent(in) :: from
     !> Position and velocity in the frame of the urn.
     real(wp), intent(in) :: x, y, ux, uy
@@ -212,14 +215,14 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      call next_wall_in_polygon(urn%polygon, from, x, y, ux, uy, next, wait)
+      call find_next_wall_in_polygon(urn%polygon, from, x, y, ux, uy, next, wait)
     case default
-      call next_wall_in_disc(urn%disc, from, x, y, ux, uy, next, wait)
+      call find_next_wall_in_disc(urn%disc, from, x, y, ux, uy, next, wait)
     end select
   end subroutine find_next_wall
 
-  !> Reflects a particle at the wall `next`; finds what it meets `next`, and the time `wait` until
-  !> then.
+  !> Reflects a particle at the wall `next`; finds the wall or opening that it reaches `next`, and
+  !> the time `wait` until then.
   pure subroutine reflect_at_wall(urn, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
     !> Position and velocity in the frame of the urn.
@@ -235,7 +238,8 @@ contains
     end select
   end subroutine reflect_at_wall
 
-  !> If a particle `was_beyond` a wall, mirrors its position in the wall and reflects its velocity.
+  !> If a particle is beyond a wall (`was_beyond`), mirrors its position in the wall and reflects
+  !> its velocity.
   pure subroutine reflect_overshoot(urn, x, y, ux, uy, was_beyond)
     type(urn_type), intent(in) :: urn
     !> Position and velocity in the frame of the urn.

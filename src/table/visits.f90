@@ -31,11 +31,12 @@ module battery_visits
     !> In: time of entry into the channel before the urn. Out of `cross_channels`: time of entry
     !> into the urn.
     real(wp), allocatable :: time(:)
-    !> When a gate turned the particle back in that channel, or huge; time spent in that channel.
+    !> Time at which a gate turned the particle back in that channel, or huge; time spent in that
+    !> channel.
     real(wp), allocatable :: turned(:), passage(:)
-    !> In: that channel. Out of `compute_visits`: the next channel, or `no_channel`.
+    !> In: the channel before the urn. Out of `compute_visits`: the next channel, or `no_channel`.
     integer(int64), allocatable :: channel(:)
-    !> Out of `compute_visits`: time through that channel, from end to end.
+    !> Out of `compute_visits`: time through the next channel, from end to end.
     real(wp), allocatable :: through(:)
     !> Position in the frame of the urn. In: y at the channel's entrance; out of `cross_channels`,
     !> on the chord through which it enters the urn; out of `compute_visits`, on the one through
@@ -50,7 +51,7 @@ module battery_visits
     real(wp), allocatable :: length(:)
     !> Wall hits in the channel and in the urn, whole numbers.
     real(wp), allocatable :: hits(:)
-    !> Out of `compute_visits`: their sum.
+    !> Out of `compute_visits`: sum of the wall hits of all visits.
     integer(int64) :: all_hits = 0
     !> Out of `compute_visits`: number of visits that have at least `many_hits` hits in the urn,
     !> never end, or are truncated, and their indices. Other visits may be among them.

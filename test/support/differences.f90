@@ -166,8 +166,8 @@ contains
       text = error%message
       return
     end if
-    call a%engine%particles(1, a%engine%number, here)
-    call b%engine%particles(1, b%engine%number, there)
+    call a%engine%get_particles(1, a%engine%number, here)
+    call b%engine%get_particles(1, b%engine%number, there)
     text = of_particles(here, there)
     if (text == '') text = of_words(first%word(:first%length), second%word(:second%length))
   end function of_simulations

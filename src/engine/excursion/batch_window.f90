@@ -22,16 +22,15 @@ module battery_batch_window
 
   !> The events of a window by part. Arrays are longer than their counts.
   type :: batch_window_type
-    !> Number of events of each part; as (event, part): when each is due, when the particle would
-    !> reach the middle line, and which particle it is.
+    !> Number of events of each part; as (event, part): time of each event, time at which its
+    !> particle would reach the middle line, and the particle.
     integer :: partition_count(3) = 0
     real(wp), allocatable :: due(:, :), middle(:, :)
     integer, allocatable :: particle(:, :)
-    !> What the entries into each gate lead to.
+    !> Reversals and crossings that the entries into each gate lead to.
     type(stretch_type) :: stretch(2)
-    !> Crossings of all lines: when, and a sort key that encodes line and particle
-    !> (`crossing_order_of`). The gates write the bare particle here, until `sort_crossings` encodes
-    !> the line.
+    !> Crossings of all lines: time, and a sort key that encodes line and particle
+    !> (`crossing_order_of`). The gates write the particle alone; `sort_crossings` adds the line.
     integer :: crossings = 0
     real(wp), allocatable :: crossing_time(:)
     integer, allocatable :: crossing_order(:)
@@ -51,7 +50,7 @@ contains
     integer, intent(in) :: beyond(2), number
     type(flight_type), intent(inout) :: flight(number)
     type(calendar_type), intent(in) :: calendar
-    !> How many of its sorted events belong to the window.
+    !> Number of sorted events of the calendar that belong to the window.
     integer, intent(in) :: events
     !> Start and end of the window.
     real(wp), intent(in) :: began, ends
@@ -120,31 +119,31 @@ contains
   end subroutine reserve_batch_window
 
   !> Assigns the due events to gates and line; particles that enter a gate are inside from now on.
-  !> The loop has no branches: with many particles each flight is a cache miss, and many must be
-  !> under way at a time.
-  pure subroutine partition_events(number, flight, events, due_time, who, room, partition_count, &
-    due, middle, particle)
+  !> The loop has no branches: with many particles each flight is a cache miss, and many loads must
+  !> be pending at a time.
+  pure subroutine partition_events(number, flight, events, due_time, due_particle, room, &
+    partition_count, due, middle, particle)
     !> Number of particles; number of events.
     integer, intent(in) :: number, events
     type(flight_type), intent(inout) :: flight(number)
     !> Time of each event, ascending.
     real(wp), intent(in) :: due_time(events)
     !> Particle of each event.
-    integer, intent(in) :: who(events)
+    integer, intent(in) :: due_particle(events)
     !> Leading extent of the arrays, which are explained at `batch_window_type`.
     integer, intent(in) :: room
     !> Number of events of each part.
     integer, intent(out) :: partition_count(3)
-    !> When each event is due, and when its particle would reach the middle line.
+    !> Time of each event, and time at which its particle would reach the middle line.
     real(wp), intent(inout) :: due(room, 3), middle(room, 3)
-    !> Its particle.
+    !> Particle of each event.
     integer, intent(inout) :: particle(room, 3)
     integer :: k, i, place, line
     logical :: enters
 
     partition_count = 0
     do k = 1, events
-      i = who(k)
+      i = due_particle(k)
       enters = flight(i)%next_event == to_gate
       line = merge(int(flight(i)%urn), periodic_line, enters)
       flight(i)%next_event = merge(counted_in_gate, flight(i)%next_event, enters)
@@ -210,7 +209,7 @@ contains
     urn = flight(particle)%urn
   end subroutine decode_crossing_order
 
-  !> Lists the crossings as an event record has them: when, and which.
+  !> Lists times and kinds of the crossings in the format of an event record.
   pure subroutine record_crossings(crossings, crossing_time, crossing_order, number, flight, &
     began, recorded_time, recorded)
     !> Number of crossings.
@@ -260,7 +259,7 @@ contains
   end subroutine add_crossing_visits
 
   !> Writes all events of the window to the event record, with the event log.
-  subroutine record_logged_events(window, number, flight, began, events, due_time, who, &
+  subroutine record_logged_events(window, number, flight, began, events, due_time, due_particle, &
     event_record)
     type(batch_window_type), intent(in) :: window
     !> Number of particles, number of events, and the flights.
@@ -271,7 +270,7 @@ contains
     !> Time of each event, as given to `partition_events`.
     real(wp), intent(in) :: due_time(events)
     !> Particle of each event.
-    integer, intent(in) :: who(events)
+    integer, intent(in) :: due_particle(events)
     type(event_record_type), intent(inout) :: event_record
     integer :: k, next, urn, entered(2), reversed(2)
 
@@ -286,12 +285,12 @@ contains
           .and. line_of_crossing(window%crossing_order(next)) == periodic_line) exit
         call record_next_crossing()
       end do
-      if (flight(who(k))%next_event /= counted_in_gate) then
+      if (flight(due_particle(k))%next_event /= counted_in_gate) then
         call record_next_crossing()
         cycle
       end if
-      urn = flight(who(k))%urn
-      call record_event(event_record, due_time(k) - began, event_entry, urn, who(k))
+      urn = flight(due_particle(k))%urn
+      call record_event(event_record, due_time(k) - began, event_entry, urn, due_particle(k))
       entered(urn) = entered(urn) + 1
       associate (stretch => window%stretch(urn))
         if (reversed(urn) == stretch%reversals) cycle

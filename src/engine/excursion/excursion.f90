@@ -3,19 +3,19 @@
 !>
 !> Particles interact through the counts of the two gates only, so few events need a common order:
 !> entries into a gate, crossings of the middle line of channel 1, crossings of the periodic line.
-!> After any of them the next entry or periodic crossing of that particle is at least
-!> `shortest_excursion` away: the lookahead. A window no longer than that is processed in two steps:
-!> its events in the order of time (`run_batch_window`, `run_serial_window`), then, in one batch,
-!> the visits to the urns that these events begin.
+!> After any of these events, the particle's next entry or periodic crossing is at least
+!> `shortest_excursion` later: the lookahead. A window no longer than that is processed in two
+!> steps: its events in the order of time (`run_batch_window`, `run_serial_window`), then, in one
+!> batch, the visits to the urns that these events begin.
 !>
-!> The state of a particle (`flight_type`) is how it will enter its next channel. Its position
-!> before then is found backwards from there, or forwards from the start of a long visit.
+!> The state of a particle (`flight_type`) is its state on entry into its next channel. Its position
+!> before then is computed backwards from that entry, or forwards from the start of a long visit.
 !>
-!> This file has the type, one window (`advance_window`), and the state: where particles are, and
-!> its serialisation. In files of their own are flights (`flight.f90`), the two ways to process the
-!> events of a window (`serial_window.f90`, `batch_window.f90`), visits computed ahead
-!> (`lookahead.f90`), long and truncated ones (`long_visits.f90`, `partial_visits.f90`), and tables
-!> with discs in channel 2 (`excursion_scattered.f90`, `scatterer_visits.f90`).
+!> This file has the type, one window (`advance_window`), the positions of particles, and the
+!> serialisation. Separate files have flights (`flight.f90`), the two ways to process the events of
+!> a window (`serial_window.f90`, `batch_window.f90`), visits computed ahead (`lookahead.f90`), long
+!> and truncated visits (`long_visits.f90`, `partial_visits.f90`), and tables with discs in channel
+!> 2 (`excursion_scattered.f90`, `scatterer_visits.f90`).
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
   use battery_archive, only: archive_type
@@ -75,8 +75,8 @@ module battery_excursion
     type(scatterer_visits_type) :: scatterer_visits
     !> Lookahead, longest window, mean time between two events of a particle.
     real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
-    !> Number of partial visits; those that are continued in this window: how many, when each is due
-    !> and which particle.
+    !> Number of partial visits; those that are continued in this window: number, time at which each
+    !> is due, and particle.
     integer :: partial_count = 0, resumed_count = 0
     real(wp), allocatable :: resumed_time(:)
     integer, allocatable :: resumed(:)
@@ -350,8 +350,8 @@ contains
     call locate_particle_now(self, i, state, hits)
   end function state_of
 
-  !> The same, from the nearer end of its visit; and the `hits` to be added to `computed_hits` for
-  !> it.
+  !> State (x, y, u_x, u_y) of particle `i` now, computed from the nearer end of its visit; and the
+  !> `hits` to be added to `computed_hits` for this particle.
   subroutine locate_particle_now(self, i, state, hits)
     type(excursion_type), intent(in) :: self
     integer, intent(in) :: i
@@ -377,7 +377,8 @@ contains
     end associate
   end subroutine locate_particle_now
 
-  !> Exact wall hits from the start until now: the computed ones, corrected for each particle.
+  !> Exact number of wall hits from the start until now: `computed_hits`, corrected for each
+  !> particle.
   function collisions(self) result(total)
     class(excursion_type), intent(in) :: self
     integer(int64) :: total

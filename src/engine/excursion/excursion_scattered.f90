@@ -70,7 +70,7 @@ contains
     end associate
   end subroutine begin_scatterer_visits
 
-  !> Moves the start of each truncated visit that is due to where the visit was truncated.
+  !> Moves the start of each truncated visit that is due to the point where it was truncated.
   subroutine resume_truncated_visits(self)
     type(excursion_type), intent(inout) :: self
     integer :: j, i
@@ -87,12 +87,12 @@ contains
     end do
   end subroutine resume_truncated_visits
 
-  !> Computes the visits of a window until none ends within it but at a gate: a particle that
-  !> crosses the line starts another one. The gates need not be asked, since no particle reaches one
-  !> so soon.
+  !> Computes the visits of a window until none ends within it other than at a gate: a particle that
+  !> crosses the line starts another visit. The gates take no part: by the lookahead, no particle
+  !> enters one before the window ends.
   module procedure compute_window_visits_scattered
     integer :: j, i, again, later, first
-    integer, allocatable :: whose(:)
+    integer, allocatable :: due_particle(:)
     real(wp), allocatable :: due(:)
 
     first = event_record%crossings
@@ -107,7 +107,7 @@ contains
         i = self%resumed(j)
         call add_scatterer_visit(scatterer_visits, i, scatterer_visits%visit_start(i), 0_int64)
       end do
-      allocate (whose(scatterer_visits%count), due(scatterer_visits%count))
+      allocate (due_particle(scatterer_visits%count), due(scatterer_visits%count))
       do while (scatterer_visits%count > 0)
         call compute_scatterer_visits(scatterer_visits, self%table, huge(1.0_wp))
         call store_scatterer_flights(scatterer_visits, self%flight, self%computed_hits)
@@ -119,20 +119,20 @@ contains
               call continue_within_window(self, j, again, began, event_record)
             else
               later = later + 1
-              whose(later) = at%particle
+              due_particle(later) = at%particle
               due(later) = self%flight(at%particle)%due
             end if
           end associate
         end do
-        call schedule_events(self%calendar, later, whose, due)
+        call schedule_events(self%calendar, later, due_particle, due)
         scatterer_visits%count = again
       end do
     end associate
     if (event_record%crossings > first) call sort_event_record(event_record)
   end procedure compute_window_visits_scattered
 
-  !> Visit `j` of the batch ended at the line, or was truncated, within the window: the next visit
-  !> of its particle becomes number `again` + 1 of the batch.
+  !> Starts the next visit of a particle whose visit, number `j` of the batch, ended at the line or
+  !> was truncated within the window; the new visit becomes number `again` + 1 of the batch.
   subroutine continue_within_window(self, j, again, began, event_record)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: j

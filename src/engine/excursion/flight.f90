@@ -1,10 +1,11 @@
 !> The state of a particle of the engine `excursion` between two of its events.
 !>
-!> A flight says how the particle will enter its next channel, or entered the one it is in. It is
-!> made from an initial position (`make_initial_flight`), loaded into a batch of visits and stored
-!> at their ends (`load_flights`, `store_flights`: kernels over flat arrays, a flight being one
-!> cache line), and yields the position at any time between (`locate_particle`). Earlier positions
-!> are found backwards from it; for long visits the start is stored as well (`battery_long_visits`).
+!> A flight holds time, height and velocity of the particle's entry into its next channel, or into
+!> the channel that it is in. It is made from an initial position (`make_initial_flight`), loaded
+!> into a batch of visits and stored at their ends (`load_flights`, `store_flights`: kernels over
+!> flat arrays, a flight being one cache line), and yields the position at any time between
+!> (`locate_particle`). Earlier positions are computed backwards from it; for long visits the start
+!> is stored as well (`battery_long_visits`).
 module battery_flight
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64
@@ -12,7 +13,7 @@ module battery_flight
   use battery_channel, only: fold_into_channel, facing
   use battery_memory, only: prefer_large_pages
   use battery_table, only: table_type, passage_type, passage_at, gated, ungated, no_channel
-  use battery_urn, only: urn_type, locate_in_visit, first_impact
+  use battery_urn, only: urn_type, locate_in_visit, find_first_impact
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
@@ -108,7 +109,7 @@ contains
     !> Its initial position, a length, and velocity, of length 1, in the frame of the table.
     real(wp), intent(in) :: x, y, ux, uy
     type(flight_type), intent(inout) :: flight
-    !> Wall hits of the visit; out: from the first impact on, if it was in an urn.
+    !> Wall hits of the visit; out: those from the first impact on, if the particle was in an urn.
     real(wp), intent(inout) :: hits
     type(passage_type) :: passage
     integer(int64) :: before
@@ -116,7 +117,7 @@ contains
     passage = passage_at(table, x, y, ux, uy)
     if (passage%channel == no_channel) then
       associate (urn => table%urn(passage%urn))
-        call first_impact(urn, urn%centre - abs(x), y, urn%axis_sign*ux, uy, flight%y, &
+        call find_first_impact(urn, urn%centre - abs(x), y, urn%axis_sign*ux, uy, flight%y, &
           flight%u_axial, flight%u_lateral, flight%time, before)
       end associate
       flight%next_event = partial_visit
@@ -141,7 +142,7 @@ contains
     time = max(enters + 0.5_wp*through, enters*(1.0_wp + 2.0_wp*epsilon(1.0_wp)))
   end function middle_time
 
-  !> Copies what a batch of visits needs from the flights of its particles.
+  !> Copies entry times, heights and velocities from the flights of the particles of a batch.
   pure subroutine load_flights(number, flight, n, particle, turned, passage, time, y, u_axial, &
     u_lateral)
     !> Number of particles; size of the batch.
@@ -199,7 +200,7 @@ contains
         flight(i)%next_event = merge(to_return, parked_in_urn, channel(j) == ungated)
         time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
         if (channel(j) == truncated) then
-          ! Before its end, so that what follows is due no sooner than the lookahead.
+          ! Due before the end of the part, so that the next event is at least the lookahead later.
           flight(i)%next_event = partial_visit
           time(j) = leaves - through(j)
         end if
@@ -257,7 +258,7 @@ contains
     from = merge(gated, ungated, position(1) > 0.0_wp)
     call fold_into_channel(position(2) - velocity(2)*before, urn%width(from), height, reflected, &
       passed)
-    ! However slow it is, it stays in this urn's half of the channel.
+    ! However slow the particle is, it stays in this urn's half of the channel.
     position(1) = facing(from)*(urn%chord(from) + min(abs(velocity(1))*before, &
       0.5_wp*urn%length(from)))
     position(2) = height

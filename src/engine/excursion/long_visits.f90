@@ -1,10 +1,9 @@
-!> Stores the flights that visits of the engine `excursion` end in, and the start of each long
-!> visit.
+!> Starts of the long visits of the engine `excursion`.
 !>
-!> A flight holds the end of a visit. Tracing back from there costs digits: a rounding error for
-!> each unit of length, and a visit may be 1e13 long. So the start of a visit is stored if the visit
-!> is long, never ends, or is truncated; while a particle is nearer to the start of its
-!> visit than to its end, it is located forwards from the start.
+!> A flight holds the end of a visit. Tracing back from there adds a rounding error for each unit of
+!> length, and a visit may be 1e13 long. So the start of a visit is stored if the visit is long,
+!> never ends, or is truncated; while a particle is nearer to the start of its visit than to its
+!> end, it is located forwards from the start.
 !>
 !> An entry is a copy of the previous flight: a few words are copied, nothing is computed. It is
 !> valid as long as the flight of its particle belongs to a long visit; invalid ones are dropped
@@ -30,13 +29,13 @@ module battery_long_visits
 
   !> The start of a visit, in one cache line.
   type :: entry_type
-    !> As in the previous flight. `next_event` `counted_in_gate` or `to_return`: how the particle
-    !> entered the channel before the urn. `partial_visit`: an impact in the urn, described as
+    !> As in the previous flight. `next_event` `counted_in_gate` or `to_return`: the particle's
+    !> entry into the channel before the urn. `partial_visit`: an impact in the urn, described as
     !> `visits_type` describes one of a particle that never leaves.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
-    !> When a gate turned it back in the channel, or `never`.
+    !> Time at which a gate turned the particle back in the channel, or `never`.
     real(wp) :: turned = never
-    !> Wall hits in that channel and of the whole visit; after an impact, those since then.
+    !> Wall hits in the channel and in the urn; for an impact in the urn: wall hits since then.
     real(wp) :: hits = 0.0_wp
     integer(int32) :: particle = 0
     integer(int16) :: next_event = 0
@@ -98,7 +97,7 @@ contains
     end select
   end function has_long_visit
 
-  !> Keeps how the long visits of a batch began, before `store_flights` writes their flights.
+  !> Stores the starts of the long visits of a batch, before `store_flights` overwrites the flights.
   pure subroutine store_visit_starts(visits, number, flight, batch)
     !> Updated with the starts of the long visits of the batch.
     type(long_visits_type), intent(inout) :: visits
@@ -114,8 +113,8 @@ contains
     do k = 1, batch%many_count
       j = batch%many(k)
       if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
-      ! For all that are left, before any of them is stored: their flights are still the previous
-      ! ones.
+      ! Room for all remaining ones at once, while their flights are still the previous ones: later,
+      ! `drop_finished_entries` would drop entries that have just been stored.
       if (visits%count + batch%many_count - k >= visits%room) call grow_entries(visits, flight, &
         batch%many_count - k + 1)
       i = batch%particle(j)
@@ -130,7 +129,7 @@ contains
     integer, intent(in) :: particle
     !> The previous flight.
     type(flight_type), intent(in) :: flight
-    !> When a gate turned it back before, or `never`; wall hits, those in the channel before too.
+    !> Time at which a gate turned the particle back, or `never`; wall hits in channel and urn.
     real(wp), intent(in) :: turned, hits
     integer :: at
 

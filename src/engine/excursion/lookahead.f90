@@ -1,10 +1,10 @@
 !> Visits that the engine `excursion` computes before they begin.
 !>
 !> With few particles or tiny openings a window has one visit, too few to fill the vector lanes. A
-!> particle that is not turned back in its channel meets no other, so its visit follows from its
-!> flight. A visit that begins is therefore computed together with those of the next events that
-!> are not computed yet, as if no gate reversed. They are kept until they begin; the visit of a
-!> particle that a gate does turn back is computed again.
+!> particle that is not turned back in its channel interacts with no other, so its visit follows
+!> from its flight. A visit that begins is therefore computed together with those of the next events
+!> that are not computed yet, as if no gate reversed. Visits computed ahead are stored until they
+!> begin; the visit of a particle that a gate does turn back is computed again.
 module battery_lookahead
   use battery_kinds, only: wp, int32, int64
   use battery_calendar, only: flight_type
@@ -17,10 +17,11 @@ module battery_lookahead
   private
   public :: lookahead_type, lookahead_pays, compute_with_lookahead
 
-  !> Visits computed ahead in one batch, besides those that begin now; those that are kept.
+  !> Largest number of visits computed ahead in one batch, besides those that begin now.
   integer, parameter, public :: most_lookahead_visits = 16
+  !> Number of visits computed ahead that are stored.
   integer, parameter :: slots = 64
-  !> Lookahead pays where a window has fewer events than this on average.
+  !> Computing ahead pays where a window has fewer events than this on average.
   real(wp), parameter :: most_events = 1.0_wp
 
   !> A visit computed ahead: its particle, and what `compute_visits` yields of it.
@@ -54,14 +55,14 @@ contains
     lookahead_pays = number > 1 .and. events < most_events .and. all(threshold > 0)
   end function lookahead_pays
 
-  !> Takes the visits that begin from those computed ahead if all of them were. Else computes them,
-  !> together with those of the next events, which are kept.
+  !> Copies the visits that begin from those computed ahead, if all of them were. Else computes
+  !> them, together with the visits of the next events, which are stored.
   subroutine compute_with_lookahead(urn, number, flight, coming, next, visits, ahead, computed_hits)
     type(urn_type), intent(in) :: urn
     !> Number of particles; number of pending events in order.
     integer, intent(in) :: number, coming
     type(flight_type), intent(inout) :: flight(number)
-    !> Their particles.
+    !> Particle of each pending event.
     integer, intent(in) :: next(coming)
     !> In: particle, channel and time of reversal, as `run_serial_window` leaves them; with room for
     !> `most_lookahead_visits` more. Out: as `compute_visits` leaves them.

@@ -2,7 +2,7 @@
 !>
 !> A visit with very many wall hits is truncated (`truncated` of `battery_visits`). Its particle
 !> then has an event at which the next part is computed. The event is due half a part before the end
-!> of the part, so that whatever follows that end is no sooner than the lookahead.
+!> of the part, so that any event after that end is at least the lookahead later.
 module battery_partial_visits
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type
@@ -24,13 +24,13 @@ contains
     type(flight_type), intent(in) :: flight(number)
     !> Times of the events, ascending.
     real(wp), intent(inout) :: due_time(:)
-    !> Their particles, and their number: before, and after.
+    !> Particles of the events; number of events, before and after.
     integer, intent(inout) :: particle(:), events
     !> Number of events removed.
     integer, intent(out) :: resumed_count
-    !> When these are due.
+    !> Times of the events removed.
     real(wp), allocatable, intent(out) :: resumed_time(:)
-    !> Their particles.
+    !> Particles of the events removed.
     integer, allocatable, intent(out) :: resumed(:)
     logical :: apart(events)
 
@@ -43,7 +43,7 @@ contains
     particle(:events) = pack(particle(:events + resumed_count), .not. apart)
   end subroutine split_off_partial_visits
 
-  !> Computes the next part of each visit to one urn, starting from when it was due.
+  !> Computes the next part of each visit to one urn, from the time at which it is due.
   subroutine compute_partial_visits(urn, urn_index, number, flight, resumed_count, resumed_time, &
     resumed, visits, long_visits, computed_hits)
     type(urn_type), intent(in) :: urn

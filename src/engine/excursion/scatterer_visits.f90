@@ -2,14 +2,14 @@
 !>
 !> There a particle may come back to its own urn, or cross the counted line to and fro. So an urn
 !> and its half of channel 2 are one chamber with two openings: the gate and the line. A visit
-!> starts at either, or wherever a particle is at the start of the run, and alternates between the
-!> urn and its half of channel 2 until it ends at either. A flight to channel 2 ends at the line:
+!> starts at one of them, or at the initial position of a particle, and alternates between the urn
+!> and its half of channel 2 until it ends at one of them. A flight to channel 2 ends at the line:
 !> its `through` is 0. A visit with too many hits is truncated in the channel or in the urn
 !> (`partial_visit`) and continued later.
 !>
-!> Paths among discs diverge so fast that tracing them back leads elsewhere. So the start of each
-!> visit is stored, in the frame of the urn or in that of its half of channel 2
-!> (`battery_scatterers`), and a particle is located by computing its visit once more from there.
+!> Paths among discs diverge so fast that tracing them back does not lead to their start. So the
+!> start of each visit is stored, in the frame of the urn or in that of its half of channel 2
+!> (`battery_scatterers`), and a particle is located by computing its visit again from its start.
 module battery_scatterer_visits
   use battery_kinds, only: wp, int8, int16, int32, int64
   use battery_calendar, only: flight_type
@@ -33,7 +33,7 @@ module battery_scatterer_visits
   !> A visit while it is computed.
   type :: scatterer_visit_type
     integer :: particle = 0
-    !> State it has reached; next event after its end, and wall hits so far.
+    !> State that it has reached; next event after its end; wall hits so far.
     type(motion_type) :: now
     integer(int16) :: next_event = undetermined
     integer(int64) :: hits = 0
@@ -258,7 +258,7 @@ contains
   !> Continues or ends a visit at the end of its path through a half of channel 2.
   pure subroutine end_half_channel_passage(table, motion, hits, limit, at)
     type(table_type), intent(in) :: table
-    !> State at that end, and the wall hits on the path.
+    !> State at the end of the path, and the wall hits on it.
     type(motion_type), intent(in) :: motion
     integer(int64), intent(in) :: hits
     real(wp), intent(in) :: limit

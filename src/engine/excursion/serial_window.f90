@@ -28,7 +28,7 @@ contains
     integer, intent(in) :: beyond(2)
     type(flight_type), intent(inout) :: flight(:)
     type(calendar_type), intent(in) :: calendar
-    !> How many of its sorted events belong to the window.
+    !> Number of sorted events of the calendar that belong to the window.
     integer, intent(in) :: events
     !> Start and end of the window.
     real(wp), intent(in) :: began, ends
@@ -51,7 +51,7 @@ contains
         call enter_gate(gate(urn), middle_time(now, flight(i)%through), i)
         if (event_record%logging) call record_event(event_record, now - began, event_entry, urn, i)
         if (must_reverse(gate(urn))) then
-          if (.not. more_enter_now(events, calendar, flight, at)) &
+          if (.not. more_entries_follow(events, calendar, flight, at)) &
             call reverse_gate(gate(urn), urn, now, began, visits, event_record)
         end if
       else
@@ -65,7 +65,7 @@ contains
   end subroutine run_serial_window
 
   !> Whether another particle enters the same gate at exactly the time of the event `at`.
-  pure function more_enter_now(events, calendar, flight, at) result(more)
+  pure function more_entries_follow(events, calendar, flight, at) result(more)
     integer, intent(in) :: events, at
     type(calendar_type), intent(in) :: calendar
     type(flight_type), intent(in) :: flight(:)
@@ -80,7 +80,7 @@ contains
         == flight(calendar%particle(at))%urn
       if (more) exit
     end do
-  end function more_enter_now
+  end function more_entries_follow
 
   !> Reverses a gate: adds a visit, back to its urn, for every counted particle. The way out takes
   !> as long as the way in.
@@ -100,8 +100,8 @@ contains
     call uncount_all(gate)
   end subroutine reverse_gate
 
-  !> Takes the earliest pending crossing of the middle line, or hit of the end wall there, and adds
-  !> the visit that follows.
+  !> Processes the earliest pending crossing of the middle line (of a single urn: hit of the end
+  !> wall), and adds the visit that follows.
   subroutine cross_middle_line(gate, beyond, began, visits, event_record, end_wall_hits)
     type(gate_type), intent(inout) :: gate(2)
     integer, intent(in) :: beyond(2)

@@ -4,20 +4,20 @@
 !> A particle that enters an urn stays there for an exponential time of mean pi A/(w + w'), the true
 !> mean, and leaves through channel 1 with probability w/(w + w'), at a height uniform on the
 !> opening, in a direction of the cosine law: the sine of its angle to the channel is uniform in
-!> (-1, 1). All three are independent of its past. That is what the theory assumes of an urn, so the
-!> difference to `excursion` is the effect of the urn's shape.
+!> (-1, 1). Time, opening, height and direction are independent of the past. The theory assumes this
+!> of an urn, so the difference to `excursion` is the effect of the urn's shape.
 !>
 !> **Ticks.** Exponential times have no memory, so the end of a stay need not be known in advance.
-!> Each of the n particles that are in an urn, or on the way into one, ticks at the rate 1/mean.
+!> Each of the n particles that are in an urn, or on the way into one, has ticks at the rate 1/mean.
 !> Together they are a Poisson process of rate n/mean; the particle of each tick is drawn. A
-!> particle in its urn leaves at the tick; one that is still on its way ignores it. That is exact,
-!> and needs no calendar. If the urns differ, all tick at the rate of the urn with the shorter mean,
-!> and the ticks of particles in the other urn are thinned. Ticks depend on the order of events and
-!> on the seed only, not on the windows.
+!> particle in its urn leaves at the tick; the tick of a particle that is still on its way has no
+!> effect. That is exact, and needs no calendar. If the urns differ, all particles have the rate of
+!> the urn with the shorter mean, and the ticks of particles in the other urn are thinned. Ticks
+!> depend on the order of events and on the seed only, not on the windows.
 !>
 !> **Limits.** Urns have no walls here. `collisions` adds their mean number, (length of walls)/(pi
 !> A) per time in an urn, to the true hits in the channels, so a run of a given number of collisions
-!> is about as long as with another engine. A particle in an urn has no position: `particles` draws
+!> is about as long as with another engine. A particle in an urn has no position: `state_of` draws
 !> one, from the seed, the time and the particle index.
 module battery_reservoir
   use battery_kinds, only: wp, int32, int64, pi
@@ -41,17 +41,17 @@ module battery_reservoir
   !> Events of a window, about, and its largest number of ticks.
   real(wp), parameter :: window_events = 100.0_wp, window_ticks = 1.0e6_wp
 
-  !> The engine: the stay of each particle, and the particles that tick.
+  !> The engine: the stay of each particle, and the particles that have ticks.
   type, extends(engine_type) :: reservoir_type
     private
     type(stay_type), allocatable :: stay(:)
-    !> When each enters its urn, unless it is on its way into a channel. An array of its own, since
-    !> each tick reads it, of a random particle.
+    !> Time at which each particle enters its urn, unless it is on its way into a channel. A
+    !> separate array, since each tick reads this time of a random particle.
     real(wp), allocatable :: entered(:)
     !> x of each particle in the frame of the table, for those that are parked; allocated if there
     !> are any.
     real(wp), allocatable :: parked_x(:)
-    !> Particles that tick: `member(:members)`.
+    !> Particles that have ticks: `member(:members)`.
     integer :: members = 0
     integer(int32), allocatable :: member(:)
     !> Time of the next tick.
@@ -67,8 +67,8 @@ module battery_reservoir
     logical :: uneven = .false.
     real(wp) :: tick_share(2) = 1.0_wp, urn_rate(2) = 0.0_wp, hit_rate = 0.0_wp
     !> Wall hits counted so far, an upper bound: as if each particle that is not parked had been in
-    !> the urn with more hits at all times but its passages before the present stay, and each
-    !> passage were complete. Those that event records have reported. Fraction of a hit not yet
+    !> the urn with more hits at all times except its passages before the present stay, and each
+    !> passage were complete. Wall hits that event records have reported. Fraction of a hit not yet
     !> counted.
     integer(int64) :: computed_hits = 0, reported_hits = 0
     real(wp) :: fraction = 0.0_wp
@@ -152,7 +152,7 @@ contains
     call schedule_tick(self, 0.0_wp)
   end subroutine load_particles
 
-  !> Advances by one window of at most `duration`; hits in urns are their mean.
+  !> Advances by one window of at most `duration`; hits in urns are counted by their mean number.
   subroutine advance_window(self, duration, event_record)
     class(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: duration
@@ -199,11 +199,11 @@ contains
       time = self%next_tick
       if (crossing <= time) then
         if (crossing >= ends) exit
-        call cross_line(self, crossing, began, event_record)
+        call process_line_crossing(self, crossing, began, event_record)
         cycle
       end if
       if (time >= ends) exit
-      place = self%draws%who(self%draws%next_tick - 1)*real(self%members, wp)
+      place = self%draws%selector(self%draws%next_tick - 1)*real(self%members, wp)
       at = min(1 + int(place), self%members)
       if (self%entered(self%member(at)) <= time) then
         leaves = .true.
@@ -215,8 +215,8 @@ contains
     end do
   end subroutine run_window_events
 
-  !> If the urns differ: whether the tick of particle `i` is kept, from `chance` uniform in (0, 1).
-  !> If it is, subtracts the hits by which its urn falls short of the other one.
+  !> If the urns differ: decides whether the tick of particle `i` is kept, from `chance` uniform in
+  !> (0, 1). If it is, subtracts the hits by which the particle's urn falls short of the other urn.
   pure subroutine thin_tick(self, i, chance, time, is_kept)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -278,7 +278,7 @@ contains
     self%draws%next_tick = self%draws%next_tick + 1
   end subroutine schedule_tick
 
-  !> Adds particle `i` to those that tick.
+  !> Adds particle `i` to those that have ticks.
   subroutine start_ticking(self, i)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -312,9 +312,10 @@ contains
     call uncount_all(self%gate(urn))
   end subroutine reverse_gate
 
-  !> Takes the earliest pending crossing of a line, or hit of an end wall there: the particle goes
-  !> on to the urn beyond. One more particle ticks, so the next tick comes sooner in proportion.
-  subroutine cross_line(self, time, began, event_record)
+  !> Processes the earliest pending crossing of a line (of a single urn: hit of the end wall): the
+  !> particle moves to the urn beyond. One more particle has ticks, so the next tick comes sooner in
+  !> proportion.
+  subroutine process_line_crossing(self, time, began, event_record)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: time, began
     type(event_record_type), intent(inout) :: event_record
@@ -342,9 +343,9 @@ contains
       self%next_tick = time + (self%next_tick - time)*(real(self%members - 1, wp) &
         /real(self%members, wp))
     end if
-  end subroutine cross_line
+  end subroutine process_line_crossing
 
-  !> State of particle `i` now; in an urn it is drawn.
+  !> State (x, y, u_x, u_y) of particle `i` now; in an urn it is drawn at random.
   function state_of(self, i) result(state)
     class(reservoir_type), intent(in) :: self
     integer, intent(in) :: i
@@ -359,7 +360,7 @@ contains
     end if
   end function state_of
 
-  !> Wall hits from the start until now: those counted, corrected for each particle.
+  !> Wall hits from the start until now: `computed_hits`, corrected for each particle.
   function collisions(self) result(total)
     class(reservoir_type), intent(in) :: self
     integer(int64) :: total
@@ -382,7 +383,8 @@ contains
     total = self%number - self%moving
   end function trapped
 
-  !> Serialises the stays, the particles that tick, the numbers drawn ahead and the counts.
+  !> Serialises the stays, the particles that have ticks, the random numbers drawn ahead and the
+  !> counts.
   subroutine serialize_own_state(self, archive)
     class(reservoir_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

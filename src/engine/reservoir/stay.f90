@@ -24,22 +24,23 @@ module battery_stay
 
   !> State of a particle, except for the time at which it enters its urn.
   type :: stay_type
-    !> When it entered the channel that it is in, or was in last, at which height, with |u_x| and
-    !> u_y. If it is parked: time and height at which it was loaded.
+    !> Time, height, |u_x| and u_y at its entry into the channel that it is in, or was in last. If
+    !> it is parked: time and height at which it was loaded.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp
     !> Wall hits of the complete passage through that channel.
     real(wp) :: hits = 0.0_wp
     integer(int32) :: phase = from_gate
-    !> Urn that it is in, or goes to, or leaves.
+    !> Urn that the particle is in, enters or leaves.
     integer(int32) :: urn = 0
   end type stay_type
 
-  !> Numbers drawn ahead. Of ticks: times between them (mean 1), and the particle (0 to 1). Of exits
-  !> from an urn: height, |u_x|, 1/|u_x|, u_y, wall hits of the complete channel, and the channel.
+  !> Random numbers drawn ahead. Of ticks: time between two of them (mean 1), and a number in (0, 1)
+  !> that selects the particle. Of exits from an urn: height, |u_x|, 1/|u_x|, u_y, wall hits of the
+  !> complete passage, and the channel.
   type :: draws_type
     type(random_type) :: random
     integer :: next_tick = block_length + 1, next_exit = block_length + 1
-    real(wp), dimension(block_length) :: wait = 0.0_wp, who = 0.0_wp
+    real(wp), dimension(block_length) :: wait = 0.0_wp, selector = 0.0_wp
     real(wp), dimension(block_length) :: y = 0.0_wp, u_axial = 0.0_wp, inverse = 0.0_wp, &
       u_lateral = 0.0_wp, hits = 0.0_wp
     integer :: channel(block_length) = gated
@@ -53,7 +54,7 @@ contains
     integer :: k
 
     call draw_uniform(draws%random, block_length, draws%wait)
-    call draw_uniform(draws%random, block_length, draws%who)
+    call draw_uniform(draws%random, block_length, draws%selector)
     ! In the last bit, the vectorised logarithms of the C library depend on the length of the
     ! vector.
 !GCC$ novector
@@ -94,7 +95,7 @@ contains
 
   !> Initial state of a particle, from its position and velocity at the time 0. If it is in a
   !> channel and heads for the far end, its entry into the channel is dated back; otherwise
-  !> `entered` is when it enters its urn.
+  !> `entered` is the time at which it enters its urn.
   pure subroutine make_initial_stay(table, x, y, ux, uy, stay, entered)
     type(table_type), intent(in) :: table
     !> Position in the frame of the table, lengths; velocity, of length 1.
@@ -121,7 +122,7 @@ contains
     end if
   end subroutine make_initial_stay
 
-  !> Wall hits in its channel within the time `passage` after it entered that.
+  !> Wall hits of a particle in its channel within the time `passage` after its entry.
   elemental function channel_hits(table, stay, passage) result(hits)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
@@ -133,7 +134,7 @@ contains
       stay) + 0.5_wp, int64)
   end function channel_hits
 
-  !> Width of the channel that it is in, or was in last.
+  !> Width of the channel that a particle is in, or was in last.
   elemental function channel_width_of(table, stay) result(width)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
@@ -151,7 +152,7 @@ contains
     is_parked = any(stay%phase == [parked_in_gate, parked_in_return])
   end function is_parked
 
-  !> Wall hits after the time 0 of the passage in which a particle starts.
+  !> Wall hits after the time 0 in the passage that a particle is in at the start.
   elemental function remaining_channel_hits(table, stay) result(hits)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
@@ -160,16 +161,17 @@ contains
     hits = int(stay%hits, int64) - channel_hits(table, stay, -stay%time)
   end function remaining_channel_hits
 
-  !> Sums, over all particles, of what `collisions` has to correct.
+  !> Sums over all particles by which `collisions` corrects the counted hits.
   pure subroutine sum_outside_urns(table, stay, entered, now, rate, outside, passed)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay(:)
-    !> When each enters its urn, if it goes there or is there; the time now, on the same clock.
+    !> Time at which each particle enters its urn, if it is on the way there or inside; the time
+    !> now, on the same clock.
     real(wp), intent(in) :: entered(:), now
     !> Wall hits per time in each urn, relative to the urn with more hits.
     real(wp), intent(in) :: rate(2)
     !> Time that all particles which are not parked have spent in their last channels; if the urns
-    !> differ, plus the equivalent of the hits by which one urn falls short.
+    !> differ, plus the result of `missed_time`.
     real(wp), intent(out) :: outside
     !> Wall hits in these channels until now, less those of the complete passages; of parked
     !> particles, all hits.
@@ -213,12 +215,12 @@ contains
   pure function locate_parked_stay(table, stay, x, now) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
-    !> Its x, in the frame of the table; the time now.
+    !> x of the particle in the frame of the table; the time now.
     real(wp), intent(in) :: x, now
     real(wp) :: place(4)
     real(wp) :: reflected, hits
 
-    ! Signed zero, as it has always been saved.
+    ! A signed zero: saved states have always had it.
     place = [x, 0.0_wp, sign(0.0_wp, x), 0.0_wp]
     call fold_into_channel(stay%y + stay%u_lateral*(now - stay%time), channel_width_of(table, &
       stay), place(2), reflected, hits)
@@ -230,7 +232,8 @@ contains
   pure function locate_stay(table, stay, entered, now, key, count) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
-    !> When it enters its urn, if it goes there or is there; the time now, on the same clock.
+    !> Time at which the particle enters its urn, if it is on the way there or inside; the time now,
+    !> on the same clock.
     real(wp), intent(in) :: entered, now
     !> Key of the seed and the time; particle index.
     integer(int64), intent(in) :: key, count
@@ -274,7 +277,7 @@ contains
 
   end function locate_stay
 
-  !> Draws a position uniform in an urn, as if that lay at x > 0, and a direction.
+  !> Draws a position uniform in an urn, as if the urn lay at x > 0, and a direction.
   pure function draw_point_in_urn(table, urn, key, count) result(place)
     type(table_type), intent(in) :: table
     integer(int32), intent(in) :: urn
@@ -296,7 +299,7 @@ contains
     place(3:) = [cos(angle), sin(angle)]
   end function draw_point_in_urn
 
-  !> Serialises the stays, and when each particle has `entered` its urn.
+  !> Serialises the stays, and the time at which each particle `entered` its urn.
   subroutine serialize_stays(table, stay, entered, parked_x, archive)
     type(table_type), intent(in) :: table
     type(stay_type), intent(inout) :: stay(:)
@@ -305,8 +308,8 @@ contains
     real(wp), allocatable, intent(inout) :: parked_x(:)
     type(archive_type), intent(inout) :: archive
 
-    ! In a saved state, x of a parked particle is stored in place of `u_axial`, and parked has one
-    ! phase for both channels.
+    ! In a saved state, x of a parked particle is stored in place of `u_axial`, and both channels
+    ! have the same phase of parked particles.
     if (allocated(parked_x) .and. .not. archive%reading) then
       where (is_parked(stay))
         stay%u_axial = parked_x
@@ -327,7 +330,7 @@ contains
     end where
   end subroutine serialize_stays
 
-  !> Serialises the generator, and the numbers drawn ahead.
+  !> Serialises the random generator, and the numbers drawn ahead.
   pure subroutine serialize_draws(draws, archive)
     type(draws_type), intent(inout) :: draws
     type(archive_type), intent(inout) :: archive
@@ -340,7 +343,7 @@ contains
     call archive%serialize('next_exit', draws%next_exit)
     call archive%serialize('wait', draws%wait, 'y', draws%y, 'along', draws%u_axial, &
       'inverse', draws%inverse, 'across', draws%u_lateral)
-    call archive%serialize('who', draws%who)
+    call archive%serialize('who', draws%selector)
     call archive%serialize('hits', draws%hits)
     call archive%serialize('channel', draws%channel)
   end subroutine serialize_draws

@@ -1,10 +1,11 @@
 !> The engine `collision`: every wall collision is an event, and every particle has its own time. An
 !> exact reference for `excursion`.
 !>
-!> A particle is stored as it was at its last event, and moved only when its next one is due. A
-!> tournament holds the next event of each particle, with the earliest at its root. Crossings of
-!> chords, of the middle line and of the periodic line are events too, but not collisions. An event
-!> costs O(log N), except a reversal, which moves all particles that the gate counts.
+!> The state of a particle is that at its last event; the particle is moved only when its next event
+!> is due. A tournament holds the next event of each particle, with the earliest at its root.
+!> Crossings of chords, of the middle line and of the periodic line are events too, but not
+!> collisions. An event costs O(log N), except a reversal, which moves all particles that the gate
+!> counts.
 module battery_collision
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
@@ -101,8 +102,8 @@ contains
     self%since = ends - self%began
   end subroutine process_window
 
-  !> Hot loop: processes wall collisions until another kind of event is due or the window ends. Each
-  !> touches only the particle that collides.
+  !> Hot loop: processes wall collisions until an event of another kind is due or the window ends. A
+  !> collision changes one particle only.
   pure subroutine process_collisions_until(table, number, motion, tournament, ends, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
@@ -126,7 +127,7 @@ contains
     end do
   end subroutine process_collisions_until
 
-  !> Turns particle `i` of a gate back.
+  !> Reverses particle `i`, which a gate turns back.
   subroutine reverse_particle(self, i)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -138,7 +139,7 @@ contains
     call set_event_time(self%tournament, i, self%now + wait)
   end subroutine reverse_particle
 
-  !> State of particle `i` now; one that meets nothing stays at its stored position.
+  !> State of particle `i` now; a particle without a next event stays at its stored position.
   pure function motion_now(self, i) result(motion)
     class(collision_type), intent(in) :: self
     integer, intent(in) :: i
@@ -173,7 +174,7 @@ contains
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> Serialises the counts, the particles, and the time of each one's next event.
+  !> Serialises the counts, the particles, and the time of the next event of each particle.
   subroutine serialize_own_state(self, archive)
     class(collision_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

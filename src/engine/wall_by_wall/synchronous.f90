@@ -2,18 +2,18 @@
 !> An exact reference for `excursion`.
 !>
 !> At each event one pass over all particles moves them along their straight lines, reduces the time
-!> that each has left until its next event, and finds the least of these times. Then the particle
-!> whose event it is is processed alone. An event costs O(N). Since other engines are measured
+!> that each has left until its next event, and finds the least of these times. Then the event of
+!> that particle is processed alone. An event costs O(N). Since other engines are measured
 !> against this one, the pass is as fast as it can be made:
-!> - Memory layout: particles are stored in rows of `row_length`, and the five numbers of a row side
-!>   by side. Five separate arrays, as long as a power of two, fell onto the same cache lines and
+!> - Memory layout: particles are stored in rows of `row_length`, the five numbers of a row next to
+!>   each other. Five separate arrays, as long as a power of two, fell onto the same cache lines and
 !>   took twice the time.
 !> - The pass keeps a minimum for each lane, not for each row: vector instructions without a branch,
 !>   and without a reduction before the lanes themselves are compared.
-!> - Every other pass goes backwards, and finds in the cache the rows that the last one left there:
-!>   1000 particles are slightly more than the first level holds. That saves another third.
-!> - Rows start at a cache line. Vectors across two lines took a quarter more time, and where an
-!>   array starts depends on earlier allocations.
+!> - Every other pass goes backwards, and finds rows of the pass before in the cache: 1000 particles
+!>   are slightly more than the first level holds. That saves another third.
+!> - Rows start at a cache line. Vectors across two lines took a quarter more time, and the address
+!>   of an array depends on earlier allocations.
 module battery_synchronous
   use battery_kinds, only: wp, int8, int64
   use battery_motion, only: motion_type, meets_nothing, wall_kind
@@ -28,9 +28,9 @@ module battery_synchronous
   private
   public :: synchronous_type
 
-  !> Particles in a row: a multiple of any vector length, and so many that the compiler does not
-  !> unroll the loop over them before it vectorises it. About as many as there are rows for N =
-  !> 1000, since both a row and a lane are searched at each event.
+  !> Number of particles in a row: a multiple of any vector length, and large enough that the
+  !> compiler does not unroll the loop over a row before it vectorises it. About the number of rows
+  !> for N = 1000, since both a row and a lane are searched at each event.
   integer, parameter :: row_length = 32
 
   !> Numbers stored of a particle: position, velocity, time left until its next event.
@@ -42,15 +42,15 @@ module battery_synchronous
   !> The engine: state of all particles now, in rows.
   type, extends(wall_by_wall_type) :: synchronous_type
     private
-    !> From `begins` on: (lane, number (`in_x` ...), row). Padding, and particles that meet nothing,
-    !> have no velocity and a huge time left.
+    !> From `begins` on: (lane, number (`in_x` ...), row). Padding, and particles without a next
+    !> event, have velocity 0 and a huge time left.
     real(wp), allocatable :: field(:)
     integer :: begins = 1, rows = 0
     integer(int8), allocatable :: urn(:), chamber(:)
     integer(wall_kind), allocatable :: next(:)
     !> Whether the next pass goes backwards.
     logical :: backwards = .false.
-    !> Velocities of particles that meet nothing.
+    !> Velocities of particles without a next event.
     real(wp), allocatable :: parked_ux(:), parked_uy(:)
     !> Least time left in each lane.
     real(wp) :: least(row_length) = 0.0_wp
@@ -83,7 +83,7 @@ contains
     allocate (self%parked_ux(number), self%parked_uy(number), source=0.0_wp)
   end subroutine prepare_engine
 
-  !> Index in `field` of a number of particle `i`.
+  !> Index in `field` of the number `which` (`in_x` ...) of particle `i`.
   pure function field_index(self, i, which) result(at)
     class(synchronous_type), intent(in) :: self
     integer, intent(in) :: i, which
@@ -122,7 +122,7 @@ contains
       self%since = self%now - self%began
       call process_instant(self, event_record)
     end do
-    ! No longer than the least time left: by rounding, the next event might lie in the past.
+    ! At most the least time left: by rounding, the next event might otherwise lie in the past.
     wait = min(wait, ends - self%now)
     call move_all_particles(self, wait)
     self%now = ends
@@ -222,7 +222,7 @@ contains
     i = 0
   end subroutine find_due_particle
 
-  !> State of particle `i` now; its velocity also if it is parked.
+  !> State of particle `i` now; if it is parked, with its true velocity.
   pure function motion_now(self, i) result(motion)
     class(synchronous_type), intent(in) :: self
     integer, intent(in) :: i

@@ -11,11 +11,11 @@
 !>   periodic line it has crossed that. All events of a step take place at its end: crossings first,
 !>   then all entries, then the decisions of the gates (`battery_gate`).
 !>
-!> **Corners.** Only the position at the end of a step counts. So a path that meets a wall less than
+!> **Corners.** Only the position at the end of a step counts. So a path that hits a wall less than
 !> a step from a corner may pass the corner into the channel, or out of it. If a change of chambers
 !> shows that the chord was crossed beyond its ends, it is counted in `slips`. Every position at the
-!> end of a step is one of the cases above: no particle is ever outside the table then, as long as a
-!> step is shorter than the radius and than half a channel.
+!> end of a step is one of the cases above: after the correction no particle is outside the table,
+!> as long as a step is shorter than the radius and than half a channel.
 !>
 !> A step during which the run stops (for a snapshot, or at its end) is made shorter.
 module battery_timestep
@@ -48,7 +48,7 @@ module battery_timestep
     integer(int64), public :: slips = 0
     real(wp), allocatable :: x(:), y(:), ux(:), uy(:)
     integer(int8), allocatable :: urn(:), chamber(:)
-    !> Whether a particle may have met a wall, or is in a channel.
+    !> Whether a particle may have hit a wall, or is in a channel.
     logical, allocatable :: near_wall(:)
     !> Steps in a window.
     integer :: steps = 1
@@ -59,7 +59,7 @@ module battery_timestep
 
 contains
 
-  !> The step must not jump over a gate or out of an urn.
+  !> Why the engine cannot simulate a table: a step must not lead over a gate, or out of an urn.
   pure function supports(self, table) result(reason)
     class(timestep_type), intent(in) :: self
     type(table_type), intent(in) :: table
@@ -74,7 +74,7 @@ contains
     if (.not. self%time_step > 0.0_wp .or. self%time_step >= longest) reason = &
       'its time_step must be above 0 and below '//to_text(longest) &
       //', the least of half the length of each open channel, of twice the area of an urn over ' &
-      //'the way round it (a disc''s radius), and of the way between walls that are no neighbours'
+      //'its perimeter (a disc''s radius), and of the distance between walls that are not adjacent'
   end function supports
 
   !> Derives the number of steps in a window; allocates the particles.
@@ -144,7 +144,7 @@ contains
     end do
   end subroutine move_particles
 
-  !> Whether a particle at (x, y) in the frame of its urn may have met a wall or a chord.
+  !> Whether a particle at (x, y) in the frame of its urn may have hit a wall or crossed a chord.
   elemental function is_near_wall(x, y, clear2, chord1, chord2) result(near)
     real(wp), intent(in) :: x, y, clear2, chord1, chord2
     logical :: near
@@ -212,8 +212,8 @@ contains
     end associate
   end subroutine correct_in_urn
 
-  !> Moves a particle through a chord, which it crossed `ago`, into another chamber; the channel's
-  !> half width is `half_width`.
+  !> Moves a particle through a chord, which it crossed the time `ago` before now, into another
+  !> chamber; the channel's half width is `half_width`.
   subroutine change_chamber(self, i, chamber, half_width, ago)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i, chamber
@@ -250,7 +250,7 @@ contains
       end if
       if (abs(self%y(i)) > half_width) call mirror_in_channel(self, i, half_width, event_record)
       if (.not. inward) then
-        ! It is in the wall beside the channel.
+        ! The particle is in the wall beside the channel.
         if (depth < 0.0_wp) call change_chamber(self, i, in_urn, half_width, 0.0_wp)
       else if (ahead < 0.0_wp) then
         call move_across_line(self, i, event_record)
@@ -291,7 +291,7 @@ contains
     call record_line_crossing(self, event_record, i, from, int(self%chamber(i)))
   end subroutine move_across_line
 
-  !> State of particle `i` now; what it meets next is not computed.
+  !> State of particle `i` now; its next wall is not computed.
   pure function motion_now(self, i) result(motion)
     class(timestep_type), intent(in) :: self
     integer, intent(in) :: i
@@ -314,7 +314,7 @@ contains
     self%uy(i) = motion%uy
     self%urn(i) = motion%urn
     self%chamber(i) = motion%chamber
-    ! Walls that it meets later are detected at the end of a step.
+    ! Later hits are detected at the end of a step.
     self%near_wall(i) = wait <= self%time_step
   end subroutine store_motion
 

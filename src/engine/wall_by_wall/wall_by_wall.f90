@@ -21,15 +21,15 @@ module battery_wall_by_wall
   public :: wall_by_wall_type, reset_counts, load_motions, serialize_counts, process_event, &
     end_instant, count_hits, record_gate_entry, record_line_crossing, longest_window, end_of_window
 
-  !> A window lasts at most so many times the reach of the larger urn, and has at most about so many
-  !> events.
+  !> A window lasts at most `window_reaches` times the reach of the larger urn, and has at most
+  !> about `window_events` events.
   real(wp), parameter, public :: window_reaches = 2.0_wp, window_events = 65536.0_wp
 
-  !> A window ends after so many wall collisions, far more than usual: in a channel of almost no
-  !> width, a single particle would keep the run from noticing a signal.
+  !> A window ends after this many wall collisions, far more than usual: signals are noticed between
+  !> windows, and in a channel of almost no width a single particle has very many hits.
   integer(int64), parameter, public :: most_hits = 2_int64**24
 
-  !> What these engines have in common.
+  !> State that these engines have in common.
   type, abstract, extends(engine_type) :: wall_by_wall_type
     !> N1 - N2.
     integer :: difference = 0
@@ -46,7 +46,7 @@ module battery_wall_by_wall
     !> Processes the events of at most one window, and not beyond `duration`; sets `now` and
     !> `since`.
     procedure(process_window_interface), deferred :: process_window
-    !> Turns a particle of a gate back.
+    !> Reverses a particle, which a gate turns back.
     procedure :: reverse_particle
     !> State of a particle now.
     procedure(motion_interface), deferred :: motion_now
@@ -95,7 +95,7 @@ contains
   !> Longest window that has at most `events` events.
   pure function longest_window(self, events) result(window)
     class(wall_by_wall_type), intent(in) :: self
-    !> Of all particles.
+    !> Number of events of all particles.
     real(wp), intent(in) :: events
     real(wp) :: window
 
@@ -105,7 +105,7 @@ contains
   !> End of a window that starts now.
   pure function end_of_window(self, duration) result(ends)
     class(wall_by_wall_type), intent(in) :: self
-    !> Longest duration of it.
+    !> Longest duration of the window.
     real(wp), intent(in) :: duration
     real(wp) :: ends
 
@@ -248,7 +248,7 @@ contains
     end do
   end subroutine decide_reversals
 
-  !> Turns particle `i` of a gate back.
+  !> Reverses particle `i`, which a gate turns back.
   subroutine reverse_particle(self, i)
     class(wall_by_wall_type), intent(inout) :: self
     integer, intent(in) :: i
