@@ -1,12 +1,12 @@
-!> The pending events of many particles, one each, in the order of time: a calendar queue.
+!> A calendar queue: the pending events of many particles, one for each, in the order of time.
 !>
 !> Buckets of equal width cover one epoch; a bucket lists the particles whose events fall into it,
 !> in no order. Buckets are opened one after the other and their events sorted into `due_time`.
 !> Events beyond the epoch wait until the clock is rebased: all times are then reduced by the length
-!> of the epoch, a power of two, so that times stay exact and resolve the same however long the run
-!> has been.
+!> of the epoch, a power of two, so that times stay exact and their resolution does not depend on
+!> the length of the run.
 !>
-!> The flights, one a particle, belong to the caller.
+!> The flights, one per particle, belong to the caller.
 module battery_calendar
   use battery_kinds, only: wp, int16, int32, int64
   use battery_powers, only: power_above
@@ -17,29 +17,29 @@ module battery_calendar
     schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
     rebase_calendar
 
-  !> A particle between two of its events. The calendar uses `due` only; the engine uses the rest. A
-  !> record fills one cache line: with many particles the cost is that of reading one line a
-  !> particle.
+  !> State of a particle between two of its events. The calendar uses `due` only; the engine uses
+  !> the rest. A record fills one cache line: with many particles, the cost is that of reading one
+  !> line per particle.
   type :: flight_type
     real(wp) :: due
-    !> Kind of its next event (`battery_flight`), and the urn it leaves, 1 or 2.
+    !> Kind of the particle's next event (`battery_flight`); the urn that it leaves, 1 or 2.
     integer(int16) :: next_event, urn
-    !> Slot of the visit that follows, if it was computed ahead; else 0.
+    !> Slot of the next visit, if it was computed ahead; else 0.
     integer(int32) :: lookahead_slot
-    !> When it enters the channel (entered it, if it is inside), at which height, with |u_x| and
-    !> u_y.
+    !> Time, height, |u_x| and u_y at the entry into the next channel, or into the channel that the
+    !> particle is in.
     real(wp) :: time, y, u_axial, u_lateral
     !> Time through the channel if no gate reverses, and length of the visit before it.
     real(wp) :: through, length
   end type flight_type
 
-  !> A flight without an event. Not by default, since large arrays choose their memory pages before
-  !> they are written to.
+  !> A flight without an event. It is no default initialisation, since the memory pages of large
+  !> arrays are chosen before the first write.
   type(flight_type), parameter :: idle_flight = flight_type(0.0_wp, 0_int16, 0_int16, 0_int32, &
     0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
 
-  !> Events of a block, a power of two. A block is a cache line: with few buckets all lines being
-  !> written to stay in the cache, however many particles there are.
+  !> Events of a block, a power of two. A block is a cache line: with few buckets, all lines being
+  !> written to stay in the cache for any number of particles.
   integer(int32), parameter :: places = 16
 
   !> With up to 2**crowd particles a bucket holds about ten events; with more particles, more.
@@ -51,11 +51,11 @@ module battery_calendar
     real(wp) :: epoch = 0.0_wp, width = 0.0_wp, per_width = 0.0_wp
     integer :: buckets = 0
     !> Particles of each bucket, in blocks: block b has the places from b*places on.
-    integer(int32), allocatable :: whose(:)
+    integer(int32), allocatable :: bucket_particle(:)
     !> Place for the next event of each bucket, or 0 if it is empty. At the first place of a block
     !> the previous block is full.
     integer(int32), allocatable :: next_place(:)
-    !> Previous block of the same bucket, or -1; free blocks, as a stack.
+    !> Previous block of the same bucket, or -1; stack of free blocks.
     integer(int32), allocatable :: block_before(:)
     integer :: free_blocks = 0
     integer(int32), allocatable :: free_block(:)
@@ -88,7 +88,7 @@ contains
     allocate (calendar%next_place(calendar%buckets), source=0_int32)
     ! Each bucket that is not empty has at most one block that is not full.
     blocks = number/places + min(number, calendar%buckets)
-    allocate (calendar%whose(0:places*blocks - 1), calendar%block_before(0:blocks - 1))
+    allocate (calendar%bucket_particle(0:places*blocks - 1), calendar%block_before(0:blocks - 1))
     calendar%free_blocks = blocks
     calendar%free_block = [(int(blocks - k, int32), k=1, blocks)]
     allocate (calendar%due_time(number), calendar%particle(number))
@@ -113,8 +113,8 @@ contains
     call schedule_events(calendar, 1, [particle], [time])
   end subroutine schedule_event
 
-  !> Schedules the events of `particle(:count)` at `time(:count)`, which their flights have as `due`
-  !> already; one whose time is huge never comes.
+  !> Schedules the events of `particle(:count)` at `time(:count)`, which must be `due` of their
+  !> flights; an event whose time is huge never comes.
   pure subroutine schedule_events(calendar, count, particle, time)
     type(calendar_type), intent(inout) :: calendar
     !> Number of events.
@@ -127,7 +127,7 @@ contains
     logical :: some_at_once
 
     call fill_buckets(count, particle, time, calendar%per_width, calendar%opened_until, &
-      calendar%epoch, calendar%next_place, calendar%whose, calendar%block_before, &
+      calendar%epoch, calendar%next_place, calendar%bucket_particle, calendar%block_before, &
       calendar%free_blocks, calendar%free_block, some_at_once)
     if (.not. some_at_once) return
     do k = 1, count
@@ -136,12 +136,14 @@ contains
     end do
   end subroutine schedule_events
 
-  !> Schedules the events that are not due before `opened_until`; `some_at_once`: there are others.
+  !> Puts events that are not due before `opened_until` into buckets; `some_at_once`: whether there
+  !> are events due before.
   pure subroutine fill_buckets(count, particle, time, per_width, opened_until, epoch, &
-    next_place, whose, block_before, free_blocks, free_block, some_at_once)
+    next_place, bucket_particle, block_before, free_blocks, free_block, some_at_once)
     integer, intent(in) :: count, particle(count)
     real(wp), intent(in) :: time(count), per_width, opened_until, epoch
-    integer(int32), intent(inout), contiguous :: next_place(:), whose(0:), block_before(0:)
+    integer(int32), intent(inout), contiguous :: next_place(:), bucket_particle(0:), &
+      block_before(0:)
     integer, intent(inout) :: free_blocks
     integer(int32), intent(in), contiguous :: free_block(:)
     logical, intent(out) :: some_at_once
@@ -164,7 +166,7 @@ contains
         block_before(at) = before
         at = places*at
       end if
-      whose(at) = int(particle(k), int32)
+      bucket_particle(at) = int(particle(k), int32)
       next_place(bucket) = at + 1
     end do
   end subroutine fill_buckets
@@ -180,20 +182,20 @@ contains
     target = calendar%buckets
     if (time < calendar%epoch) target = min(target, ceiling(time*calendar%per_width))
     call open_buckets(size(flight), flight, target - calendar%opened, &
-      calendar%next_place(calendar%opened + 1:target), calendar%whose, calendar%block_before, &
-      calendar%free_blocks, calendar%free_block, calendar%sorted, calendar%due_time, &
-      calendar%particle)
+      calendar%next_place(calendar%opened + 1:target), calendar%bucket_particle, &
+      calendar%block_before, calendar%free_blocks, calendar%free_block, calendar%sorted, &
+      calendar%due_time, calendar%particle)
     calendar%opened = target
     calendar%opened_until = real(target, wp)*calendar%width
   end subroutine open_buckets_until
 
-  !> Moves the events of some buckets to the sorted events, which are all earlier.
-  pure subroutine open_buckets(number, flight, buckets, next_place, whose, block_before, &
+  !> Moves the events of the next buckets to the sorted events, all of which are earlier.
+  pure subroutine open_buckets(number, flight, buckets, next_place, bucket_particle, block_before, &
     free_blocks, free_block, sorted, due_time, particle)
     integer, intent(in) :: number, buckets
     type(flight_type), intent(in) :: flight(number)
     integer(int32), intent(inout) :: next_place(buckets)
-    integer(int32), intent(in), contiguous :: whose(0:), block_before(0:)
+    integer(int32), intent(in), contiguous :: bucket_particle(0:), block_before(0:)
     integer, intent(inout) :: free_blocks
     integer(int32), intent(inout), contiguous :: free_block(:)
     integer, intent(inout) :: sorted
@@ -210,7 +212,7 @@ contains
       next_place(bucket) = 0
       do while (block >= 0)
         do k = 1, events
-          i = whose(places*block + k - 1)
+          i = bucket_particle(places*block + k - 1)
           particle(n + k) = i
           due_time(n + k) = flight(i)%due
         end do
@@ -245,11 +247,11 @@ contains
     if (calendar%sorted > 0) time = min(time, calendar%due_time(1))
   end subroutine next_due_time
 
-  !> How many of the sorted events are due before `instant`.
+  !> Number of sorted events that are due before `instant`.
   pure function count_due_before(sorted, due_time, instant) result(due)
     !> Number of sorted events.
     integer, intent(in) :: sorted
-    !> Time of each, ascending; on the same clock.
+    !> Time of each sorted event, ascending; and a time on the same clock.
     real(wp), intent(in) :: due_time(sorted), instant
     integer :: due
 
@@ -269,8 +271,8 @@ contains
     calendar%sorted = calendar%sorted - done
   end subroutine drop_done_events
 
-  !> Starts a new epoch: reduces all times by its length and schedules the events due in the new
-  !> one. Particles without an event have a time before it.
+  !> Starts a new epoch: reduces all times by the length of an epoch, and schedules the events due
+  !> in the new one. `due` of a particle without an event lies before the new epoch.
   pure subroutine rebase_calendar(calendar, flight)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)

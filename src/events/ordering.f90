@@ -1,4 +1,4 @@
-!> Sorts short lists of events by time, and by number at one time.
+!> Sorts short lists of events by time, and events at the same time by number.
 !>
 !> Branch prediction fails on comparisons of random times, so the kernel has none: the place of an
 !> event is the number of earlier ones, and counting has no branches.
@@ -8,12 +8,12 @@ module battery_ordering
   private
   public :: sort_by_time, insert_sorted
 
-  !> Number of times that are compared with another at once.
+  !> Number of times that are compared with another time at once.
   integer, parameter :: block = 8
   !> Longest list that is sorted by counting.
   integer, parameter, public :: longest_counted = 16*block
-  !> Lists longer than `longest_unbinned` are first put into bins for about `events_a_bin` events
-  !> each.
+  !> Lists longer than `longest_unbinned` are first distributed to bins of about `events_a_bin`
+  !> events.
   integer, parameter, public :: longest_unbinned = 32
   integer, parameter :: events_a_bin = 10
 
@@ -42,20 +42,20 @@ contains
     end if
   end subroutine sort_by_time
 
-  !> Sorts a longer list: into bins of equal width, each of which is sorted then.
+  !> Sorts a longer list: distributes the events to bins of equal width, and sorts each bin.
   pure subroutine sort_in_bins(n, time, number, least, per_width)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
     integer, intent(inout) :: number(n)
-    !> The earliest time, and bins a time unit.
+    !> The earliest time, and the number of bins per unit of time.
     real(wp), intent(in) :: least, per_width
     real(wp), allocatable :: was(:)
-    integer, allocatable :: whose(:), bin(:), place(:)
+    integer, allocatable :: was_number(:), bin(:), place(:)
     integer :: k, at, first, bins
 
     bins = n/events_a_bin
     was = time
-    whose = number
+    was_number = number
     allocate (bin(n), place(0:bins))
     place = 0
     do k = 1, n
@@ -69,9 +69,9 @@ contains
       at = place(bin(k)) + 1
       place(bin(k)) = at
       time(at) = was(k)
-      number(at) = whose(k)
+      number(at) = was_number(k)
     end do
-    ! Now `place` is where each bin ends.
+    ! Now `place` is the end of each bin.
     first = 1
     do k = 0, bins - 1
       at = place(k)
@@ -84,20 +84,21 @@ contains
     end do
   end subroutine sort_in_bins
 
-  !> Sorts a list no longer than `longest_counted`: the place of each is the number of earlier ones.
+  !> Sorts a list no longer than `longest_counted`: the place of an event is the number of earlier
+  !> events.
   pure subroutine order_by_counting(n, time, number)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
     integer, intent(inout) :: number(n)
     real(wp) :: was(longest_counted)
-    integer :: whose(longest_counted), place
+    integer :: was_number(longest_counted), place
     integer(int64) :: earlier(block), total
     integer :: first, k
 
     if (n < 2) return
     do k = 1, n
       was(k) = time(k)
-      whose(k) = number(k)
+      was_number(k) = number(k)
     end do
     do k = n + 1, min(n + block - 1, longest_counted)
       was(k) = huge(1.0_wp)
@@ -108,14 +109,14 @@ contains
       do k = first, min(first + block - 1, n)
         place = int(earlier(k - first + 1)) + 1
         time(place) = was(k)
-        number(place) = whose(k)
+        number(place) = was_number(k)
         total = total + place
       end do
     end do
     if (total == (int(n, int64)*(n + 1))/2) return
-    ! Some are due at one time.
+    ! Some events are due at the same time.
     time = was(:n)
-    number = whose(:n)
+    number = was_number(:n)
     call insertion_sort(n, time, number)
   end subroutine order_by_counting
 
@@ -155,31 +156,31 @@ contains
     end do
   end subroutine insertion_sort
 
-  !> Inserts an event into `sorted` ones, by time, then by number.
-  pure subroutine insert_sorted(room, time, number, sorted, at, whose)
+  !> Inserts an event into `sorted` events, ordered by time, then by number.
+  pure subroutine insert_sorted(room, time, number, sorted, new_time, new_number)
     !> Extent of the arrays, more than `sorted`.
     integer, intent(in) :: room
-    !> Time of each, ascending,
+    !> Time of each event, ascending.
     real(wp), intent(inout) :: time(room)
-    !> and its number.
+    !> Number of each event.
     integer, intent(inout) :: number(room)
     integer, intent(inout) :: sorted
-    !> Time of the new event, and its number.
-    real(wp), intent(in) :: at
-    !> No event with this number is due at that time already.
-    integer, intent(in) :: whose
+    !> Time of the new event.
+    real(wp), intent(in) :: new_time
+    !> Number of the new event, which no event at the same time has.
+    integer, intent(in) :: new_number
     integer :: place
 
     place = sorted
     do while (place > 0)
-      if (time(place) < at) exit
-      if (.not. time(place) > at .and. number(place) < whose) exit
+      if (time(place) < new_time) exit
+      if (.not. time(place) > new_time .and. number(place) < new_number) exit
       time(place + 1) = time(place)
       number(place + 1) = number(place)
       place = place - 1
     end do
-    time(place + 1) = at
-    number(place + 1) = whose
+    time(place + 1) = new_time
+    number(place + 1) = new_number
     sorted = sorted + 1
   end subroutine insert_sorted
 

@@ -1,13 +1,13 @@
-!> The pending events of many particles, one each: a winner tree.
+!> A winner tree: the pending events of many particles, one for each.
 !>
-!> The particles sit at the leaves, from left to right by index; every node holds the earlier of its
-!> two children; the root, node 1, holds the next event of all. A new time is compared upwards from
-!> its leaf with one sibling a level. All siblings follow from the leaf and are loaded ahead, so the
-!> dependent work at each level is one comparison and a selection without a branch. Of events at one
-!> time the left one comes first: that of the particle with the lowest index.
+!> Each leaf is a particle, from left to right by index; every node holds the earlier of its two
+!> children; the root, node 1, holds the next event of all. A new time is compared upwards from its
+!> leaf with one sibling per level. All siblings follow from the leaf and are loaded ahead, so the
+!> dependent work at each level is one comparison and a selection without a branch. Of events at the
+!> same time the left one comes first: that of the particle with the lowest index.
 !>
-!> Times are 0 or more. Such numbers order like the integers with the same bits; adding 1 to the
-!> right one of two equal ones makes the left one win.
+!> Times are 0 or more. Such numbers are ordered like the integers with the same bits; adding 1 to
+!> the right one of two equal integers makes the left one win.
 module battery_tournament
   use battery_kinds, only: wp, int32, int64, bits_kind
   implicit none (type, external)
@@ -81,7 +81,7 @@ contains
     real(wp), intent(in) :: time
     integer(bits_kind) :: earliest, other, lost
     integer(int32) :: winner, rival
-    !> As long as an address, so that none has to be converted.
+    !> Integers as long as an address, so that no index has to be converted.
     integer(int64) :: k, sibling
 
     earliest = transfer(time, earliest)
@@ -93,7 +93,7 @@ contains
       sibling = ieor(k, 1_int64)
       other = transfer(node(sibling)%time, other)
       rival = node(sibling)%particle
-      ! All bits set where the other one is earlier; the right one of two has an odd index.
+      ! All bits are set if the sibling is earlier; the right one of two siblings has an odd index.
       lost = shifta(other - int(iand(k, 1_int64), bits_kind) - earliest, bit_size(earliest) - 1)
       earliest = earliest + iand(other - earliest, lost)
       winner = ieor(winner, iand(ieor(winner, rival), int(lost, int32)))
@@ -112,8 +112,8 @@ contains
     time = tournament%node(leaf_of(tournament, particle))%time
   end function event_time_of
 
-  !> Subtracts `shift` from all times. Winners stay winners if the times remain exact, as they do
-  !> for a power of two that is not much longer than they are.
+  !> Subtracts `shift` from all times. Winners stay winners if the differences are exact, as they
+  !> are for a power of two that is not much greater than the times.
   pure subroutine rebase_tournament(tournament, shift)
     type(tournament_type), intent(inout) :: tournament
     real(wp), intent(in) :: shift

@@ -1,5 +1,5 @@
-!> The threshold gate: which particles it counts, when it reverses, which ones it turns back, and
-!> what happens at one instant.
+!> The threshold gate: the particles that it counts, the events at which it reverses, the particles
+!> that it turns back, and the order of events at one instant.
 !>
 !> **The rule** (paper, Sec. II). A gate counts the particles that are inside and head for the other
 !> gate: from their entry until they cross the middle line. When entries make the count exceed the
@@ -34,20 +34,21 @@ module battery_gate
     integer :: threshold = 0
     !> Whether a particle has entered since the gate last decided.
     logical :: entered = .false.
-    !> The counted particles, by the time at which each will reach the middle line.
+    !> The counted particles, queued by the time at which each will reach the middle line.
     type(queue_type), private :: counted
   end type gate_type
 
-  !> What the entries into one gate within a window lead to (`admit_entries`). Arrays may be longer
-  !> than their counts.
+  !> Reversals that the entries into one gate within a window lead to (`admit_entries`). Arrays may
+  !> be longer than their counts.
   type :: stretch_type
     !> Number of reversals; for each, the entry that it follows, and the number of particles turned
     !> back.
     integer :: reversals = 0
     integer, allocatable :: last_entry(:), reversed(:)
-    !> Work space: particles counted before, then those that enter, in order; when each crosses.
+    !> Work space: particles counted before, then those that enter, in order; time at which each
+    !> would cross the middle line.
     real(wp), allocatable :: time(:)
-    integer, allocatable :: who(:)
+    integer, allocatable :: particle(:)
   end type stretch_type
 
 contains
@@ -66,7 +67,7 @@ contains
   !> Counts a particle that enters from the urn.
   pure subroutine enter_gate(gate, crossing_time, particle)
     type(gate_type), intent(inout) :: gate
-    !> When it will reach the middle line, on the clock of the engine.
+    !> Time at which the particle will reach the middle line, on the clock of the engine.
     real(wp), intent(in) :: crossing_time
     !> Particle index, 1 ... N.
     integer, intent(in) :: particle
@@ -98,7 +99,7 @@ contains
     integer, intent(in) :: place
     integer :: particle
 
-    particle = gate%counted%who(place)
+    particle = gate%counted%particle(place)
   end function counted_particle
 
   !> Time at which the earliest counted particle reaches the middle line; huge if none is counted.
@@ -133,7 +134,7 @@ contains
     most = gate%threshold
   end function most_inside
 
-  !> Whether a gate has a decision to make at the end of the instant.
+  !> Whether any particle has entered a gate since the gates last decided.
   pure function has_undecided_entries(gate)
     type(gate_type), intent(in) :: gate(2)
     logical :: has_undecided_entries
@@ -141,7 +142,7 @@ contains
     has_undecided_entries = gate(1)%entered .or. gate(2)%entered
   end function has_undecided_entries
 
-  !> At the end of an instant: decides whether the gate reverses.
+  !> Decides, at the end of an instant, whether the gate reverses.
   pure subroutine decide_reversal(gate, reverses)
     type(gate_type), intent(inout) :: gate
     !> Whether all counted particles (`counted_particle`) are to be turned back.
@@ -162,7 +163,7 @@ contains
   !> Removes the counted particle that crosses the middle line first.
   pure subroutine uncount_first(gate, particle)
     type(gate_type), intent(inout) :: gate
-    !> Its index.
+    !> Index of the particle removed.
     integer, intent(out) :: particle
 
     call pop(gate%counted, particle)
@@ -171,7 +172,7 @@ contains
   !> Removes a counted particle, which crosses the middle line.
   pure subroutine uncount_particle(gate, particle)
     type(gate_type), intent(inout) :: gate
-    !> Its index.
+    !> Particle index, 1 ... N.
     integer, intent(in) :: particle
 
     call remove_particle(gate%counted, particle)
@@ -188,45 +189,46 @@ contains
   !> Allocates the arrays for the entries of a window and the particles counted before.
   subroutine reserve_stretch(stretch, number)
     type(stretch_type), intent(inout) :: stretch
-    !> The largest number of both together.
+    !> Largest number of entries and counted particles together.
     integer, intent(in) :: number
     integer :: room
 
-    if (allocated(stretch%who)) then
-      if (size(stretch%who) >= number) return
-      deallocate (stretch%last_entry, stretch%reversed, stretch%time, stretch%who)
+    if (allocated(stretch%particle)) then
+      if (size(stretch%particle) >= number) return
+      deallocate (stretch%last_entry, stretch%reversed, stretch%time, stretch%particle)
     end if
     room = max(64, 2*number)
     allocate (stretch%last_entry(room), stretch%reversed(room), stretch%time(room), &
-      stretch%who(room))
+      stretch%particle(room))
   end subroutine reserve_stretch
 
   !> Applies the rule to a batch of entries and to all crossings before `until`, which is after the
-  !> last entry. Same result as one by one, but particles turned back and particles that cross are
-  !> listed in no order.
-  pure subroutine admit_entries(gate, stretch, entries, entry_time, crossing_time, entrant, until, &
-    leaving, leaver, turned_at, crossed, crosser, crossed_at)
+  !> last entry. The result is that of single entries and crossings, but particles turned back and
+  !> particles that cross are listed in no order.
+  pure subroutine admit_entries(gate, stretch, entries, entry_time, crossing_time, &
+    entering_particle, until, turned_back, turned_particle, turned_at, crossed, crossing_particle, &
+    crossed_at)
     type(gate_type), intent(inout) :: gate
     type(stretch_type), intent(inout) :: stretch
     !> Number of entries.
     integer, intent(in) :: entries
-    !> Time of each entry, ascending, and when the particle would reach the middle line, which is
-    !> later; all times on the clock of the engine.
+    !> Time of each entry, ascending, and time at which its particle would reach the middle line,
+    !> which is later; all times on the clock of the engine.
     real(wp), intent(in) :: entry_time(entries), crossing_time(entries)
     !> Particle of each entry.
-    integer, intent(in) :: entrant(entries)
+    integer, intent(in) :: entering_particle(entries)
     real(wp), intent(in) :: until
     !> Length of the list of particles turned back; those of this gate are appended.
-    integer, intent(inout) :: leaving
-    !> Particles turned back,
-    integer, intent(inout), contiguous :: leaver(:)
-    !> and when.
+    integer, intent(inout) :: turned_back
+    !> Particles turned back.
+    integer, intent(inout), contiguous :: turned_particle(:)
+    !> Time at which each is turned back.
     real(wp), intent(inout), contiguous :: turned_at(:)
     !> Length of the list of particles that cross; those of this gate are appended.
     integer, intent(inout) :: crossed
-    !> Particles that cross,
-    integer, intent(inout), contiguous :: crosser(:)
-    !> and when.
+    !> Particles that cross.
+    integer, intent(inout), contiguous :: crossing_particle(:)
+    !> Time at which each crosses.
     real(wp), intent(inout), contiguous :: crossed_at(:)
     integer :: held, rest
 
@@ -234,36 +236,38 @@ contains
     gate%entered = .false.
     associate (counted => gate%counted)
       if (entries == 0 .and. counted%next >= until) return
-      call pop_due(counted, until, held, stretch%time, stretch%who)
+      call pop_due(counted, until, held, stretch%time, stretch%particle)
       stretch%time(held + 1:held + entries) = crossing_time
-      stretch%who(held + 1:held + entries) = entrant
+      stretch%particle(held + 1:held + entries) = entering_particle
       call apply_rule(most_inside(gate), counted%count, held, entries, entry_time, until, &
-        stretch%time, stretch%who, counted%who, stretch%reversals, stretch%last_entry, &
-        stretch%reversed, leaving, leaver, turned_at, crossed, crosser, crossed_at, rest)
+        stretch%time, stretch%particle, counted%particle, stretch%reversals, stretch%last_entry, &
+        stretch%reversed, turned_back, turned_particle, turned_at, crossed, crossing_particle, &
+        crossed_at, rest)
       if (stretch%reversals > 0) call empty_queue(counted)
-      call push_all(counted, rest, stretch%time, stretch%who)
+      call push_all(counted, rest, stretch%time, stretch%particle)
     end associate
   end subroutine admit_entries
 
-  !> The rule for a batch of entries, by counting. `time` is when each particle will cross, of the
-  !> `held` ones counted before and of those that enter, in order; `staying` more cross after
-  !> `until`. On exit the first `rest` of `time` and `who` are the particles still inside.
+  !> Applies the rule to a batch of entries, by counting. `time` is the time at which each particle
+  !> would cross: first the `held` particles counted before, then those that enter, in order;
+  !> `staying` more cross after `until`. On exit the first `rest` of `time` and `particle` are the
+  !> particles still inside.
   !>
   !> An entry adds at most one to the count: if `inside` are counted at an entry, the gate cannot
   !> reverse before the (most + 1 - inside)-th entry after it. So few entries are examined, and the
   !> count at each of these is a loop without branches.
-  pure subroutine apply_rule(most, staying, held, entries, entry_time, until, time, who, &
-    stayer, reversals, last_entry, reversed, leaving, leaver, turned_at, crossed, crosser, &
-    crossed_at, rest)
+  pure subroutine apply_rule(most, staying, held, entries, entry_time, until, time, particle, &
+    staying_particle, reversals, last_entry, reversed, turned_back, turned_particle, turned_at, &
+    crossed, crossing_particle, crossed_at, rest)
     integer, intent(in) :: most, staying, held, entries
     real(wp), intent(in) :: entry_time(entries), until
     real(wp), intent(inout) :: time(held + entries)
-    integer, intent(inout) :: who(held + entries)
-    integer, intent(in), contiguous :: stayer(:)
+    integer, intent(inout) :: particle(held + entries)
+    integer, intent(in), contiguous :: staying_particle(:)
     integer, intent(inout) :: reversals
     integer, intent(inout), contiguous :: last_entry(:), reversed(:)
-    integer, intent(inout) :: leaving, crossed
-    integer, intent(inout), contiguous :: leaver(:), crosser(:)
+    integer, intent(inout) :: turned_back, crossed
+    integer, intent(inout), contiguous :: turned_particle(:), crossing_particle(:)
     real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
     integer, intent(out) :: rest
     integer :: limit, others, first, last, k, inside
@@ -287,29 +291,30 @@ contains
       last = held + k
       reversals = reversals + 1
       last_entry(reversals) = k
-      reversed(reversals) = leaving
-      leaver(leaving + 1:leaving + others) = stayer(:others)
-      turned_at(leaving + 1:leaving + others) = entry_time(k)
-      leaving = leaving + others
-      call split_at_reversal(last - first + 1, time(first:last), who(first:last), entry_time(k), &
-        leaving, leaver, turned_at, crossed, crosser, crossed_at)
-      reversed(reversals) = leaving - reversed(reversals)
+      reversed(reversals) = turned_back
+      turned_particle(turned_back + 1:turned_back + others) = staying_particle(:others)
+      turned_at(turned_back + 1:turned_back + others) = entry_time(k)
+      turned_back = turned_back + others
+      call split_at_reversal(last - first + 1, time(first:last), particle(first:last), &
+        entry_time(k), turned_back, turned_particle, turned_at, crossed, crossing_particle, &
+        crossed_at)
+      reversed(reversals) = turned_back - reversed(reversals)
       others = 0
       first = last + 1
       k = k + max(limit, 0) + 1
     end do
     rest = 0
     do k = first, held + entries
-      crosser(crossed + 1) = who(k)
+      crossing_particle(crossed + 1) = particle(k)
       crossed_at(crossed + 1) = time(k)
       crossed = crossed + merge(1, 0, time(k) < until)
-      who(rest + 1) = who(k)
+      particle(rest + 1) = particle(k)
       time(rest + 1) = time(k)
       rest = rest + merge(0, 1, time(k) < until)
     end do
   end subroutine apply_rule
 
-  !> How many of the times are after `instant`.
+  !> Number of times after `instant`.
   pure function count_after(n, time, instant) result(after)
     integer, intent(in) :: n
     real(wp), intent(in) :: time(n), instant
@@ -318,22 +323,23 @@ contains
     after = int(count(time > instant, kind=int64))
   end function count_after
 
-  !> Splits the particles at a reversal: those that have crossed by then, those turned back.
-  pure subroutine split_at_reversal(n, time, who, instant, leaving, leaver, turned_at, crossed, &
-    crosser, crossed_at)
+  !> Splits the particles counted up to a reversal into those that have crossed before it and those
+  !> that it turns back.
+  pure subroutine split_at_reversal(n, time, particle, instant, turned_back, turned_particle, &
+    turned_at, crossed, crossing_particle, crossed_at)
     integer, intent(in) :: n
     real(wp), intent(in) :: time(n), instant
-    integer, intent(in) :: who(n)
-    integer, intent(inout) :: leaving, crossed
-    integer, intent(inout), contiguous :: leaver(:), crosser(:)
+    integer, intent(in) :: particle(n)
+    integer, intent(inout) :: turned_back, crossed
+    integer, intent(inout), contiguous :: turned_particle(:), crossing_particle(:)
     real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
     integer :: k
 
     do k = 1, n
-      leaver(leaving + 1) = who(k)
-      turned_at(leaving + 1) = instant
-      leaving = leaving + merge(1, 0, time(k) > instant)
-      crosser(crossed + 1) = who(k)
+      turned_particle(turned_back + 1) = particle(k)
+      turned_at(turned_back + 1) = instant
+      turned_back = turned_back + merge(1, 0, time(k) > instant)
+      crossing_particle(crossed + 1) = particle(k)
       crossed_at(crossed + 1) = time(k)
       crossed = crossed + merge(0, 1, time(k) > instant)
     end do

@@ -17,7 +17,7 @@ module battery_half_channel_visits
 
   !> State of the particles in the lanes.
   type :: lanes_type
-    integer :: who(lanes) = 0
+    integer :: visit(lanes) = 0
     real(wp), dimension(lanes) :: x = 0.0_wp, y = 0.0_wp, ux = 1.0_wp, uy = 0.0_wp
     real(wp), dimension(lanes) :: time = 0.0_wp, until = 0.0_wp, delay = 0.0_wp, hits = 0.0_wp
     !> Kind of the next wall of each particle (`motion_type`), as a real; centre and radius if it is
@@ -60,7 +60,7 @@ contains
       call reflect_lanes(half_channel%half_width, now%met_x, now%met_y, now%met_radius, now%x, &
         now%y, now%ux, now%uy, now%met)
       do lane = 1, lanes
-        if (now%who(lane) == 0) cycle
+        if (now%visit(lane) == 0) cycle
         if (now%met(lane) >= real(meets_channel_wall, wp) .and. now%hits(lane) < longest_part) cycle
         call store_lane(lane)
         call load_lane(lane)
@@ -73,7 +73,7 @@ contains
     subroutine store_lane(lane)
       integer, intent(in) :: lane
 
-      associate (j => now%who(lane))
+      associate (j => now%visit(lane))
         motion(j) = motion_type(now%x(lane), now%y(lane), now%ux(lane), now%uy(lane), &
           motion(j)%time + now%time(lane), motion(j)%urn, motion(j)%chamber, &
           nint(now%met(lane), wall_kind))
@@ -86,11 +86,11 @@ contains
     subroutine load_lane(lane)
       integer, intent(in) :: lane
 
-      now%who(lane) = 0
+      now%visit(lane) = 0
       if (next == count) return
       next = next + 1
       flying = flying + 1
-      now%who(lane) = next
+      now%visit(lane) = next
       associate (begins => motion(next))
         now%x(lane) = begins%x
         now%y(lane) = begins%y
