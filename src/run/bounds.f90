@@ -1,8 +1,8 @@
-!> What lengths and times can be computed with: how far apart they may be.
+!> Bounds of the lengths and times that can be computed with.
 !>
-!> Coordinates and clocks are as sharp as the longest length is, times `epsilon`. So every other
-!> length must be many such steps long. The scale as a whole is free, as long as no power of a
-!> length that is formed anywhere leaves the range of numbers.
+!> Coordinates and clocks have a resolution of the longest length times `epsilon`. So every other
+!> length must be many such steps long. The unit is free, as long as no power of a length that is
+!> computed anywhere overflows or underflows.
 module battery_bounds
   use battery_kinds, only: wp, int64, pi
   use battery_text, only: to_text
@@ -12,20 +12,20 @@ module battery_bounds
   public :: bounds_type, bounds_text, can_count_hits, of_powers, of_lengths, of_widths, of_times, &
     of_clocks
 
-  !> The least share of the longest length that another may be: 4096 steps of the coordinates.
+  !> Least ratio of any length to the longest: 4096 steps of the coordinates.
   real(wp), parameter, public :: finest = 4096.0_wp*epsilon(1.0_wp)
 
-  !> Fourth powers of lengths up to here, and one over them, are numbers.
+  !> Greatest length: its fourth power, and one over that, are finite.
   real(wp), parameter, public :: greatest_radius = 2.0_wp**(maxexponent(1.0_wp)/4)
 
-  !> Visits in which an urn is hit this many times as often as in the mean are counted, too.
+  !> Wall hits must be countable even for visits with this many times the mean number of hits.
   real(wp), parameter :: longest_visit = 64.0_wp
 
-  !> What bounds follow from; the words are made only when they are needed, since there may be
-  !> millions of points.
+  !> Reasons for bounds; their texts are made only when they are needed, since there may be millions
+  !> of points.
   integer, parameter :: of_powers = 1, of_lengths = 2, of_widths = 3, of_times = 4, of_clocks = 5
 
-  !> What a number may be.
+  !> Least and greatest value of a number, and the reason.
   type :: bounds_type
     real(wp) :: least = 0.0_wp, most = 0.0_wp
     integer :: reason = of_powers
@@ -33,7 +33,7 @@ module battery_bounds
 
 contains
 
-  !> What bounds allow, and what they follow from.
+  !> Text for messages: the bounds, and the reason for them.
   pure function bounds_text(bounds) result(text)
     type(bounds_type), intent(in) :: bounds
     character(len=:), allocatable :: text
@@ -51,13 +51,13 @@ contains
     case (of_clocks)
       text = 'which is '//to_text(longest_run)//' urn_radius'
     case default
-      text = 'whose powers are still numbers'
+      text = 'whose fourth powers are finite'
     end select
     text = 'from '//to_text(bounds%least)//' to '//to_text(bounds%most)//', '//text
   end function bounds_text
 
-  !> Whether the wall hits of `number` particles in the time `duration` (0: not known), those of the
-  !> visits under way included, are fewer than a whole number can count.
+  !> Whether the wall hits of `number` particles in the time `duration` (0: not known), including
+  !> those of visits that have not ended, are fewer than the largest integer.
   pure logical function can_count_hits(table, number, duration) result(can)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number

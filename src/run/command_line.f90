@@ -17,15 +17,15 @@ module battery_command_line
   character(len=11), parameter :: options(8) = [character(len=11) :: '--check', '--overwrite', &
     '--quiet', '--json', '--help', '--schema', '--self-test', '--version']
 
-  !> How a run is stopped so that nothing is lost: Open MPI kills ranks that take longer than a
-  !> second (version 5: a quarter of one) to save their states.
+  !> Ways to stop a run without loss: Open MPI kills ranks that take longer than a second (version
+  !> 5: a quarter of a second) to save their states.
   character(len=*), parameter, public :: ways_to_stop = &
     'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. Open MPI''s mpirun' &
     //new_line_character &
     //'kills its ranks within 1 s of SIGTERM or SIGINT: a large run may lose what it did since' &
     //new_line_character//'its last checkpoint.'
 
-  !> What is to be done.
+  !> Contents of the command line.
   type :: command_line_type
     !> The namelist file; empty if `text_to_print` is not.
     character(len=:), allocatable :: file
@@ -33,15 +33,15 @@ module battery_command_line
     character(len=:), allocatable :: json
     !> What is printed instead of a run: help or schema; empty if neither.
     character(len=:), allocatable :: text_to_print
-    !> Print the version instead.
+    !> Print the version instead of a run.
     logical :: version = .false.
-    !> Test what is installed instead.
+    !> Test the installation instead of a run.
     logical :: self_test = .false.
     !> Only check the input and show the plan.
     logical :: check = .false.
-    !> Discard results that are there.
+    !> Discard existing results.
     logical :: overwrite = .false.
-    !> Print nothing but problems.
+    !> Print errors only.
     logical :: quiet = .false.
   end type command_line_type
 
@@ -60,9 +60,9 @@ contains
     end do
   end function command_line_words
 
-  !> Understands a list of arguments; after `--` a word is a file even if it begins with a dash.
+  !> Parses a list of arguments; after `--` a word is a file even if it begins with a dash.
   subroutine parse_arguments(words, command, error)
-    !> One an argument, without the name of the program.
+    !> Arguments, without the name of the program.
     type(string_type), intent(in) :: words(:)
     !> Options and the path of the namelist.
     type(command_line_type), intent(out) :: command
@@ -91,7 +91,7 @@ contains
       else if (index(words(at)%text, '-') == 1 .and. .not. only_files) then
         call read_option(words(at)%text, command, problems)
       else if (words(at)%text == '') then
-        call add(problems, 'an empty name of a file; allowed: FILE.nml')
+        call add(problems, 'an empty file name; allowed: FILE.nml')
       else if (command%file /= '') then
         call add(problems, words(at)%text//': a second file; allowed: one')
       else
@@ -109,7 +109,7 @@ contains
       exit_bad_input)
   end subroutine parse_arguments
 
-  !> One option.
+  !> Parses one option.
   subroutine read_option(word, command, problems)
     character(len=*), intent(in) :: word
     type(command_line_type), intent(inout) :: command

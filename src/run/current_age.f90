@@ -1,20 +1,21 @@
-!> How much of the current through channel 2 a run lacks because it is young.
+!> Deficit of the current through channel 2 in a run that has not lasted long enough.
 !>
-!> Particles that go round through both channels carry a part of that current. Orbits of ever more
-!> rounds fill up as a run goes on, until the gate of the sparse urn reverses those that are on
-!> them. With L the length of a round, R the share of entries that this gate reverses, and
-!> tau = L/R, the current at an age s lacks about this part of its stationary value:
+!> Particles that circulate through both channels carry a part of that current. In the course of a
+!> run, orbits of more and more rounds are populated, until the gate of the sparse urn reverses the
+!> particles on them. With L the length of a round, R the fraction of entries that this gate
+!> reverses, and tau = L/R, the current at an age s lacks about this part of its stationary value:
 !>
 !>     3 (w'/L) exp(-s/tau) log(1 + tau/s)                                            (1)
 !>
-!> The number in the sparse urn comes from the balance of flows through both channels, the load of
-!> the dense gate times 0.85 (the paper's theory has 1). R is that of a gate whose visits last
-!> exponentially long, in closed form. The factors 3 and 0.85 are fitted to the theory of the
-!> currents that was measured in runs of many ages; how far (1) is from both: docs/command_line.md.
+!> The number of particles in the sparse urn follows from the balance of flows through both
+!> channels, with the load of the dense gate times 0.85 (the paper's theory has 1). R is that of a
+!> gate with exponentially distributed passage times, in closed form. The factors 3 and 0.85 are
+!> fitted to the theory of the currents and to runs of many ages; docs/command_line.md has the
+!> deviations of (1) from both.
 !>
-!> That was measured, and so (1) is used, for equal discs with equal gates, channels without
-!> scatterers, engines that are exact, T up to 20, and runs without an initial file. Elsewhere, and
-!> where the balance has no polarised state, no remark is made.
+!> The fit, and so the use of (1), is for equal discs with equal gates, channels without scatterers,
+!> exact engines, T up to 20, and runs without an initial file. Otherwise, and if the balance has no
+!> polarised state, no remark is made.
 module battery_current_age
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type, point_type, point_of, point_text, table_of
@@ -26,38 +27,38 @@ module battery_current_age
 
   !> Circulation at a parameter point.
   type :: circulation_type
-    !> The factor 3 w'/L of (1); 0: there is no current to speak of, or nothing is known.
+    !> The factor 3 w'/L of (1); 0: the current is negligible, or (1) does not apply.
     real(dp) :: growth = 0.0_dp
     !> The time tau after which a circulating particle is reversed.
     real(dp) :: lifetime = 1.0_dp
   end type circulation_type
 
-  !> Engines that simulate the table as it is.
+  !> Engines without approximations.
   character(len=*), parameter :: exact_engines(3) = [character(len=11) :: 'excursion', &
     'collision', 'synchronous']
 
   real(dp), parameter :: pi = acos(-1.0_dp)
 
-  !> What is fitted: the factor of (1), and that of the dense gate's load.
+  !> Fitted numbers: the factor of (1), and the factor of the dense gate's load.
   real(dp), parameter :: steepness = 3.0_dp, dense_load = 0.85_dp
 
-  !> The tolerance of currents that the remark has in view, and which part of it a current may
-  !> lack, as in postproc.advise.
+  !> Relative tolerance of currents that the remark is for, and part of it that the deficit may be,
+  !> as in postproc.advise.
   real(dp), parameter :: tolerance = 0.01_dp, allowed = 0.25_dp
 
-  !> Measured time over the transient of the runs that are recommended.
+  !> Ratio of measured time to transient in the recommended run.
   real(dp), parameter :: measured = 2.0_dp
 
   !> The least chi of a state that counts as polarised.
   real(dp), parameter :: polarised = 0.3_dp
 
-  !> The largest threshold at which (1) was near to theory, and most points that are looked at.
+  !> The largest threshold at which (1) was compared with theory; largest number of points examined.
   integer, parameter :: largest_threshold = 20, most_points = 1000
 
 contains
 
-  !> One line about the point of a plan whose currents lack most, and the transient that its
-  !> currents would need for one per cent; empty where all points lack less, or nothing is known.
+  !> Remark on the point of a plan with the largest deficit, and the transient that its currents
+  !> would need for one per cent; empty if all deficits are allowed, or if (1) does not apply.
   function current_remark(plan) result(text)
     type(plan_type), intent(in) :: plan
     character(len=:), allocatable :: text
@@ -91,8 +92,8 @@ contains
       //' measured'
   end function current_remark
 
-  !> First and last age, since the start, of what a run of this plan averages at a point. Collisions
-  !> take as long as the mean free path of the empty table.
+  !> First and last age, since the start, of the averages of a run of this plan at a point. The mean
+  !> time between collisions is taken as the mean free path of the empty table.
   pure function ages_measured(plan, point) result(ages)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
@@ -108,7 +109,7 @@ contains
     end if
   end function ages_measured
 
-  !> Circulation at a parameter point, urns that are discs.
+  !> Circulation at a parameter point whose urns are discs.
   pure type(circulation_type) function circulation_at(point) result(found)
     type(point_type), intent(in) :: point
     real(dp) :: width, width2, radius, load, sparse, round_length
@@ -121,7 +122,8 @@ contains
     if (point%threshold(2) /= threshold .or. threshold < 1 .or. threshold > largest_threshold &
       .or. abs(real(point%urn_radius(2), dp) - radius) > 0.0_dp .or. .not. width2 > 0.0_dp &
       .or. .not. width > 0.0_dp .or. point%number < 2) return
-    ! Mean number in a gate by particles in its urn: N w/(pi A) entries a unit of time, pi l/4 each.
+    ! Mean number in a gate over number in its urn: w/(pi A) entries per unit of time, each for pi
+    ! l/4.
     load = width*real(point%channel(gated)%length, dp)/(4.0_dp*pi*radius**2)
     sparse = sparse_number(real(point%number, dp), threshold, width2/width, load)
     if (sparse > 0.5_dp*(1.0_dp - polarised)*real(point%number, dp)) return
@@ -131,12 +133,12 @@ contains
     found%lifetime = round_length/reversed_share(threshold, load*sparse)
   end function circulation_at
 
-  !> Number in the sparse urn: where the current through channel 2 is what channel 1 brings back.
-  !> Where nothing but equal shares balances, half of all.
+  !> Number of particles in the sparse urn for which the current through channel 2 equals that of
+  !> channel 1 in the other direction; half of all particles if only equal numbers balance.
   pure real(dp) function sparse_number(number, threshold, widths, load) result(sparse)
     real(dp), intent(in) :: number
     integer, intent(in) :: threshold
-    !> Width of channel 2 over that of channel 1, and the load of a gate by particles in its urn.
+    !> Width of channel 2 over that of channel 1; load of a gate per particle in its urn.
     real(dp), intent(in) :: widths, load
     integer, parameter :: steps = 200, halvings = 40
     real(dp) :: low, high, middle
@@ -161,7 +163,7 @@ contains
 
   contains
 
-    !> What flows into the sparse urn less what flows out, in units of one particle's flow.
+    !> Flow into the sparse urn less flow out of it, in units of one particle's flow.
     pure real(dp) function net_inflow(in_sparse)
       real(dp), intent(in) :: in_sparse
       real(dp) :: in_dense
@@ -173,7 +175,7 @@ contains
 
   end function sparse_number
 
-  !> Chance that a Poisson number of that mean is below `threshold`.
+  !> Probability that a Poisson variable with this mean is below `threshold`.
   pure real(dp) function chance_below(threshold, mean) result(chance)
     integer, intent(in) :: threshold
     real(dp), intent(in) :: mean
@@ -188,8 +190,8 @@ contains
     end do
   end function chance_below
 
-  !> Share of entries that a gate reverses whose visits last exponentially long: (T + 1) over the
-  !> sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
+  !> Fraction of entries that a gate with exponentially distributed passage times reverses: (T + 1)
+  !> over the sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
   pure real(dp) function reversed_share(threshold, load) result(share)
     integer, intent(in) :: threshold
     !> Mean number of particles inside if the gate never reversed, above 0.
@@ -207,7 +209,7 @@ contains
     share = real(threshold + 1, dp)/total
   end function reversed_share
 
-  !> The part of its stationary value that a current lacks, (1) averaged over ages.
+  !> Relative deficit of a current: (1) averaged over ages.
   pure real(dp) function lacking_share(circulation, ages)
     type(circulation_type), intent(in) :: circulation
     !> First and last age of the average, in time units.
@@ -222,17 +224,17 @@ contains
     lacking_share = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/real(parts, dp)
   end function lacking_share
 
-  !> The transient, to two digits, behind which runs that measure twice as long lack no more than
-  !> `part` of their current.
+  !> Transient, to two digits, after which the current of a run that measures twice as long has a
+  !> relative deficit of at most `part`.
   pure real(dp) function transient_for(circulation, part) result(transient)
     type(circulation_type), intent(in) :: circulation
-    !> Greatest part of the current that may be lacking, above 0.
+    !> Greatest relative deficit allowed, above 0.
     real(dp), intent(in) :: part
     integer, parameter :: halvings = 60
     real(dp) :: low, high, unit
     integer :: at
 
-    ! Powers of ten, in lifetimes.
+    ! Exponents of ten: the transient in units of the lifetime.
     low = -12.0_dp
     high = 2.0_dp
     do at = 1, halvings
@@ -247,7 +249,7 @@ contains
     transient = unit*real(ceiling(transient/unit), dp)
   end function transient_for
 
-  !> Per cent with two digits: `0.31`, `1.2`, `12`.
+  !> A fraction in per cent with two digits: `0.31`, `1.2`, `12`.
   pure function percent_text(part) result(text)
     real(dp), intent(in) :: part
     character(len=:), allocatable :: text

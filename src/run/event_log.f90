@@ -1,4 +1,4 @@
-!> The event log of a run, which grows as long as there is memory for it.
+!> The event log of a run, which is enlarged as long as there is memory for it.
 module battery_event_log
   use battery_kinds, only: wp, int32
   use battery_event_record, only: event_record_type
@@ -7,7 +7,7 @@ module battery_event_log
   private
   public :: event_log_type, append_events, serialize_events
 
-  !> An event: its time since the start of the run; kind, place and particle as in the engine.
+  !> An event: time since the start of the run; kind, place and particle as in an event record.
   type :: event_type
     real(wp) :: time
     integer(int32) :: kind, where, particle
@@ -15,7 +15,7 @@ module battery_event_log
 
   !> The event log of a run.
   type :: event_log_type
-    !> The first `count` count.
+    !> Number of events; the array may be longer.
     integer :: count = 0
     type(event_type), allocatable :: event(:)
   end type event_log_type
@@ -24,11 +24,11 @@ contains
 
   !> Adds the events of a window that began `elapsed` after the start of the run.
   subroutine append_events(log, event_record, elapsed, out_of_room)
-    !> Of one run, in the order of time.
+    !> Log of one run, in the order of time.
     type(event_log_type), intent(inout) :: log
     type(event_record_type), intent(in) :: event_record
     real(wp), intent(in) :: elapsed
-    !> Set if there is no memory for them; then the log stays as it is.
+    !> Set if there is no memory for the events; then the log does not change.
     logical, intent(inout) :: out_of_room
     type(event_type), allocatable :: longer(:)
     integer :: total, status, k
@@ -49,9 +49,9 @@ contains
     log%count = total
   end subroutine append_events
 
-  !> The event log so far.
+  !> Serialises the event log.
   subroutine serialize_events(log, archive)
-    !> Of one run; in an archive that is read, it is filled.
+    !> Log of one run.
     type(event_log_type), intent(inout) :: log
     type(archive_type), intent(inout) :: archive
 

@@ -1,8 +1,8 @@
-!> Frozen event logs: what an engine once found from given particles, in quadruple precision. Every
-!> build must find the same events in the same order, and times and places as closely as the log
-!> says. The tests and `battery --self-test` compare by the same procedure.
+!> Frozen event logs: stored events of runs in quadruple precision. Every build must find the same
+!> events in the same order, and times and positions within the tolerances of the log. The tests and
+!> `battery --self-test` use the same comparison.
 !>
-!> A log is lines of numbers (`test/frozen/freeze.py` makes them):
+!> A log consists of lines of numbers (made by `test/frozen/freeze.py`):
 !>
 !>     number of particles, number of events, threshold, shape (1: circuit, 2: urn)
 !>     duration, tolerance of times, tolerance of places, time step
@@ -22,7 +22,7 @@ module battery_frozen_log
   private
   public :: frozen_log_type, read_frozen_log, what_differs, is_final_state
 
-  !> A log, and the run that it is of; the engine is left open.
+  !> A log, and the run that it belongs to; any engine may repeat the run.
   type :: frozen_log_type
     type(setup_type) :: setup
     type(particles_type) :: start
@@ -38,7 +38,7 @@ contains
 
   !> Reads a log.
   subroutine read_frozen_log(lines, log)
-    !> As described above; they are the project's own, so they are good.
+    !> Lines as described above; they belong to the project and are not checked.
     character(len=*), intent(in) :: lines(:)
     !> Contents of the log.
     type(frozen_log_type), intent(out) :: log
@@ -73,21 +73,22 @@ contains
     real(wp), allocatable :: speed(:)
 
     speed = hypot(columns(3, :), columns(4, :))
-    ! One by one: gfortran 12 loses the stride of a row in a structure constructor.
+    ! Separate assignments: gfortran 12 loses the stride of a row in a structure constructor.
     particles%x = columns(1, :)
     particles%y = columns(2, :)
     particles%ux = columns(3, :)/speed
     particles%uy = columns(4, :)/speed
   end function particles_of
 
-  !> Runs a log anew by an engine, and says what is not as it was; empty: all is.
+  !> Repeats the run of a log with an engine, and describes the first difference; empty if there is
+  !> none.
   function what_differs(log, engine) result(problem)
-    !> The run and what it gave.
+    !> The run and its events.
     type(frozen_log_type), intent(in) :: log
     !> Name of the engine.
     character(len=*), intent(in) :: engine
     character(len=:), allocatable :: problem
-    !> No run of these takes more windows.
+    !> More windows than any of these runs takes.
     integer, parameter :: most_windows = 100000
     type(setup_type) :: setup
     type(simulation_type) :: simulation
@@ -134,9 +135,9 @@ contains
       problem = 'the final state differs'
   end function what_differs
 
-  !> Whether all particles are where the log has them at the end.
+  !> Whether all particles are in the final state of the log.
   pure logical function is_final_state(log, x, y, ux, uy) result(yes)
-    !> The run and what it gave.
+    !> The run and its events.
     type(frozen_log_type), intent(in) :: log
     !> Positions (length) and velocities (1), shape (particle).
     real(wp), intent(in) :: x(:), y(:), ux(:), uy(:)

@@ -1,9 +1,9 @@
 !> Task identifier: a fingerprint of all that decides the result of a task.
 !>
-!> By value, never by its place in a scan: numbers that are equal to 12 digits are equal, and what
-!> is given is the same as what is so by default. So a point has the same random numbers however
-!> many others are scanned with it. What is measured and kept beside (series, snapshots, event log)
-!> does not change what happens, and is no part of it.
+!> The fingerprint depends on values, never on the place in a scan: numbers that are equal to 12
+!> digits are equal, and a given value is the same as a default value. So a point has the same
+!> random numbers whatever other points are scanned. The series, snapshots and event log do not
+!> affect the motion, and are no part of the fingerprint.
 module battery_identity
   use battery_kinds, only: wp, int64
   use battery_engines, only: has_step
@@ -20,11 +20,11 @@ contains
   !> The identity of a task, which is its seed as well.
   function identity_of(setup, number, urn1_number, initial_fingerprint, seed, replica) &
       result(identity)
-    !> Table, thresholds, engine and length; its seed is not looked at.
+    !> Table, thresholds, engine and length; its seed is not used.
     type(setup_type), intent(in) :: setup
-    !> Particles, and how many of them start in urn 1.
+    !> Number of particles, and number of those that start in urn 1.
     integer, intent(in) :: number, urn1_number
-    !> Of the initial file; 0: the start is random.
+    !> Fingerprint of the initial file; 0: the start is random.
     integer(int64), intent(in) :: initial_fingerprint
     !> Base seed of the run.
     integer(int64), intent(in) :: seed
@@ -74,12 +74,13 @@ contains
     identity = splitmix64(identity)
   end function identity_of
 
-  !> The identity of what is kept of a task: the task, and which series, snapshots and so on.
+  !> Identifier of a task together with its output: the task, and which series, snapshots and so on
+  !> are stored.
   integer(int64) function task_id_with(identity, run, final_state) result(task_id)
-    !> Of the task, as `identity_of` gives it.
+    !> Identity of the task, from `identity_of`.
     integer(int64), intent(in) :: identity
     class(run_type), intent(in) :: run
-    !> Whether the final state is kept.
+    !> Whether the final state is stored.
     logical, intent(in) :: final_state
     integer :: k
 
@@ -111,9 +112,9 @@ contains
     if (.not. abs(number) > 0.0_wp) text = '0'
   end function digits_of
 
-  !> The number that has the first 12 digits of a number, rounded.
+  !> A number rounded to 12 digits.
   elemental real(wp) function twelve_digits(number) result(rounded)
-    !> Finite.
+    !> A finite number.
     real(wp), intent(in) :: number
     character(len=24) :: text
 

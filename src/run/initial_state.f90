@@ -14,15 +14,15 @@ module battery_initial_state
   private
   public :: random_particles, read_particles, parse_particles, are_inside
 
-  !> What sets the numbers of a line apart, beside commas.
+  !> Characters that separate the numbers of a line, besides commas.
   character(len=*), parameter :: blanks = ' '//achar(9)
 
-  !> Particles or lines between two looks at whether the run must stop.
+  !> Number of particles or lines between two checks for a stop request.
   integer, parameter :: particles_between_looks = 65536
 
 contains
 
-  !> An error if there is no memory for so many particles.
+  !> Allocates arrays for `number` particles; an error if there is no memory.
   subroutine allocate_particle_arrays(particles, number, error)
     type(particles_type), intent(inout) :: particles
     integer, intent(in) :: number
@@ -36,15 +36,15 @@ contains
     if (status /= 0) call fatal_error(error, 'no memory for '//to_text(number)//' particles')
   end subroutine allocate_particle_arrays
 
-  !> `number` particles, the first `urn1_number` of them in urn 1: positions uniform in the urns,
-  !> directions uniform, speed 1. The same seed gives the same particles everywhere.
+  !> Draws `number` particles, the first `urn1_number` of them in urn 1: positions uniform in the
+  !> urns, directions uniform, speed 1. The same seed gives the same particles on all machines.
   subroutine random_particles(table, number, urn1_number, seed, particles, error)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number, urn1_number
     !> Seed, from 0 to 2**32 - 1.
     integer(int64), intent(in) :: seed
     type(particles_type), intent(out) :: particles
-    !> No memory, no generator, or a stop was asked for.
+    !> No memory, no random generator, or a stop request.
     type(error_type), allocatable, intent(out) :: error
     type(generator_type) :: generator
     real(wp) :: angle
@@ -68,7 +68,7 @@ contains
     if (stop_requested()) call set_stop_error(error)
   end subroutine random_particles
 
-  !> A point uniform in an urn.
+  !> Draws a point uniform in an urn.
   subroutine place_in_urn(generator, table, side, x, y)
     type(generator_type), intent(in) :: generator
     type(table_type), intent(in) :: table
@@ -85,7 +85,7 @@ contains
     end do
   end subroutine place_in_urn
 
-  !> `number` particles from a file, as `parse_particles` reads its text.
+  !> Reads `number` particles from a file with `parse_particles`.
   subroutine read_particles(file, table, number, particles, error)
     !> Path of the file.
     character(len=*), intent(in) :: file
@@ -103,11 +103,11 @@ contains
     end if
   end subroutine read_particles
 
-  !> `number` particles from a text with a line `x y ux uy` for each; speeds are made 1. Empty lines
-  !> and lines that begin with # are passed over. All problems come back in one error; in it `name`
-  !> stands for the file.
+  !> Parses `number` particles from a text with a line `x y ux uy` for each; velocities are
+  !> normalised to speed 1. Empty lines and lines that begin with # are ignored. All problems are
+  !> reported in one error, with `name` for the file.
   subroutine parse_particles(text, name, table, number, particles, error)
-    !> All of the file, and its name.
+    !> Text of the whole file, and its name.
     character(len=*), intent(in) :: text, name
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
@@ -136,7 +136,7 @@ contains
           return
         end if
       end if
-      ! The end of a line that was written under Windows.
+      ! Line ends of Windows have a carriage return.
       if (last > first) last = merge(last - 1, last, text(last - 1:last - 1) == achar(13))
       first = first + verify(text(first:last - 1)//'.', blanks, kind=int64) - 1
       if (first >= last) cycle
@@ -171,13 +171,13 @@ contains
     inside = .true.
   end function are_inside
 
-  !> One line of an initial file: its four numbers, and what is wrong with it (empty: nothing).
+  !> Parses one line of an initial file: its four numbers, and its problem (empty: none).
   subroutine read_line(line, table, state, problem)
     character(len=*), intent(in) :: line
     type(table_type), intent(in) :: table
     real(wp), intent(out) :: state(4)
     character(len=:), allocatable, intent(out) :: problem
-    !> Beyond this, squares are not finite.
+    !> Numbers up to this have finite squares.
     real(wp), parameter :: far = 0.25_wp*sqrt(huge(1.0_wp))
     integer :: first(4), last(4), k
     logical :: lost
@@ -204,8 +204,8 @@ contains
     end if
   end subroutine read_line
 
-  !> Where the four columns of a line are, set apart by blanks or by one comma with or without
-  !> blanks; `problem` says what is wrong with them.
+  !> Finds the four columns of a line, which are separated by blanks or by one comma with or without
+  !> blanks; `problem` is empty if there are four.
   pure subroutine find_columns(line, first, last, problem)
     character(len=*), intent(in) :: line
     integer, intent(out) :: first(4), last(4)

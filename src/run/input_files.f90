@@ -1,4 +1,4 @@
-!> The files of a run: the namelist, the initial file, and where the results go.
+!> The files of a run: the namelist, the initial file, and the results file.
 module battery_input_files
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
@@ -16,19 +16,19 @@ module battery_input_files
   private
   public :: read_namelist
 
-  !> Bytes of the longest namelist; what is longer is no namelist.
+  !> Bytes of the longest namelist; a longer file is taken for no namelist.
   integer(int64), parameter :: longest_namelist = 64000000_int64
 
 contains
 
-  !> The plan that a file describes, with what its initial file holds. The initial file must be
-  !> good, and the results must have a place to go. Writes nothing. The namelist may be a pipe,
-  !> which can be read once only: one rank calls this and passes on what it found.
+  !> Reads a plan from a namelist file, with the particles of its initial file. The initial file
+  !> must be valid, and the results file must be writable. Writes nothing. The namelist may be a
+  !> pipe, which can be read only once: one rank calls this and shares the plan.
   subroutine read_namelist(file, plan, error)
-    !> Path of the file.
+    !> Path of the namelist.
     character(len=*), intent(in) :: file
     type(plan_type), intent(out) :: plan
-    !> Code `exit_bad_input`; all problems, one a line.
+    !> All problems, one per line; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: text
     type(settings_type) :: settings
@@ -44,8 +44,8 @@ contains
     call use_initial_file(plan, error)
   end subroutine read_namelist
 
-  !> The results must have a place to go, which is no input's; an output that is a link is what it
-  !> points to.
+  !> Checks that the results file can be written and would replace no input file; of an output that
+  !> is a link, the target is checked.
   subroutine check_files(plan)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable :: trouble
@@ -79,8 +79,8 @@ contains
       'a file in a folder that exists and can be written to')
   end subroutine check_files
 
-  !> Whether what is written for an output would spoil an input, by whatever names and links; empty:
-  !> it would not.
+  !> Why writing the output would destroy an input file, by whatever names and links; empty: it
+  !> would not.
   function output_spoils_input(file, input) result(reason)
     character(len=*), intent(in) :: file, input
     character(len=:), allocatable :: reason
@@ -100,8 +100,8 @@ contains
     end if
   end function output_spoils_input
 
-  !> The initial file must suit the table of every point; its problems join those of the namelist.
-  !> It is read once, and says how many start in urn 1.
+  !> Reads the initial file, once, and counts its particles in urn 1. All particles must be inside
+  !> the table of every point; problems are added to those of the namelist.
   subroutine use_initial_file(plan, error)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable, intent(inout) :: error
@@ -110,13 +110,13 @@ contains
     type(point_type) :: point
     integer :: at
 
-    ! That a pipe is refused is said already, and reading it might never end.
+    ! A pipe has been refused already, and reading it might never end.
     if (plan%initial_file == '' .or. is_pipe_or_device(plan%initial_file)) return
     call read_file(plan%initial_file, text, trouble)
     place = ''
     if (.not. allocated(trouble)) then
       point = point_of(plan, 1)
-      ! Where lengths are wrong themselves, there is no table to hold the file against.
+      ! If the lengths themselves are wrong, there is no table to check the file with.
       if (allocated(error) .and. .not. (point%number > 0 .and. &
         maxval(point%channel%width) < 2.0_wp*minval(point%urn_radius) .and. &
         plan%urn_shape == 'disc')) return
@@ -125,7 +125,7 @@ contains
       do at = 2, plan%point_count
         if (allocated(trouble)) exit
         point = point_of(plan, at)
-        ! Read again only to say what is wrong.
+        ! Parsed again only for the message.
         if (.not. are_inside(table_of(plan, point), plan%start)) call parse_particles(text, &
           plan%initial_file, table_of(plan, point), point%number, plan%start, trouble)
         if (allocated(trouble)) place = ' where '//point_text(plan, at, 'initial_file')

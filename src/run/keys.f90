@@ -11,18 +11,18 @@ module battery_keys
   private
   public :: all_keys
 
-  !> Most particles: the engines keep up to ten numbers a particle in one array, whose indices have
-  !> 32 bits.
+  !> Greatest number of particles: the engines store up to ten numbers per particle in one array,
+  !> whose indices have 32 bits.
   integer(int64), parameter :: most_particles = 200000000_int64
 
-  !> Greatest whole number of a key that may be beyond 32 bits: 18 digits, so that sums of a few
-  !> fit.
+  !> Greatest value of a key that may need more than 32 bits: 18 digits, so that sums of a few such
+  !> values do not overflow.
   integer(int64), parameter :: long = 999999999999999999_int64
 
 contains
 
-  !> All keys; those of &scan are twins of keys of other groups, the slowest first: each as a list
-  !> and as a range.
+  !> All keys; those of &scan are twins of keys of other groups, the slowest first: a list and a
+  !> range for each.
   pure function all_keys() result(keys)
     type(key_type), allocatable :: keys(:)
 
@@ -142,7 +142,7 @@ contains
   end function keys_behind_scan
 
   !> The list and the range of a key that can be scanned, with the bounds and the unit of the key;
-  !> or those of its second number alone, which `whose` it is.
+  !> or those of its second number alone, which belongs to `whose` (such as `urn 2`).
   pure function twins(others, group, name, whose) result(pair)
     type(key_type), intent(in) :: others(:)
     character(len=*), intent(in) :: group, name

@@ -1,5 +1,5 @@
-!> From the text of a namelist to a plan: reads, checks, and reports all problems in one error, each
-!> with file, line, group, key, value and what is allowed. Does not look at files.
+!> Makes a plan from the text of a namelist: parses, checks, and reports all problems in one error,
+!> each with file, line, group, key, value and what is allowed. Does not access files.
 module battery_namelist_input
   use battery_kinds, only: wp
   use battery_error, only: error_type, fatal_error, exit_bad_input
@@ -19,12 +19,12 @@ module battery_namelist_input
 
 contains
 
-  !> The plan that a text describes.
+  !> Makes a plan from the text of a namelist.
   subroutine parse_namelist(text, name, plan, error)
-    !> The namelist; `name` stands for its file in messages.
+    !> Text of the namelist; name of its file in messages.
     character(len=*), intent(in) :: text, name
     type(plan_type), intent(out) :: plan
-    !> Code `exit_bad_input`; all problems, one a line.
+    !> All problems, one per line; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     type(settings_type) :: settings
 
@@ -32,10 +32,10 @@ contains
     call set_input_error(plan, settings, error)
   end subroutine parse_namelist
 
-  !> Reads a text, sets the components of a plan, and lets it check itself. Problems of the text are
-  !> in the settings, those of what it says in the plan.
+  !> Parses a text, sets the components of a plan, and checks the plan. Problems of the text are
+  !> stored in the settings, those of the values in the plan.
   subroutine fill_plan(text, name, settings, plan)
-    !> All of the namelist, and the name of its file.
+    !> Text of the whole namelist, and the name of its file.
     character(len=*), intent(in) :: text, name
     type(settings_type), intent(out) :: settings
     type(plan_type), intent(out) :: plan
@@ -50,7 +50,8 @@ contains
     call complete_plan(plan)
   end subroutine fill_plan
 
-  !> What may differ between the points of a scan, and what all tasks have in common.
+  !> Sets the values that may differ between the points of a scan, and those that all tasks have in
+  !> common.
   subroutine fill_values(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
@@ -96,9 +97,9 @@ contains
     call get_value(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_values
 
-  !> The shape of the urns. Of corners that are not whole pairs, none are taken. What was refused
-  !> when it was read is refused here as well, and reported once: then there is no value to compute
-  !> with.
+  !> Sets the shape of the urns. If the number of coordinates is odd, no corners are set. A key that
+  !> was refused when it was parsed is refused here again, since there is no value to compute with;
+  !> it is reported once.
   subroutine fill_outlines(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
@@ -125,10 +126,10 @@ contains
     end do
   end subroutine fill_outlines
 
-  !> Whether a key of &table was refused when it was read.
+  !> Whether a key of &table was refused when it was parsed.
   logical function is_refused(settings, key)
     type(settings_type), intent(in) :: settings
-    !> Its name, in small letters.
+    !> Name of the key, in small letters.
     character(len=*), intent(in) :: key
 
     associate (setting => settings%all(find_setting(settings, 'table', key)))
@@ -136,8 +137,9 @@ contains
     end associate
   end function is_refused
 
-  !> Lists of the scan, each from itself or from its range, in the order of the keys. A list of gate
-  !> 2 or urn 2 makes pairs with that of both, which stands before it.
+  !> Sets the lists of the scan, each given as a list or as a range, in the order of the keys. A
+  !> list for gate 2 or urn 2 forms pairs with the list before it, which is for gate 1 or urn 1
+  !> then.
   subroutine fill_scan(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
@@ -168,8 +170,8 @@ contains
     end do
   end subroutine fill_scan
 
-  !> The values of setting number `at`, a list, or of its range, which stands behind it; none where
-  !> neither is given or known.
+  !> Values of setting number `at`, a list, or of its range, which is the next setting; none if
+  !> neither is given or valid.
   subroutine get_scan_values(settings, at, plan, values)
     type(settings_type), intent(in) :: settings
     integer, intent(in) :: at
@@ -182,7 +184,7 @@ contains
         call refuse_value(plan, trim(range%key%name), 'is given beside '//trim(list%key%name), &
           'one of the two')
       else if (list%known) then
-        ! The numbers of a key are of one of the two types.
+        ! The numbers of a key are either reals or integers.
         values = [list%reals, real(list%integers, wp)]
       else if (range%known) then
         values = range_of(range%reals, list%key%kind == whole_key)
@@ -194,8 +196,8 @@ contains
     end associate
   end subroutine get_scan_values
 
-  !> The values of a range, evenly spaced: whole numbers, or numbers of 12 digits, so that a value
-  !> is the same in ranges of other lengths.
+  !> Values of a range, evenly spaced: whole numbers, or numbers rounded to 12 digits, so that a
+  !> value does not depend on the length of the range.
   pure function range_of(range, whole) result(values)
     !> First, last, how many.
     real(wp), intent(in) :: range(3)
@@ -209,15 +211,15 @@ contains
       if (whole) then
         values = anint(values)
       else
-        ! What the user wrote stays as it is.
+        ! The end points are not rounded.
         values(1) = first
         if (count > 1) values(count) = last
       end if
     end associate
   end function range_of
 
-  !> A run has one length: in collisions or in time; replicas have a limit where there is a
-  !> precision.
+  !> Checks keys that exclude or require each other: a run has one length, in collisions or in time;
+  !> a limit of the replicas requires a precision.
   subroutine check_pairs(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
@@ -232,7 +234,7 @@ contains
       refuse_value(plan, 'transient_collisions', 'is given beside duration', 'transient_duration')
   end subroutine check_pairs
 
-  !> Adds a problem of the plan, at the line where its key is.
+  !> Adds a problem of the plan to the settings, at the line of its key.
   subroutine add_problem(settings, plan, problem)
     type(settings_type), intent(inout) :: settings
     type(plan_type), intent(in) :: plan
@@ -242,12 +244,12 @@ contains
     integer :: place, next
 
     associate (all => settings%all)
-      ! A key stands before its list in &scan, and a list before its range.
+      ! A key comes before its list in &scan, and a list before its range.
       place = findloc(all%key%name == problem%key, .true., dim=1, back=problem%scanned)
       next = min(place + 1, size(all))
       if (all(next)%key%is_range .and. all(next)%given .and. .not. all(place)%given) place = next
-      ! A key that was refused already is not refused again, nor missed, also where it is one that
-      ! may be given in its place: as a list, as a share.
+      ! A key that was refused already is neither refused again nor reported as missing, also if it
+      ! may be given in another form: as a list, as a fraction.
       refused = all%given .and. .not. all%known
       if (refused(place)) return
       if (problem%value == 'is missing' .and. any(refused .and. index(all%key%name, problem%key) &
@@ -260,7 +262,7 @@ contains
     end associate
   end subroutine add_problem
 
-  !> Where in the scan a problem is, if it is one of some of its points only.
+  !> Text for the points of the scan that have a problem, if only some have it.
   pure function place_text(plan, problem) result(text)
     type(plan_type), intent(in) :: plan
     type(problem_type), intent(in) :: problem
@@ -276,8 +278,8 @@ contains
     text = text//')'
   end function place_text
 
-  !> One error from all problems, in the order of the lines; none if there are none. Where several
-  !> are of points of the scan, the first line says how many cannot be.
+  !> Makes one error from all problems, in the order of the lines; none if there are none. If
+  !> several problems belong to points of the scan, the first line has the number of invalid points.
   subroutine set_input_error(plan, settings, error)
     type(plan_type), intent(in) :: plan
     type(settings_type), intent(inout) :: settings
@@ -300,10 +302,10 @@ contains
       exit_bad_input)
   end subroutine set_input_error
 
-  !> The keys in which two inputs differ, one a line with both values; empty if they make the same
-  !> run. Ways of writing, defaults, limits and the name of the output file make no difference.
+  !> Keys in which two inputs differ, one per line with both values; empty if they describe the same
+  !> run. Notation, defaults, limits and the name of the output file make no difference.
   function differing_keys(old, new) result(text)
-    !> Texts of two namelists that were read without an error.
+    !> Texts of two namelists without errors.
     character(len=*), intent(in) :: old, new
     character(len=:), allocatable :: text
     type(settings_type) :: before, now

@@ -1,5 +1,5 @@
-!> What is wrong with urns that are polygons: the keys, the corners, and how a polygon, its openings
-!> and the channels fit together.
+!> Checks of urns that are polygons: the keys, the corners, and whether a polygon, its openings and
+!> the channels fit together.
 module battery_outline_checks
   use battery_kinds, only: wp
   use battery_bounds, only: finest, greatest_radius
@@ -18,7 +18,7 @@ module battery_outline_checks
 
 contains
 
-  !> Whether some urn is given by its corners.
+  !> Whether any urn is given by its corners.
   pure function has_outline(plan)
     type(plan_type), intent(in) :: plan
     logical :: has_outline
@@ -26,7 +26,7 @@ contains
     has_outline = allocated(plan%outline(1)%corner) .or. allocated(plan%outline(2)%corner)
   end function has_outline
 
-  !> Whether there are polygons to compute with, if that is what the urns are.
+  !> Whether the outlines of the urns, if they are polygons, have no problem.
   pure function is_sound(plan)
     type(plan_type), intent(in) :: plan
     logical :: is_sound
@@ -39,9 +39,9 @@ contains
     end do
   end function is_sound
 
-  !> Which keys may stand beside which, and each polygon by itself. Corners that run clockwise are
-  !> turned round; urn 2 is made the mirror image of urn 1 if it has none. The radius of an urn is
-  !> half its extent.
+  !> Checks the combination of keys, and each polygon. The order of clockwise corners is reversed;
+  !> urn 2 becomes the mirror image of urn 1 if it has no corners of its own. The radius of an urn
+  !> is half its extent.
   subroutine check_outlines(plan)
     type(plan_type), intent(inout) :: plan
     integer :: before, urn
@@ -59,7 +59,7 @@ contains
     end do
   end subroutine check_outlines
 
-  !> Which keys are given beside which.
+  !> Checks which keys are given together.
   subroutine check_keys(plan)
     type(plan_type), intent(inout) :: plan
     character(len=*), parameter :: polygons = 'nothing, since urn_shape is ''disc'''
@@ -92,7 +92,7 @@ contains
       'is scanned beside urn_vertices', 'urn_sides, of which urn_radius is the size')
   end subroutine check_keys
 
-  !> The corners of one urn.
+  !> Checks the corners of one urn.
   subroutine check_outline(plan, urn)
     type(plan_type), intent(inout) :: plan
     integer, intent(in) :: urn
@@ -112,7 +112,7 @@ contains
       extent = extent_of(corner)
       if (maxval(abs(corner)) > greatest_radius .or. extent < 1.0_wp/greatest_radius) then
         call refuse_value(plan, key, 'is '//to_text(extent)//' wide, and reaches to ' &
-          //to_text(maxval(abs(corner))), 'numbers whose powers are still numbers')
+          //to_text(maxval(abs(corner))), 'numbers whose fourth powers are finite')
         return
       end if
       do k = 1, n
@@ -130,13 +130,13 @@ contains
     call check_axis(plan, urn)
   end subroutine check_outline
 
-  !> No side may come near another but at the corner that they share: a side that touches another,
-  !> or runs back along it, is refused whatever its slant. The first of these is reported.
+  !> Checks that sides are apart except at the corner that they share: a side that touches another,
+  !> or runs back along it, is refused whatever its slope. The first such side is reported.
   subroutine check_gaps(plan, key, corner, least)
     type(plan_type), intent(inout) :: plan
     character(len=*), intent(in) :: key
     real(wp), intent(in) :: corner(:, :)
-    !> How far sides must be apart: a length.
+    !> Least distance of two sides: a length.
     real(wp), intent(in) :: least
     integer :: j, k, n
 
@@ -153,7 +153,7 @@ contains
 
   contains
 
-    !> Distance of two sides; of neighbours, the distance of either's other end to the other side.
+    !> Distance of two sides; of adjacent sides, the distance of the far end of each to the other.
     pure real(wp) function gap_between(k, j) result(gap)
       integer, intent(in) :: k, j
       real(wp) :: before(2), shared(2), after(2)
@@ -174,7 +174,7 @@ contains
 
   end subroutine check_gaps
 
-  !> The sides that the axis meets last must be upright where a channel begins.
+  !> Checks that the outermost sides that the axis crosses are upright if a channel begins there.
   subroutine check_axis(plan, urn)
     type(plan_type), intent(inout) :: plan
     integer, intent(in) :: urn
@@ -184,7 +184,7 @@ contains
     associate (corner => plan%outline(urn)%corner)
       n = size(corner, 2)
       do channel = 1, merge(1, 2, plan%shape == 'urn')
-        ! What is scanned may be open at some points.
+        ! A channel whose width is scanned may be open at some points.
         if (.not. is_open(plan%base%channel(channel)) .and. .not. is_scanned(plan, 'channel' &
           //to_text(channel)//'_width')) cycle
         side = side_on_axis(corner, facing(channel))
@@ -203,8 +203,8 @@ contains
     end associate
   end subroutine check_axis
 
-  !> How urns and channels of a point fit together: openings that are narrower than their sides, and
-  !> polygons that reach over no channel.
+  !> Checks that urns and channels of a point fit together: openings must be narrower than their
+  !> sides, and no polygon may extend into a channel.
   subroutine check_outline_at(plan, point)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
@@ -244,8 +244,9 @@ contains
       > 0.0_wp)
   end function has_other
 
-  !> What of a polygon lies beyond its opening must stay beside the channel, short of its middle. Of
-  !> its corners the one that reaches farthest is reported, of its sides the first in the channel.
+  !> Checks that the part of a polygon beyond its opening stays beside the channel, and does not
+  !> reach the channel's middle. Of the corners the farthest is reported, of the sides the first in
+  !> the channel.
   subroutine check_reach(plan, point, key, corner, channel, side)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
@@ -278,7 +279,7 @@ contains
 
   contains
 
-    !> A corner, as it is seen from the beginning of the channel, into which x leads.
+    !> A corner relative to the beginning of the channel, with x pointing into the channel.
     pure function seen(k)
       integer, intent(in) :: k
       real(wp) :: seen(2)
@@ -296,7 +297,7 @@ contains
     extent = maxval(maxval(corner, dim=2) - minval(corner, dim=2))
   end function extent_of
 
-  !> A side by the corners at its ends.
+  !> Text for a side: the corners at its ends.
   pure function side_text(side, sides) result(text)
     integer, intent(in) :: side, sides
     character(len=:), allocatable :: text
