@@ -3,15 +3,16 @@ module battery_memory_estimate
   use battery_kinds, only: wp, dp, pi
   use battery_engines, only: bytes_per_particle
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_memory_limits, only: free_memory_type, memory_left, bytes_an_entry, bytes_a_state, &
-    bytes_an_event, bytes_a_task, merged_entry, merged_state, base_bytes, most_numbers, size_text
+  use battery_available_memory, only: free_memory_type, available_memory, bytes_per_entry, &
+    bytes_per_state, bytes_per_event, bytes_per_task, merged_entry, merged_state, base_bytes, &
+    most_numbers, size_text
   use battery_plan, only: plan_type, point_type, point_of, table_of, is_scanned
   use battery_table, only: table_type, gated, ungated
   use battery_tasks, only: task_count
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
-  public :: estimate_type, estimate_of, bytes_a_rank, bytes_at_the_end, check_estimate, &
+  public :: estimate_type, estimate_of, bytes_per_rank, bytes_at_the_end, check_estimate, &
     check_memory_for_mpi
 
   !> Address space that MPI takes while it starts: most of Open MPI 4.1 is 54 MB. Where it has less,
@@ -62,32 +63,32 @@ contains
     others = real(plan%point_count - estimate%too_large, dp)*plan%replicas - 1.0_dp
     others = max(others, 0.0_dp)
     estimate%particles = bytes_per_particle(plan%engine)*estimate%number
-    estimate%snapshots = bytes_a_state*size(plan%snapshot_times)*estimate%number
-    if (plan%final_state) estimate%final_state = bytes_a_state*estimate%number
-    estimate%merge = bytes_a_task*tasks + (estimate%snapshots + estimate%final_state) &
-      *(1.0_dp + others*merged_state/bytes_a_state)
+    estimate%snapshots = bytes_per_state*size(plan%snapshot_times)*estimate%number
+    if (plan%final_state) estimate%final_state = bytes_per_state*estimate%number
+    estimate%merge = bytes_per_task*tasks + (estimate%snapshots + estimate%final_state) &
+      *(1.0_dp + others*merged_state/bytes_per_state)
     if (plan%series_interval > 0.0_wp) then
       estimate%entries = 1.0_dp + real(length_of(plan, estimate%number), &
         dp)/real(plan%series_interval, dp)
       if (plan%duration > 0.0_wp) then
-        estimate%series = bytes_an_entry*estimate%entries
+        estimate%series = bytes_per_entry*estimate%entries
       else
-        estimate%estimated_series = bytes_an_entry*estimate%entries
+        estimate%estimated_series = bytes_per_entry*estimate%entries
       end if
       estimate%merge = estimate%merge + estimate%series*(1.0_dp &
-        + others*merged_entry/bytes_an_entry)
+        + others*merged_entry/bytes_per_entry)
     end if
-    if (plan%event_log) estimate%events = bytes_an_event*events_of(plan)
+    if (plan%event_log) estimate%events = bytes_per_event*events_of(plan)
   end function estimate_of
 
   !> Bytes that a rank takes while it runs.
-  pure real(dp) function bytes_a_rank(estimate) result(bytes)
+  pure real(dp) function bytes_per_rank(estimate) result(bytes)
     !> Memory estimate of the plan.
     type(estimate_type), intent(in) :: estimate
 
     bytes = taken + base_bytes + estimate%particles + estimate%series + estimate%estimated_series &
       + estimate%snapshots + estimate%final_state + estimate%events
-  end function bytes_a_rank
+  end function bytes_per_rank
 
   !> Bytes that rank 0 takes at the end.
   pure real(dp) function bytes_at_the_end(estimate) result(bytes)
@@ -129,7 +130,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(free_memory_type) :: left
 
-    left = memory_left(1)
+    left = available_memory(1)
     if (left%bytes < start_bytes) call fatal_error(error, 'battery: MPI needs ' &
       //size_text(start_bytes)//' of memory to start; there are '//size_text(left%bytes)//' ('// &
       left%limit//')', exit_bad_input)
@@ -147,7 +148,7 @@ contains
     type(estimate_type) :: estimate
     character(len=:), allocatable :: problems
 
-    left = memory_left(sharing)
+    left = available_memory(sharing)
     estimate = estimate_of(plan, left)
     problems = ''
     if (estimate%too_large == plan%point_count) then
@@ -159,16 +160,16 @@ contains
           //'allowed: '//to_text(nint(most_numbers)))
       else
         call check('series_interval', 'a series of '//to_text(nint(min(estimate%entries, &
-          most_numbers)))//' entries', estimate%series, merged_entry/bytes_an_entry)
+          most_numbers)))//' entries', estimate%series, merged_entry/bytes_per_entry)
       end if
       if (real(size(plan%snapshot_times), dp)*estimate%number > most_numbers) then
         call append_line('&output snapshot_times asks for more states than can be counted; ' &
           //'allowed: '//to_text(nint(most_numbers))//', snapshots times particles')
       else
         call check('snapshot_times', to_text(size(plan%snapshot_times))//' snapshots', &
-          estimate%snapshots, merged_state/bytes_a_state)
+          estimate%snapshots, merged_state/bytes_per_state)
       end if
-      call check('final_state', 'final states', estimate%final_state, merged_state/bytes_a_state)
+      call check('final_state', 'final states', estimate%final_state, merged_state/bytes_per_state)
       if (problems == '' .and. estimate%merge + base_bytes > left%bytes) &
         call add('scan', 'replicas', 'the results of '//to_text(task_count(plan))//' tasks', &
         estimate%merge + base_bytes)

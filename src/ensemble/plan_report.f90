@@ -6,8 +6,8 @@ module battery_plan_report
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_json_report, only: write_plan_json
-  use battery_memory_estimate, only: estimate_type, estimate_of, bytes_a_rank, bytes_at_the_end
-  use battery_memory_limits, only: free_memory_type, memory_left, size_text
+  use battery_memory_estimate, only: estimate_type, estimate_of, bytes_per_rank, bytes_at_the_end
+  use battery_available_memory, only: free_memory_type, available_memory, size_text
   use battery_startup, only: progress_type, inspect_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
@@ -53,7 +53,7 @@ contains
     end if
     if (allocated(error)) return
     if (remark /= '') call print_line(remark)
-    left = memory_left(sharing)
+    left = available_memory(sharing)
     estimate = estimate_of(plan, left)
     call print_parameters(plan)
     remarks = remarks_of(plan)
@@ -72,7 +72,7 @@ contains
     call print_line('results:    '//plan%file)
     call print_line('nothing was written')
     call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
-      bytes_a_rank(estimate), error)
+      bytes_per_rank(estimate), error)
 
   contains
 
@@ -113,7 +113,7 @@ contains
     type(estimate_type), intent(in) :: estimate
     type(free_memory_type), intent(in) :: left
 
-    call print_line('memory:     about '//size_text(bytes_a_rank(estimate)) &
+    call print_line('memory:     about '//size_text(bytes_per_rank(estimate)) &
       //' a rank; rank 0 about ' //size_text(bytes_at_the_end(estimate))//' at the end; ' &
       //'there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
     if (estimate%events > 0.0_dp) call print_line('            events take about ' &

@@ -9,7 +9,7 @@ module battery_self_test
   use battery_error, only: error_type, fatal_error, exit_success
   use battery_task_output, only: task_output_type, output_datasets_type, read_task_output
   use battery_files, only: remove_file
-  use battery_frozen_log, only: frozen_log_type, read_frozen_log, what_differs, is_final_state
+  use battery_frozen_log, only: frozen_log_type, read_frozen_log, find_difference, is_final_state
   use battery_frozen_logs, only: exact_circuit, exact_urn, timestep_circuit, reservoir_circuit
   use battery_hdf5_file, only: hdf5_file_type
   use battery_journal_folder, only: remove_journal
@@ -73,7 +73,7 @@ contains
 
       call read_frozen_log(lines, log)
       do k = 1, size(engines)
-        problem = what_differs(log, trim(engines(k)))
+        problem = find_difference(log, trim(engines(k)))
         if (problem /= '') call fatal_error(difference, problem//' (rank ' &
           //to_text(communicator%rank)//')')
         call share_error(communicator, difference)

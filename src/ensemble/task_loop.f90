@@ -10,7 +10,7 @@ module battery_task_loop
   use battery_error, only: error_type, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, read_state, write_state, write_finished, &
     sync_finished
-  use battery_memory_limits, only: check_memory
+  use battery_available_memory, only: check_memory
   use battery_lock_file, only: is_lock_lost
   use battery_plan, only: plan_type
   use battery_process, only: exit_process

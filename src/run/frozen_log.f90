@@ -20,7 +20,7 @@ module battery_frozen_log
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: frozen_log_type, read_frozen_log, what_differs, is_final_state
+  public :: frozen_log_type, read_frozen_log, find_difference, is_final_state
 
   !> A log, and the run that it belongs to; any engine may repeat the run.
   type :: frozen_log_type
@@ -82,7 +82,7 @@ contains
 
   !> Repeats the run of a log with an engine, and describes the first difference; empty if there is
   !> none.
-  function what_differs(log, engine) result(problem)
+  function find_difference(log, engine) result(problem)
     !> The run and its events.
     type(frozen_log_type), intent(in) :: log
     !> Name of the engine.
@@ -133,7 +133,7 @@ contains
     call simulation%engine%get_particles(1, simulation%engine%number, final)
     if (.not. is_final_state(log, final%x, final%y, final%ux, final%uy)) &
       problem = 'the final state differs'
-  end function what_differs
+  end function find_difference
 
   !> Whether all particles are in the final state of the log.
   pure logical function is_final_state(log, x, y, ux, uy) result(yes)

@@ -46,7 +46,7 @@ contains
     allocate (plan%scanned(0), plan%problems(0))
     call fill_values(settings, plan)
     call fill_scan(settings, plan)
-    call check_pairs(settings, plan)
+    call check_combinations(settings, plan)
     call complete_plan(plan)
   end subroutine fill_plan
 
@@ -220,7 +220,7 @@ contains
 
   !> Checks keys that exclude or require each other: a run has one length, in collisions or in time;
   !> a limit of the replicas requires a precision.
-  subroutine check_pairs(settings, plan)
+  subroutine check_combinations(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
 
@@ -232,7 +232,7 @@ contains
       call refuse_value(plan, 'collisions', 'is given beside duration', 'one of the two')
     if (settings%all(find_setting(settings, 'run', 'transient_collisions'))%given) call &
       refuse_value(plan, 'transient_collisions', 'is given beside duration', 'transient_duration')
-  end subroutine check_pairs
+  end subroutine check_combinations
 
   !> Adds a problem of the plan to the settings, at the line of its key.
   subroutine add_problem(settings, plan, problem)

@@ -11,7 +11,7 @@ module battery_outline_checks
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: check_outlines, check_outline_at, has_outline, is_sound
+  public :: check_outlines, check_outline_at, has_outline, has_valid_outlines
 
   !> The keys of the corners.
   character(len=*), parameter :: key_of(2) = [character(len=13) :: 'urn_vertices', 'urn2_vertices']
@@ -27,17 +27,17 @@ contains
   end function has_outline
 
   !> Whether the outlines of the urns, if they are polygons, have no problem.
-  pure function is_sound(plan)
+  pure function has_valid_outlines(plan)
     type(plan_type), intent(in) :: plan
-    logical :: is_sound
+    logical :: has_valid_outlines
     integer :: at
 
-    is_sound = .true.
+    has_valid_outlines = .true.
     do at = 1, size(plan%problems)
       if (index(plan%problems(at)%key, 'urn_') == 1 .or. index(plan%problems(at)%key, 'urn2_') &
-        == 1) is_sound = .false.
+        == 1) has_valid_outlines = .false.
     end do
-  end function is_sound
+  end function has_valid_outlines
 
   !> Checks the combination of keys, and each polygon. The order of clockwise corners is reversed;
   !> urn 2 becomes the mirror image of urn 1 if it has no corners of its own. The radius of an urn
@@ -79,7 +79,7 @@ contains
         to_text(plan%urn_sides), 'even numbers, for an upright side on either side')
       if (has_outline(plan)) call refuse_value(plan, 'urn_sides', 'is given beside corners', &
         'urn_sides with urn_radius, or urn_vertices')
-    else if (.not. allocated(plan%outline(1)%corner) .and. is_sound(plan)) then
+    else if (.not. allocated(plan%outline(1)%corner) .and. has_valid_outlines(plan)) then
       call refuse_value(plan, 'urn_shape', '''polygon''', &
         'with urn_vertices or urn_sides beside it')
     end if
@@ -212,10 +212,10 @@ contains
     real(wp) :: room
     integer :: urn, channel, side, n
 
-    if (plan%urn_shape /= 'polygon' .or. .not. is_sound(plan)) return
+    if (plan%urn_shape /= 'polygon' .or. .not. has_valid_outlines(plan)) return
     do urn = 1, merge(1, 2, plan%shape == 'urn')
       key = trim(key_of(urn))
-      if (urn == 2 .and. .not. has_other(plan, point)) cycle
+      if (urn == 2 .and. .not. urns_differ(plan, point)) cycle
       associate (corner => corners_of(plan, point, urn))
         n = size(corner, 2)
         do channel = 1, merge(1, 2, plan%shape == 'urn')
@@ -234,7 +234,7 @@ contains
   end subroutine check_outline_at
 
   !> Whether urn 2 is not the mirror image of urn 1.
-  pure function has_other(plan, point) result(other)
+  pure function urns_differ(plan, point) result(other)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
     logical :: other
@@ -242,7 +242,7 @@ contains
     other = any(shape(corners_of(plan, point, 1)) /= shape(corners_of(plan, point, 2)))
     if (.not. other) other = any(abs(corners_of(plan, point, 1) - corners_of(plan, point, 2)) &
       > 0.0_wp)
-  end function has_other
+  end function urns_differ
 
   !> Checks that the part of a polygon beyond its opening stays beside the channel, and does not
   !> reach the channel's middle. Of the corners the farthest is reported, of the sides the first in
@@ -260,14 +260,14 @@ contains
     half = 0.5_wp*point%channel(channel)%width
     beyond = 0.5_wp*point%channel(channel)%length
     farthest = maxloc(facing(channel)*corner(1, :), dim=1)
-    a = seen(farthest)
+    a = relative_corner(farthest)
     if (a(1) > beyond*(1.0_wp - finest)) call refuse_value(plan, key, 'has corner ' &
       //to_text(farthest)//', which is '//to_text(a(1))//' beyond the beginning of channel ' &
       //to_text(channel), 'short of its middle, which is '//to_text(beyond)//' beyond')
     do k = 1, n
       if (k == side) cycle
-      a = seen(k)
-      b = seen(next_corner(k, n))
+      a = relative_corner(k)
+      b = relative_corner(next_corner(k, n))
       if (max(a(1), b(1)) <= 0.0_wp) cycle
       if (sides_meet(a, b, [0.0_wp, half], [beyond, half]) .or. sides_meet(a, b, [0.0_wp, -half], &
         [beyond, -half]) .or. (abs(a(2)) <= half .and. a(1) >= 0.0_wp .and. a(1) <= beyond)) then
@@ -280,12 +280,12 @@ contains
   contains
 
     !> A corner relative to the beginning of the channel, with x pointing into the channel.
-    pure function seen(k)
+    pure function relative_corner(k)
       integer, intent(in) :: k
-      real(wp) :: seen(2)
+      real(wp) :: relative_corner(2)
 
-      seen = [facing(channel)*(corner(1, k) - corner(1, side)), corner(2, k)]
-    end function seen
+      relative_corner = [facing(channel)*(corner(1, k) - corner(1, side)), corner(2, k)]
+    end function relative_corner
 
   end subroutine check_reach
 

@@ -1,12 +1,12 @@
-!> What a run is: table, particles, gates, length, scan, output and limits.
+!> Plan of a run: table, particles, gates, length, scan, output and limits.
 !>
-!> A plan is filled from the namelist; `complete_plan` checks how its parts fit together, reports
-!> all problems at once, and counts the parameter points of the scan. The first of the lists of
-!> &scan varies slowest, the last fastest; every point has all replicas. A list replaces what the
-!> key's own group says, and a value there is a list of one.
+!> A plan is filled from the namelist; `complete_plan` checks that its parts fit together, collects
+!> all problems, and counts the parameter points of the scan. The first of the lists of &scan varies
+!> slowest, the last fastest; every point has all replicas. A list replaces the value that the key
+!> has in its own group; a single value is a list of one.
 !>
-!> Points are made one by one from their numbers (`point_of`): every rank has the plan, and must not
-!> hold a list that grows with the scan.
+!> Points are made one by one from their indices (`point_of`): every rank has the plan, and must not
+!> store a list that grows with the scan.
 module battery_plan
   use battery_kinds, only: wp, int64
   use battery_urn, only: shape_polygon
@@ -27,7 +27,7 @@ module battery_plan
   !> Value of whole numbers and shares that were not given.
   integer, parameter :: not_given = -1
 
-  !> Most points times replicas.
+  !> Largest number of tasks: points times replicas.
   integer(int64), parameter :: most_tasks = 10000000_int64
 
   !> One parameter point. Components are named like the keys of the namelist, those of a channel
@@ -41,8 +41,7 @@ module battery_plan
     type(channel_type) :: channel(2)
   end type point_type
 
-  !> The corners of an urn, (x, y) in columns, and whether they ran clockwise before they were
-  !> turned round.
+  !> The corners of an urn, (x, y) in columns, counterclockwise; whether they were given clockwise.
   type :: outline_type
     real(wp), allocatable :: corner(:, :)
     logical :: was_clockwise = .false.
@@ -52,52 +51,52 @@ module battery_plan
   type :: scanned_type
     character(len=:), allocatable :: key
     real(wp), allocatable :: values(:)
-    !> Those of gate 2 or urn 2 in their pairs; not allocated: the same.
+    !> Values for gate 2 or urn 2 if they form pairs; not allocated: the same values.
     real(wp), allocatable :: second(:)
   end type scanned_type
 
-  !> Components are named like the keys of the namelist; lengths in units of choice.
+  !> The plan. Components are named like the keys of the namelist; the unit of length is free.
   type, extends(run_type) :: plan_type
-    !> The whole input, and the file it came from.
+    !> Text of the whole namelist, and the name of its file.
     character(len=:), allocatable :: text, input_file
     character(len=:), allocatable :: shape, urn_shape
-    !> Sides of urns that are regular polygons, or the corners of each urn, (x, y) in columns, in
-    !> frames of their own with x to channel 1; none where not given.
+    !> Number of sides of urns that are regular polygons; outline of each urn that is given by its
+    !> corners, in a frame of its own with x towards channel 1.
     integer :: urn_sides = not_given
     type(outline_type) :: outline(2)
-    !> z, y, radius of each disc in channel 2, of all points.
+    !> z, y, radius of each disc in channel 2, the same at all points.
     real(wp), allocatable :: scatterers(:)
     !> The values of keys that are not scanned.
     type(point_type) :: base
-    !> What is scanned, the slowest first.
+    !> Keys that are scanned, the slowest first.
     type(scanned_type), allocatable :: scanned(:)
-    !> Replicas of a point: those that may be run, and those that are in any case.
+    !> Largest number of replicas of a point, and number of those that are run in any case.
     integer :: replicas = 1, first_replicas = 1
-    !> Standard errors over replicas that chi and polarised_current are to have; 0: any.
+    !> Required standard errors over replicas of chi and polarised_current; 0: none required.
     real(wp) :: precision(2) = 0.0_wp
     integer(int64) :: seed = 1
     character(len=:), allocatable :: initial_file
-    !> What the initial file says; without one, no arrays.
+    !> Particles of the initial file; without one, the arrays are not allocated.
     type(particles_type) :: start
-    !> Where the results go.
+    !> Name of the results file.
     character(len=:), allocatable :: file
     logical :: final_state = .false.
     real(wp) :: wall_minutes = 0.0_wp, checkpoint_minutes = 0.0_wp
-    !> What is wrong with it.
+    !> Problems of the plan.
     type(problem_type), allocatable :: problems(:)
-    !> Those of points of the scan, and how many were checked.
+    !> Problems of points of the scan, and number of points checked.
     type(point_problems_type) :: of_points
     integer :: checked_points = 0
-    !> Points of the scan, from `complete_plan`; 0 if there are problems.
+    !> Number of points of the scan, from `complete_plan`; 0 if there are problems.
     integer :: point_count = 0
-    !> Fingerprint of what the initial file holds; 0: there is none.
+    !> Fingerprint of the contents of the initial file; 0: there is none.
     integer(int64) :: initial_fingerprint = 0
   end type plan_type
 
   interface
-    !> Checks how the parts of a plan fit together and counts the points (`plan_checks.f90`). Adds
-    !> to its problems all that is wrong: of each list the first value that repeats a point; what is
-    !> wrong with points of the scan once, with how many have it.
+    !> Checks that the parts of a plan fit together and counts the points (`plan_checks.f90`). Adds
+    !> all problems to the plan: of each list the first value that repeats a point; a problem of
+    !> points of the scan once, with the number of points that have it.
     module subroutine complete_plan(plan)
       implicit none (type, external)
       type(plan_type), intent(inout) :: plan
@@ -106,7 +105,7 @@ module battery_plan
 
 contains
 
-  !> One more problem of a plan.
+  !> Adds a problem to a plan: a value that is not allowed.
   pure subroutine refuse_value(plan, key, value, allowed)
     type(plan_type), intent(inout) :: plan
     !> Name of the key, its value, and what is allowed instead.
@@ -131,7 +130,7 @@ contains
     end do
   end function is_scanned
 
-  !> The values of a key that is scanned; none if it is not.
+  !> Values of a key that is scanned; none if it is not.
   pure function values_of(plan, key) result(values)
     type(plan_type), intent(in) :: plan
     !> Name of the key.
@@ -147,8 +146,8 @@ contains
     end do
   end function values_of
 
-  !> Point `number` of the scan, from 1 to `plan%point_count`, with threshold and urn1_number as
-  !> they follow from shares and defaults.
+  !> Point `number` of the scan, from 1 to `plan%point_count`; threshold and urn1_number are derived
+  !> from fractions and defaults.
   pure type(point_type) function point_of(plan, number) result(point)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: number
@@ -177,7 +176,7 @@ contains
     end if
   end function point_of
 
-  !> What the scan makes of point `number`: each key that has several values with the point's.
+  !> Text for point `number`: its values of all keys that have several values in the scan.
   pure function point_text(plan, number, but) result(text)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: number
@@ -211,7 +210,7 @@ contains
 
   end function point_text
 
-  !> Gives a key that is scanned one of its values.
+  !> Sets the value of a scanned key at a point.
   pure subroutine set_value(point, key, value)
     type(point_type), intent(inout) :: point
     character(len=*), intent(in) :: key
@@ -245,7 +244,7 @@ contains
     end select
   end subroutine set_value
 
-  !> The nearest whole number, at most the largest there is.
+  !> The nearest integer; the largest one if the number is beyond it.
   elemental integer function rounded(number)
     !> Value, of either sign.
     real(wp), intent(in) :: number
@@ -287,8 +286,8 @@ contains
     end if
   end function corners_of
 
-  !> What the simulation of point number `point` and replica `replica`, from 1, is set up with. Its
-  !> seed is its identity.
+  !> Setup of the simulation of point `point` and replica `replica`, both from 1. The seed is the
+  !> task's identity.
   type(setup_type) function setup_of(plan, point, replica) result(setup)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: point, replica

@@ -1,16 +1,17 @@
-!> How the parts of a plan fit together.
+!> Checks that the parts of a plan fit together.
 submodule (battery_plan) battery_plan_checks
   use, intrinsic :: iso_c_binding, only: c_size_t
   use battery_kinds, only: dp
   use battery_error, only: error_type
   use battery_engine, only: engine_type
   use battery_engines, only: new_engine, has_step, explain_refusal
-  use battery_scatterer_checks, only: wrong_scatterers
+  use battery_scatterer_checks, only: scatterer_problems
   use battery_table, only: longest_run
   use battery_gsl, only: sort_order
   use battery_identity, only: twelve_digits
   use battery_problems, only: add_point_problems, reported_problems
-  use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, is_sound
+  use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, &
+    has_valid_outlines
   use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
     of_powers, of_lengths, of_widths, of_times, of_clocks
   implicit none (type, external)
@@ -40,7 +41,7 @@ contains
     if (size(plan%problems) > before) plan%point_count = 0
   end procedure complete_plan
 
-  !> What must be given, and what must not be given twice.
+  !> Checks that required keys are given, and no two keys that exclude each other.
   subroutine check_given(plan)
     type(plan_type), intent(inout) :: plan
     logical :: as_number, as_second, as_fraction
@@ -84,7 +85,8 @@ contains
 
   end subroutine check_given
 
-  !> The run is longer than its transient, and its engine has a step if it needs one.
+  !> Checks that the run is longer than its transient, and that a step is given if the engine needs
+  !> one.
   pure subroutine check_length(plan)
     type(plan_type), intent(inout) :: plan
 
@@ -97,7 +99,7 @@ contains
       if (plan%transient_duration > 0.0_wp) &
         call refuse_value(plan, 'transient_duration', to_text(plan%transient_duration), &
         '0, unless duration is given')
-      ! None are known where their number was refused.
+      ! Collisions are 0 here if their value was refused.
       if (plan%collisions > 0 .and. plan%transient_collisions >= plan%collisions) &
         call refuse_value(plan, 'transient_collisions', to_text(plan%transient_collisions), &
         'below collisions, which is '//to_text(plan%collisions))
@@ -107,7 +109,7 @@ contains
       'one number above 0, since the engine is '''//plan%engine//'''')
   end subroutine check_length
 
-  !> Few replicas do not tell how much they scatter.
+  !> Checks that a required precision has enough first replicas to estimate their scatter.
   pure subroutine check_precision(plan)
     type(plan_type), intent(inout) :: plan
     integer, parameter :: fewest = 16
@@ -147,7 +149,7 @@ contains
       '.true.', '.false., since the scan has '//to_text(task_total(plan))//' tasks')
   end subroutine check_output
 
-  !> Points times replicas; beyond `most_tasks`, some larger number.
+  !> Number of points times replicas; beyond `most_tasks`, any larger number.
   pure integer(int64) function task_total(plan) result(total)
     type(plan_type), intent(in) :: plan
     integer :: at
@@ -158,8 +160,8 @@ contains
     end do
   end function task_total
 
-  !> No point may be there twice: the same task would be done twice. Whole numbers that come from
-  !> shares count as the numbers.
+  !> Checks that no point occurs twice: the same task would be run twice. Of fractions the integers
+  !> that follow from them are compared.
   subroutine check_repeats(plan)
     type(plan_type), intent(inout) :: plan
     real(wp), allocatable :: values(:), numbers(:), widths(:)
@@ -168,7 +170,7 @@ contains
     numbers = values_of(plan, 'number')
     if (size(numbers) == 0 .and. plan%base%number /= not_given) &
       numbers = [real(plan%base%number, wp)]
-    ! A channel that is closed has no length.
+    ! A closed channel has no length.
     widths = values_of(plan, 'channel2_width')
     if (size(widths) == 0) widths = [plan%base%channel(ungated)%width]
     do at = 1, size(plan%scanned)
@@ -183,15 +185,15 @@ contains
       if (plan%scanned(at)%key == 'channel2_length' .and. size(values) > 1 .and. &
         any(.not. widths > 0.0_wp)) again = 2
       if (again > 0) call refuse_value(plan, plan%scanned(at)%key, to_text(values(again)), &
-        'every point once; this value makes one that is there already')
+        'every point once; this value repeats a point')
     end do
   end subroutine check_repeats
 
-  !> Place of the first value, or pair of values, that stands in a list before; 0 if there is none.
+  !> Place of the first value, or pair of values, that repeats an earlier one; 0 if there is none.
   integer function first_repeat(values, second) result(place)
-    !> The list, or the first of the pairs.
+    !> The list, or the first values of the pairs.
     real(wp), intent(in) :: values(:)
-    !> The other of the pairs.
+    !> The second values of the pairs.
     real(wp), allocatable, intent(in), optional :: second(:)
     integer :: rank(size(values))
     logical :: seen(size(values))
@@ -208,8 +210,8 @@ contains
     place = 0
   end function first_repeat
 
-  !> The place of each value among the different ones in the order of size. Numbers are equal where
-  !> those of tasks are (`battery_identity`).
+  !> Rank of each value among the different values in ascending order. Values are equal if they are
+  !> to `battery_identity`.
   function ranks_of(values) result(rank)
     real(wp), intent(in) :: values(:)
     integer :: rank(size(values))
@@ -225,8 +227,8 @@ contains
     end do
   end function ranks_of
 
-  !> What is wrong with the points of the scan. Whether the engine can simulate them is asked only
-  !> where nothing else is wrong.
+  !> Checks all points of the scan. Whether the engine can simulate a point is checked only if there
+  !> is no other problem.
   subroutine check_points(plan)
     type(plan_type), intent(inout) :: plan
     type(problem_type), allocatable :: others(:)
@@ -237,7 +239,7 @@ contains
 
     call new_engine(plan%engine, engine, error)
     if (allocated(engine)) engine%time_step = plan%time_step
-    sound = is_sound(plan)
+    sound = has_valid_outlines(plan)
     call move_alloc(plan%problems, others)
     allocate (plan%problems(0))
     do at = 1, plan%point_count
@@ -255,11 +257,11 @@ contains
     plan%problems = [others, reported_problems(plan%of_points)]
   end subroutine check_points
 
-  !> What is wrong with one point: lengths, times, numbers of particles.
+  !> Checks one point: lengths, times, numbers of particles.
   subroutine check_point(plan, point, sound)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
-    !> Whether its urns are shapes to compute with.
+    !> Whether the outlines of its urns are valid.
     logical, intent(in) :: sound
     real(wp) :: radii(2), longest
     integer :: before
@@ -273,7 +275,7 @@ contains
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
     if (point%number == not_given .or. size(plan%problems) > before) return
-    if (.not. (sound .and. is_sound(plan))) return
+    if (.not. (sound .and. has_valid_outlines(plan))) return
     if (.not. plan%duration > 0.0_wp .and. plan%transient_collisions > 0 .and. &
       plan%transient_collisions < plan%collisions .and. plan%collisions <= point%number) &
       call refuse_value(plan, 'collisions', to_text(plan%collisions), 'above number, which is ' &
@@ -291,7 +293,7 @@ contains
       'fewer, or wider openings: such visits have more wall collisions than can be counted')
   end subroutine check_point
 
-  !> Scatterers must fit into the channel 2 of a point.
+  !> Checks that the scatterers fit into channel 2 of a point.
   subroutine check_scatterers(plan, point)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
@@ -310,7 +312,7 @@ contains
         //to_text(channel%width)
       if (is_scanned(plan, 'channel2_length')) where = where//', at channel2_length = ' &
         //to_text(channel%length)
-      associate (wrong => wrong_scatterers(plan%scatterers, channel, finest &
+      associate (wrong => scatterer_problems(plan%scatterers, channel, finest &
         *max(maxval(point%urn_radius), point%channel(gated)%length, channel%length)))
         do at = 1, size(wrong)
           call refuse_value(plan, wrong(at)%key, wrong(at)%value, wrong(at)%allowed//where)
@@ -319,7 +321,7 @@ contains
     end associate
   end subroutine check_scatterers
 
-  !> Whether the engine can simulate the table of a point.
+  !> Checks that the engine can simulate the table of a point.
   subroutine check_engine(plan, engine, point)
     type(plan_type), intent(inout) :: plan
     class(engine_type), intent(in) :: engine
@@ -330,11 +332,11 @@ contains
     if (reason /= '') call refuse_value(plan, 'engine', ''''//plan%engine//''' '//reason, others)
   end subroutine check_engine
 
-  !> Openings must fit into the urns, and no length may be lost beside another.
+  !> Checks that openings fit into the urns, and that no length is too small relative to another.
   subroutine check_lengths(plan, point, radii, longest)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
-    !> The least and the greatest; length of the longest channel that is open.
+    !> Least and greatest radius; length of the longest open channel.
     real(wp), intent(in) :: radii(2), longest
     character(len=12) :: size_key
     integer :: before
@@ -348,14 +350,14 @@ contains
     call check_beside('channel1_length', point%channel(gated)%length, open_length(point))
     if (open_length(point) > 0.0_wp) call check_beside('channel2_length', &
       point%channel(ungated)%length, point%channel(gated)%length)
-    ! Beside a length that is not allowed, no other makes sense.
+    ! Relative to a length that is not allowed, no other can be checked.
     if (size(plan%problems) > before) return
     call check_width('channel1_width', point%channel(gated)%width)
     call check_width('channel2_width', point%channel(ungated)%width)
 
   contains
 
-    !> Refuses a length that is lost beside an urn or beside `other` (0: there is none).
+    !> Refuses a length that is too small relative to an urn or to `other` (0: there is none).
     subroutine check_beside(key, length, other)
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: length, other
@@ -364,7 +366,7 @@ contains
         radii(1)/finest, of_lengths))
     end subroutine check_beside
 
-    !> Close to the diameter the arcs and the area that are left lose their digits as well.
+    !> Checks a width: close to the diameter, the remaining arcs and area lose their digits as well.
     subroutine check_width(key, width)
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: width
@@ -380,7 +382,8 @@ contains
 
   end subroutine check_lengths
 
-  !> The clock must resolve the table, and the table the times.
+  !> Checks that the clock resolves the lengths of the table, and that no time is too small relative
+  !> to them.
   subroutine check_times(plan, radius, longest)
     type(plan_type), intent(inout) :: plan
     !> The least radius, and the longest length of the table.
@@ -397,7 +400,7 @@ contains
 
   contains
 
-    !> A length of time; 0: there is none.
+    !> Checks a duration; 0: it is not given.
     subroutine check_time(key, time)
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: time
@@ -408,7 +411,7 @@ contains
 
   end subroutine check_times
 
-  !> A value within its bounds.
+  !> Refuses a value outside its bounds.
   pure subroutine check_range(plan, key, value, bounds)
     type(plan_type), intent(inout) :: plan
     character(len=*), intent(in) :: key

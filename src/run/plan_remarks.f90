@@ -1,4 +1,5 @@
-!> What is allowed in a plan, and yet is hardly ever meant, and what its results will lack.
+!> Remarks on a plan: choices that are allowed but hardly ever intended, and known deficits of its
+!> results.
 module battery_plan_remarks
   use battery_current_age, only: current_remark
   use battery_kinds, only: wp
@@ -9,18 +10,19 @@ module battery_plan_remarks
   private
   public :: remarks_of
 
-  !> What is looked for at a point. More than T in a gate reverse it; never more than N are in it.
+  !> Conditions that are tested at a point. A gate reverses when it counts more than T particles, so
+  !> never if T >= N.
   integer, parameter :: no_gate = 1, not_gate_1 = 2, not_gate_2 = 3, shut = 4
 
 contains
 
-  !> What there is to say of a plan without problems, a sentence each, with the points of the scan.
+  !> Remarks on a plan without problems, one sentence each, with the points of the scan.
   function remarks_of(plan) result(remarks)
     type(plan_type), intent(in) :: plan
     type(string_type), allocatable :: remarks(:)
     type(point_type) :: point
     logical :: never(2)
-    !> How many points have it, and the first of them.
+    !> Number of points that satisfy each condition, and the first of them.
     integer :: points(shut), first(shut)
     type(string_type) :: on_currents
     integer :: at
@@ -72,8 +74,8 @@ contains
 
   end function remarks_of
 
-  !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs are apart, so
-  !> several shut a channel only where one of them does.
+  !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs do not touch each
+  !> other, so they close the channel only if one of them does.
   pure integer function shutting_disc(plan, point) result(disc)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point

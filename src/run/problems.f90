@@ -1,11 +1,11 @@
-!> Problems of a plan; one that many points of its scan have is reported once.
+!> Problems of a plan; a problem of many points of its scan is reported once.
 module battery_problems
   use battery_remarks, only: most_reported
   implicit none (type, external)
   private
   public :: problem_type, point_problems_type, add_point_problems, reported_problems
 
-  !> Greatest number of problems of points that are kept: as many as are reported one by one.
+  !> Greatest number of problems of points that are stored: as many as are reported one by one.
   integer, parameter :: most_kept = most_reported
 
   !> A problem of a plan: the key, its value, and what is allowed instead.
@@ -13,16 +13,16 @@ module battery_problems
     character(len=:), allocatable :: key, value, allowed
     !> Whether the value is one of a scan.
     logical :: scanned = .false.
-    !> How many points of the scan have it, the first of them and the last; 0: it is not one of
-    !> points.
+    !> Number of points of the scan that have the problem, the first of them and the last; 0: it is
+    !> no problem of points.
     integer :: points = 0, first_point = 0, last_point = 0
   end type problem_type
 
-  !> The problems of points: those that differ, and those that differ in key or value, whatever is
-  !> allowed; of either kind no more than are kept.
+  !> Problems of points: those that differ in any component, and those that differ in key or value;
+  !> of each kind at most `most_kept`.
   type :: point_problems_type
     type(problem_type), allocatable :: different(:), of_values(:)
-    !> How many points have problems, and whether more of either kind were there.
+    !> Number of points with problems; whether there were more problems of each kind.
     integer :: points = 0
     logical :: more_different = .false., more_values = .false.
   end type point_problems_type
@@ -31,11 +31,11 @@ contains
 
   !> Adds the problems of one point of the scan.
   pure subroutine add_point_problems(gathered, problems, point)
-    !> Problems of the points before.
+    !> Problems of the points so far.
     type(point_problems_type), intent(inout) :: gathered
     !> Problems of the point.
     type(problem_type), intent(in) :: problems(:)
-    !> Number of the point.
+    !> Index of the point.
     integer, intent(in) :: point
     integer :: at
 
@@ -48,14 +48,14 @@ contains
     end do
   end subroutine add_point_problems
 
-  !> Counts one more point of a problem.
+  !> Increments the number of points of a problem, or adds the problem.
   pure subroutine count_problem(kept, problem, exactly, point, more)
     type(problem_type), allocatable, intent(inout) :: kept(:)
     type(problem_type), intent(in) :: problem
-    !> Whether what is allowed is to be the same as well.
+    !> Whether problems that differ only in what is allowed are different.
     logical, intent(in) :: exactly
     integer, intent(in) :: point
-    !> Set where there is no place for it.
+    !> Set if there are `most_kept` problems already.
     logical, intent(inout) :: more
     integer :: k
 
@@ -73,8 +73,8 @@ contains
     kept(k)%last_point = point
   end subroutine count_problem
 
-  !> Problems of points to be reported: all that differ, or where they are too many, those of each
-  !> value.
+  !> Problems of points to be reported: all that differ, or, if there are too many, one for each
+  !> value of a key.
   pure function reported_problems(gathered) result(problems)
     !> Problems of all points, from `add_point_problems`.
     type(point_problems_type), intent(in) :: gathered

@@ -1,8 +1,8 @@
-!> Whether scatterers can stand in channel 2.
+!> Checks the scatterers in channel 2.
 !>
-!> One length says how far discs keep from each other and from the openings, and how large they are:
-!> the least that coordinates resolve. To the openings counts the part of a disc within the channel,
-!> to other discs the whole disc.
+!> One length, the least that coordinates resolve, bounds the radii of discs, their distances from
+!> each other, and their distances from the openings. For the openings, only the part of a disc
+!> within the channel counts; for other discs, the whole disc.
 module battery_scatterer_checks
   use battery_kinds, only: wp
   use battery_text, only: to_text
@@ -10,13 +10,13 @@ module battery_scatterer_checks
   use battery_problems, only: problem_type
   implicit none (type, external)
   private
-  public :: wrong_scatterers
+  public :: scatterer_problems
 
 contains
 
   !> All problems of the scatterers.
-  function wrong_scatterers(values, channel, least) result(problems)
-    !> z, y, radius of each in turn.
+  function scatterer_problems(values, channel, least) result(problems)
+    !> z, y, radius of each disc in turn.
     real(wp), intent(in) :: values(:)
     !> Channel 2.
     type(channel_type), intent(in) :: channel
@@ -60,7 +60,7 @@ contains
 
   contains
 
-    !> How far a disc reaches to either side of its middle within the channel.
+    !> Extent of a disc along the channel, from its centre to either side, within the channel.
     pure real(wp) function reach_of(y, radius) result(reach)
       real(wp), intent(in) :: y, radius
       real(wp) :: beyond
@@ -69,7 +69,7 @@ contains
       reach = sqrt((radius - beyond)*(radius + beyond))
     end function reach_of
 
-    !> One more problem.
+    !> Adds a problem.
     subroutine add(value, allowed)
       character(len=*), intent(in) :: value, allowed
       type(problem_type) :: problem
@@ -81,7 +81,7 @@ contains
       problems = [problems, problem]
     end subroutine add
 
-    !> Which disc it is, and its numbers.
+    !> Text for a disc: its index and its numbers.
     pure function place(k) result(text)
       integer, intent(in) :: k
       character(len=:), allocatable :: text
@@ -90,6 +90,6 @@ contains
         //to_text(values(3*k - 2))//', '//to_text(values(3*k - 1))//', '//to_text(values(3*k))//')'
     end function place
 
-  end function wrong_scatterers
+  end function scatterer_problems
 
 end module battery_scatterer_checks

@@ -1,8 +1,8 @@
-!> One simulation from start to end: an engine, an observer, and when to stop.
+!> One simulation from start to end: an engine, an observer, and the conditions for its end.
 !>
-!> A run is as long as a number of wall collisions or as a time; so is the transient at its start,
-!> which the averages leave out. `advance_simulation` goes on by one window, so that the caller can
-!> save the state, show the progress or stop between any two.
+!> The length of a run is a number of wall collisions or a time; so is the length of the transient
+!> at its start, which is excluded from the averages. `advance_simulation` advances by one window,
+!> so that the caller can save the state, show the progress or stop between two windows.
 module battery_simulation
   use battery_kinds, only: wp, dp, int32, int64
   use battery_powers, only: power_below
@@ -16,16 +16,16 @@ module battery_simulation
   use battery_engines, only: new_engine, explain_refusal, bytes_per_particle
   use battery_event_log, only: event_log_type, append_events, serialize_events
   use battery_archive, only: archive_type
-  use battery_memory_limits, only: check_memory, enough_memory, bytes_an_entry, bytes_a_state, &
-    bytes_an_event
+  use battery_available_memory, only: check_memory, enough_memory, bytes_per_entry, bytes_per_state, &
+    bytes_per_event
   implicit none (type, external)
   private
   public :: run_type, setup_type, simulation_type, begin_simulation, advance_simulation, progress, &
     verify_simulation
   public :: serialize_simulation
 
-  !> What all simulations of a run have in common. Components are named like the keys of the
-  !> namelist; times in lengths over the speed.
+  !> Parameters that all simulations of a run have in common. Components are named like the keys of
+  !> the namelist; times in lengths over the speed.
   type :: run_type
     character(len=:), allocatable :: engine
     !> Length of the run and of its transient (negative: half of it) in wall collisions, or, if
@@ -36,15 +36,15 @@ module battery_simulation
     !> Step of the engine `timestep`; 0: not given.
     real(wp) :: time_step = 0.0_wp
     real(wp) :: series_interval = 0.0_wp
-    !> Times since the start, ascending, at which positions and velocities are kept.
+    !> Times since the start, ascending, at which positions and velocities are stored.
     real(wp), allocatable :: snapshot_times(:)
     logical :: event_log = .false.
   end type run_type
 
-  !> What is simulated; the particles come apart from it.
+  !> Setup of a simulation, without the particles.
   type, extends(run_type) :: setup_type
     type(table_type) :: table
-    !> Of the gates of urn 1 and 2.
+    !> Thresholds of the gates of urn 1 and 2.
     integer :: threshold(2) = 0
     !> Seed of engines that draw random numbers.
     integer(int64) :: seed = 0
@@ -61,37 +61,39 @@ module battery_simulation
     !> Time and collisions of the transient, once it is over.
     real(wp) :: transient_time = 0.0_wp
     integer(int64) :: transient_collisions = 0
-    !> Collisions in all, exact once the run is done.
+    !> Total number of collisions, exact once the run is done.
     integer(int64) :: collisions = 0
     logical :: done = .false.
-    !> The exact count is taken again when so many collisions are known, or after so many windows.
+    !> The exact count is taken again when the observer has this many collisions; number of windows
+    !> since the last exact count.
     integer(int64) :: next_count = 0
     integer :: windows_since_count = 0
     integer :: snapshots_taken = 0
     !> Snapshots as (particle, snapshot).
     type(particles_type), allocatable :: snapshot(:)
     type(event_log_type) :: events
-    !> Whether the run was given up since its series or its event log outgrew the memory, and for
-    !> how many entries and events there is room for sure.
+    !> Whether the run was ended because its series or its event log outgrew the memory; number of
+    !> entries and events for which the memory need not be checked.
     logical :: out_of_room = .false.
     integer(int64) :: sure_room = 1000000
   end type simulation_type
 
-  !> A sum of times is right up to this share of it.
+  !> Relative rounding error of a sum of times.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
 
-  !> Most entries of the series in one window: signals are heard between windows.
+  !> Largest number of series entries in one window: signals are noticed between windows.
   integer, parameter :: most_entries = 2**20
 
-  !> Most entries and most events that are kept: eight numbers of each are counted at most.
+  !> Largest number of entries and of events: up to eight numbers of each are counted by default
+  !> integers.
   integer, parameter :: most_kept = 2**28 - 1
 
-  !> The exact count of collisions is taken at least this often, even if nothing seems to happen.
+  !> Largest number of windows between two exact counts of the collisions.
   integer, parameter :: windows_between_counts = 20000
 
 contains
 
-  !> Starts from `particles`, whose arrays may be freed.
+  !> Starts a simulation from `particles`, whose arrays may be freed.
   subroutine begin_simulation(simulation, setup, particles, error)
     type(simulation_type), intent(out) :: simulation
     type(setup_type), intent(in) :: setup
@@ -106,20 +108,21 @@ contains
       relaxation=relaxation_time(setup%table))
     call check_remaining_memory(simulation, error)
     if (allocated(error)) return
-    ! The snapshot at the start is what the engine is given, not what it makes of it.
-    if (next_snapshot(simulation) <= 0.0_wp) then
+    ! The snapshot at the start has the given particles, without the rounding of the engine.
+    if (next_snapshot_time(simulation) <= 0.0_wp) then
       simulation%snapshots_taken = 1
       simulation%snapshot(1) = particles
     end if
     call simulation%engine%start(setup%table, setup%threshold, particles, setup%start_time)
     if (.not. setup%duration > 0.0_wp) then
       if (setup%transient_collisions <= 0) call end_transient(simulation, 0_int64)
-      simulation%next_count = target_of(simulation)
+      simulation%next_count = target_collisions(simulation)
     end if
-    call reach_stops(simulation)
+    call process_stops(simulation)
   end subroutine begin_simulation
 
-  !> The engine of a setup, not yet started, if it can simulate the table, and room for snapshots.
+  !> Makes the engine of a setup, not yet started, if it can simulate the table; allocates the
+  !> snapshots.
   subroutine make_engine(simulation, setup, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
@@ -138,8 +141,8 @@ contains
       //'; allowed: '//others)
   end subroutine make_engine
 
-  !> An error if there is no memory for what comes to the particles that are there already: their
-  !> engine, and snapshots and series as far as they are known.
+  !> An error if there is no memory for the engine, the snapshots and, if its length is known, the
+  !> series, in addition to the particles.
   subroutine check_remaining_memory(simulation, error)
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
@@ -149,15 +152,15 @@ contains
 
     associate (setup => simulation%setup, number => simulation%observer%number)
       bytes = (bytes_per_particle(setup%engine) - there)*number &
-        + bytes_a_state*size(setup%snapshot_times)*number
+        + bytes_per_state*size(setup%snapshot_times)*number
       if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
-        bytes = bytes + bytes_an_entry*real(setup%duration/setup%series_interval, dp)
+        bytes = bytes + bytes_per_entry*real(setup%duration/setup%series_interval, dp)
       call check_memory(bytes, 'the engine of '//to_text(number) &
-        //' particles and what is kept of them', error)
+        //' particles, their snapshots and series', error)
     end associate
   end subroutine check_remaining_memory
 
-  !> Ends the run where its series or its event log could not be stored if they doubled.
+  !> Ends the run if there is no memory for a series and an event log of twice the present length.
   subroutine stop_if_out_of_memory(simulation)
     type(simulation_type), intent(inout) :: simulation
 
@@ -167,7 +170,7 @@ contains
       s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. &
         max(s%observer%entries, s%events%count) > most_kept
       if (.not. s%out_of_room) s%out_of_room = .not. enough_memory(2.0_dp &
-        *(bytes_an_entry*s%observer%entries + bytes_an_event*s%events%count))
+        *(bytes_per_entry*s%observer%entries + bytes_per_event*s%events%count))
       s%sure_room = 2*s%sure_room
       if (s%out_of_room) s%done = .true.
     end associate
@@ -185,7 +188,7 @@ contains
     call stop_if_out_of_memory(simulation)
     simulation%elapsed = simulation%elapsed + simulation%event_record%duration
     if (simulation%setup%duration > 0.0_wp) then
-      call reach_stops(simulation)
+      call process_stops(simulation)
     else
       call take_snapshots(simulation)
       call count_collisions(simulation)
@@ -199,7 +202,7 @@ contains
     time = huge(1.0_wp)
     if (simulation%setup%series_interval > 0.0_wp) &
       time = most_entries*simulation%setup%series_interval
-    time = min(time, next_snapshot(simulation) - simulation%elapsed)
+    time = min(time, next_snapshot_time(simulation) - simulation%elapsed)
     if (simulation%setup%duration > 0.0_wp) then
       time = min(time, simulation%setup%duration - simulation%elapsed)
       if (.not. simulation%observer%measuring) &
@@ -207,52 +210,54 @@ contains
     end if
   end function time_to_stop
 
-  !> Time since the start of the next snapshot; huge: there is none.
-  pure real(wp) function next_snapshot(simulation) result(time)
+  !> Time of the next snapshot since the start; huge: there is none.
+  pure real(wp) function next_snapshot_time(simulation) result(time)
     type(simulation_type), intent(in) :: simulation
 
     time = huge(1.0_wp)
     associate (times => simulation%setup%snapshot_times, next => simulation%snapshots_taken + 1)
       if (next <= size(times)) time = times(next)
     end associate
-  end function next_snapshot
+  end function next_snapshot_time
 
-  !> Whether a stop `time` after the start has been reached, but for the rounding of the sum.
-  pure logical function reached(simulation, time)
+  !> Whether the time `time` since the start has been reached, up to the rounding of the sum.
+  pure logical function has_reached(simulation, time)
     type(simulation_type), intent(in) :: simulation
     real(wp), intent(in) :: time
 
-    reached = simulation%elapsed >= time - rounding*time
-  end function reached
+    has_reached = simulation%elapsed >= time - rounding*time
+  end function has_reached
 
+  !> Stores the snapshots that are due.
   subroutine take_snapshots(simulation)
     type(simulation_type), intent(inout) :: simulation
 
-    do while (reached(simulation, next_snapshot(simulation)))
+    do while (has_reached(simulation, next_snapshot_time(simulation)))
       simulation%snapshots_taken = simulation%snapshots_taken + 1
       call simulation%engine%get_particles(1, simulation%engine%number, &
         simulation%snapshot(simulation%snapshots_taken))
     end do
   end subroutine take_snapshots
 
-  !> Snapshots, the end of the transient and of the run, where they are set by time.
-  subroutine reach_stops(simulation)
+  !> Takes the snapshots that are due, and ends the transient or the run if they are set by time and
+  !> their time is reached.
+  subroutine process_stops(simulation)
     type(simulation_type), intent(inout) :: simulation
 
     call take_snapshots(simulation)
     if (.not. simulation%setup%duration > 0.0_wp) return
     if (.not. simulation%observer%measuring) then
-      if (reached(simulation, simulation%setup%transient_duration)) &
+      if (has_reached(simulation, simulation%setup%transient_duration)) &
         call end_transient(simulation, simulation%engine%collisions())
     end if
-    if (reached(simulation, simulation%setup%duration)) then
+    if (has_reached(simulation, simulation%setup%duration)) then
       call end_series(simulation%observer, simulation%setup%duration)
       simulation%collisions = simulation%engine%collisions()
       simulation%done = .true.
     end if
-  end subroutine reach_stops
+  end subroutine process_stops
 
-  !> The averages begin, after so many collisions.
+  !> Ends the transient after `collisions` wall collisions: the averages begin.
   subroutine end_transient(simulation, collisions)
     type(simulation_type), intent(inout) :: simulation
     integer(int64), intent(in) :: collisions
@@ -262,16 +267,17 @@ contains
     call begin_measuring(simulation%observer)
   end subroutine end_transient
 
-  !> Collisions at which the present part of the run, transient or the rest, ends.
-  pure integer(int64) function target_of(simulation) result(collisions)
+  !> Number of collisions at which the present part of the run (transient or measurement) ends.
+  pure integer(int64) function target_collisions(simulation) result(collisions)
     type(simulation_type), intent(in) :: simulation
 
     collisions = merge(simulation%setup%collisions, simulation%setup%transient_collisions, &
       simulation%observer%measuring)
-  end function target_of
+  end function target_collisions
 
-  !> Ends the transient or the run once the exact count has reached its target. What is known may
-  !> run ahead of what has happened, so the exact count is only taken when it can matter.
+  !> Ends the transient or the run once the exact count has reached its target. The observer's count
+  !> may include future collisions, and the exact count is expensive: it is taken only when the
+  !> target may have been reached.
   subroutine count_collisions(simulation)
     type(simulation_type), intent(inout) :: simulation
     integer(int64) :: exact
@@ -281,17 +287,17 @@ contains
       simulation%windows_since_count < windows_between_counts) return
     simulation%windows_since_count = 0
     exact = simulation%engine%collisions()
-    if (exact >= target_of(simulation) .and. .not. simulation%observer%measuring) &
+    if (exact >= target_collisions(simulation) .and. .not. simulation%observer%measuring) &
       call end_transient(simulation, exact)
     if (exact >= simulation%setup%collisions) then
       simulation%collisions = exact
       simulation%done = .true.
     end if
-    simulation%next_count = simulation%observer%collisions + max(target_of(simulation) - exact, &
+    simulation%next_count = simulation%observer%collisions + max(target_collisions(simulation) - exact, &
       0_int64)
   end subroutine count_collisions
 
-  !> Share of the run that is done, 0 to 1.
+  !> Completed fraction of the run, 0 to 1.
   pure real(wp) function progress(simulation) result(share)
     type(simulation_type), intent(in) :: simulation
 
@@ -306,26 +312,26 @@ contains
     share = min(share, 1.0_wp)
   end function progress
 
-  !> What every run must end with: an outcome to report, and particles where they must be.
+  !> Checks the end of a run: there must be averages, and all particles must be inside the table.
   subroutine verify_simulation(simulation, error)
     type(simulation_type), intent(in) :: simulation
-    !> It says what is wrong.
+    !> The run was ended early, has no averages, or failed the check of its particles.
     type(error_type), allocatable, intent(out) :: error
 
     call check_outcome(simulation, error)
     if (.not. allocated(error)) call check_particles(simulation, error)
   end subroutine verify_simulation
 
-  !> The run must not have been given up, and something of it must be left for the averages: a
-  !> window may have more wall collisions than transient and run.
+  !> Checks that the run was not ended for lack of memory, and that it has a measured time: a single
+  !> window may have more wall collisions than transient and measurement together.
   subroutine check_outcome(simulation, error)
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
 
     if (simulation%out_of_room) then
-      call fatal_error(error, 'no memory for the series and the event log: given up after ' &
+      call fatal_error(error, 'no memory for the series and the event log: ended after ' &
         //to_text(simulation%observer%entries)//' entries and '//to_text(simulation%events%count) &
-        //' events; a longer &output series_interval, no event_log or a shorter run takes less')
+        //' events; a longer &output series_interval, no event_log or a shorter run needs less')
     else if (simulation%done .and. .not. simulation%observer%time + simulation%observer%block_time &
       > 0.0_wp) then
       call fatal_error(error, 'nothing is left for the averages: the transient of ' &
@@ -334,9 +340,9 @@ contains
     end if
   end subroutine check_outcome
 
-  !> All particles must be inside the table at speed 1 (coordinates are as sharp as the table is
-  !> long), and as many in each half as the crossings say. One that is on a counted line just then
-  !> may be in either half: what happens at the very end is not made any more.
+  !> Checks that all particles are inside the table at speed 1, up to the resolution of coordinates,
+  !> and that the number in each half agrees with the crossings. A particle on a counted line may
+  !> count for either half: events at the very end of the run are not processed.
   subroutine check_particles(simulation, error)
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
@@ -369,7 +375,7 @@ contains
       end do
     end do
     if (simulation%observer%two_halves) then
-      ! Of those on a line as many as it takes.
+      ! Particles on a line are assigned so that the numbers agree, if they can.
       urn1_number = max(urn1_number, min(urn1_number + on_line, simulation%observer%urn1_number))
     else
       urn1_number = simulation%observer%urn1_number
@@ -382,13 +388,13 @@ contains
     call fatal_error(error, trim(text))
   end subroutine check_particles
 
-  !> Writes to an archive or reads all that is needed to continue to the same last bit; read for the
-  !> same setup, and what was there before is lost.
+  !> Serialises all that is needed to continue to the same last bit. A state is read for the setup
+  !> that it was written for; the previous state of `simulation` is lost.
   subroutine serialize_simulation(simulation, setup, archive, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
     type(archive_type), intent(inout) :: archive
-    !> The state does not fit, or the engine cannot be had.
+    !> The state does not fit, or the engine cannot be made.
     type(error_type), allocatable, intent(out) :: error
 
     if (archive%reading) call make_engine(simulation, setup, error)
@@ -410,7 +416,7 @@ contains
     if (archive%failed()) call fatal_error(error, archive%problem)
   end subroutine serialize_simulation
 
-  !> The snapshots taken so far.
+  !> Serialises the snapshots taken so far.
   subroutine serialize_snapshots(simulation, archive)
     type(simulation_type), intent(inout) :: simulation
     type(archive_type), intent(inout) :: archive

@@ -24,7 +24,7 @@ module battery_results_file
   use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
     task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
     point_undecided
-  use battery_memory_limits, only: check_memory, bytes_a_task, bytes_an_entry, bytes_a_state, &
+  use battery_available_memory, only: check_memory, bytes_per_task, bytes_per_entry, bytes_per_state, &
     most_numbers
   use battery_metadata, only: metadata_type, write_metadata
   use battery_namelist_input, only: parse_namelist
@@ -193,7 +193,7 @@ contains
     character(len=:), allocatable :: hosts
     integer :: p, r, host
 
-    call check_memory_of(bytes_a_task*plan%point_count*plan%replicas, 'tasks', file, error)
+    call check_memory_of(bytes_per_task*plan%point_count*plan%replicas, 'tasks', file, error)
     if (allocated(error)) return
     call new_results(results, plan%point_count, plan%replicas)
     call serialize_measured(file, results, error)
@@ -244,7 +244,7 @@ contains
           //' entries, which is '//'not the length of a series by the namelist in the file', 1, &
           error)
       else
-        call check_memory_of(bytes_an_entry*entries, '/series', file, error)
+        call check_memory_of(bytes_per_entry*entries, '/series', file, error)
       end if
       if (allocated(error)) return
       most%entries = int(series(1))
@@ -252,7 +252,7 @@ contains
     most%snapshots = size(plan%snapshot_times)
     most%particles = most_particles(plan, results)
     if (plan%final_state) most%final_particles = most%particles
-    call check_memory_of(bytes_a_state*most%particles*(most%snapshots + merge(1, 0, &
+    call check_memory_of(bytes_per_state*most%particles*(most%snapshots + merge(1, 0, &
       plan%final_state)), '/snapshots and /final', file, error)
     call prepare_output_datasets(file, most, real(plan%series_interval, dp), &
       real(plan%snapshot_times, dp), output_datasets, error)

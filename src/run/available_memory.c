@@ -3,7 +3,7 @@
 #include <sys/resource.h>
 
 /* Bytes of address space, or of data if `of_data`, that the process may have; negative: no limit. */
-double limits_memory(int of_data)
+double process_memory_limit(int of_data)
 {
   struct rlimit limit;
   if (getrlimit(of_data ? RLIMIT_DATA : RLIMIT_AS, &limit) != 0) return -1.0;
@@ -12,7 +12,7 @@ double limits_memory(int of_data)
 
 /* Where address space is limited, threads (MPI has some) share one heap: glibc would reserve 64 MB or
    128 MB of it for each. */
-void limits_spare(void)
+void spare_address_space_of_threads(void)
 {
-  if (limits_memory(0) >= 0.0) mallopt(M_ARENA_MAX, 1);
+  if (process_memory_limit(0) >= 0.0) mallopt(M_ARENA_MAX, 1);
 }
