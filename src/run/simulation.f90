@@ -16,8 +16,8 @@ module battery_simulation
   use battery_engines, only: new_engine, explain_refusal, bytes_per_particle
   use battery_event_log, only: event_log_type, append_events, serialize_events
   use battery_archive, only: archive_type
-  use battery_available_memory, only: check_memory, enough_memory, bytes_per_entry, bytes_per_state, &
-    bytes_per_event
+  use battery_available_memory, only: check_memory, enough_memory, bytes_per_entry, &
+    bytes_per_state, bytes_per_event
   implicit none (type, external)
   private
   public :: run_type, setup_type, simulation_type, begin_simulation, advance_simulation, progress, &
@@ -293,8 +293,8 @@ contains
       simulation%collisions = exact
       simulation%done = .true.
     end if
-    simulation%next_count = simulation%observer%collisions + max(target_collisions(simulation) - exact, &
-      0_int64)
+    simulation%next_count = simulation%observer%collisions &
+      + max(target_collisions(simulation) - exact, 0_int64)
   end subroutine count_collisions
 
   !> Completed fraction of the run, 0 to 1.

@@ -24,8 +24,8 @@ module battery_results_file
   use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
     task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
     point_undecided
-  use battery_available_memory, only: check_memory, bytes_per_task, bytes_per_entry, bytes_per_state, &
-    most_numbers
+  use battery_available_memory, only: check_memory, bytes_per_task, bytes_per_entry, &
+    bytes_per_state, most_numbers
   use battery_metadata, only: metadata_type, write_metadata
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type, point_type, point_of, setup_of
