@@ -1,5 +1,5 @@
-!> What all ranks of a run must have in common before any of them writes: the command line, and the
-!> folder of the output.
+!> Checks that all ranks of a run have the same command line and the same folder of the output,
+!> before any of them writes.
 module battery_agreement
   use battery_clocks, only: wall_seconds, sleep_for
   use battery_communicator, only: communicator_type, share_error, share_text
@@ -13,35 +13,36 @@ module battery_agreement
   private
   public :: check_command_lines, check_output_folder
 
-  !> Seconds that a file system may take to show to one machine what another has made, and between
-  !> two looks.
+  !> Seconds after which a file made on one machine must be visible on another; seconds between two
+  !> checks.
   real(dp), parameter :: patience = 5.0_dp, pause = 0.05_dp
 
 contains
 
-  !> Ranks with other words would do other things, and wait for one another for ever. Collective.
+  !> Checks that all ranks have the same command line: otherwise they would do different things and
+  !> wait for each other for ever. Collective.
   subroutine check_command_lines(communicator, words, error)
     type(communicator_type), intent(in) :: communicator
     !> Command line of this rank, word by word.
     type(string_type), intent(in) :: words(:)
-    !> The same on all ranks; code `exit_bad_input`.
+    !> The command lines differ; the same error on all ranks, code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: mine, first
 
-    ! No word has a null sign in it: with one behind each, no two lists give the same text.
+    ! Words have no null characters: with one after each word, different lists give different texts.
     mine = join(words, achar(0))//repeat(achar(0), min(1, size(words)))
     first = mine
     call share_text(communicator, first, 0)
     if (len(mine) /= len(first) .or. mine /= first) call fatal_error(error, 'battery: rank ' &
       //to_text(communicator%rank)//' was started with another command line (' &
-      //shown(mine)//') than rank 0 ('//shown(first)// &
+      //command_line_of(mine)//') than rank 0 ('//command_line_of(first)// &
       '); allowed: one command line for all ranks', exit_bad_input)
     call share_error(communicator, error)
   end subroutine check_command_lines
 
-  !> A list of words as it would be typed.
-  pure function shown(list) result(text)
-    !> Texts, with a null character behind each.
+  !> A list of words as typed on a command line.
+  pure function command_line_of(list) result(text)
+    !> Words, with a null character after each.
     character(len=*), intent(in) :: list
     character(len=:), allocatable :: text
     integer :: at
@@ -51,18 +52,18 @@ contains
       if (text(at:at) == achar(0)) text(at:at) = ' '
     end do
     text = trim(text)
-  end function shown
+  end function command_line_of
 
-  !> Every rank must see, by its own path, what rank 0 makes beside the output: a rank that was
-  !> started in another folder would write into another run's journal. Numbers of devices and inodes
-  !> tell nothing, since they differ between machines. Collective.
+  !> Checks that every rank sees, by its own path, a file that rank 0 makes next to the output: a
+  !> rank that was started in another folder would write into another run's journal. Numbers of
+  !> devices and inodes cannot be compared, since they differ between machines. Collective.
   subroutine check_output_folder(communicator, lock, file, error)
     type(communicator_type), intent(in) :: communicator
     !> Lock of rank 0.
     type(lock_type), intent(in) :: lock
-    !> The output.
+    !> Path of the results file.
     character(len=*), intent(in) :: file
-    !> The same on all ranks; code `exit_bad_input`, or that of a run that a signal has stopped.
+    !> The folders differ, or a signal has stopped the run; the same error on all ranks.
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: trouble
     real(dp) :: began

@@ -1,11 +1,12 @@
 !> The ranks of a run, and the task queue that they share. This module alone calls MPI.
 !>
-!> The queue is a few counters in the memory of rank 0 that every rank changes by one-sided atomic
-!> operations: the next task, tasks finished, collisions done, and whether to stop; behind them the
-!> list of the tasks to be done, of which a rank reads one entry at a time. So no rank waits for a
-!> master, no other rank holds a list of tasks, no message grows with the number of ranks or tasks,
-!> and rank 0 computes too; it only calls MPI now and then (`drive_mpi_progress`) where the
-!> network completes one-sided operations only inside a call of rank 0.
+!> The queue consists of a few counters in the memory of rank 0 that every rank changes by one-sided
+!> atomic operations: the next task, tasks finished, collisions done, and whether to stop; after
+!> them comes the list of the tasks to be done, of which a rank reads one entry at a time. So no
+!> rank waits for a master, no other rank stores a list of tasks, the length of no message depends
+!> on the number of ranks or tasks, and rank 0 computes too; it only calls MPI at intervals
+!> (`drive_mpi_progress`), since some networks complete one-sided operations only inside a call of
+!> rank 0.
 module battery_communicator
   use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_status_type, ieee_get_status, &
     ieee_set_status, ieee_set_halting_mode
@@ -41,11 +42,11 @@ module battery_communicator
   integer, parameter :: next_task = 1, tasks_finished = 2, tasks_failed = 3, collisions_done = 4, &
     stop_wanted = 5, counter_count = 5
 
-  !> The ranks of a run, and which of them this is.
+  !> The ranks of a run, and the index of this rank.
   type :: communicator_type
     type(MPI_Comm) :: ranks
     integer :: rank = 0, size = 1
-    !> Whether this program called MPI_Init, and so has to finalise.
+    !> Whether this program called MPI_Init, and so has to call MPI_Finalize.
     logical :: mine = .false.
   end type communicator_type
 
@@ -54,14 +55,14 @@ module battery_communicator
     type(MPI_Win) :: window
     !> Number of tasks in the list.
     integer :: tasks = 0
-    !> Ranks that access it; it lies in the memory of rank 0.
+    !> Ranks that access the queue, which is in the memory of rank 0.
     type(communicator_type) :: communicator
   end type task_queue_type
 
 contains
 
-  !> All ranks of the program, or those of `parent` where MPI is already running (as in tests).
-  !> Works without mpirun, too: then there is one rank.
+  !> Makes a communicator of all ranks of the program, or of those of `parent` if MPI is already
+  !> initialised (as in tests). Without mpirun there is one rank.
   subroutine open_communicator(communicator, parent)
     type(communicator_type), intent(out) :: communicator
     type(MPI_Comm), intent(in), optional :: parent
@@ -72,7 +73,8 @@ contains
     communicator%mine = .not. running
     if (communicator%mine) then
       call initialize_mpi()
-      ! MPICH takes SIGUSR1 for word of a failed rank, asks mpiexec which, and without one hangs.
+      ! MPICH takes SIGUSR1 for the report of a failed rank, asks mpiexec which one, and hangs if
+      ! there is no mpiexec.
       call signals_watch()
     end if
     from = MPI_COMM_WORLD
@@ -82,8 +84,8 @@ contains
     call MPI_Comm_size(communicator%ranks, communicator%size)
   end subroutine open_communicator
 
-  !> MPI_Init without traps of floating-point exceptions: Open MPI 5 reaches a library that makes a
-  !> NaN on purpose. Traps and flags are afterwards what they were.
+  !> Calls MPI_Init without traps of floating-point exceptions: Open MPI 5 loads a library that
+  !> makes a NaN on purpose. Restores traps and flags afterwards.
   subroutine initialize_mpi()
     type(ieee_status_type) :: status
 
@@ -93,7 +95,7 @@ contains
     call ieee_set_status(status)
   end subroutine initialize_mpi
 
-  !> The end of MPI where `open_communicator` began it. Collective.
+  !> Calls MPI_Finalize if `open_communicator` called MPI_Init. Collective.
   subroutine close_communicator(communicator)
     type(communicator_type), intent(inout) :: communicator
 
@@ -115,7 +117,7 @@ contains
     call share_text(communicator, error%message, first)
   end subroutine share_error
 
-  !> Every rank gets the text of rank `root`.
+  !> Gives every rank the text of rank `root`. Collective.
   subroutine share_text(communicator, text, root)
     type(communicator_type), intent(in) :: communicator
     !> Given on rank `root`.
@@ -129,7 +131,8 @@ contains
     call MPI_Bcast(text, length, MPI_CHARACTER, root, communicator%ranks)
   end subroutine share_text
 
-  !> Every rank gets the words of rank 0; on the others the array is allocated anew.
+  !> Gives every rank the words of rank 0; on the other ranks the array is allocated again.
+  !> Collective.
   subroutine share_words(communicator, words)
     type(communicator_type), intent(in) :: communicator
     !> Given on rank 0.
@@ -142,14 +145,14 @@ contains
     call MPI_Bcast(words, length, MPI_INTEGER8, 0, communicator%ranks)
   end subroutine share_words
 
-  !> No rank goes on before all are here. Collective.
+  !> Barrier: returns when all ranks have called it. Collective.
   subroutine wait_for_all(communicator)
     type(communicator_type), intent(in) :: communicator
 
     call MPI_Barrier(communicator%ranks)
   end subroutine wait_for_all
 
-  !> How many of the ranks share the memory of this one. Collective.
+  !> Number of ranks on the machine of this rank. Collective.
   function ranks_on_node(communicator) result(ranks)
     type(communicator_type), intent(in) :: communicator
     integer :: ranks
@@ -160,8 +163,8 @@ contains
     call MPI_Comm_free(node)
   end function ranks_on_node
 
-  !> Whether what is printed goes to a terminal. A rank that Open MPI's mpirun has started writes to
-  !> a terminal of mpirun's own making, whatever mpirun itself writes to; then that is what counts.
+  !> Whether standard output goes to a terminal. The output of a rank that was started by Open MPI's
+  !> mpirun is always a pseudo-terminal; then the output of mpirun itself is tested.
   function output_is_terminal() result(terminal)
     logical :: terminal
     integer :: length
@@ -171,7 +174,7 @@ contains
     if (length > 0 .and. terminal) terminal = parent_is_terminal(unknown=terminal)
   end function output_is_terminal
 
-  !> Least, mean and greatest of one value a rank.
+  !> Least, mean and greatest of one value per rank. Collective.
   function least_mean_greatest(communicator, value) result(summary)
     type(communicator_type), intent(in) :: communicator
     !> Value of this rank.
@@ -184,8 +187,8 @@ contains
     summary(2) = summary(2)/real(communicator%size, dp)
   end function least_mean_greatest
 
-  !> Name and version of the MPI library; what else it says of itself stands behind a comma or in
-  !> further lines, and a tab may stand for a blank.
+  !> Name and version of the MPI library: its description up to the first comma or line end, with
+  !> blanks in place of tabs.
   function mpi_library() result(name)
     character(len=:), allocatable :: name
     character(len=MPI_MAX_LIBRARY_VERSION_STRING) :: text
@@ -201,10 +204,10 @@ contains
   subroutine open_task_queue(task_queue, communicator, tasks, error)
     type(task_queue_type), intent(out) :: task_queue
     type(communicator_type), intent(in) :: communicator
-    !> Looked at on rank 0 only.
+    !> Tasks to be done; used on rank 0 only.
     integer, intent(in) :: tasks(:)
-    !> The same on all ranks: this MPI has no one-sided operations between their nodes. Absent: MPI
-    !> ends the program then.
+    !> This MPI has no one-sided operations between the nodes; the same error on all ranks. If
+    !> absent, MPI ends the program then.
     type(error_type), allocatable, intent(out), optional :: error
     integer(MPI_ADDRESS_KIND) :: bytes
     integer :: status
@@ -238,7 +241,7 @@ contains
     call MPI_Barrier(communicator%ranks)
   end subroutine open_task_queue
 
-  !> The next task of the list; 0 if there are no more.
+  !> Takes the next task of the list; 0 if there is none left.
   subroutine fetch_task(task_queue, task)
     type(task_queue_type), intent(in) :: task_queue
     !> Number of the task in the plan, from 1.
@@ -255,8 +258,8 @@ contains
     task = int(entry)
   end subroutine fetch_task
 
-  !> Where the network cannot reach into the memory of rank 0 by itself, operations of the others
-  !> wait until rank 0 enters MPI: so it does, often.
+  !> Calls MPI on rank 0: without remote direct memory access, one-sided operations of the other
+  !> ranks wait until rank 0 is inside an MPI call.
   subroutine drive_mpi_progress(task_queue)
     type(task_queue_type), intent(in) :: task_queue
     logical :: waiting
@@ -265,7 +268,7 @@ contains
       MPI_ANY_SOURCE, MPI_ANY_TAG, task_queue%communicator%ranks, waiting, MPI_STATUS_IGNORE)
   end subroutine drive_mpi_progress
 
-  !> Collective.
+  !> Frees the queue. Collective.
   subroutine close_task_queue(task_queue)
     type(task_queue_type), intent(inout) :: task_queue
 
@@ -280,7 +283,7 @@ contains
     integer, intent(in) :: entry
     !> Amount to add, of either sign.
     integer(int64), intent(in) :: amount
-    !> Value of the entry before.
+    !> Value of the entry before the addition.
     integer(int64), intent(out), optional :: before
     integer(int64), asynchronous :: found
 

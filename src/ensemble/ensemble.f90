@@ -1,8 +1,8 @@
 !> An ensemble: all tasks of a plan on any number of ranks, safe from kills and restarts.
 !>
-!> Every rank takes the next task from the queue when it is free, writes its result to the journal
-!> at once, and in the end rank 0 merges the journal into the results file. A run that is stopped or
-!> killed goes on from its journal; results depend on the plan alone, not on ranks, order or stops.
+!> Every rank takes task after task from the queue and writes each result to the journal at once; at
+!> the end rank 0 merges the journal into the results file. A run that was stopped or killed is
+!> continued from its journal; results depend on the plan alone, not on ranks, order or stops.
 module battery_ensemble
   use battery_kinds, only: wp, dp, int64
   use battery_agreement, only: check_output_folder
@@ -29,8 +29,8 @@ module battery_ensemble
 
 contains
 
-  !> Runs, or goes on with, what `plan` describes; `exit_code` is what the program should end with.
-  !> Rank 0 owns the output from before it looks at what is there until the end.
+  !> Runs or continues the ensemble of a plan; `exit_code` is that of the program. Rank 0 holds the
+  !> lock of the output from before it inspects existing files until the end.
   subroutine run_ensemble(plan, communicator, overwrite, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
@@ -90,8 +90,8 @@ contains
     call release_lock(lock)
   end subroutine run_ensemble
 
-  !> Rank 0 merges the journal into the results file and says how it went. The journal is removed
-  !> once all that it should have is in the results file.
+  !> Merges the journal into the results file on rank 0, and prints the summary. The journal is
+  !> removed when the results file has all results.
   subroutine finish_ensemble(plan, journal, task_queue, collisions, busy_seconds, began, begun, &
     quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
@@ -99,13 +99,13 @@ contains
     type(task_queue_type), intent(in) :: task_queue
     !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
-    !> What this rank spent in tasks, and when it began on the clock of `wall_seconds`.
+    !> Seconds that this rank spent in tasks; start of the run on the clock of `wall_seconds`.
     real(dp), intent(in) :: busy_seconds, began
-    !> The same by the time of day.
+    !> Start of the run as date and time of day.
     character(len=*), intent(in) :: begun
     !> Whether to print errors only.
     logical, intent(in) :: quiet
-    !> What the program should end with; the same on all ranks.
+    !> Exit code of the program, the same on all ranks.
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
@@ -138,14 +138,14 @@ contains
     if (allocated(error)) exit_code = exit_failure
   end subroutine finish_ensemble
 
-  !> From now on the run stops in time for `wall_minutes`.
+  !> Requests a stop early enough to end the run within `wall_minutes`.
   subroutine set_time_limit(plan)
     type(plan_type), intent(in) :: plan
 
     real(dp) :: seconds
 
     seconds = 60.0_dp*real(plan%wall_minutes, dp)
-    ! To save states and to write results takes time as well.
+    ! Saving states and writing results takes time as well.
     if (seconds > 0.0_dp) call request_stop_after(seconds - min(20.0_dp, 0.1_dp*seconds))
   end subroutine set_time_limit
 

@@ -5,10 +5,10 @@
 !> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole;
 !>   N is the task identifier, since the number of a task changes as a scan grows.
 !>
-!> All are record files with checksums: a truncated or damaged record is detected, its task
-!> repeated. Every record carries its task identifier (`battery_identity`): a record of another
-!> input is never taken for this run's. A state names besides its components (`battery_archive`):
-!> one of another format is left alone, and its task begins anew.
+!> All are record files with checksums: a truncated or damaged record is detected, and its task
+!> repeated. Every record has its task identifier (`battery_identity`): a record of another input is
+!> never taken for one of this run. A state also has the names of its components
+!> (`battery_archive`): a state of another format is not used, and its task starts again.
 module battery_journal
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
@@ -32,30 +32,31 @@ module battery_journal
   public :: rank_files_in, rank_files_of, task_ids_in, check_lock
   public :: write_finished, sync_finished, write_state, read_state
 
-  !> The journal as one rank has it.
+  !> The journal as one rank accesses it.
   type :: journal_type
     character(len=:), allocatable :: folder
-    !> Rank files of earlier starts have smaller numbers; this start's ranks have the next ones.
+    !> Number of the rank file of rank 0: rank files of earlier starts have smaller numbers. Number
+    !> of ranks of this start.
     integer :: first_file = 0, ranks = 0
-    !> That of this run; a rank that outlives it writes no more when another has taken over.
+    !> Lock of this run: a rank writes nothing more when another run has taken it over.
     type(lock_type) :: lock
-    !> This rank's own file, and the length of what is written in it.
+    !> Number of this rank's file, and the length that has been written to it.
     integer :: mine = 0
     integer(int64) :: written = 0
     !> Generation of the state written last.
     integer(int64) :: generation = 0
-    !> Whether the rank file has results that may not be on the disk, and from when on the next one
-    !> is brought there, with all before it, in seconds of `wall_seconds`.
+    !> Whether the rank file has results that are not yet synced to disk; time, in seconds of
+    !> `wall_seconds`, from which on the next result causes a sync.
     logical :: is_unsynced = .false.
     real(dp) :: next_sync = 0.0_dp
   end type journal_type
 
-  !> Ends of the names of a state's files: generations are written to them in turn.
+  !> Suffixes of the files of a state, which are written in turn.
   character(len=*), parameter :: generations(2) = ['.a', '.b']
 
 contains
 
-  !> Name of the rank file of a number.
+  !> Name of the rank file with a number.
   pure function rank_file(journal, number) result(name)
     type(journal_type), intent(in) :: journal
     integer, intent(in) :: number
@@ -64,7 +65,7 @@ contains
     name = journal%folder//'/rank_'//to_text(number)
   end function rank_file
 
-  !> Name of the state of a task, but for its generation.
+  !> Name of the state files of a task, without the suffix of the generation.
   pure function state_file(journal, task_id) result(name)
     type(journal_type), intent(in) :: journal
     !> `task_type%task_id`.
@@ -74,14 +75,14 @@ contains
     name = journal%folder//'/task_'//fingerprint_text(task_id)
   end function state_file
 
-  !> Looks for the journal of an earlier start: its namelist, and the fingerprint of its initial
-  !> file. `found` is false where there is none that can be read.
+  !> Reads the plan of the journal of an earlier start: its namelist, and the fingerprint of its
+  !> initial file. `found` is false if there is none that can be read.
   subroutine read_plan(folder, namelist, initial_fingerprint, found, rank_files)
     !> Folder of the journal.
     character(len=*), intent(in) :: folder
     !> Text of the namelist; empty if not found.
     character(len=:), allocatable, intent(out) :: namelist
-    !> 0 if there was no initial file.
+    !> Fingerprint of the initial file; 0 if there was none.
     integer(int64), intent(out) :: initial_fingerprint
     logical, intent(out) :: found
     !> Rank files that this and earlier starts may have made; 0 if not found.
@@ -102,7 +103,7 @@ contains
     if (present(rank_files)) rank_files = files
   end subroutine read_plan
 
-  !> What the file `plan` says, through an archive.
+  !> Serialises the contents of the file `plan`.
   pure subroutine serialize_plan(namelist, initial_fingerprint, rank_files, archive)
     character(len=:), allocatable, intent(inout) :: namelist
     integer(int64), intent(inout) :: initial_fingerprint
@@ -114,8 +115,8 @@ contains
     call archive%serialize('rank_files', rank_files)
   end subroutine serialize_plan
 
-  !> The next free number of a rank file: beyond any that is there, and beyond those that earlier
-  !> starts had for their ranks, whether they were used or not.
+  !> The next free number of a rank file: greater than those of all files, and than those that
+  !> earlier starts reserved for their ranks, used or not.
   function rank_files_in(folder) result(rank_files)
     !> Folder of the journal.
     character(len=*), intent(in) :: folder
@@ -128,8 +129,8 @@ contains
     rank_files = max(rank_files, 1 + maxval([-1, numbers_in(folder)]))
   end function rank_files_in
 
-  !> Numbers of the rank files that a journal may have, in any order. Those of this start are not
-  !> looked for in the folder: on a network disk a list of it may be old.
+  !> Numbers of the rank files that a journal may have, in any order. Files of this start are listed
+  !> without a look into the folder: on a network disk its listing may be out of date.
   function rank_files_of(journal) result(numbers)
     type(journal_type), intent(in) :: journal
     integer, allocatable :: numbers(:)
@@ -140,8 +141,8 @@ contains
       journal%ranks - 1)]
   end function rank_files_of
 
-  !> Task identifiers of the first good record of every file but the plan: without a plan they
-  !> tell to which input the journal belongs.
+  !> Task identifiers of the first valid record of every file but the plan: without a plan they show
+  !> to which input the journal belongs.
   function task_ids_in(folder) result(task_id)
     !> Folder of the journal.
     character(len=*), intent(in) :: folder
@@ -164,13 +165,13 @@ contains
     task_id = task_id(:good)
   end function task_ids_in
 
-  !> Rank 0 writes the plan before any rank writes anything else.
+  !> Begins the journal: writes the plan, on rank 0, before any rank writes anything else.
   subroutine begin_journal(folder, namelist, initial_fingerprint, rank_files, error)
     !> Folder of the journal, and the text of the namelist.
     character(len=*), intent(in) :: folder, namelist
-    !> 0 if there is no initial file.
+    !> Fingerprint of the initial file; 0 if there is none.
     integer(int64), intent(in) :: initial_fingerprint
-    !> Number of rank files, those included that the ranks of this start may make.
+    !> Number of rank files, including those that the ranks of this start may make.
     integer, intent(in) :: rank_files
     type(error_type), allocatable, intent(out) :: error
     type(archive_type) :: archive
@@ -190,12 +191,13 @@ contains
     if (.not. allocated(error)) call publish_file(folder//'/plan.new', folder//'/plan', error)
   end subroutine begin_journal
 
-  !> Every rank, then: `rank_files` as before this start.
+  !> Sets up the journal on a rank, after `begin_journal`; `rank_files` is the number before this
+  !> start.
   subroutine join_journal(journal, folder, rank_files, rank, ranks)
     type(journal_type), intent(out) :: journal
     !> Folder of the journal.
     character(len=*), intent(in) :: folder
-    !> And which rank of how many this is.
+    !> Number of rank files of earlier starts; this rank, from 0; number of ranks.
     integer, intent(in) :: rank_files, rank, ranks
 
     journal%folder = folder
@@ -204,7 +206,7 @@ contains
     journal%mine = rank_files + rank
   end subroutine join_journal
 
-  !> Opens the rank file of that number, for `next_result`; one that is not there has none.
+  !> Opens a rank file for `next_result`; a missing file has no results.
   subroutine open_rank_file(journal, file, reader)
     type(journal_type), intent(in) :: journal
     !> Number of the rank file.
@@ -215,13 +217,13 @@ contains
     call open_records(reader, rank_file(journal, file))
   end subroutine open_rank_file
 
-  !> The next good result of a rank file.
+  !> Reads the next valid result of a rank file.
   subroutine next_result(reader, result, at, found)
     !> Reader of a record file, open.
     type(record_reader_type), intent(inout) :: reader
     !> Result of the next task in the file.
     type(task_result_type), intent(out) :: result
-    !> Bytes of the file before the record: `reader%at` may be set to this.
+    !> Offset of the record in the file, in bytes; `reader%at` may be set to it.
     integer(int64), intent(out) :: at
     !> Whether there is such a record.
     logical, intent(out) :: found
@@ -236,10 +238,10 @@ contains
     end do
   end subroutine next_result
 
-  !> A task is finished: its result is written at once, so that nothing that happens to the program
-  !> can spoil it. It is brought to the disk, which makes it safe from the end of the machine,
-  !> unless that was done just before: then what the machine's end takes was computed since. States
-  !> are of no use any more when it is there.
+  !> Writes the result of a finished task at once, so that it survives the end of the program. The
+  !> file is synced to disk, so that it survives a crash of the machine, unless that was done
+  !> shortly before: a crash then loses only results computed since. The states of the task are
+  !> removed.
   subroutine write_finished(journal, found, error)
     type(journal_type), intent(inout) :: journal
     !> The result of the task.
@@ -259,12 +261,12 @@ contains
     if (has_state .and. .not. allocated(error)) call remove_states(state, error)
   end subroutine write_finished
 
-  !> Waits until all results of this rank are on the disk.
+  !> Syncs all results of this rank to disk.
   subroutine sync_finished(journal, error)
     type(journal_type), intent(inout) :: journal
-    !> Results that could not be written to the disk.
+    !> Results could not be written to disk.
     type(error_type), allocatable, intent(out) :: error
-    !> Seconds between two syncs at least, and the share of the time that they may take.
+    !> Least number of seconds between two syncs, and the fraction of the time that they may take.
     real(dp), parameter :: interval = 0.1_dp, share = 0.02_dp
     real(dp) :: began, ended
 
@@ -276,10 +278,10 @@ contains
     journal%next_sync = ended + max(interval, (ended - began)/share)
   end subroutine sync_finished
 
-  !> A rank whose run has lost the output writes nothing.
+  !> An error if this run has lost the lock of its output: then a rank must write nothing.
   subroutine check_lock(journal, error)
     type(journal_type), intent(in) :: journal
-    !> Another run has taken over.
+    !> Another run has taken over the lock.
     type(error_type), allocatable, intent(out) :: error
 
     if (is_lock_lost(journal%lock)) call fatal_error(error, &
@@ -288,7 +290,7 @@ contains
 
   !> Removes both generations of the state of a task.
   subroutine remove_states(name, error)
-    !> That of its files, but for the generation.
+    !> Name of the state files, without the suffix of the generation.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
 
@@ -296,7 +298,7 @@ contains
     if (.not. allocated(error)) call remove_file(name//generations(2), error)
   end subroutine remove_states
 
-  !> Saves a simulation, over the older of its two generations.
+  !> Saves the state of a simulation over the older of its two generations.
   subroutine write_state(journal, task, simulation, cpu_seconds, error)
     type(journal_type), intent(inout) :: journal
     type(task_type), intent(in) :: task
@@ -312,7 +314,8 @@ contains
     call check_lock(journal, error)
     if (allocated(error)) return
     seconds = cpu_seconds
-    ! Measured first, and moved then: of a large state there is never more than one copy here.
+    ! The length is measured first, and the archive moved then: there is only one copy of a large
+    ! state.
     archive = measuring_archive()
     call serialize_state(simulation, simulation%setup, seconds, archive, error)
     if (allocated(error)) return
@@ -329,7 +332,7 @@ contains
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
 
-  !> What the file of a state says, through an archive.
+  !> Serialises the contents of a state file.
   subroutine serialize_state(simulation, setup, cpu_seconds, archive, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
@@ -341,14 +344,14 @@ contains
     call serialize_simulation(simulation, setup, archive, error)
   end subroutine serialize_state
 
-  !> The newer of the whole states of a task, if there is one of this program's format.
+  !> Reads the newest valid state of a task, if it has the format of this program.
   subroutine read_state(journal, task, simulation, cpu_seconds, found, error)
     type(journal_type), intent(inout) :: journal
     type(task_type), intent(in) :: task
     type(simulation_type), intent(out) :: simulation
     !> Processor time spent on the task before.
     real(dp), intent(out) :: cpu_seconds
-    !> Whether there is a whole state of the task.
+    !> Whether there is a valid state of the task.
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: state(2)
@@ -360,7 +363,7 @@ contains
       call read_single_record(state_file(journal, task%task_id)//generations(k), state(k), found)
       if (state(k)%owner /= task%task_id) state(k) = record_type()
     end do
-    ! Where there is none, or the result of a task, the generation is 0.
+    ! The generation is 0 if a file is missing or holds the result of a task.
     newer = maxloc(state%generation, 1)
     journal%generation = state(newer)%generation
     found = journal%generation > 0
@@ -370,7 +373,7 @@ contains
     state(newer) = record_type()
     call serialize_state(simulation, task%setup, cpu_seconds, archive, error)
     if (.not. archive%failed()) return
-    ! Of another format: left alone, until this task has a state of its own.
+    ! A state of another format stays until this task saves a state.
     deallocate (error)
     found = .false.
     cpu_seconds = 0.0_dp

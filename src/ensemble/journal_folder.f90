@@ -1,4 +1,4 @@
-!> The files of a journal by their names: which are there, which are in the way, their removal.
+!> The files of a journal by their names: listing them, finding obstacles, removing them.
 module battery_journal_folder
   use battery_error, only: error_type, fatal_error
   use battery_files, only: files_matching, remove_file
@@ -10,8 +10,8 @@ module battery_journal_folder
 
 contains
 
-  !> Numbers of the rank files in the folder, in any order. Names with anything else than a
-  !> number that a rank can have are not ours.
+  !> Numbers of the rank files in the folder, in any order. Names whose suffix is not the number of
+  !> a rank file are ignored.
   function numbers_in(folder) result(numbers)
     !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
@@ -31,7 +31,7 @@ contains
     numbers = numbers(:found)
   end function numbers_in
 
-  !> A folder under the name of one of our files is in the way of all that follows.
+  !> An error if a folder has the name of a file of the journal.
   subroutine check_journal(folder, error)
     !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
@@ -39,7 +39,7 @@ contains
     type(string_type), allocatable :: names(:)
     integer :: k
 
-    names = files_of_ours(folder)
+    names = journal_files(folder)
     do k = 1, size(names)
       if (.not. is_folder(folder//'/'//names(k)%text)) cycle
       call fatal_error(error, folder//'/'//names(k)%text &
@@ -48,17 +48,17 @@ contains
     end do
   end subroutine check_journal
 
-  !> Names of all files of ours in the folder, the plan last.
-  function files_of_ours(folder) result(names)
+  !> Names of all journal files in the folder, the plan last.
+  function journal_files(folder) result(names)
     character(len=*), intent(in) :: folder
     type(string_type), allocatable :: names(:)
 
     names = [files_matching(folder, 'rank_*'), files_matching(folder, 'task_*.a'), &
       files_matching(folder, 'task_*.b'), files_matching(folder, 'plan.new'), &
       files_matching(folder, 'plan')]
-  end function files_of_ours
+  end function journal_files
 
-  !> Removes the journal with all its files, the plan last. A folder that holds anything else stays.
+  !> Removes the journal with all its files, the plan last. A folder with any other file stays.
   subroutine remove_journal(folder, error)
     !> Folder of a journal, which need not be there.
     character(len=*), intent(in) :: folder
@@ -67,7 +67,7 @@ contains
     integer :: k
 
     if (.not. is_folder(folder)) return
-    names = files_of_ours(folder)
+    names = journal_files(folder)
     do k = 1, size(names)
       call remove_file(folder//'/'//names(k)%text, error)
       if (allocated(error)) return

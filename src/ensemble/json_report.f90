@@ -1,5 +1,5 @@
-!> JSON report of a run or a plan for scripts, written to a file: standard output may pass
-!> through a launcher that changes it, and is worded for people.
+!> JSON report of a run or a plan for scripts, written to a file: standard output is for people, and
+!> a launcher may change it.
 module battery_json_report
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_failure
@@ -11,11 +11,11 @@ module battery_json_report
 
 contains
 
-  !> Writes the absolute path of the results file; null where none is there.
+  !> Writes the absolute path of the results file; null if there is none.
   subroutine write_run_json(path, results, error)
     !> Path of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
-    !> Path of the results file, from the folder in which the program was started.
+    !> Path of the results file, relative to the working directory.
     character(len=*), intent(in) :: results
     !> The JSON file cannot be written.
     type(error_type), allocatable, intent(out) :: error
@@ -28,13 +28,13 @@ contains
     call write_members(path, '"results": '//place, error)
   end subroutine write_run_json
 
-  !> Writes how many tasks a plan has and what it will cost.
+  !> Writes the number of tasks of a plan, and its estimated time and memory.
   subroutine write_plan_json(path, tasks, pending, seconds, memory, error)
     !> Path of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
     !> All tasks, and those that are still to be done.
     integer, intent(in) :: tasks, pending
-    !> Processor time of one task; bytes of memory that a rank takes.
+    !> Processor time of one task in seconds; bytes of memory per rank.
     real(dp), intent(in) :: seconds, memory
     !> The JSON file cannot be written.
     type(error_type), allocatable, intent(out) :: error
@@ -61,7 +61,7 @@ contains
     if (status /= 0) call fatal_error(error, '--json '//path//': '//trim(reason), exit_failure)
   end subroutine write_members
 
-  !> A text between quotes, as JSON has it.
+  !> A text as a JSON string, with quotes and escapes.
   pure function json_text(text) result(quoted)
     !> Text of any bytes.
     character(len=*), intent(in) :: text

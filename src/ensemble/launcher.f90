@@ -1,5 +1,5 @@
-!> What started this program, by the environment that it was given: srun and the mpirun of one MPI
-!> start a program of another MPI as many programs of one rank each, none of which knows the others.
+!> The launcher that started this program, from the environment: srun, or the mpirun of another MPI
+!> library, may start several independent programs of one rank each in place of several ranks.
 module battery_launcher
   use battery_communicator, only: communicator_type, mpi_library
   use battery_text, only: to_text
@@ -7,8 +7,8 @@ module battery_launcher
   private
   public :: launcher_hint
 
-  !> How a launcher says how many it has started, and what it is called. Slurm's own PMI sets
-  !> PMI_SIZE as well, so Slurm comes first.
+  !> Environment variable in which a launcher stores the number of processes, and the name of the
+  !> launcher. Slurm's own PMI sets PMI_SIZE as well, so Slurm comes first.
   character(len=*), parameter :: variables(*) = [character(len=20) :: 'SLURM_STEP_NUM_TASKS', &
     'OMPI_COMM_WORLD_SIZE', 'PMI_SIZE']
   character(len=*), parameter :: launchers(*) = [character(len=22) :: 'srun', &
@@ -16,8 +16,8 @@ module battery_launcher
 
 contains
 
-  !> What to type where several programs of one rank were started in place of several ranks; empty
-  !> where they were not.
+  !> Advice for the user if several programs of one rank were started in place of several ranks;
+  !> empty if not.
   function launcher_hint(communicator) result(hint)
     type(communicator_type), intent(in) :: communicator
     character(len=:), allocatable :: hint

@@ -1,4 +1,4 @@
-!> The memory that a plan needs, set against what there is before anything is run.
+!> The memory that a plan needs, compared with the available memory before anything is run.
 module battery_memory_estimate
   use battery_kinds, only: wp, dp, pi
   use battery_engines, only: bytes_per_particle
@@ -15,30 +15,30 @@ module battery_memory_estimate
   public :: estimate_type, estimate_of, bytes_per_rank, bytes_at_the_end, check_estimate, &
     check_memory_for_mpi
 
-  !> Address space that MPI takes while it starts: most of Open MPI 4.1 is 54 MB. Where it has less,
-  !> some versions crash in a few of their parts.
+  !> Address space that MPI needs while it starts: Open MPI 4.1 has large parts of 54 MB. With less,
+  !> some versions crash.
   real(dp), parameter :: start_bytes = 64.0e6_dp
 
-  !> Bytes that a process has taken when it asks what is left.
+  !> Bytes that a process has allocated when it reads the available memory.
   real(dp), parameter :: taken = 30.0e6_dp
 
-  !> Bytes by what takes them, those of a task at its largest point that fits into memory.
+  !> Bytes by purpose, for a task at the largest point that fits into memory.
   type :: estimate_type
     real(dp) :: particles = 0.0_dp, series = 0.0_dp, snapshots = 0.0_dp, final_state = 0.0_dp
     !> Events are not known beforehand, nor is a series without a duration: these are estimates.
     real(dp) :: events = 0.0_dp, estimated_series = 0.0_dp
-    !> What rank 0 takes at the end.
+    !> Bytes that rank 0 needs at the end, for the merge.
     real(dp) :: merge = 0.0_dp
-    !> Particles of the smallest and of the largest point, of the largest that fits, and how many
-    !> points do not.
+    !> Number of particles of the smallest point, of the largest, and of the largest that fits;
+    !> number of points that do not fit.
     integer :: least = 0, greatest = 0, number = 0, too_large = 0
-    !> Entries of the series, if known.
+    !> Number of entries of the series, if known.
     real(dp) :: entries = 0.0_dp
   end type estimate_type
 
 contains
 
-  !> What a plan needs where `left` is all that a rank can have.
+  !> Memory that a plan needs if `left` is available to a rank.
   function estimate_of(plan, left) result(estimate)
     type(plan_type), intent(in) :: plan
     type(free_memory_type), intent(in) :: left
@@ -81,7 +81,7 @@ contains
     if (plan%event_log) estimate%events = bytes_per_event*events_of(plan)
   end function estimate_of
 
-  !> Bytes that a rank takes while it runs.
+  !> Bytes that a rank needs while it runs tasks.
   pure real(dp) function bytes_per_rank(estimate) result(bytes)
     !> Memory estimate of the plan.
     type(estimate_type), intent(in) :: estimate
@@ -90,7 +90,7 @@ contains
       + estimate%snapshots + estimate%final_state + estimate%events
   end function bytes_per_rank
 
-  !> Bytes that rank 0 takes at the end.
+  !> Bytes that rank 0 needs at the end.
   pure real(dp) function bytes_at_the_end(estimate) result(bytes)
     !> Memory estimate of the plan.
     type(estimate_type), intent(in) :: estimate
@@ -98,8 +98,8 @@ contains
     bytes = taken + base_bytes + estimate%merge
   end function bytes_at_the_end
 
-  !> Length of a run in time: as given, or from the mean time between the wall collisions of a
-  !> particle in an urn, pi r/2.
+  !> Duration of a run: as given, or from the mean time between the wall collisions of a particle in
+  !> an urn, pi r/2.
   pure function length_of(plan, number) result(length)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: number
@@ -110,8 +110,8 @@ contains
       *maxval(plan%base%urn_radius)/number
   end function length_of
 
-  !> Events of a run, if particles leave a well mixed urn: each enters a gate at the rate w/(pi A)
-  !> and crosses a line no more often than it enters a channel.
+  !> Number of events of a run, if urns are well mixed: each particle enters a gate at the rate
+  !> w/(pi A), and crosses a line at most as often as it enters a channel.
   function events_of(plan) result(events)
     type(plan_type), intent(in) :: plan
     real(dp) :: events
@@ -125,7 +125,8 @@ contains
       /(pi*table%urn(1)%area), dp)
   end function events_of
 
-  !> Whether there is memory enough for MPI to start. To be called before it does, by every rank.
+  !> An error if there is not enough memory for MPI to start; to be called by every rank before
+  !> MPI_Init.
   subroutine check_memory_for_mpi(error)
     type(error_type), allocatable, intent(out) :: error
     type(free_memory_type) :: left
@@ -136,9 +137,9 @@ contains
       left%limit//')', exit_bad_input)
   end subroutine check_memory_for_mpi
 
-  !> An error that names the keys which ask for more than `left`: more for one task, more for rank 0
-  !> at the end, or more than can be counted. Points of a scan that are too large for the memory
-  !> fail alone, unless there are no others.
+  !> An error that names the keys for which the memory does not suffice: for one task, or for rank 0
+  !> at the end; or whose numbers are too large for default integers. If only some points of a scan
+  !> are too large, it is no error here: their tasks fail.
   subroutine check_estimate(plan, sharing, error)
     type(plan_type), intent(in) :: plan
     !> Ranks that share the machine's memory.
@@ -178,7 +179,8 @@ contains
 
   contains
 
-    !> A part of one task, and of all tasks on rank 0, where each further one takes `share` of it.
+    !> Checks the bytes of one part of a task, and of all tasks on rank 0, where each task after the
+    !> first needs the fraction `share`.
     subroutine check(key, what, bytes, share)
       character(len=*), intent(in) :: key, what
       real(dp), intent(in) :: bytes, share
@@ -196,14 +198,16 @@ contains
       end if
     end subroutine check
 
+    !> Adds the problem that `bytes` for `what` are too many.
     subroutine add(group, key, what, bytes)
       character(len=*), intent(in) :: group, key, what
       real(dp), intent(in) :: bytes
 
       call append_line('&'//trim(group)//' '//key//': '//what//' need '//size_text(bytes) &
-        //' of memory; there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
+        //' of memory; '//size_text(left%bytes)//' a rank are available ('//left%limit//')')
     end subroutine add
 
+    !> Adds a line to the problems.
     subroutine append_line(text)
       character(len=*), intent(in) :: text
 

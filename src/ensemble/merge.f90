@@ -1,11 +1,11 @@
 !> Merges the journal of an ensemble into its results file.
 !>
-!> First all records are read once, one in memory at a time: the numbers of
-!> each task go into arrays, the place of its record is noted, and so is the most that any output
-!> takes (`collect_results`). Of what the journal does not have the same is taken from the results
-!> file of before. With that the new file is made and its datasets are prepared. Then, in the order
-!> of the tasks, each output goes from its place into its hyperslab (`move_task_outputs`), the only
-!> one in memory. The old file is replaced when the new one is complete.
+!> First all records are read once, one in memory at a time: the numbers of each task are stored in
+!> arrays, with the place of its record and the largest extents of any output (`collect_results`).
+!> Tasks that the journal does not have are taken from the old results file. From this the new file
+!> is made and its datasets are prepared. Then, in the order of the tasks, each output is copied
+!> from its place into its hyperslab (`move_task_outputs`), one in memory at a time. The old file is
+!> replaced when the new one is complete.
 module battery_merge
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp, dp, int64
@@ -37,36 +37,36 @@ module battery_merge
   !> Place of a task's output: a record in a rank file, or columns of the old results file.
   type :: place_type
     private
-    !> Number of the rank file, and where in it the record stands; below 0: it is in none.
+    !> Number of the rank file, below 0 if it is in none; offset of the record in it.
     integer :: rank_file = -1
     integer(int64) :: at = 0
-    !> Replica and point in the old file, from 1; 0: the output is not there.
+    !> Replica and point in the old file, from 1; 0: the old file does not have the output.
     integer :: replica = 0, point = 0
   end type place_type
 
   !> Places of the outputs of all tasks.
   type :: sources_type
     private
-    !> (task).
+    !> Place of the output of each task.
     type(place_type), allocatable :: place(:)
-    !> What they take at most.
+    !> Largest extents of any output.
     type(output_extents_type) :: most
-    !> The old results file; open if it has something that the journal does not.
+    !> The old results file; open if it has tasks that the journal does not have.
     type(hdf5_file_type) :: file
     type(output_datasets_type) :: output_datasets
   end type sources_type
 
 contains
 
-  !> Writes the results file from all that the journal has, and what the file has already; its
-  !> numbers come back in `results`.
+  !> Writes the results file from the journal and the old results file; `results` returns its
+  !> numbers.
   subroutine merge_results(plan, journal, begun, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    !> When the run began.
+    !> Start of the run as date and time of day.
     character(len=*), intent(in) :: begun
     type(results_type), intent(out) :: results
-    !> Why a task failed; not allocated where it did not.
+    !> Reason for which each task failed; not allocated for the others.
     type(string_type), allocatable, intent(out) :: failures(:)
     type(error_type), allocatable, intent(out) :: error
     type(sources_type) :: sources
@@ -88,7 +88,7 @@ contains
     call publish_results(plan%file, file, journal%lock%before, error)
   end subroutine merge_results
 
-  !> Where the results come from.
+  !> Collects the metadata of the results file: its program, input and run.
   subroutine describe_sources(plan, journal, begun, results, metadata)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
@@ -119,7 +119,7 @@ contains
     metadata%start_time = real(plan%start_time, dp)
   end subroutine describe_sources
 
-  !> Numbers set apart by blanks.
+  !> Numbers separated by blanks.
   pure function numbers_text(numbers) result(text)
     real(wp), intent(in) :: numbers(:)
     character(len=:), allocatable :: text
@@ -132,22 +132,22 @@ contains
     text = join(words, ' ')
   end function numbers_text
 
-  !> The numbers of all results there are, and where their outputs over time are. A file that is
-  !> there is read only where the journal does not have all.
+  !> Collects the numbers of all results, and the places of their task outputs. An existing results
+  !> file is read only if the journal does not have all tasks.
   subroutine collect_results(plan, journal, whole, results, failures, wanted, sources, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    !> Whether it is for a new file: then points and seeds are filled in, and what has appeared in
-    !> place of the old file is none of the run's business.
+    !> Whether a new file is to be made from the results: then points and seeds are set, and a file
+    !> of another kind in place of the old one is no error.
     logical, intent(in) :: whole
     type(results_type), intent(out) :: results
-    !> Why a task failed, (task); not allocated where it did not.
+    !> Reason for which each task failed; not allocated for the others.
     type(string_type), allocatable, intent(out) :: failures(:)
-    !> Replicas that are asked for, (point).
+    !> Number of replicas required at each point.
     integer, allocatable, intent(out) :: wanted(:)
     !> Sources, to be closed with `close_sources`; not open after an error.
     type(sources_type), intent(out) :: sources
-    !> The file is whole, but not what this program writes; one that is damaged is passed over.
+    !> The old file is undamaged, but was not written by this program; a damaged file is ignored.
     type(error_type), allocatable, intent(out) :: error
     type(task_result_type) :: found
     type(results_type) :: before
@@ -200,7 +200,7 @@ contains
 
   contains
 
-    !> Takes all complete tasks of the old file.
+    !> Adds all complete tasks of the old file.
     subroutine add_results_of_file(before, most)
       type(results_type), intent(in) :: before
       type(output_extents_type), intent(in) :: most
@@ -217,8 +217,8 @@ contains
       end do
     end subroutine add_results_of_file
 
-    !> Takes the numbers of a result if it is one of this plan, and there is none already; notes
-    !> where its output is, and how much that takes.
+    !> Adds the numbers of a result if its task is one of the plan and has none already; stores the
+    !> place of its output, and updates the largest extents.
     subroutine add_result(one, place, entries, has_snapshots, has_final_state)
       type(task_result_type), intent(in) :: one
       type(place_type), intent(in) :: place
@@ -236,7 +236,7 @@ contains
         results%error(r, p, :) = one%measured%error
         results%counted(r, p, :) = one%measured%counted
         results%counted(r, p, place_of('provenance/host', counted_quantities())) &
-          = place_among(one%host, results%host)
+          = index_in_list(one%host, results%host)
         most%entries = max(most%entries, entries)
         if (has_snapshots) most%particles = max(most%particles, task%number)
         if (has_final_state) most%final_particles = max(most%final_particles, task%number)
@@ -248,7 +248,7 @@ contains
 
   end subroutine collect_results
 
-  !> The numbers of a complete task at the place (r, p) of its results file.
+  !> Numbers of the complete task of replica `r` and point `p` in a results file.
   function numbers_of(results, r, p) result(found)
     type(results_type), intent(in) :: results
     integer, intent(in) :: r, p
@@ -278,7 +278,8 @@ contains
     type(sources_type), intent(in) :: sources
     type(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: output_datasets
-    !> Results with the statuses of the tasks; the number of short ones is set here.
+    !> Results with the statuses of the tasks; the number of tasks that ended before their last
+    !> snapshot is set here.
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     type(task_result_type) :: found
@@ -321,8 +322,8 @@ contains
     call close_records(reader)
   end subroutine move_task_outputs
 
-  !> Whether a run by collisions has ended before the last snapshot: that has no x of the first
-  !> particle.
+  !> Whether a run with a given number of collisions ended before the last snapshot: its first
+  !> number is NaN.
   pure logical function ended_early(snapshots, times)
     !> States at the snapshots, as in an output; number of snapshots.
     real(dp), intent(in) :: snapshots(:)
@@ -333,8 +334,7 @@ contains
       *(times - 1)))
   end function ended_early
 
-  !> Removes the replicas of decided points that the plan does not ask for: they may be left from a
-  !> run that asked for more.
+  !> Removes replicas beyond the number that their point needs: an earlier run may have needed more.
   subroutine drop_unwanted_replicas(results, wanted)
     type(results_type), intent(inout) :: results
     integer, intent(in) :: wanted(:)
@@ -352,8 +352,8 @@ contains
     end do
   end subroutine drop_unwanted_replicas
 
-  !> Place of a text in a list from 0; it is added where it is not there.
-  integer(int64) function place_among(text, list) result(place)
+  !> Index of a text in a list, from 0; the text is added if the list does not have it.
+  integer(int64) function index_in_list(text, list) result(place)
     character(len=*), intent(in) :: text
     type(string_type), allocatable, intent(inout) :: list(:)
     type(string_type) :: one
@@ -363,6 +363,6 @@ contains
     end do
     one%text = text
     list = [list, one]
-  end function place_among
+  end function index_in_list
 
 end module battery_merge

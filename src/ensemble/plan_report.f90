@@ -1,5 +1,4 @@
-!> What a plan will do and cost, before it is run: tasks, parameters, time from a short calibration,
-!> memory.
+!> Report on a plan before it is run: tasks, parameters, time from a short calibration, memory.
 module battery_plan_report
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
@@ -22,17 +21,17 @@ module battery_plan_report
   private
   public :: print_plan_report
 
-  !> Tasks tried for the calibration, and seconds spent on each.
+  !> Largest number of tasks run for the calibration, and seconds spent on each.
   integer, parameter :: most_tries = 5
   real(dp), parameter :: try_seconds = 0.4_dp
 
 contains
 
-  !> Prints the plan and what it will cost on `ranks` ranks, `sharing` of them on one machine.
+  !> Prints the plan, and its time and memory on `ranks` ranks, `sharing` of them on one machine.
   subroutine print_plan_report(plan, ranks, sharing, overwrite, json, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks, sharing
-    !> Whether what is there would be discarded.
+    !> Whether existing results would be discarded.
     logical, intent(in) :: overwrite
     !> JSON file for tasks, time and memory; empty: none.
     character(len=*), intent(in) :: json
@@ -47,7 +46,7 @@ contains
 
     remark = ''
     if (overwrite) then
-      progress = nothing_done(plan)
+      progress = initial_progress(plan)
     else
       call inspect_output(plan, progress, remark, error)
     end if
@@ -76,7 +75,7 @@ contains
 
   contains
 
-    !> How long the tasks that are to be done take, and so many more.
+    !> Text for the duration of the pending tasks and `more` further tasks.
     function time_text(more) result(text)
       real(dp), intent(in) :: more
       character(len=:), allocatable :: text
@@ -84,7 +83,7 @@ contains
       text = duration_text(seconds*real(ceiling((size(progress%pending) + more)/ranks), dp))
     end function time_text
 
-    !> What is not known yet, where a precision is asked for.
+    !> Text for the duration of tasks whose number is not known yet, if a precision is required.
     function further_time() result(text)
       character(len=:), allocatable :: text
 
@@ -97,8 +96,8 @@ contains
 
   end subroutine print_plan_report
 
-  !> What is to be done where nothing is there.
-  function nothing_done(plan) result(progress)
+  !> Progress of an ensemble that has no results yet: all tasks are pending.
+  function initial_progress(plan) result(progress)
     type(plan_type), intent(in) :: plan
     type(progress_type) :: progress
     integer :: k
@@ -106,16 +105,17 @@ contains
     progress%pending = pack([(k, k=1, task_count(plan))], [(modulo(k - 1, plan%replicas) &
       < plan%first_replicas, k=1, task_count(plan))])
     progress%further = task_count(plan) - size(progress%pending)
-  end function nothing_done
+  end function initial_progress
 
-  !> What a rank takes while it runs, what rank 0 takes at the end, and what there is.
+  !> Prints the memory that a rank needs for tasks, that rank 0 needs at the end, and that is
+  !> available.
   subroutine print_memory(estimate, left)
     type(estimate_type), intent(in) :: estimate
     type(free_memory_type), intent(in) :: left
 
     call print_line('memory:     about '//size_text(bytes_per_rank(estimate)) &
       //' a rank; rank 0 about ' //size_text(bytes_at_the_end(estimate))//' at the end; ' &
-      //'there are '//size_text(left%bytes)//' a rank ('//left%limit//')')
+      //size_text(left%bytes)//' a rank are available ('//left%limit//')')
     if (estimate%events > 0.0_dp) call print_line('            events take about ' &
       //size_text(estimate%events) //' of it; a run whose events outgrow the memory fails')
     if (estimate%too_large > 0) call print_line('            '//count_text(estimate%too_large, &
@@ -123,6 +123,7 @@ contains
       //' particles need more: their tasks will fail')
   end subroutine print_memory
 
+  !> Prints the parameters of a plan, scanned ones as ranges.
   subroutine print_parameters(plan)
     type(plan_type), intent(in) :: plan
     type(point_type) :: point
@@ -168,6 +169,7 @@ contains
 
   contains
 
+    !> Extends the ranges by the values of one point.
     subroutine widen_range(values)
       real(wp), intent(in) :: values(:)
 
@@ -196,7 +198,7 @@ contains
 
   end subroutine print_parameters
 
-  !> What kind of polygons the urns are.
+  !> Text for the kind of polygons that the urns are.
   function outline_text(plan) result(text)
     type(plan_type), intent(in) :: plan
     character(len=:), allocatable :: text
@@ -215,16 +217,16 @@ contains
     end do
   end function outline_text
 
-  !> Mean seconds a task will take, and collisions a second, from a few tasks spread over the
-  !> plan that are run for a short while. Time is that of a processor, so that other work on the
-  !> machine does not count.
+  !> Estimates the mean seconds per task, and collisions per second, from short runs of a few tasks
+  !> spread over the plan. Seconds are processor time, so that other work on the machine has no
+  !> effect.
   subroutine calibrate(plan, pending, most, seconds, rate, error)
     type(plan_type), intent(in) :: plan
-    !> Numbers of the tasks that are to be done.
+    !> Numbers of the pending tasks.
     integer, intent(in) :: pending(:)
-    !> Particles of the largest task that there is memory for; larger ones are passed over.
+    !> Number of particles of the largest task that fits into memory; larger tasks are skipped.
     integer, intent(in) :: most
-    !> Processor seconds a task; wall collisions a second.
+    !> Processor seconds per task; wall collisions per second.
     real(dp), intent(out) :: seconds, rate
     type(error_type), allocatable, intent(out) :: error
     type(task_type) :: task

@@ -1,4 +1,4 @@
-!> One rank reads and checks the input; the others get the plan from it.
+!> Reads and checks the input on one rank, and shares the plan with the others.
 module battery_plan_sharing
   use battery_kinds, only: wp
   use battery_communicator, only: communicator_type, share_error, share_words
@@ -14,14 +14,16 @@ module battery_plan_sharing
 
 contains
 
-  !> The plan that a namelist file describes, on all ranks. Rank 0 alone looks at files: a namelist
-  !> that comes through a pipe is there once. What its text does not say comes beside it.
+  !> Reads the plan of a namelist file, for all ranks. Only rank 0 accesses files: a namelist from a
+  !> pipe can be read only once. The others parse its text; contents of other files are sent
+  !> besides.
   subroutine read_plan_once(file, communicator, plan, error)
     !> Path of the namelist.
     character(len=*), intent(in) :: file
     type(communicator_type), intent(in) :: communicator
     type(plan_type), intent(out) :: plan
-    !> The same on all ranks; code `exit_bad_input`, or that of a run that a signal has stopped.
+    !> The input is invalid (code `exit_bad_input`), or a signal has stopped the run; the same error
+    !> on all ranks.
     type(error_type), allocatable, intent(out) :: error
     type(plan_type) :: found
     type(archive_type) :: archive
@@ -50,7 +52,7 @@ contains
     plan%base%urn1_number = count(plan%start%x < 0.0_wp)
   end subroutine read_plan_once
 
-  !> What rank 0 has read, through an archive.
+  !> Serialises what rank 0 has read: text, initial particles, and their fingerprint.
   pure subroutine serialize_input(plan, archive)
     type(plan_type), intent(inout) :: plan
     type(archive_type), intent(inout) :: archive

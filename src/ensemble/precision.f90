@@ -1,9 +1,11 @@
 !> Replicas until a precision is reached, in two stages (C. Stein, Ann. Math. Stat. 16, 243 (1945),
-!> doi:10.1214/aoms/1177731088): the first replicas of a point alone say how many it gets.
+!> doi:10.1214/aoms/1177731088): the first replicas of a point alone determine its number of
+!> replicas.
 !>
-!> With s from the n first ones, N in all and t of Student's distribution with n - 1 degrees of
-!> freedom, the mean of all lies within t s/sqrt(N) of the true one in 68 %: N depends on s and not
-!> on the mean. A rule that looked at every replica would stop when s is small by chance.
+!> With s the standard deviation of the n first replicas, N their total number and t of Student's
+!> distribution with n - 1 degrees of freedom, the mean over all replicas lies within t s/sqrt(N) of
+!> the true mean with probability 68 %: N depends on s and not on the mean. A rule that tested after
+!> every replica would stop when s is small by chance.
 module battery_precision
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use, intrinsic :: iso_c_binding, only: c_size_t
@@ -17,22 +19,22 @@ module battery_precision
   private
   public :: decide_replicas, has_two_states, cut_between_groups
 
-  !> Share of the normal distribution below one standard deviation.
+  !> Probability that a normal variable is less than one standard deviation above its mean.
   real(dp), parameter :: below_one = 0.841344746068543_dp
 
-  !> Two groups are two states if what is left of the variance within them is less than this share:
-  !> groups of equal size are more than six of their standard deviations apart. Of one normal
-  !> distribution 36 % are left, of a uniform one 25 %.
+  !> Two groups are two states if the variance within them is less than this fraction of the total
+  !> variance: groups of equal size are then more than six of their standard deviations apart. A
+  !> single normal distribution, cut in two, has 36 % within, a uniform one 25 %.
   real(dp), parameter :: within = 0.1_dp
 
 contains
 
-  !> How many replicas each point gets, from its first ones if all of them are complete.
+  !> Decides the number of replicas of each point whose first replicas are complete.
   subroutine decide_replicas(plan, results, wanted)
     type(plan_type), intent(in) :: plan
     !> Results, in which the status and the errors of each point are set.
     type(results_type), intent(inout) :: results
-    !> Number of replicas, (point).
+    !> Number of replicas of each point.
     integer, allocatable, intent(out) :: wanted(:)
     real(dp) :: factor, scatter(2), needed
     integer :: place(2), n, p, k
@@ -57,7 +59,7 @@ contains
         end associate
       end do
       results%point_status(p) = point_not_precise
-      ! Where there is no channel 2 its current is NaN, and no more replicas help.
+      ! Without channel 2 its current is NaN, and more replicas do not help.
       if (.not. any(asked .and. ieee_is_nan(scatter))) then
         needed = maxval((scatter/merge(real(plan%precision, dp), 1.0_dp, asked))**2, asked)
         if (needed <= plan%replicas) results%point_status(p) = point_precise
@@ -72,11 +74,11 @@ contains
     end do
   end subroutine decide_replicas
 
-  !> Whether values fall into two groups, each of one or more.
+  !> Whether values form two separate groups, each of one value or more.
   logical function has_two_states(values) result(yes)
     !> Values, finite, one or more.
     real(dp), intent(in) :: values(:)
-    !> Relative tolerance: equal values differ by at most this share of the greatest.
+    !> Relative tolerance: values that differ by at most this fraction of the greatest are equal.
     real(dp), parameter :: rounding = 1.0e-12_dp
     real(dp) :: cut
 
@@ -86,8 +88,9 @@ contains
       values > cut)) < within*squared_deviations(values)
   end function has_two_states
 
-  !> The greatest value of the lower group, where values are best cut into two. That takes
-  !> n d**2/(k (n - k)) off their squares, d the sum of the distances of the lowest k.
+  !> The greatest value of the lower group in the best division into two groups. A division reduces
+  !> the sum of squares by n d**2/(k (n - k)), with d the sum of the deviations of the lowest k
+  !> values.
   function cut_between_groups(values) result(cut)
     !> Values, finite, one or more.
     real(dp), intent(in) :: values(:)

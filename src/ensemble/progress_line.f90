@@ -1,7 +1,7 @@
 !> Progress of a running ensemble on standard output; texts for times and rates.
 !>
-!> On a terminal one line that is overwritten; in a log a plain line at intervals. Only
-!> rank 0 prints.
+!> On a terminal, one line is overwritten; in a log, lines are written at intervals. Only rank 0
+!> prints.
 module battery_progress_line
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds
@@ -15,25 +15,25 @@ module battery_progress_line
 
   !> State of the progress line.
   type :: progress_line_type
-    !> Whether anything is shown, and whether lines can be written over.
+    !> Whether anything is printed, and whether lines can be overwritten.
     logical :: speaks = .false., terminal = .false.
     real(dp) :: began = 0.0_dp, next = 0.0_dp
     logical :: line_open = .false.
-    !> Tasks of the ensemble.
+    !> Number of tasks of the ensemble.
     integer :: tasks = 0
   end type progress_line_type
 
   !> Seconds between two lines: on a terminal, in a log.
   real(dp), parameter :: terminal_interval = 0.2_dp, log_interval = 60.0_dp
 
-  !> Columns of the progress line: one that wraps cannot be written over.
+  !> Columns of the progress line: a line that wraps cannot be overwritten.
   integer, parameter :: screen_width = 79
 
 contains
 
-  !> A progress line that prints or is silent.
+  !> Makes a progress line, which prints or is silent.
   function new_progress_line(speaks, tasks) result(progress_line)
-    !> Whether anything is shown.
+    !> Whether anything is printed.
     logical, intent(in) :: speaks
     !> Number of tasks of the ensemble.
     integer, intent(in) :: tasks
@@ -47,9 +47,9 @@ contains
       progress_line%terminal)
   end function new_progress_line
 
-  !> Tells how far the ensemble is, if it is time to: tasks finished of all, and the collisions a
-  !> second. This rank's task is done to `share` (0 to 1); the tasks of the other ranks are taken to
-  !> be as far.
+  !> Prints the progress of the ensemble, if a line is due: tasks finished, total, and collisions
+  !> per second. `share` is the completed fraction of this rank's task (0 to 1), which is assumed
+  !> for the tasks of the other ranks too.
   subroutine show_progress(progress_line, task_queue, share)
     type(progress_line_type), intent(inout) :: progress_line
     type(task_queue_type), intent(in) :: task_queue
@@ -82,7 +82,7 @@ contains
     end if
   end subroutine show_progress
 
-  !> A bar as wide as there is room for, within reason, with two blanks behind it.
+  !> A bar for a fraction, as wide as `room` allows, up to a limit, followed by two blanks.
   pure function bar_of(share, room) result(text)
     real(dp), intent(in) :: share
     integer, intent(in) :: room
@@ -105,7 +105,7 @@ contains
     progress_line%line_open = .false.
   end subroutine clear_progress_line
 
-  !> A time as a reader would say it: `8 s`, `3 min 20 s`, `2 h 05 min`.
+  !> A duration in the largest suitable units: `8 s`, `3 min 20 s`, `2 h 05 min`.
   pure function duration_text(seconds) result(text)
     !> Time in seconds; a negative one is shown as 0.
     real(dp), intent(in) :: seconds

@@ -1,4 +1,4 @@
-!> What a program was made of and how it was called: for `--version`, and for results files.
+!> Build and command line of the program: for `--version`, and for results files.
 module battery_provenance
   use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
   use battery_build_information, only: program_version, git_commit
@@ -13,7 +13,7 @@ module battery_provenance
 
 contains
 
-  !> Adds attributes that say what the program was made of.
+  !> Adds attributes that describe the build: version, commit, compiler, libraries.
   subroutine add_build_metadata(metadata)
     type(metadata_type), intent(inout) :: metadata
 
@@ -27,7 +27,7 @@ contains
     call add_text_metadata(metadata, 'gsl_library', gsl_library())
   end subroutine add_build_metadata
 
-  !> Name, version and commit, and below them the same attributes, one a line.
+  !> Text of `--version`: name, version and commit, then the attributes of the build, one per line.
   function version_text() result(text)
     character(len=:), allocatable :: text
     type(metadata_type) :: metadata

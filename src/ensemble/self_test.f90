@@ -1,7 +1,7 @@
-!> `battery --self-test`: whether what is installed works, in seconds, without a file beside the
-!> program. Every rank runs every frozen log by every engine that found it, since nodes may have
-!> other processors and other libraries. Then all ranks run an ensemble together, whose results file
-!> is written, read back and held against the same log.
+!> `battery --self-test`: tests the installation in seconds, without any file besides the program.
+!> Every rank repeats every frozen log with every engine that must find its events, since nodes may
+!> have different processors and libraries. Then all ranks run an ensemble together, whose results
+!> file is written, read and compared with the same log.
 module battery_self_test
   use battery_communicator, only: communicator_type, share_error, share_text
   use battery_build_information, only: program_version, git_commit
@@ -26,7 +26,7 @@ module battery_self_test
   private
   public :: run_self_test
 
-  !> Tasks of the ensemble for each rank.
+  !> Number of tasks of the ensemble per rank.
   integer, parameter :: tasks_a_rank = 2
 
 contains
@@ -35,7 +35,7 @@ contains
   subroutine run_self_test(communicator, error)
     !> All ranks of the program.
     type(communicator_type), intent(in) :: communicator
-    !> How many tests failed; the same on all ranks.
+    !> Some tests failed; the same error on all ranks.
     type(error_type), allocatable, intent(out) :: error
     type(frozen_log_type) :: circuit
     integer :: tests, failed
@@ -63,8 +63,9 @@ contains
 
   contains
 
+    !> Repeats a log with several engines.
     subroutine test_engines(name, lines, engines)
-      !> Name of the table; its log; the engines that found it.
+      !> Name of the table; lines of the log; names of the engines that must find its events.
       character(len=*), intent(in) :: name, lines(:), engines(:)
       type(frozen_log_type) :: log
       type(error_type), allocatable :: difference
@@ -82,7 +83,7 @@ contains
       end do
     end subroutine test_engines
 
-    !> Rank 0 prints how a test ended, which is then forgotten.
+    !> Prints the outcome of a test on rank 0, and clears its problem.
     subroutine print_outcome(what, problem)
       character(len=*), intent(in) :: what
       type(error_type), allocatable, intent(inout) :: problem
@@ -102,12 +103,12 @@ contains
 
   end subroutine run_self_test
 
-  !> Runs an ensemble of the particles of a log, in the present folder. Each of its tasks must end
-  !> where the log ends, as the results file has it.
+  !> Runs an ensemble with the particles of a log, in the working directory. In the results file,
+  !> the final state of each task must be that of the log.
   subroutine test_ensemble_file(communicator, log, error)
     type(communicator_type), intent(in) :: communicator
     type(frozen_log_type), intent(in) :: log
-    !> What is wrong; the same on all ranks.
+    !> The test failed; the same error on all ranks.
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: other
     type(plan_type) :: plan
@@ -119,7 +120,7 @@ contains
     call parse_namelist(namelist_of(log, name, tasks_a_rank*communicator%size), &
       'battery --self-test', plan, error)
     if (allocated(error)) return
-    ! What reading the initial file would have set; its fingerprint need only be one.
+    ! As if read from an initial file; any fingerprint except 0 will do.
     plan%start = log%start
     plan%base%urn1_number = count(log%start%x < 0.0_wp)
     plan%initial_fingerprint = 1_int64
@@ -130,14 +131,14 @@ contains
     if (communicator%rank == 0) then
       if (.not. allocated(error)) call compare_with_log(name, log, tasks_a_rank*communicator%size, &
         error)
-      ! After an error they may not be there, or may be what is wrong.
+      ! After an error, the files may be missing, or may be the cause of the error.
       call remove_journal(name//'.tasks', other)
       call remove_file(name, other)
     end if
     call share_error(communicator, error)
   end subroutine test_ensemble_file
 
-  !> The run of a log as a namelist.
+  !> Text of a namelist for the run of a log.
   function namelist_of(log, name, replicas) result(text)
     type(frozen_log_type), intent(in) :: log
     !> Name of the results file.
@@ -160,7 +161,7 @@ contains
     end associate
   end function namelist_of
 
-  !> Reads a results file back and holds it against a log.
+  !> Reads a results file and compares it with a log.
   subroutine compare_with_log(name, log, replicas, error)
     character(len=*), intent(in) :: name
     type(frozen_log_type), intent(in) :: log

@@ -1,4 +1,4 @@
-!> The start of an ensemble: what is there already, and which tasks are still to be done.
+!> The start of an ensemble: finds existing results, and the tasks that are pending.
 module battery_startup
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
@@ -22,40 +22,40 @@ module battery_startup
   private
   public :: find_pending_tasks, progress_type, inspect_output, further_text
 
-  !> How far an ensemble is.
+  !> Progress of an ensemble.
   type :: progress_type
-    !> Whether the results file is as it should be.
+    !> Whether the results file is complete.
     logical :: complete = .false.
-    !> Tasks that are finished.
+    !> Number of finished tasks.
     integer :: finished = 0
-    !> Numbers of the tasks that are known to be needed and are still to be done.
+    !> Numbers of the tasks that are known to be needed and are not finished.
     integer, allocatable :: pending(:)
-    !> Tasks that may come on top of them, at most, where a precision is asked for.
+    !> Largest number of tasks that may be needed besides, if a precision is required.
     integer :: further = 0
-    !> How many of them will, if points get as many replicas as those whose number is known do on
-    !> average; below 0: none is known.
+    !> Expected number of these, if undecided points get as many replicas as the others on average;
+    !> below 0 if no point is decided.
     real(dp) :: expected = -1.0_dp
   end type progress_type
 
-  !> What can be done about a file that stands where the results are to go.
+  !> Advice for the user if another file has the name of the results file.
   character(len=*), parameter :: leave_it = ', but is there already; name another output file, ' &
     //'move it away, or discard it with --overwrite'
 
 contains
 
-  !> Rank 0 looks at what is there: results that are complete, a journal to go on with, or neither.
+  !> Finds the pending tasks: rank 0 inspects the results file and the journal, if they exist.
   subroutine find_pending_tasks(plan, communicator, overwrite, quiet, journal, pending, complete, &
     error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
-    !> Whether to discard what is there; whether rank 0 says nothing.
+    !> Whether to discard existing results; whether rank 0 prints nothing.
     logical, intent(in) :: overwrite, quiet
     type(journal_type), intent(out) :: journal
-    !> Numbers of the tasks to be done, longest first, on rank 0; empty on the others.
+    !> Numbers of the pending tasks, longest first, on rank 0; empty on the others.
     integer, allocatable, intent(out) :: pending(:)
-    !> Whether nothing is left to be done.
+    !> Whether no task is pending.
     logical, intent(out) :: complete
-    !> The same on all ranks; code `exit_bad_input` where something else is in the way.
+    !> The same error on all ranks; code `exit_bad_input` if existing files are of another input.
     type(error_type), allocatable, intent(out) :: error
     integer(int64), allocatable :: shared(:)
     integer :: rank_files
@@ -74,8 +74,8 @@ contains
       communicator%size)
   end subroutine find_pending_tasks
 
-  !> Which tasks are pending, and how many rank files earlier starts have; begins the journal of a
-  !> start with so many ranks if there is something to do.
+  !> Finds the pending tasks, and the number of rank files of earlier starts; if there are pending
+  !> tasks, begins the journal of a start with `ranks` ranks.
   subroutine begin_on_rank0(plan, ranks, overwrite, quiet, complete, rank_files, pending, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks
@@ -108,13 +108,13 @@ contains
     end if
   end subroutine begin_on_rank0
 
-  !> How far an ensemble is, by what is there; writes nothing.
+  !> Determines the progress of an ensemble from its results file and its journal; writes nothing.
   subroutine inspect_output(plan, progress, remark, error)
     type(plan_type), intent(in) :: plan
     type(progress_type), intent(out) :: progress
-    !> What a user should know of it; may be empty.
+    !> Remark for the user; may be empty.
     character(len=:), allocatable, intent(out) :: remark
-    !> Code `exit_bad_input` where something else is in the way.
+    !> Existing files are of another input; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: damage
     type(journal_type) :: journal
@@ -160,7 +160,7 @@ contains
       //further_text(progress)
   end subroutine inspect_output
 
-  !> How many tasks may come on top of those that are known to be needed; empty: none.
+  !> Text for the number of tasks that may be needed besides those known to be needed; empty: none.
   function further_text(progress) result(text)
     type(progress_type), intent(in) :: progress
     character(len=:), allocatable :: text
@@ -170,10 +170,10 @@ contains
       //' more as the first replicas tell'
   end function further_text
 
-  !> What points may still ask for whose first replicas are not complete.
+  !> Estimates the number of tasks of points whose first replicas are not complete.
   pure subroutine estimate_further_tasks(plan, decided, wanted, progress)
     type(plan_type), intent(in) :: plan
-    !> Whether it is known how many replicas a point gets, and how many are known; (point).
+    !> Whether the number of replicas of each point is decided.
     logical, intent(in) :: decided(:)
     integer, intent(in) :: wanted(:)
     type(progress_type), intent(inout) :: progress
@@ -185,7 +185,8 @@ contains
       - plan%first_replicas)
   end subroutine estimate_further_tasks
 
-  !> Notes in the journal that so many ranks start, after so many rank files of earlier ones.
+  !> Begins the journal of a start with `ranks` ranks, after `rank_files` rank files of earlier
+  !> starts.
   subroutine open_journal(plan, ranks, rank_files, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks, rank_files
@@ -208,14 +209,14 @@ contains
     folder = plan%file//'.tasks'
   end function journal_folder
 
-  !> Results that are there must be of this input, or of one that it goes on with.
+  !> Inspects the results file, which must be of this input, or of one that this input extends.
   subroutine inspect_results_file(plan, complete, damage, error)
     type(plan_type), intent(in) :: plan
-    !> Whether nothing is left to be done.
+    !> Whether no task is pending.
     logical, intent(out) :: complete
-    !> What a results file cannot be read for.
+    !> Reason for which the results file cannot be read.
     type(error_type), allocatable, intent(out) :: damage
-    !> Code `exit_bad_input`: they are of another input, or what is there is no results file.
+    !> The file is of another input, or no results file; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: version, before, status, fingerprint
     integer(int64) :: initial_fingerprint
@@ -244,15 +245,15 @@ contains
     end if
   end subroutine inspect_results_file
 
-  !> A journal must be of this input, or of one that it goes on with; if its plan is damaged, its
-  !> other files must not say that they are of another.
+  !> Inspects the journal, which must be of this input, or of one that this input extends; if its
+  !> plan is damaged, its records must not belong to another input.
   subroutine inspect_journal(plan, complete, found, error)
     type(plan_type), intent(in) :: plan
-    !> Whether there are complete results, so that the journal is left over.
+    !> Whether the results file is complete, so that the journal is not needed any more.
     logical, intent(in) :: complete
     !> Whether there is a journal with a plan.
     logical, intent(out) :: found
-    !> Code `exit_bad_input`: it is of another input.
+    !> The journal is of another input; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: before
     integer(int64) :: initial_fingerprint
@@ -275,13 +276,13 @@ contains
     end if
   end subroutine inspect_journal
 
-  !> A run goes on with what was made before if all tasks of that input are its own; not with one of
-  !> another input, nor of an initial file that has changed.
+  !> An error unless the plan has all tasks of an earlier input, so that their results can be used;
+  !> the initial file must be the same, too.
   subroutine compare_inputs(plan, before, initial_fingerprint, same, error)
     type(plan_type), intent(in) :: plan
     character(len=*), intent(in) :: before
     integer(int64), intent(in) :: initial_fingerprint
-    !> Whether it has no other tasks.
+    !> Whether the plan has no other tasks than the earlier input.
     logical, intent(out) :: same
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: keys
@@ -312,7 +313,7 @@ contains
 
     call parse_namelist(before, plan%file, old, error)
     yes = .not. allocated(error)
-    ! Without a precision all replicas are asked for.
+    ! Without a precision all replicas are needed.
     if (yes) yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
       >= old%first_replicas .and. (all(is_finer(plan%precision, old%precision)) &
       .or. .not. any(plan%precision > 0.0_wp))
@@ -326,7 +327,7 @@ contains
     end do
   end function has_all_of
 
-  !> Whether a precision is as fine as that of before, or finer; 0: any will do.
+  !> Whether a required error is at most the one required before; 0: none is required.
   elemental logical function is_finer(precision, before) result(yes)
     real(wp), intent(in) :: precision, before
 

@@ -1,4 +1,4 @@
-!> The summary at the end of a run: what came out, and how the ranks were used.
+!> The summary at the end of a run: averages, errors, failed tasks, and the load of the ranks.
 module battery_summary
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: dp, int64
@@ -17,26 +17,27 @@ module battery_summary
   private
   public :: print_summary
 
-  !> With so few tasks each is shown; with so few points each with its replicas.
+  !> Up to this many tasks are printed one by one; up to this many points, with averages over their
+  !> replicas.
   integer, parameter :: most_rows = 12
 
 contains
 
-  !> Prints what came out, and which tasks failed and why; `busy` is the least, mean and greatest
-  !> share of the time that a rank spent in tasks.
+  !> Prints the averages, and the tasks that failed, with reasons; `busy` is the least, mean and
+  !> greatest fraction of the time that a rank spent in tasks.
   subroutine print_summary(plan, results, failures, ranks, busy, seconds, collisions, all_done, &
       quiet)
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
-    !> Why a task failed, (task); not allocated where it did not.
+    !> Reason for which each task failed; not allocated for the others.
     type(string_type), intent(in) :: failures(:)
     !> Number of ranks.
     integer, intent(in) :: ranks
-    !> Least, mean and greatest share of time in tasks; duration of the run in seconds.
+    !> Least, mean and greatest fraction of time in tasks; duration of the run in seconds.
     real(dp), intent(in) :: busy(3), seconds
     !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
-    !> Whether no task is left; whether to print errors only.
+    !> Whether no task is pending; whether to print errors only.
     logical, intent(in) :: all_done, quiet
     integer :: point, replica, done, task
 
@@ -78,7 +79,7 @@ contains
     call print_line('results: '//plan%file)
   end subroutine print_summary
 
-  !> Whether an average of a complete task has no error though it should have one.
+  !> Whether any average of a complete task lacks the error that it should have.
   pure logical function some_too_short(results)
     type(results_type), intent(in) :: results
     type(quantity_type), allocatable :: list(:)
@@ -93,7 +94,7 @@ contains
     end do
   end function some_too_short
 
-  !> Numbers of the points that stand as `status` says, with what that means.
+  !> Prints the numbers of the points with a given status, and its meaning.
   subroutine list_points(results, status, meaning)
     type(results_type), intent(in) :: results
     integer, intent(in) :: status
@@ -109,7 +110,7 @@ contains
     if (text /= '') call print_line(meaning//', points (from 0):'//text)
   end subroutine list_points
 
-  !> A run by collisions may end before the time of a snapshot.
+  !> Prints a line if runs with a given number of collisions ended before their last snapshot.
   subroutine print_missing_snapshots(results)
     type(results_type), intent(in) :: results
 
@@ -118,7 +119,7 @@ contains
       //'ended before the last of snapshot_times: the later snapshots are NaN')
   end subroutine print_missing_snapshots
 
-  !> The task that took the most time of a processor.
+  !> Prints the task with the most processor time.
   subroutine print_slowest(results)
     type(results_type), intent(in) :: results
     real(dp), allocatable :: cpu_seconds(:, :)
@@ -135,8 +136,8 @@ contains
     end associate
   end subroutine print_slowest
 
-  !> Each point of which two replicas or more are complete: averages over them, and the standard
-  !> errors from their scatter.
+  !> Prints, for each point with two complete replicas or more, averages over the replicas and their
+  !> standard errors from the scatter.
   subroutine print_points(results)
     type(results_type), intent(in) :: results
     character(len=*), parameter :: shown(2) = [character(len=17) :: 'chi', 'polarised_current']
@@ -174,7 +175,7 @@ contains
     if (allocated(results%point_status)) in_two_states = results%point_status(p) == point_two_states
   end function in_two_states
 
-  !> Both states of such a point, in place of a mean that no replica has.
+  !> Text for both states of such a point, in place of a mean that no replica has.
   function states_text(results, p) result(text)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p
@@ -210,7 +211,7 @@ contains
     call print_line(line_head(results, p, r)//pairs_text(pairs))
   end subroutine print_task_row
 
-  !> How the line of a point begins; `which` is the replica, or how many.
+  !> Beginning of the line of a point; `which` is the replica, or the number of replicas.
   pure function line_head(results, p, which) result(text)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, which
@@ -221,7 +222,7 @@ contains
       //number_text(results%point(p)%channel(ungated)%width, 11, 6)//whole_text(which, 10)
   end function line_head
 
-  !> A whole number in `width` places, or a blank and as many as it needs.
+  !> An integer in `width` columns, or, if it does not fit, a blank and the integer.
   pure function whole_text(number, width) result(text)
     integer, intent(in) :: number, width
     character(len=:), allocatable :: text
@@ -229,7 +230,7 @@ contains
     text = repeat(' ', max(1, width - len(to_text(number))))//to_text(number)
   end function whole_text
 
-  !> chi, then currents, each with its error, as (value and error, quantity).
+  !> Text for chi and the currents, each with its error; (value and error, quantity).
   pure function pairs_text(pairs) result(text)
     real(dp), intent(in) :: pairs(:, :)
     character(len=:), allocatable :: text
@@ -241,8 +242,8 @@ contains
     text = trim(row)
   end function pairs_text
 
-  !> A number in `width` places, `digits` of them after the point; with an exponent if it is too
-  !> large for that, or so small that nothing of it would be seen.
+  !> A number in `width` columns with `digits` decimals; with an exponent if it is too large for
+  !> that, or so small that no digit would be visible.
   pure function number_text(number, width, digits) result(text)
     real(dp), intent(in) :: number
     integer, intent(in) :: width, digits

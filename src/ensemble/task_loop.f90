@@ -1,4 +1,4 @@
-!> What each rank does in an ensemble: task after task, until none is left or all must stop.
+!> The loop of each rank over the tasks of an ensemble, until none is left or all ranks must stop.
 module battery_task_loop
   use battery_kinds, only: dp, int64
   use battery_clocks, only: wall_seconds, cpu_seconds, utc_seconds, sleep_for
@@ -30,7 +30,8 @@ module battery_task_loop
 
   !> Timers and the stop flag that a running task checks between windows.
   type :: monitor_type
-    !> How often states are saved, and when next, in seconds of `wall_seconds`.
+    !> Interval between saved states in seconds; time of the next one, and of the next read of the
+    !> task queue, on the clock of `wall_seconds`.
     real(dp) :: checkpoint_interval = huge(1.0_dp)
     real(dp) :: next_checkpoint = huge(1.0_dp)
     real(dp) :: next_look = 0.0_dp
@@ -42,23 +43,24 @@ module battery_task_loop
     real(dp) :: busy = 0.0_dp
   end type monitor_type
 
-  !> Windows between two looks at the clock, for as many particles or fewer.
+  !> Windows between two readings of the clock, for up to `few_particles` particles.
   integer, parameter :: windows_between_looks = 16, few_particles = 2000
 
-  !> Seconds between two reads of the task queue: this long, or so long that all ranks together read
-  !> it this often a second, or that looking takes this share of the time, but no longer than this.
+  !> Seconds between two reads of the task queue: `look_interval`, or longer, so that all ranks
+  !> together read at most `looks_a_second` times a second and spend at most the fraction
+  !> `look_share` of their time on it, but at most `longest_interval`.
   real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, look_share = 0.005_dp, &
     longest_interval = 5.0_dp
 
 contains
 
-  !> One rank's part: runs tasks from the queue until none is left.
+  !> Runs tasks from the queue on this rank until none is left.
   subroutine run_tasks(plan, journal, task_queue, monitor, quiet, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(inout) :: journal
     type(task_queue_type), intent(in) :: task_queue
     type(monitor_type), intent(inout) :: monitor
-    !> Whether nothing is shown.
+    !> Whether nothing is printed.
     logical, intent(in) :: quiet
     type(error_type), allocatable, intent(out) :: error
     type(task_result_type) :: found
@@ -82,12 +84,12 @@ contains
     end do
     ! All results of this rank must be on the disk.
     if (.not. allocated(error)) call sync_finished(journal, error)
-    ! Its rank 0 may have ended, so no message is sent to it.
+    ! Rank 0 may have ended, so no message is sent to it.
     if (allocated(error) .and. is_lock_lost(journal%lock)) then
       call print_error(error%message)
       call exit_process(exit_failure)
     end if
-    ! The others must not wait for a rank that has failed.
+    ! The other ranks must not wait for a rank that has failed.
     if (allocated(error)) then
       call add_to_counter(task_queue, stop_wanted, 1_int64)
     else
@@ -97,7 +99,7 @@ contains
 
   contains
 
-    !> Whether the run ends here; the first rank to know informs the others.
+    !> Whether the run must stop; the first rank with a request informs the others.
     function stop_is_wanted() result(stopping)
       logical :: stopping
 
@@ -107,7 +109,7 @@ contains
       if (stopping) call add_to_counter(task_queue, stop_wanted, 1_int64)
     end function stop_is_wanted
 
-    !> A rank without a task still hears signals, and leaves the processor to those that have one.
+    !> Waits, without using the processor, until all tasks are finished; still notices signals.
     subroutine wait_for_others()
       real(dp), parameter :: nap = 0.005_dp
       real(dp) :: next_look
@@ -127,12 +129,11 @@ contains
   end subroutine run_tasks
 
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
-  !> What goes wrong in the task itself becomes a failed result; `error` is for the journal's
-  !> troubles.
+  !> An error of the task itself becomes a failed result; `error` is an error of the journal.
   subroutine run_task(task, start, journal, task_queue, monitor, progress_line, found, stopped, &
     error)
     type(task_type), intent(in) :: task
-    !> What the initial file says; no arrays: there is none.
+    !> Particles of the initial file; arrays are not allocated if there is none.
     type(particles_type), intent(in) :: start
     type(journal_type), intent(inout) :: journal
     type(task_queue_type), intent(in) :: task_queue
@@ -175,7 +176,7 @@ contains
       monitor%next_checkpoint = wall_seconds() + monitor%checkpoint_interval
     end do
     monitor%busy = monitor%busy + wall_seconds() - began
-    ! A task that was stopped before it had a state begins anew.
+    ! A task that was stopped before its state was saved starts again.
     if (allocated(failure)) stopped = failure%code == exit_stopped_early
     if (stopped .or. allocated(error)) return
     if (.not. allocated(failure)) call verify_simulation(simulation, failure)
@@ -188,7 +189,7 @@ contains
 
   contains
 
-    !> Adds finished collisions to the queue's counter, and reads whether to stop.
+    !> Adds the collisions since the last call to the queue's counter, and reads whether to stop.
     subroutine exchange_with_queue()
       real(dp) :: now, after
 
@@ -204,6 +205,7 @@ contains
 
   end subroutine run_task
 
+  !> Advances a simulation by several windows, between two readings of the clock.
   subroutine advance_some_windows(simulation)
     type(simulation_type), intent(inout) :: simulation
     integer :: window

@@ -17,25 +17,25 @@ module battery_task_result
   private
   public :: task_result_type, result_of, failed_result, to_record, from_record
 
-  !> What one task has measured, with its output, or why it could not.
+  !> Measurements and output of one task, or the reason for its failure.
   type, extends(task_output_type) :: task_result_type
-    !> Number of the task, from 1, and how it ended.
+    !> Number of the task, from 1, and its status.
     integer :: task = 0
     integer :: status = task_not_done
     !> `task_type%task_id` of the task.
     integer(int64) :: task_id = 0
-    !> Why it failed, and on which machine it ran.
+    !> Reason for its failure; name of the machine that it ran on.
     character(len=:), allocatable :: message, host
     type(measured_type) :: measured
   end type task_result_type
 
 contains
 
-  !> The result of a simulation that is done.
+  !> Result of a finished simulation.
   function result_of(task, simulation, cpu_seconds, begun) result(found)
     type(task_type), intent(in) :: task
     type(simulation_type), intent(in) :: simulation
-    !> Processor time spent on the task; its start here, on the clock of `utc_seconds`.
+    !> Processor seconds of the task; its start, or last restart, on the clock of `utc_seconds`.
     real(dp), intent(in) :: cpu_seconds, begun
     type(task_result_type) :: found
     type(particles_type) :: particles
@@ -71,22 +71,23 @@ contains
     n = 4_int64*simulation%engine%number
     allocate (found%snapshots(n*size(simulation%snapshot)), source=unknown_real())
     do k = 1, simulation%snapshots_taken
-      found%snapshots(n*(k - 1) + 1:n*k) = flat(simulation%snapshot(k))
+      found%snapshots(n*(k - 1) + 1:n*k) = flattened_states(simulation%snapshot(k))
     end do
     if (task%final_state) then
       call simulation%engine%get_particles(1, simulation%engine%number, particles)
-      found%final_state = flat(particles)
+      found%final_state = flattened_states(particles)
     end if
   end function result_of
 
-  pure function flat(particles) result(array)
+  !> States of particles as one array: x, y, u_x, u_y of all of them, in this order.
+  pure function flattened_states(particles) result(array)
     type(particles_type), intent(in) :: particles
     real(dp), allocatable :: array(:)
 
     array = real([particles%x, particles%y, particles%ux, particles%uy], dp)
-  end function flat
+  end function flattened_states
 
-  !> The result of a task that could not be done, with the reason.
+  !> Result of a failed task, with the reason.
   function failed_result(task, message) result(failed)
     type(task_type), intent(in) :: task
     !> Why the task failed.
@@ -103,7 +104,7 @@ contains
 
   !> A result as a record.
   function to_record(found) result(record)
-    !> Result of a task, however that ended.
+    !> Result of a task, successful or failed.
     type(task_result_type), intent(in) :: found
     type(record_type) :: record
     type(task_result_type) :: copy
@@ -117,13 +118,13 @@ contains
     record%word = archive%word(:archive%length)
   end function to_record
 
-  !> The result that a record is. A good record may still be a plan or a state under another name,
-  !> or of a program that measured something else.
+  !> Makes a result of a record. A valid record may still be a plan or a state under another name,
+  !> or belong to a program with other quantities.
   subroutine from_record(record, found, is_one)
     type(record_type), intent(in) :: record
-    !> What the record says, if it is one.
+    !> Result, if the record is one.
     type(task_result_type), intent(out) :: found
-    !> Whether it is a result.
+    !> Whether the record is a result.
     logical, intent(out) :: is_one
     type(archive_type) :: archive
 

@@ -1,7 +1,7 @@
 !> The tasks of a plan: every parameter point of the scan, each with all its replicas.
 !>
-!> Tasks are numbered from 1; the replica varies fastest. What a task is depends on the plan and its
-!> number alone, so any rank can make it at any time, and no list of tasks is kept.
+!> Tasks are numbered from 1; the replica varies fastest. A task follows from the plan and its
+!> number alone, so any rank can make it at any time, and no list of tasks is stored.
 module battery_tasks
   use battery_kinds, only: wp, int64, pi
   use battery_engine, only: particles_type
@@ -16,7 +16,7 @@ module battery_tasks
   public :: task_type, task_count, task_of, sort_longest_first, initial_particles
   public :: task_index_type, task_index_of, task_number_of, task_id_in_results
 
-  !> One task: a point of the scan, one of its replicas.
+  !> One task: a replica of a point of the scan.
   type :: task_type
     !> Number of the task from 1; its point and replica.
     integer :: task = 0, point = 0, replica = 0
@@ -27,17 +27,17 @@ module battery_tasks
     logical :: final_state = .false.
   end type task_type
 
-  !> Tasks of a plan by their identifiers: a hash table that is at most partly filled.
+  !> Numbers of the tasks of a plan by their identifiers: a hash table that is never full.
   type :: task_index_type
     private
     integer(int64), allocatable :: task_id(:)
-    !> Numbers of the tasks; 0 where there is none.
+    !> Number of the task in each slot; 0 if the slot is empty.
     integer, allocatable :: number(:)
   end type task_index_type
 
 contains
 
-  !> How many tasks a plan has: points times replicas.
+  !> Number of tasks of a plan: points times replicas.
   pure function task_count(plan) result(count)
     type(plan_type), intent(in) :: plan
     integer :: count
@@ -66,13 +66,13 @@ contains
   !> Task identifier, reconstructed from the seed in a results file and the plan it was made from.
   integer(int64) function task_id_in_results(plan, seed) result(task_id)
     type(plan_type), intent(in) :: plan
-    !> Seed, as in the results file.
+    !> Seed in the results file.
     integer(int64), intent(in) :: seed
 
     task_id = task_id_with(seed, plan, plan%final_state)
   end function task_id_in_results
 
-  !> All tasks of a plan.
+  !> Makes the index of all tasks of a plan.
   function task_index_of(plan) result(task_index)
     type(plan_type), intent(in) :: plan
     type(task_index_type) :: task_index
@@ -98,7 +98,7 @@ contains
     number = task_index%number(slot_of(task_index, task_id))
   end function task_number_of
 
-  !> Slot of a task in the hash table: the one that it has, or would get.
+  !> Slot of a task in the hash table: its slot if it is there, else the empty slot for it.
   pure integer function slot_of(task_index, task_id) result(at)
     type(task_index_type), intent(in) :: task_index
     integer(int64), intent(in) :: task_id
@@ -112,9 +112,9 @@ contains
     end do
   end function slot_of
 
-  !> What a task is expected to cost, in units of a wall collision. A visit to an urn costs as much
-  !> as so many collisions besides its own (measured: 70 ns against 2 ns); how many visits there are
-  !> follows from the widths. Systems that leave the cache are dearer.
+  !> Expected cost of a task, in units of a wall collision. A visit to an urn has a fixed cost of
+  !> many collisions besides its own (measured: 70 ns against 2 ns); the number of visits follows
+  !> from the widths. Systems that exceed the cache cost more.
   pure function cost_of(plan, task) result(cost)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: task
@@ -136,10 +136,10 @@ contains
     cost = cost*(1.0_wp + 0.1_wp*log(real(point%number, wp)))
   end function cost_of
 
-  !> Orders tasks by their expected cost, the dearest first, else as they are.
+  !> Sorts tasks by their expected cost, the greatest first; tasks of equal cost keep their order.
   pure subroutine sort_longest_first(plan, tasks)
     type(plan_type), intent(in) :: plan
-    !> Their numbers, in any order.
+    !> Numbers of the tasks.
     integer, intent(inout) :: tasks(:)
     real(wp) :: cost(size(tasks))
     integer :: k
@@ -182,10 +182,11 @@ contains
     end do
   end subroutine sort_by_cost
 
-  !> Initial positions and velocities of the particles of a task.
+  !> Makes the initial positions and velocities of the particles of a task.
   subroutine initial_particles(task, start, particles, error)
     type(task_type), intent(in) :: task
-    !> What the initial file says; no arrays: at random.
+    !> Particles of the initial file; if the arrays are not allocated, particles are drawn at
+    !> random.
     type(particles_type), intent(in) :: start
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error

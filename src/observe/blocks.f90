@@ -1,8 +1,8 @@
 !> Standard errors from block averages of a time series whose length is not known beforehand.
 !>
 !> **Blocks.** Averages over blocks of equal length are stored. When there are `most_blocks`,
-!> neighbours are merged, and blocks become twice as long: at the end there are at least half that
-!> many.
+!> adjacent blocks are merged, and blocks become twice as long: at the end there are at least
+!> `most_blocks`/2.
 !>
 !> **Error.** The variance of the mean over a run is the spectral density of the series at
 !> frequencies below one over the run. So the standard error is computed from the slowest components
@@ -11,14 +11,14 @@
 !> orthogonal to each other and to the mean, and of equal variance where the spectrum is flat
 !> (Lazarus, Lewis, Stock and Watson, J. Bus. Econ. Stat. 36, 541 (2018)).
 !>
-!> **Long memory.** If memories have all lengths, as with particles that circulate, the spectrum
-!> still rises below the slowest component, which alone would be too small. So the spectrum is
-!> extrapolated: it rises from the slowest two components to frequency 0 by as much as it rose from
-!> the faster ones to these two; if it did not rise, the mean of the two is taken. A factor accounts
-!> for the scatter of so few components, as in Student's t.
+!> **Long memory.** If correlations decay slowly, as with particles that circulate, the spectrum
+!> still rises below the slowest component, which alone would underestimate the error. So the
+!> spectrum is extrapolated: it rises from the slowest two components to frequency 0 by as much as
+!> it rose from the faster ones to these two; if it did not rise, the mean of the two is taken. A
+!> factor accounts for the scatter of so few components, as in Student's t.
 !>
-!> **Skewness.** If rare events make up the mean, a run that has seen few of them underestimates
-!> both the mean and the components. So the square of the error grows with the squared skewness of
+!> **Skewness.** If the mean is dominated by rare events, a run with few of them underestimates both
+!> the mean and the components. So the square of the error increases with the squared skewness of
 !> the blocks, by a factor of two at most.
 !>
 !> A run that is no longer than its memory has nearly all of its variance in the slowest two
@@ -44,7 +44,7 @@ module battery_blocks
 
 contains
 
-  !> Adds the average over the block just completed; merges the blocks when there are `most_blocks`.
+  !> Adds the average over a complete block; merges adjacent blocks when there are `most_blocks`.
   pure subroutine add_block(blocks, average)
     type(blocks_type), intent(inout) :: blocks
     !> In the unit of the quantity.
@@ -141,8 +141,8 @@ contains
     error = unknown_real()
     n = size(values)
     if (n < 2) return
-    ! Stored before they are summed: otherwise the last bit would depend on which products are fused
-    ! with sums, and so on the length of the processor's vectors.
+    ! The squares are stored before they are summed: otherwise the last bit would depend on which
+    ! products are fused with sums, and so on the length of the processor's vectors.
     squares = (values - sum(values)/n)**2
     error = sqrt(sum(squares)/(real(n, dp)*real(n - 1, dp)))
   end function error_of_mean

@@ -1,8 +1,8 @@
-!> What is measured while an engine runs: mass spread, flows, and their time series.
+!> Measurements while an engine runs: mass spread, flows, and their time series.
 !>
-!> An observer reads the event record of each window. It follows N1 from crossing to crossing, so
-!> time averages are exact integrals over the windows. Averages count from `begin_measuring` on, the
-!> series from the start. Source: mass spread eq. (mass), net current eq. (netJ), with its sign:
+!> An observer reads the event record of each window. It updates N1 at each crossing, so time
+!> averages are exact integrals over the windows. Averages start at `begin_measuring`, the series at
+!> the start of the run. Source: mass spread eq. (mass), net current eq. (netJ), with its sign:
 !> (n12 - n21)/t.
 !>
 !> **Polarised current.** A crossing from the fuller half to the emptier one counts 1, one in the
@@ -13,10 +13,10 @@
 !>
 !> **Standard errors** come from the run itself (`battery_blocks`). They are NaN if the run is known
 !> to be too short:
-!> - for all averages, if it is shorter than ten relaxation times of the directions of flight;
-!> - for currents, if it saw a polarised state in which the gate of the sparse urn hardly ever
-!>   reverses: particles that circulate along the axis carry part of the current until that gate
-!>   turns them back, so the run must have seen this several times;
+!> - for all averages, if it is shorter than ten relaxation times of the directions of motion;
+!> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
+!>   particles that circulate along the axis carry part of the current until that gate turns them
+!>   back, so the run must have several such reversals;
 !> - for currents from urn 1 to urn 2, if N1 - N2 changed its sign only a few times: their mean is
 !>   over both polarities. The polarised current still has an error.
 module battery_observer
@@ -33,22 +33,22 @@ module battery_observer
   public :: get_measured
   public :: serialize_observer
 
-  !> Averages that are also taken of blocks, for their standard errors.
+  !> Averages that have a standard error from blocks.
   integer, parameter, public :: of_chi = 1, of_current1 = 2, of_current2 = 3, of_polarised = 4, &
     of_difference = 5
 
-  !> For an error: least number of relaxation times in the run, of reversals of the sparse urn's
-  !> gate, and of sign changes of N1 - N2.
+  !> Least numbers that an error requires: of relaxation times in the run, of reversals of the
+  !> sparse urn's gate, and of sign changes of N1 - N2.
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
   integer, parameter :: least_changes = 6
-  !> Gates are unlike if one reverses this many times as often as the other.
+  !> The state counts as polarised if one gate reverses this many times as often as the other.
   integer(int64), parameter :: unlike = 10
 
-  !> A ratio of two times is right up to this share of it.
+  !> Relative rounding error of a ratio of two times.
   real(wp), parameter :: rounding = 8.0_wp*epsilon(1.0_wp)
 
-  !> What has been measured of a run so far.
+  !> State of the measurements of a run.
   type :: observer_type
     integer :: number = 0
     !> Number of particles in half 1 now.
@@ -57,7 +57,7 @@ module battery_observer
     logical :: two_halves = .true.
     !> Whether channel 2 is open, so that a current can flow through it.
     logical :: circuit_closed = .true.
-    !> Relaxation time of the directions of flight.
+    !> Relaxation time of the directions of motion.
     real(wp) :: relaxation = 0.0_wp
     !> Since the start: reversals of each gate, particles turned back, wall collisions reported.
     integer(int64) :: reversals(2) = 0, bounce_backs = 0, collisions = 0
@@ -93,20 +93,20 @@ module battery_observer
 
 contains
 
-  !> An observer of `number` particles, `urn1_number` of them in half 1. If `series_interval` > 0 it
-  !> records a series, whose first entry is the start. Blocks start with the length `unit` (if
-  !> absent, 1): a length of the table, so that a table scaled by a power of two has the same
+  !> Makes an observer of `number` particles, `urn1_number` of them in half 1. If `series_interval`
+  !> > 0 it records a series, whose first entry is the start. The initial length of blocks is `unit`
+  !> (if absent, 1): a length of the table, so that a table scaled by a power of two has the same
   !> blocks.
   pure function new_observer(number, urn1_number, two_halves, series_interval, unit, &
     circuit_closed, relaxation) result(observer)
     integer, intent(in) :: number, urn1_number
-    !> Whether the table has two urns, and so a difference between them.
+    !> Whether the table has two urns.
     logical, intent(in) :: two_halves
     real(wp), intent(in) :: series_interval
     real(wp), intent(in), optional :: unit
     !> Whether channel 2 is open; true if absent.
     logical, intent(in), optional :: circuit_closed
-    !> Relaxation time of the directions of flight; 0 if absent.
+    !> Relaxation time of the directions of motion; 0 if absent.
     real(wp), intent(in), optional :: relaxation
     type(observer_type) :: observer
 
@@ -124,7 +124,7 @@ contains
     end if
   end function new_observer
 
-  !> Starts the averages.
+  !> Starts the averages, at the end of the transient.
   pure subroutine begin_measuring(observer)
     type(observer_type), intent(inout) :: observer
 
@@ -133,8 +133,8 @@ contains
     observer%block_left = observer%blocks(of_chi)%length
   end subroutine begin_measuring
 
-  !> Ends the series at the end of a run of `duration`: adds the entry that is due there, if the
-  !> rounding of the sums of times made the run end a little earlier than the series expects it.
+  !> Ends the series at the end of a run of `duration`: adds the last entry if it is missing because
+  !> rounding made the sum of the times slightly shorter than `duration`.
   pure subroutine end_series(observer, duration)
     type(observer_type), intent(inout) :: observer
     real(wp), intent(in) :: duration
@@ -146,7 +146,7 @@ contains
       observer%series_left < 0.5_wp*observer%series_interval) call add_series_entry(observer)
   end subroutine end_series
 
-  !> Adds one window.
+  !> Adds the event record of one window to the measurements.
   pure subroutine observe_window(observer, event_record)
     type(observer_type), intent(inout) :: observer
     type(event_record_type), intent(in) :: event_record
@@ -181,8 +181,8 @@ contains
     end if
   end subroutine observe_window
 
-  !> Integrates over `duration`, in which there is no crossing; ends blocks and adds entries on the
-  !> way.
+  !> Integrates over `duration`, in which there is no crossing; ends the blocks and adds the series
+  !> entries that fall into it.
   pure subroutine integrate_interval(observer, duration)
     type(observer_type), intent(inout) :: observer
     real(wp), intent(in) :: duration
@@ -265,7 +265,7 @@ contains
     call move_alloc(flow, observer%series_flow)
   end subroutine lengthen_series
 
-  !> What has been measured so far; the rest of `measured` does not change.
+  !> Sets the averages and counts of the observer in `measured`; the other quantities do not change.
   pure subroutine get_measured(observer, measured)
     type(observer_type), intent(in) :: observer
     type(measured_type), intent(inout) :: measured
@@ -316,7 +316,8 @@ contains
     end associate
   end function error_of
 
-  !> Whether, from the reversals of both gates, particles may have circulated throughout the run.
+  !> Whether particles may have circulated throughout the run: one gate hardly ever reversed, the
+  !> other often.
   pure logical function may_circulate(reversals)
     integer(int64), intent(in) :: reversals(2)
 
@@ -324,7 +325,7 @@ contains
       maxval(reversals) > unlike*max(minval(reversals), unlike)
   end function may_circulate
 
-  !> Whether blocks of N1 - N2 changed their sign many times.
+  !> Whether the sign of N1 - N2, from block to block, changed often enough.
   pure logical function polarity_resolved(blocks)
     type(blocks_type), intent(in) :: blocks
     logical, allocatable :: positive(:)

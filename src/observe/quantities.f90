@@ -13,8 +13,8 @@ module battery_quantities
   public :: measured_type, new_measured, set_average, set_count
   public :: fingerprint_of_quantities, flow_names, unknown_real, unknown_count
 
-  !> A measured quantity. Texts have a fixed length: gfortran 12 leaks memory from lists of
-  !> allocatable ones, and the lists are made for each task.
+  !> A measured quantity. Texts have a fixed length: gfortran 12 leaks memory from lists with
+  !> allocatable texts, and the lists are made for each task.
   type :: quantity_type
     character(len=24) :: name = ''
     character(len=40) :: unit = ''
@@ -82,7 +82,7 @@ contains
       quantity_type('provenance/host', '1', 'line of the attribute hosts of /provenance, from 0')]
   end function counted_quantities
 
-  !> Index of a quantity in a list; 0 if it is not there.
+  !> Index of a quantity in a list; 0 if the list does not have it.
   pure function place_of(name, list) result(place)
     !> As in results files.
     character(len=*), intent(in) :: name
@@ -111,7 +111,7 @@ contains
     character(len=*), intent(in) :: name
     !> In the unit of the quantity; NaN if unknown.
     real(dp), intent(in) :: value
-    !> Its standard error; NaN if unknown.
+    !> Standard error of the average; NaN if unknown.
     real(dp), intent(in), optional :: error
     integer :: place
 
@@ -135,8 +135,8 @@ contains
     measured%counted(place) = count
   end subroutine set_count
 
-  !> Fingerprint of all names in their order, and of their meaning: values stored with another
-  !> fingerprint belong to other lists.
+  !> Fingerprint of the names in their order, and of the version of their meaning: values stored
+  !> with another fingerprint belong to other lists.
   pure function fingerprint_of_quantities() result(fingerprint)
     integer(int64) :: fingerprint
     !> Incremented when a quantity or its error changes under the same name.
