@@ -18,7 +18,7 @@ module battery_ensemble
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_plan, only: plan_type
   use battery_startup, only: find_pending_tasks
-  use battery_results, only: results_type, all_complete
+  use battery_results, only: results_type, all_tasks_complete
   use battery_signals, only: request_stop_after
   use battery_summary, only: print_summary
   use battery_text, only: string_type
@@ -126,7 +126,7 @@ contains
       if (.not. allocated(error)) call print_summary(plan, results, failures, journal%ranks, busy, &
         wall_seconds() - began, collisions, all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then
-        if (all_complete(results)) then
+        if (all_tasks_complete(results)) then
           call remove_journal(journal%folder, error)
         else
           call fatal_error(error, 'some results in '//journal%folder//' cannot be read back; ' &

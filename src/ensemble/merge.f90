@@ -24,7 +24,7 @@ module battery_merge
   use battery_quantities, only: counted_quantities, place_of, unknown_real, unknown_count
   use battery_record_file, only: record_reader_type, close_records
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
-    task_not_asked, point_undecided, all_complete
+    task_not_asked, point_undecided, all_tasks_complete
   use battery_results_file, only: create_results, publish_results, open_results, close_results
   use battery_task_result, only: task_result_type
   use battery_tasks, only: task_type, task_count, task_of, task_index_type, task_index_of, &
@@ -101,7 +101,7 @@ contains
     call add_text_metadata(metadata, 'initial_file_fingerprint', trim(merge(repeat(' ', 16), &
       fingerprint_text(plan%initial_fingerprint), plan%initial_file == '')))
     call add_text_metadata(metadata, 'status', trim(merge('complete', 'partial ', &
-      all_complete(results))))
+      all_tasks_complete(results))))
     call add_text_metadata(metadata, 'shape', plan%shape)
     call add_text_metadata(metadata, 'urn_shape', plan%urn_shape)
     metadata%urn_sides = plan%urn_sides

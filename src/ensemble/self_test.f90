@@ -17,7 +17,7 @@ module battery_self_test
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type
   use battery_process, only: process_number
-  use battery_results, only: results_type, all_complete
+  use battery_results, only: results_type, all_tasks_complete
   use battery_results_file, only: open_results, close_results
   use battery_table, only: gated, ungated
   use battery_terminal, only: print_line
@@ -175,7 +175,7 @@ contains
 
     call open_results(name, file, results, output_datasets, error)
     if (allocated(error)) return
-    if (results%replicas /= replicas .or. .not. all_complete(results)) &
+    if (results%replicas /= replicas .or. .not. all_tasks_complete(results)) &
       call fatal_error(error, 'not all tasks are in the file')
     number = size(log%start%x)
     do k = 1, replicas

@@ -1,12 +1,12 @@
-!> Checksum footer of a results file: its last 512 bytes, which lie behind the end of the HDF5
-!> data, so that readers of HDF5 ignore them.
+!> Checksum footer of a results file: its last 512 bytes, which come after the end of the HDF5 data,
+!> so that readers of HDF5 ignore them.
 !>
-!> It is plain text and holds the number and the SHA-256 digest of all bytes before it, so that a
-!> file can be checked before HDF5 opens it. Nothing else is in it: a footer is right if it is
-!> the very text that these bytes ask for. `postproc/seal.py` writes and checks the same text.
+!> It is plain text with the number and the SHA-256 digest of all bytes before it, so that a file
+!> can be checked before HDF5 opens it. It has no other contents: a footer is valid if it is
+!> identical to the text made from these bytes. `postproc/seal.py` writes and checks the same text.
 !>
-!> HDF5's user block, before its own head, would be the other place; but readers that look at the
-!> first bytes of a file to see what it is (`xarray.open_dataset` does) then take it for no HDF5.
+!> The alternative is HDF5's user block, before its own header; but readers that identify a file by
+!> its first bytes (as `xarray.open_dataset` does) do not recognise such a file as HDF5.
 module battery_checksum_footer
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
@@ -25,7 +25,7 @@ module battery_checksum_footer
   character(len=*), parameter :: remark = 'Before these 512 bytes is HDF5; head -c -512 FILE | ' &
     //'sha256sum gives the digits above.'
 
-  !> An attribute that only our files have; it stands near their beginning.
+  !> An attribute that only files of this program have, near their beginning.
   character(len=*), parameter :: mark = 'initial_file_fingerprint'
 
   !> Bytes that are read at a time.
@@ -33,7 +33,7 @@ module battery_checksum_footer
 
 contains
 
-  !> Footer of bytes that are in memory.
+  !> Makes the footer for bytes in memory.
   subroutine footer_of(bytes, footer, error)
     !> All bytes before the footer.
     integer(int8), intent(in), contiguous :: bytes(:)
@@ -51,7 +51,7 @@ contains
     if (len(digits) /= digest_length) call fatal_error(error, 'the digest cannot be computed')
   end subroutine footer_of
 
-  !> Text of the footer of `count` bytes with a digest.
+  !> Text of the footer for `count` bytes with a digest.
   pure function footer_text(count, digits) result(footer)
     integer(int64), intent(in) :: count
     character(len=*), intent(in) :: digits
@@ -64,15 +64,15 @@ contains
     footer(footer_length:) = lf
   end function footer_text
 
-  !> Reads a whole file and checks its footer. The error has the code `exit_failure` if the
-  !> file was a results file and is damaged, `exit_bad_input` if it is something else: one of a
-  !> version before 0.2.0, or one that HDF5 wrote anew, which ends where HDF5 says that it does. A
-  !> file that is empty, or whose first bytes are zero, is what a crash of the machine leaves, and
-  !> counts as damaged.
+  !> Reads a whole file and checks its footer. The error has the code `exit_failure` if the file is
+  !> a damaged results file, `exit_bad_input` if it is another file: one of a version before 0.2.0,
+  !> or one that HDF5 has rewritten, which has no bytes after the end of the HDF5 data. A file that
+  !> is empty, or whose first bytes are zero, may result from a crash of the machine, and counts as
+  !> damaged.
   subroutine check_footer(name, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> What is wrong with it.
+    !> The file cannot be read, is damaged, or has no footer.
     type(error_type), allocatable, intent(out) :: error
     character(len=footer_length) :: footer
     character(len=:), allocatable :: first, digits
@@ -112,11 +112,11 @@ contains
     end if
   end subroutine check_footer
 
-  !> Length of a file by its own head, HDF5's superblock of the first form (all of ours have that).
+  !> Length of a file according to HDF5's superblock, of version 0 as in all files of this program.
   pure integer(int64) function end_in_hdf5(first) result(bytes)
-    !> The file from its beginning.
+    !> First bytes of the file.
     character(len=*), intent(in) :: first
-    !> Bytes before that length in the superblock, which has its least byte first.
+    !> Offset of the length in the superblock, which is little-endian.
     integer, parameter :: place = 40
     integer :: k
 
@@ -133,7 +133,7 @@ contains
     integer, intent(in) :: unit
     !> Number of bytes before the footer.
     integer(int64), intent(in) :: count
-    !> First bytes of the file, in which HDF5 says where its content ends.
+    !> First bytes of the file, with HDF5's superblock.
     character(len=:), allocatable, intent(out) :: first
     !> SHA-256 digest of all these bytes, in hexadecimal digits.
     character(len=:), allocatable, intent(out) :: digits

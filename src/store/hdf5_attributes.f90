@@ -1,7 +1,7 @@
 !> Attributes of HDF5: numbers of any rank, and texts.
 !>
-!> Texts are of variable length, in UTF-8: then they lie apart from the attribute, which has room
-!> for no more than 64 KiB, and readers take them for texts and not for bytes.
+!> Texts have variable length and UTF-8: then they are stored outside the attribute, which is
+!> limited to 64 KiB, and readers take them for texts and not for bytes.
 module battery_hdf5_attributes
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_null_char, c_char, c_int
   use hdf5, only: hid_t, hsize_t, h5acreate_by_name_f, h5aopen_by_name_f, h5awrite_f, h5aread_f, &
@@ -18,11 +18,11 @@ module battery_hdf5_attributes
   public :: write_attribute, write_text_attribute, read_text_attribute
   public :: array_view_type, array_view_of
 
-  !> Values in memory, as HDF5 wants to know them.
+  !> Description of values in memory for HDF5.
   type :: array_view_type
     integer(hid_t) :: value_type = no_handle
     type(c_ptr) :: address = c_null_ptr
-    !> Extents, one a dimension, in Fortran order; of size 0 for a scalar.
+    !> Extents, one per dimension, in Fortran order; of size 0 for a scalar.
     integer(hsize_t), allocatable :: extents(:)
   end type array_view_type
 
@@ -30,7 +30,7 @@ contains
 
   !> Address, HDF5 type and extents of a scalar or an array.
   function array_view_of(values) result(memory)
-    !> Reals, or integers of 32 or 64 bits; HDF5 takes no others.
+    !> Reals, or integers of 32 or 64 bits.
     type(*), intent(in), target, contiguous :: values(..)
     type(array_view_type) :: memory
     integer(c_int) :: is_real, is_integer, bytes
@@ -39,11 +39,11 @@ contains
     if (is_real == 1) memory%value_type = h5kind_to_type(int(bytes), h5_real_kind)
     if (is_integer == 1) memory%value_type = h5kind_to_type(int(bytes), h5_integer_kind)
     memory%address = c_loc(values)
-    ! gfortran 11: an empty array that was described has the extent -1.
+    ! gfortran 11 gives an empty array the extent -1 here.
     memory%extents = max(shape(values, hsize_t), 0_hsize_t)
   end function array_view_of
 
-  !> Adds an attribute that is a number or an array of them; does nothing after an error, or to a
+  !> Adds an attribute that is a number or an array of numbers; does nothing after an error, or to a
   !> file that is read.
   subroutine write_attribute(file, path, name, values, error)
     !> File, open for writing.
@@ -81,6 +81,7 @@ contains
     call release_handle(memory%value_type, status)
   end subroutine write_text_attribute
 
+  !> Adds an attribute from a description of its values.
   subroutine add_attribute(file, path, name, memory, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, name

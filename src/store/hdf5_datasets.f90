@@ -1,11 +1,11 @@
-!> Datasets of HDF5: numbers of any rank, and the dimension scales by which readers know their
-!> dimensions.
+!> Datasets of HDF5: numbers of any rank, and the dimension scales that identify their dimensions to
+!> readers.
 !>
-!> All types and ranks go through one procedure, as an address and extents. Extents are in Fortran
-!> order; readers in C or Python see them reversed.
+!> All types and ranks are passed to one procedure, as an address and extents. Extents are in
+!> Fortran order; readers in C or Python see them reversed.
 !>
-!> What is read may be of anyone: a dataset must lie in this file, in one of the ways in which
-!> `write_dataset` lays it down, and have the type and the extents that are expected of it.
+!> A file that is read is not trusted: a dataset must be stored in this file, in a layout that
+!> `write_dataset` uses, and have the expected type and extents.
 module battery_hdf5_datasets
   use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_int, c_int64_t, c_null_char
   use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dread_f, h5dwrite_f, &
@@ -28,20 +28,20 @@ module battery_hdf5_datasets
   public :: serialize_dataset, write_dataset, write_scale, write_dimension, extents_of
   public :: dataset_type, prepare_dataset, serialize_column, release_dataset
 
-  !> A dataset whose columns are passed one by one.
+  !> A dataset whose columns are written or read one by one.
   type :: dataset_type
     private
     character(len=:), allocatable :: path
     integer(hid_t) :: id = no_handle
   end type dataset_type
 
-  !> Datasets above so many bytes are compressed, in pieces of at most as many: HDF5 keeps a piece
-  !> in memory that is no larger than that.
+  !> Datasets larger than this number of bytes are compressed, in chunks of at most this size: HDF5
+  !> keeps a chunk of that size in memory.
   integer(int64), parameter :: large = 1024_int64**2
   integer, parameter :: deflate_level = 4
 
-  ! Dimension scales in C: how the library of their Fortran interface is called depends on how HDF5
-  ! was built (hdf5hl_fortran, hdf5_hl_fortran).
+  ! The C interface of dimension scales: the name of the library of their Fortran interface depends
+  ! on the build of HDF5 (hdf5hl_fortran, hdf5_hl_fortran).
   interface
     integer(c_int) function c_set_scale(dataset, name) bind(c, name='H5DSset_scale')
       import :: c_char, c_int, c_int64_t
@@ -59,8 +59,8 @@ module battery_hdf5_datasets
       integer(c_int), value, intent(in) :: dimension
     end function c_attach_scale
 
-    !> Where the piece with the values at `offset` lies, below 0: not in the file; its length there;
-    !> bits of the filters that were left out for it, from the first one on.
+    !> Address in the file of the chunk with the values at `offset`, below 0 if it is not stored;
+    !> its stored length; bit mask of the filters that were skipped for it, the first filter first.
     integer(c_int) function c_piece_at(dataset, offset, left_out, address, stored) &
         bind(c, name='H5Dget_chunk_info_by_coord')
       import :: c_int, c_int64_t
@@ -75,8 +75,8 @@ module battery_hdf5_datasets
 
 contains
 
-  !> A dataset whole, into a new file or out of one that is read, so that one procedure says what is
-  !> in both. Does nothing after an error.
+  !> Writes a whole dataset to a new file, or reads it from a file, so that one procedure declares
+  !> the contents for both. Does nothing after an error.
   subroutine serialize_dataset(file, path, values, units, long_name, error, scales)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
@@ -100,7 +100,7 @@ contains
       call write_array_view(file, path, memory, units, long_name, error, scales)
     else
       call open_dataset(file, path, dataset, error)
-      call check_form(file, path, dataset, memory%value_type, memory%extents, error)
+      call check_type_and_extents(file, path, dataset, memory%value_type, memory%extents, error)
       call check_lengths(file, path, dataset, memory%extents, error)
       status = 0
       if (.not. allocated(error) .and. product(memory%extents) > 0) then
@@ -112,9 +112,9 @@ contains
     end if
   end subroutine serialize_dataset
 
-  !> Makes a dataset of a new file, where nothing is known yet, or opens one of a file that is read
-  !> and checks it, so that one procedure says what is in both; then columns are passed one by one.
-  !> Does nothing after an error.
+  !> Makes a dataset with fill values in a new file, or opens and checks one of a file that is read,
+  !> so that one procedure declares the contents for both; `serialize_column` then writes or reads
+  !> its columns. Does nothing after an error.
   subroutine prepare_dataset(file, path, extents, unknown, units, long_name, error, scales, dataset)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
@@ -122,7 +122,7 @@ contains
     character(len=*), intent(in) :: path
     !> Extents of the dataset, in Fortran order.
     integer, intent(in) :: extents(:)
-    !> Fill value, one number of the dataset's type: it stands for values that are not known.
+    !> Fill value, one number of the dataset's type: it stands for unknown values.
     type(*), intent(in), target, contiguous :: unknown(..)
     !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
@@ -141,15 +141,15 @@ contains
       call write_array_view(file, path, memory, units, long_name, error, scales, prepared=dataset)
     else
       call open_dataset(file, path, dataset%id, error)
-      call check_form(file, path, dataset%id, memory%value_type, memory%extents, error)
+      call check_type_and_extents(file, path, dataset%id, memory%value_type, memory%extents, error)
       call check_lengths(file, path, dataset%id, memory%extents, error)
     end if
   end subroutine prepare_dataset
 
-  !> A column, values along the first dimension, into a dataset of a new file or out of one that is
-  !> read. Columns in the order of the dataset fill its pieces one after the other: each is
-  !> compressed once, when HDF5, which keeps one in memory, comes to the next. Does nothing after an
-  !> error.
+  !> Writes a column (the values along the first dimension) to a dataset of a new file, or reads it
+  !> from a file. Columns should be passed in the order of the dataset, which fills one chunk after
+  !> the other: HDF5 keeps one chunk in memory, and compresses it when the next one begins. Does
+  !> nothing after an error.
   subroutine serialize_column(file, dataset, values, first, error)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
@@ -191,7 +191,7 @@ contains
     !> File that the dataset is in, still open.
     type(hdf5_file_type), intent(in) :: file
     type(dataset_type), intent(inout) :: dataset
-    !> What was written last may not have been brought into the file. Stays as it is after an error.
+    !> The last chunk could not be written to the file; an earlier error is kept.
     type(error_type), allocatable, intent(inout) :: error
     integer :: status
 
@@ -202,9 +202,9 @@ contains
       call check_status(file, dataset%path, 'cannot be closed', status, error)
   end subroutine release_dataset
 
-  !> Opens a dataset that lies in the file itself, whole or in pieces of which none is large, and
-  !> is made by no filter but those that `new_layout` uses. Asks for all that before anything else:
-  !> to ask a virtual dataset for its extents opens other files. Does nothing after an error.
+  !> Opens a dataset, if it is stored in the file itself, contiguous or in chunks none of which is
+  !> large, with no filters except those of `new_layout`. This is checked before anything else: a
+  !> query of the extents of a virtual dataset would open other files. Does nothing after an error.
   subroutine open_dataset(file, path, dataset, error)
     !> File, open for reading.
     type(hdf5_file_type), intent(in) :: file
@@ -228,13 +228,13 @@ contains
     if (status == 0 .and. (others > 0 .or. all(way /= [h5d_compact_f, h5d_contiguous_f, &
       h5d_chunked_f]))) call check_status(file, path, 'does not lie in the file itself', 1, error)
     if (.not. allocated(error) .and. way == h5d_chunked_f) &
-      call check_pieces(file, path, dataset, layout, error)
+      call check_chunks(file, path, dataset, layout, error)
     call release_handle(layout, status)
   end subroutine open_dataset
 
-  !> Pieces are at most as large as `new_layout` makes them, with no other filters, of which the one
-  !> that deflates is the last.
-  subroutine check_pieces(file, path, dataset, layout, error)
+  !> Checks that chunks are at most as large as those of `new_layout`, and that there are no other
+  !> filters than there, with deflate as the last one.
+  subroutine check_chunks(file, path, dataset, layout, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
     integer(hid_t), intent(in) :: dataset, layout
@@ -267,7 +267,7 @@ contains
     call h5dget_space_f(dataset, space, status)
     if (status == 0) call h5sget_simple_extent_ndims_f(space, rank, status)
     if (status == 0) call h5pget_chunk_f(layout, rank, piece, status)
-    ! Its status is the number of dimensions where it succeeds.
+    ! If the call succeeds, its status is the number of dimensions.
     status = merge(0, -1, status == rank)
     if (status == 0) call h5dget_type_f(dataset, value_type, status)
     if (status == 0) call h5tget_size_f(value_type, bytes, status)
@@ -281,17 +281,19 @@ contains
     call check_status(file, path, 'has pieces larger than any that this program writes', status, &
       error)
     if (allocated(error)) return
-    ! Compression adds next to nothing to a piece: what is longer grows without bound when read.
+    ! Compression adds almost nothing to the length of a chunk: more stored bytes than that might
+    ! inflate to any length.
     call h5dget_storage_size_f(dataset, stored, status)
     if (status == 0) then
       pieces = product(real(extents/piece(:rank) + 1, dp))
       if (real(stored, dp) > (1.01_dp*taken + 64.0_dp)*pieces) status = -1
     end if
     call check_status(file, path, 'takes more of the file than its values do', status, error)
-  end subroutine check_pieces
+  end subroutine check_chunks
 
-  !> A dataset must have numbers of a type, and so many of them. Does nothing after an error.
-  subroutine check_form(file, path, dataset, wanted_type, wanted, error)
+  !> Checks that a dataset has numbers of the expected type and extents. Does nothing after an
+  !> error.
+  subroutine check_type_and_extents(file, path, dataset, wanted_type, wanted, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
     !> Dataset, open; type of its values in memory; its extents in Fortran order.
@@ -320,17 +322,18 @@ contains
     if (allocated(error)) return
     extents = extents_of_dataset(dataset, size(wanted))
     if (any(extents /= wanted)) call check_status(file, path, 'has the dimensions ' &
-      //listed(extents)//'; by the namelist in the file they are '//listed(wanted), 1, error)
-  end subroutine check_form
+      //extents_text(extents)//'; by the namelist in the file they are '//extents_text(wanted), &
+      1, error)
+  end subroutine check_type_and_extents
 
-  !> Checks that each piece of a dataset has the bytes of its values, inflated: HDF5 would read
+  !> Checks that each chunk of a dataset inflates to the length of its values: HDF5 would read
   !> beyond the end of a shorter one. Does nothing after an error.
   subroutine check_lengths(file, path, dataset, extents, error)
     !> File, open for reading.
     type(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> Dataset, open; `check_form` has checked it.
+    !> Dataset, open; `check_type_and_extents` has checked it.
     integer(hid_t), intent(in) :: dataset
     integer(hsize_t), intent(in) :: extents(:)
     type(error_type), allocatable, intent(inout) :: error
@@ -359,7 +362,7 @@ contains
         if (status < 0) exit
         status = 0
         if (address >= 0) then
-          ! The last filter is the one that deflates, if any (`check_pieces`).
+          ! The last filter is deflate, if there is any (`check_chunks`).
           if (filters == 0 .or. btest(left_out, filters - 1)) then
             if (stored /= length) status = -1
           else if (inflates_to(file%name//c_null_char, address, stored, length) == 0) then
@@ -379,8 +382,8 @@ contains
     call check_status(file, path, 'has pieces of another length than its values', status, error)
   end subroutine check_lengths
 
-  !> Extents as readers in C or Python see them.
-  pure function listed(extents) result(text)
+  !> Text for extents, in the order of C and Python.
+  pure function extents_text(extents) result(text)
     !> Extents in Fortran order; below 0: the dataset has another rank.
     integer(hsize_t), intent(in) :: extents(:)
     character(len=:), allocatable :: text
@@ -392,16 +395,16 @@ contains
       if (k > 1) text = text//' x '
     end do
     if (any(extents < 0)) text = 'of another number'
-  end function listed
+  end function extents_text
 
-  !> Extents of a dataset in Fortran order; -1 where it is not there, of another rank, or after an
+  !> Extents of a dataset in Fortran order; -1 if it is missing, if it has another rank, or after an
   !> error.
   function extents_of(file, path, rank, error) result(extents)
     !> File, open for reading.
     type(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> Dimensions that are expected.
+    !> Expected number of dimensions.
     integer, intent(in) :: rank
     type(error_type), allocatable, intent(inout) :: error
     integer(hsize_t) :: extents(rank)
@@ -415,7 +418,7 @@ contains
     call release_handle(dataset, status)
   end function extents_of
 
-  !> Extents of an open dataset, in Fortran order; -1 where its rank is another.
+  !> Extents of an open dataset, in Fortran order; -1 if it has another rank.
   function extents_of_dataset(dataset, rank) result(extents)
     integer(hid_t), intent(in) :: dataset
     integer, intent(in) :: rank
@@ -444,7 +447,7 @@ contains
     !> Attributes of the same names.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
-    !> Paths of its dimension scales, one a dimension, in Fortran order; absent: it has none.
+    !> Paths of its dimension scales, one per dimension, in Fortran order; absent: it has none.
     character(len=*), intent(in), optional :: scales(:)
 
     call write_array_view(file, path, array_view_of(values), units, long_name, error, scales)
@@ -467,8 +470,8 @@ contains
       scale_name=path(index(path, '/', back=.true.) + 1:))
   end subroutine write_scale
 
-  !> Makes a dimension scale without coordinates, marked as netCDF does; it has no data, and takes
-  !> no room. Does nothing after an error.
+  !> Makes a dimension scale without coordinates, marked as in netCDF; it has no data, and occupies
+  !> no space. Does nothing after an error.
   subroutine write_dimension(file, path, length, long_name, error)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
@@ -489,8 +492,9 @@ contains
     call write_array_view(file, path, memory, '1', long_name, error, scale_name=name)
   end subroutine write_dimension
 
-  !> A new dataset from values in memory, or without values if their address is null. A scale if it
-  !> has a name as one. One that is prepared stays open, and what stands in memory fills it.
+  !> Writes a new dataset from values in memory, or without values if their address is null. With
+  !> `scale_name` it becomes a dimension scale. With `prepared` it stays open, and the value in
+  !> memory is its fill value.
   subroutine write_array_view(file, path, memory, units, long_name, error, scales, scale_name, &
     prepared)
     type(hdf5_file_type), intent(in) :: file
@@ -529,7 +533,7 @@ contains
     call write_text_attribute(file, path, 'long_name', long_name, error)
   end subroutine write_array_view
 
-  !> HDF5 counts dimensions the other way round than Fortran.
+  !> Attaches dimension scales to a dataset. HDF5 counts dimensions in the reverse order of Fortran.
   subroutine attach_scales(file, dataset, scales, status)
     type(hdf5_file_type), intent(in) :: file
     integer(hid_t), intent(in) :: dataset
@@ -547,7 +551,7 @@ contains
     end do
   end subroutine attach_scales
 
-  !> How a dataset lies in the file: as it is, or, if large, in compressed pieces.
+  !> Makes the layout of a dataset: contiguous, or, if it is large, compressed chunks.
   subroutine new_layout(memory, layout, status)
     !> Values in memory, with the extents of the dataset.
     type(array_view_type), intent(in) :: memory

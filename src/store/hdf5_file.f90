@@ -1,14 +1,15 @@
 !> Files of HDF5 and the paths in them, every status checked.
 !>
-!> Three modules wrap HDF5: this one, attributes, datasets. A path is
-!> absolute, the groups on its way are there already. An error names the file and the path.
+!> Three modules wrap HDF5: this one, attributes, datasets. A path is absolute, and its groups exist
+!> already. An error names the file and the path.
 !>
-!> A new file is made in memory and written to the disk when it is closed: after a write that failed
-!> HDF5 crashes when it closes the file, and it locks files, which some network disks refuse. Its
-!> bytes go to the disk from where HDF5 has them, the checksum footer behind them.
+!> A new file is made in memory and written to disk when it is closed: after a failed write HDF5
+!> crashes when it closes the file, and it locks files, which some network disks refuse. Its bytes
+!> are written from the memory of HDF5 without a copy, followed by the checksum footer.
 !>
-!> A file that is read may be of anyone, since its footer has no secret: nothing is opened in it
-!> before `check_links` found that it lies in this file, and no filter is loaded from elsewhere.
+!> A file that is read is not trusted, since anyone can make a valid footer: no object is opened
+!> before `check_links` found that it is stored in this file, and no filter is loaded from
+!> elsewhere.
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_f_pointer, c_int, c_int64_t, &
     c_null_char, c_null_ptr, c_ptr, c_size_t
@@ -31,30 +32,30 @@ module battery_hdf5_file
   public :: make_group
   public :: release_handle, check_status, check_links, no_handle, hdf5_library
 
-  !> What a handle is before HDF5 gives one.
+  !> Value of a handle that is not open.
   integer(hid_t), parameter :: no_handle = -1_hid_t
 
   !> An open file.
   type :: hdf5_file_type
     character(len=:), allocatable :: name
     integer(hid_t) :: id = no_handle
-    !> Whether it is new, and so still in memory.
+    !> Whether the file is new, and so still in memory.
     logical :: is_new = .false.
   end type hdf5_file_type
 
-  !> HDF5 makes its types anew each time it is started, so this is done once in a program.
+  !> Whether HDF5 has been started: only once per program, since each start makes new type handles.
   logical :: is_started = .false.
 
   interface
-    !> Which kinds of plugins HDF5 may load; 0: none.
+    !> Sets the kinds of plugins that HDF5 may load; 0: none.
     integer(c_int) function set_plugins(kinds) bind(c, name='H5PLset_loading_state')
       import :: c_int
       implicit none (type, external)
       integer(c_int), value, intent(in) :: kinds
     end function set_plugins
 
-    !> What a soft or external link holds; negative for a hard link, which holds nothing. Of what
-    !> tells the kind of a link, this alone is the same in all versions of HDF5.
+    !> Value of a soft or external link; negative status for a hard link, which has no value. Of the
+    !> ways to determine the kind of a link, only this one is the same in all versions of HDF5.
     integer(c_int) function link_value(place, name, buffer, length, access) &
       bind(c, name='H5Lget_val')
       import :: c_char, c_int, c_int64_t, c_ptr, c_size_t
@@ -65,8 +66,8 @@ module battery_hdf5_file
       integer(c_size_t), value, intent(in) :: length
     end function link_value
 
-    !> What the way in which a file is kept has for a handle; of a file in memory, where the address
-    !> of its bytes stands. There is no procedure of it in Fortran in all versions of HDF5.
+    !> Handle of the driver of a file; for a file in memory, it is where the address of its bytes is
+    !> stored. Not all versions of HDF5 have a Fortran interface for it.
     integer(c_int) function get_handle(file, access, handle) bind(c, name='H5Fget_vfd_handle')
       import :: c_int, c_ptr, c_int64_t
       implicit none (type, external)
@@ -77,7 +78,7 @@ module battery_hdf5_file
 
 contains
 
-  !> Version of the library.
+  !> Name and version of the HDF5 library.
   function hdf5_library() result(version)
     character(len=:), allocatable :: version
     integer :: major, minor, release_number, status
@@ -86,7 +87,7 @@ contains
     version = to_text(major)//'.'//to_text(minor)//'.'//to_text(release_number)
   end function hdf5_library
 
-  !> Creates a file in memory; `close_file` writes it to the disk, over one of the same name.
+  !> Creates a file in memory; `close_file` writes it to disk, over any file of the same name.
   subroutine create_file(file, name, error)
     !> File, opened here; `close_file` closes it.
     type(hdf5_file_type), intent(out) :: file
@@ -133,8 +134,8 @@ contains
       call fatal_error(error, name//': cannot be opened as an HDF5 file', exit_bad_input)
   end subroutine open_file
 
-  !> How files are opened: closing one closes all that is open in it. Starts HDF5 before, and
-  !> switches off what it prints by itself and what it would load for filters that a file names.
+  !> Makes the access properties of files: closing a file closes all objects in it. Starts HDF5 if
+  !> needed, and switches off its own messages and the plugins for filters that a file names.
   subroutine new_access(access, status)
     integer(hid_t), intent(out) :: access
     integer, intent(out) :: status
@@ -151,7 +152,7 @@ contains
     if (status == 0) call h5pset_fclose_degree_f(access, h5f_close_strong_f, status)
   end subroutine new_access
 
-  !> Closes a file, and writes a new one to the disk; one that is not open is no error.
+  !> Closes a file, and writes a new file to disk; a file that is not open is no error.
   subroutine close_file(file, error)
     !> File, open.
     type(hdf5_file_type), intent(inout) :: file
@@ -169,7 +170,7 @@ contains
       call fatal_error(error, file%name//': cannot be closed')
   end subroutine close_file
 
-  !> Closes a new file that is not to come to the disk.
+  !> Closes a new file without writing it to disk.
   subroutine discard_file(file)
     !> File, open.
     type(hdf5_file_type), intent(inout) :: file
@@ -180,10 +181,10 @@ contains
     file%id = no_handle
   end subroutine discard_file
 
-  !> The bytes of a file that is in memory, where HDF5 has them.
+  !> Gets the bytes of a file in memory, without a copy.
   subroutine get_image(file, image, status)
     type(hdf5_file_type), intent(in) :: file
-    !> Bytes of the file; valid as long as it is open and nothing is written to it.
+    !> Bytes of the file; valid while it is open and nothing is written to it.
     integer(int8), pointer, contiguous, intent(out) :: image(:)
     integer, intent(out) :: status
     integer(size_t) :: bytes
@@ -205,8 +206,8 @@ contains
     call c_f_pointer(memory, image, [bytes])
   end subroutine get_image
 
-  !> Writes bytes to a new file, the checksum footer last. Its size is checked in the end,
-  !> since the runtime library reports no failure of what it has buffered.
+  !> Writes bytes to a new file, followed by the checksum footer. The size of the file is checked at
+  !> the end, since the runtime library does not report failed writes of buffered data.
   subroutine write_image(name, image, error)
     character(len=*), intent(in) :: name
     integer(int8), intent(in), contiguous :: image(:)
@@ -243,7 +244,7 @@ contains
   subroutine make_group(file, path, error)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    !> Path of the dataset in the file, from the root.
+    !> Path of the group in the file, from the root.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
     integer(hid_t) :: group
@@ -256,7 +257,7 @@ contains
     call check_status(file, path, 'cannot be made', status, error)
   end subroutine make_group
 
-  !> Closes a handle of any kind, if there is one; `status` becomes nonzero where that fails.
+  !> Closes a handle of any kind, if it is open; `status` becomes nonzero if that fails.
   subroutine release_handle(handle, status)
     !> Handle of any HDF5 object, or `no_handle`.
     integer(hid_t), intent(in) :: handle
@@ -268,8 +269,9 @@ contains
     if (closed /= 0) status = closed
   end subroutine release_handle
 
-  !> Whether all on the way to a path lies in this file: every link is a hard one. Others lead to
-  !> anything, within the file or in any other that the user may read. Does nothing after an error.
+  !> Checks that an object is stored in this file under its path: all links to it must be hard
+  !> links. Other links can lead to any object, also in any other file that the user may read. Does
+  !> nothing after an error.
   subroutine check_links(file, path, error)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
@@ -294,8 +296,8 @@ contains
     end do
   end subroutine check_links
 
-  !> An error about what stands at a path, if `status` says so. In a file that is read it is bad
-  !> input: its checksum was right, so it was made as it is.
+  !> Sets an error about the object at a path, if `status` is not 0. In a file that is read, it
+  !> is bad input: the checksum was valid, so the file was made like this.
   subroutine check_status(file, path, problem, status, error)
     !> File that the object is in.
     type(hdf5_file_type), intent(in) :: file

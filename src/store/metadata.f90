@@ -1,4 +1,4 @@
-!> Where results come from: the attributes at the root of a results file.
+!> Metadata of results: the attributes at the root of a results file.
 module battery_metadata
   use battery_kinds, only: dp, int32
   use battery_clocks, only: utc_now
@@ -15,18 +15,17 @@ module battery_metadata
     character(len=:), allocatable :: name, text
   end type remark_type
 
-  !> Attributes that are texts, by their names, and those that are numbers.
+  !> Attributes of the root: texts by name, and numbers.
   type :: metadata_type
     type(remark_type), allocatable :: texts(:)
-    !> How the run was started that wrote the file, when it began, and the hosts of all tasks, one a
-    !> line.
+    !> Command line and start of the run that wrote the file; hosts of all tasks, one per line.
     character(len=:), allocatable :: command_line, begun, hosts
     integer :: mpi_ranks = 0
-    !> Of urns that are polygons: how many sides those that are regular have, else the corners of
-    !> either urn, counterclockwise, (x, y) in columns; x to channel 1.
+    !> Of urns that are polygons: number of sides if they are regular, else the corners of each urn,
+    !> counterclockwise, (x, y) in columns, with x towards channel 1.
     integer :: urn_sides = 0
     real(dp), allocatable :: urn_vertices(:, :), urn2_vertices(:, :)
-    !> Time on the clock when the runs start; times in the file count from there.
+    !> Clock time at the start of the runs; times in the file count from then.
     real(dp) :: start_time = 0.0_dp
   end type metadata_type
 
@@ -45,12 +44,12 @@ contains
     metadata%texts = [metadata%texts, remark]
   end subroutine add_text_metadata
 
-  !> Writes the attributes of the root, and when that was.
+  !> Writes the attributes of the root, with the present date and time.
   subroutine write_metadata(file, metadata, error)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file
     type(metadata_type), intent(in) :: metadata
-    !> Error; where there is one already, nothing is written.
+    !> After an earlier error, nothing is written.
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
 
@@ -73,8 +72,8 @@ contains
     call write_attribute(file, '/', 'start_time', metadata%start_time, error)
   end subroutine write_metadata
 
-  !> By which version and from which input a results file was made, and whether it is complete,
-  !> once its checksum was found right; else an error, as `check_footer` gives it.
+  !> Reads the version and the input that a results file was made with, and whether it is complete.
+  !> The checksum is verified before; the error is that of `check_footer`.
   subroutine read_metadata(name, version, input_text, status, initial_file_fingerprint, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -83,7 +82,7 @@ contains
     !> Fingerprint in hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out) :: initial_file_fingerprint
     type(error_type), allocatable, intent(out) :: error
-    !> Letters of a version, and how many it may have.
+    !> Letters of a version, and the greatest number of them.
     character(len=*), parameter :: in_versions = '0123456789.-abcdefghijklmnopqrstuvwxyz'
     integer, parameter :: longest = 32
     type(error_type), allocatable :: close_error

@@ -1,8 +1,8 @@
-!> Files of records that survive a program's sudden end: results of finished tasks, saved states.
+!> Files of records that survive a crash of the program: results of finished tasks, saved states.
 !>
-!> A record is a head, words (an archive, `battery_archive`) and a checksum over all of them.
-!> Records are appended and brought to the disk one by one. On reading, the first record that is cut
-!> short or does not match its checksum ends the file: what stands before it is good.
+!> A record is a header, words (an archive, `battery_archive`) and a checksum over both. Records are
+!> appended and synced to disk one by one. On reading, the first record that is truncated or does
+!> not match its checksum ends the file: the records before it are valid.
 module battery_record_file
   use battery_kinds, only: int64
   use battery_error, only: error_type, fatal_error
@@ -20,14 +20,14 @@ module battery_record_file
     integer(int64) :: owner = 0
     !> Subject of the record, for instance a task identifier.
     integer(int64) :: tag = 0
-    !> Of records with the same owner and tag, the one of the greatest generation is the newest.
+    !> Of records with the same owner and tag, that with the greatest generation is the newest.
     integer(int64) :: generation = 0
     integer(int64), allocatable :: word(:)
   end type record_type
 
-  !> A file that is read record by record: no more than one of them is in memory.
+  !> A file that is read record by record: at most one record is in memory.
   type :: record_reader_type
-    !> Bytes of the file before the next record; it may be set to where one began.
+    !> Offset of the next record in bytes; may be set to that of any record.
     integer(int64) :: at = 0
     integer, private :: unit = 0
     logical, private :: is_open = .false.
@@ -36,14 +36,14 @@ module battery_record_file
   !> First word of every record.
   integer(int64), parameter :: mark = int(z'6261747465727932', int64)
 
-  !> Words of a head (mark, owner, tag, generation, number of words), and bytes of a word.
+  !> Words of a header (mark, owner, tag, generation, number of words), and bytes of a word.
   integer, parameter :: head_size = 5, word_bytes = 8
 
 contains
 
-  !> Appends a record to the file `name`; `good_size` is the length of its good part in bytes,
-  !> beyond which anything is overwritten; where that is 0 the file is made anew. The record is read
-  !> back: on a full disk gfortran reports neither the write nor the close as failed.
+  !> Appends a record to the file `name`; `good_size` is the length of its valid part in bytes,
+  !> after which anything is overwritten; if it is 0, a new file is made. The record is read back:
+  !> on a full disk gfortran reports neither the write nor the close as failed.
   subroutine append_record(name, record, good_size, error)
     character(len=*), intent(in) :: name
     type(record_type), intent(in) :: record
@@ -67,7 +67,7 @@ contains
       iostat=status, iomsg=reason)
     if (status == 0) then
       write (unit, pos=at + 1, iostat=status, iomsg=reason) head, record%word, sum
-      ! What was longer must not be taken for the next record.
+      ! The rest of a longer old record must not be taken for the next record.
       if (status == 0) endfile (unit, iostat=status, iomsg=reason)
       close (unit)
     end if
@@ -87,7 +87,7 @@ contains
     end if
   end subroutine append_record
 
-  !> Opens a file to be read from its beginning; where there is none it has no records.
+  !> Opens a file to be read from its beginning; a missing file has no records.
   subroutine open_records(reader, name)
     !> Reader, open; to be closed with `close_records`.
     type(record_reader_type), intent(out) :: reader
@@ -101,12 +101,12 @@ contains
     reader%is_open = status == 0
   end subroutine open_records
 
-  !> The record that begins at `reader%at`, which is moved behind it.
+  !> Reads the record at `reader%at`, and moves `reader%at` to its end.
   subroutine next_record(reader, record, found)
-    !> Reader, open, or of a file that is not there.
+    !> Reader, open, or of a missing file.
     type(record_reader_type), intent(inout) :: reader
     type(record_type), intent(out) :: record
-    !> Whether there is a good one; where not, nothing moves.
+    !> Whether there is a valid record; if not, `reader%at` does not change.
     logical, intent(out) :: found
     integer(int64) :: head(head_size), sum
 
@@ -118,7 +118,7 @@ contains
     record%generation = head(4)
   end subroutine next_record
 
-  !> Closes a file of records; one that is not open is no error.
+  !> Closes a file of records; a reader that is not open is no error.
   subroutine close_records(reader)
     !> Reader, which is not open afterwards.
     type(record_reader_type), intent(inout) :: reader
@@ -127,13 +127,13 @@ contains
     reader = record_reader_type()
   end subroutine close_records
 
-  !> The record that begins after `at` bytes; moves `at` behind it. It is read in pieces: where only
-  !> its checksum is asked for, a large one may be more than there is memory for.
+  !> Reads the record at the offset `at`, and moves `at` to its end. It is read in pieces: if only
+  !> its checksum is verified, a large record need not fit into memory.
   subroutine read_record(unit, at, head, sum, good, word)
     integer, intent(in) :: unit
     integer(int64), intent(inout) :: at
     integer(int64), intent(out) :: head(head_size), sum
-    !> Whether it is whole and its checksum right.
+    !> Whether the record is complete and its checksum valid.
     logical, intent(out) :: good
     integer(int64), allocatable, intent(out), optional :: word(:)
     integer(int64) :: bytes, piece(4096), sum_stored, done, left
@@ -172,9 +172,9 @@ contains
     end do
   end subroutine mix_words
 
-  !> Writes a file that holds just this record.
+  !> Writes a new file with a single record.
   subroutine write_single_record(name, record, error)
-    !> Path of the file, which is made anew.
+    !> Path of the file, which is replaced.
     character(len=*), intent(in) :: name
     type(record_type), intent(in) :: record
     type(error_type), allocatable, intent(out) :: error
@@ -184,7 +184,7 @@ contains
     call append_record(name, record, size_before, error)
   end subroutine write_single_record
 
-  !> The first record of a file; `found` is false if there is no good one.
+  !> Reads the first record of a file; `found` is false if it is missing or invalid.
   subroutine read_single_record(name, record, found)
     !> Path of the file.
     character(len=*), intent(in) :: name

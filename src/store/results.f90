@@ -1,5 +1,5 @@
-!> The numbers that a scan has measured, in arrays: one entry a point of the scan and a replica.
-!> Series, states and events, which are large, are not here (`battery_task_output`).
+!> The numbers that a scan has measured, as arrays with an entry for each point and replica. Series,
+!> states and events, which are large, are in `battery_task_output`.
 !>
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
@@ -12,7 +12,7 @@ module battery_results
   implicit none (type, external)
   private
   public :: results_type, new_results, scatter_of
-  public :: task_complete, task_failed, task_not_done, task_not_asked, all_complete
+  public :: task_complete, task_failed, task_not_done, task_not_asked, all_tasks_complete
   public :: point_precise, point_not_precise, point_two_states, point_undecided
 
   !> Values of `task_status`; `task_not_asked`: replicas beyond those that a precision needs.
@@ -23,8 +23,8 @@ module battery_results
   integer(int32), parameter :: point_precise = 0, point_not_precise = 1, point_two_states = 2, &
     point_undecided = 3
 
-  !> Reals that are not known are NaN, integers -1. Lengths are in units of the namelist, times in
-  !> lengths over the speed.
+  !> Results of all tasks. Unknown reals are NaN, unknown integers -1. Lengths are in the unit of
+  !> the namelist, times in lengths over the speed.
   type :: results_type
     integer :: replicas = 0
     !> The keys that were scanned, the slowest first, with their values: the points are all
@@ -39,20 +39,20 @@ module battery_results
     !> Machines that tasks ran on; `provenance/host` counts them from 0.
     type(string_type), allocatable :: host(:)
     integer(int32), allocatable :: task_status(:, :)
-    !> If a precision is asked for: how each point stands, and the standard errors over its
-    !> replicas of chi and polarised_current, (point, which).
+    !> If a precision is required: status of each point, and standard errors over its replicas, as
+    !> (point, 1 for chi or 2 for polarised_current).
     integer(int32), allocatable :: point_status(:)
     real(dp), allocatable :: replica_error(:, :)
-    !> Complete tasks that ended before the last snapshot.
+    !> Number of complete tasks that ended before the last snapshot.
     integer :: short_tasks = 0
   end type results_type
 
 contains
 
-  !> Results of which nothing is known yet; what is optional is not allocated.
+  !> Makes results with unknown values; optional arrays are not allocated.
   subroutine new_results(results, points, replicas)
     type(results_type), intent(out) :: results
-    !> How many of each.
+    !> Number of points, and of replicas of each.
     integer, intent(in) :: points, replicas
     integer :: averaged, counted
 
@@ -67,15 +67,15 @@ contains
     allocate (results%counted(replicas, points, counted), source=unknown_count)
   end subroutine new_results
 
-  !> Whether all tasks are complete that anybody asks for.
-  pure logical function all_complete(results) result(yes)
+  !> Whether all tasks are complete, except those that a precision does not need.
+  pure logical function all_tasks_complete(results) result(yes)
     type(results_type), intent(in) :: results
 
     yes = all(results%task_status == task_complete .or. results%task_status == task_not_asked)
-  end function all_complete
+  end function all_tasks_complete
 
-  !> Standard error of the mean of the replicas of each point, from their scatter over the complete
-  !> tasks; NaN where fewer than two are complete.
+  !> Standard error of the mean over the replicas of each point, from the scatter of the complete
+  !> tasks; NaN if fewer than two are complete.
   pure function scatter_of(values, task_status) result(error)
     !> (replica, point).
     real(dp), intent(in) :: values(:, :)

@@ -1,11 +1,11 @@
-!> The results file: what `battery_results` and `battery_task_output` hold, by name, with units and
+!> The results file: contents of `battery_results` and `battery_task_output` by name, with units and
 !> named dimensions.
 !>
-!> It is made in memory (`create_results`), where it is compressed; then the output of each task
-!> goes straight into its datasets, from the journal or from the file of before (`open_results`).
-!> `publish_results` writes it whole under another name, reads it back and compares it with its
-!> checksum, and renames it, so that there is always either the old file or the new one. Not known
-!> are NaN and, where an attribute `_FillValue` says so, -1.
+!> It is made in memory (`create_results`), where it is compressed; then the output of each task is
+!> written to its datasets, from the journal or from the old results file (`open_results`).
+!> `publish_results` writes it under a temporary name, reads it back to verify the checksum, and
+!> renames it, so that there is always either the old file or the new one. Unknown values are NaN,
+!> or -1 if an attribute `_FillValue` has it.
 module battery_results_file
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
@@ -44,18 +44,18 @@ module battery_results_file
 
 contains
 
-  !> Makes a file with all but task output, in memory; `publish_results` must follow.
+  !> Makes a file in memory with all contents except task output; `publish_results` must follow.
   subroutine create_results(name, results, metadata, file, error)
     !> Path of the results file.
     character(len=*), intent(in) :: name
     !> Results, which are only read.
     type(results_type), intent(inout) :: results
     type(metadata_type), intent(in) :: metadata
-    !> New file; it is not open where it cannot be made.
+    !> New file; not open if it cannot be made.
     type(hdf5_file_type), intent(out) :: file
     type(error_type), allocatable, intent(out) :: error
 
-    call create_file(file, temporary(name), error)
+    call create_file(file, temporary_name(name), error)
     if (allocated(error)) return
     call write_metadata(file, metadata, error)
     call write_scan(file, results, error)
@@ -64,8 +64,8 @@ contains
     call write_precision(file, results, error)
   end subroutine create_results
 
-  !> Puts a file that was made in the place of what was there before; after an error that stays as
-  !> it was. If something else is there by now, the results stay in `name.part`.
+  !> Replaces the old results file by a new one; after an error the old file is unchanged. If
+  !> another file has taken its place in the meantime, the results stay in `name.part`.
   subroutine publish_results(name, file, before, error)
     !> Path of the results file.
     character(len=*), intent(in) :: name
@@ -73,7 +73,7 @@ contains
     type(hdf5_file_type), intent(inout) :: file
     !> Identity of the file that may be replaced.
     type(file_identity_type), intent(in) :: before
-    !> After an error while it was filled it is not published.
+    !> After an earlier error, while the file was filled, it is not published.
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: other
 
@@ -82,26 +82,26 @@ contains
       call discard_file(file)
     else
       call close_file(file, error)
-      if (.not. allocated(error)) call check_footer(temporary(name), error)
-      if (.not. allocated(error)) call sync_file(temporary(name), error)
+      if (.not. allocated(error)) call check_footer(temporary_name(name), error)
+      if (.not. allocated(error)) call sync_file(temporary_name(name), error)
     end if
     if (allocated(error)) then
-      call remove_file(temporary(name), other)
+      call remove_file(temporary_name(name), other)
     else
-      call publish_unless_replaced(temporary(name), name, before, error)
+      call publish_unless_replaced(temporary_name(name), name, before, error)
     end if
   end subroutine publish_results
 
-  !> Under which name a results file is written.
-  pure function temporary(name)
+  !> Temporary name under which a results file is written.
+  pure function temporary_name(name)
     character(len=*), intent(in) :: name
     character(len=:), allocatable :: temporary
 
     temporary = name//'.part'
-  end function temporary
+  end function temporary_name
 
-  !> The grid of the scan: its keys in the attribute `scan` of the root, the slowest first, and the
-  !> values of each in the group of that name.
+  !> Writes the grid of the scan: its keys in the attribute `scan` of the root, the slowest first,
+  !> and the values of each key in the group `scan`.
   subroutine write_scan(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
@@ -123,11 +123,11 @@ contains
     call write_text_attribute(file, '/', 'scan', names(2:), error)
   end subroutine write_scan
 
-  !> Opens a results file and reads its numbers, but for points, once its checksum was found right;
-  !> its outputs over time are read one by one (`read_task_output`). The file may be of anyone: what
-  !> it must have follows from the namelist in it, and anything else is refused with the code
-  !> `exit_bad_input`, also in what is not read. A file of another version has its own datasets; it
-  !> is an error of the code `exit_failure`, as a damaged one.
+  !> Opens a results file, verifies its checksum, and reads its numbers, except the parameters of
+  !> points; task outputs are read one by one (`read_task_output`). The file is not trusted: its
+  !> datasets must be those that follow from its namelist, also those that are not read; otherwise
+  !> the error has the code `exit_bad_input`. A file of another version has other datasets; as for a
+  !> damaged file, the code is `exit_failure`.
   subroutine open_results(name, file, results, output_datasets, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -148,12 +148,12 @@ contains
     if (allocated(error)) call close_results(file, output_datasets)
   end subroutine open_results
 
-  !> Closes a results file that was read; one that is not open is no error.
+  !> Closes a results file that was read; a file that is not open is no error.
   subroutine close_results(file, output_datasets)
     !> File from `open_results`.
     type(hdf5_file_type), intent(inout) :: file
     type(output_datasets_type), intent(inout) :: output_datasets
-    !> Nothing is lost that was not read.
+    !> An error that is ignored: the file was only read.
     type(error_type), allocatable :: unheeded
 
     if (file%id == no_handle) return
@@ -161,7 +161,7 @@ contains
     call close_file(file, unheeded)
   end subroutine close_results
 
-  !> The plan that a file was made from, by this version.
+  !> Reads the plan of a results file, which this version must have written.
   subroutine read_plan(file, plan, error)
     type(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(out) :: plan
@@ -182,8 +182,8 @@ contains
     if (status /= 0) plan%initial_fingerprint = 0
   end subroutine read_plan
 
-  !> What was measured by every task. Statuses, seeds and hosts choose what is done with the rest:
-  !> each must be one that there is.
+  !> Reads the numbers of every task. Statuses, seeds and hosts must be valid, since the use of the
+  !> other numbers depends on them.
   subroutine read_tasks(file, plan, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
@@ -258,10 +258,10 @@ contains
       real(plan%snapshot_times, dp), output_datasets, error)
   end subroutine open_output_datasets
 
-  !> An error if there is no memory for so many bytes of a file. Does nothing after an error.
+  !> An error if there is no memory for `bytes` of a file. Does nothing after an error.
   subroutine check_memory_of(bytes, what, file, error)
     real(dp), intent(in) :: bytes
-    !> Datasets that ask for them.
+    !> Text for the datasets that need them.
     character(len=*), intent(in) :: what
     type(hdf5_file_type), intent(in) :: file
     type(error_type), allocatable, intent(inout) :: error
@@ -271,7 +271,8 @@ contains
     if (allocated(error)) error%code = exit_bad_input
   end subroutine check_memory_of
 
-  !> Particles of the largest point that has a complete task: there is room for so many in a file.
+  !> Number of particles of the largest point with a complete task: the extent of the datasets of
+  !> states.
   integer function most_particles(plan, results) result(most)
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
@@ -286,7 +287,7 @@ contains
     end do
   end function most_particles
 
-  !> Dimensions, points of the scan.
+  !> Writes the dimension scales, and the parameters of the points.
   subroutine write_points(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
@@ -320,7 +321,7 @@ contains
     end associate
   end subroutine write_points
 
-  !> What was measured by every task, and how it scatters over the replicas of a point.
+  !> Writes or reads the numbers of every task, and their standard errors over the replicas.
   subroutine serialize_measured(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(inout) :: results
@@ -361,7 +362,7 @@ contains
     end do
   end subroutine serialize_measured
 
-  !> What came of the precision that was asked for.
+  !> Writes the status of each point with respect to the required precision.
   subroutine write_precision(file, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results

@@ -1,10 +1,10 @@
 !> Output of tasks over time in a results file: series, snapshots, final states, events.
 !>
-!> They are the large part of the file, so never more than one task's is in memory. The datasets are
-!> prepared for all tasks, (.., replica, point), filled with NaN or -1; then the output of each
-!> task is written into its hyperslab, straight from its record. Reading uses the same code: one
-!> procedure names the datasets for both. Columns are the values of one task in a dataset; tasks are
-!> best passed in the order of their numbers (`serialize_column`).
+!> These are the large part of the file, so the output of at most one task is in memory. The
+!> datasets are prepared for all tasks, (.., replica, point), filled with NaN or -1; then the output
+!> of each task is read from its record and written into its hyperslab. Reading uses the same code:
+!> one procedure names the datasets for both. A column has the values of one task in a dataset;
+!> tasks should be passed in the order of their numbers (`serialize_column`).
 module battery_task_output
   use battery_kinds, only: dp, int32
   use battery_error, only: error_type
@@ -20,8 +20,8 @@ module battery_task_output
   public :: prepare_output_datasets, write_task_output, read_task_output, close_output_datasets, &
     write_events, write_counting_scale
 
-  !> Output of one task over time. Arrays are empty or not allocated where there is none; those read
-  !> are allocated.
+  !> Output of one task over time. Arrays without contents are empty or not allocated; after
+  !> reading, all are allocated.
   type :: task_output_type
     !> Series: N1, and flows as (4, entry), which is 1_12, 1_21, 2_12, 2_21.
     integer(int32), allocatable :: series_urn1_number(:)
@@ -35,11 +35,11 @@ module battery_task_output
 
   !> Greatest extents over all tasks of a file; 0: the file has no such dataset.
   type :: output_extents_type
-    !> Entries of the series; snapshots.
+    !> Number of entries of the series, and of snapshots.
     integer :: entries = 0, snapshots = 0
-    !> Particles of snapshots and of final states.
+    !> Number of particles of snapshots, and of final states.
     integer :: particles = 0, final_particles = 0
-    !> All replicas and points, complete or not.
+    !> Number of replicas and of points, complete or not.
     integer :: replicas = 0, points = 0
   end type output_extents_type
 
@@ -50,22 +50,22 @@ module battery_task_output
     type(dataset_type), private :: urn1_number, flow(4), snapshot(4), final(4)
   end type output_datasets_type
 
-  !> Paths of the dimension scales of what every task has, in Fortran order.
+  !> Paths of the dimension scales of numbers that every task has, in Fortran order.
   character(len=*), parameter :: task_dimensions(*) = [character(len=8) :: '/replica', '/point']
 
-  !> What times and numbers of particles mean.
+  !> Texts for the meaning of times and of numbers of particles.
   character(len=*), parameter :: since_start = 'time since the start'
   character(len=*), parameter :: in_order = 'particle, from 1, in the order of the initial file'
 
 contains
 
-  !> Creates the datasets of a new file, or opens those of a file that is read; there they
-  !> must have these extents. Does nothing after an error.
+  !> Creates the datasets of a new file, or opens those of a file that is read, which must have
+  !> these extents. Does nothing after an error.
   subroutine prepare_output_datasets(file, most, series_interval, snapshot_time, output_datasets, &
     error)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    !> Extents of the datasets; of an extent of 0 there is no dataset.
+    !> Extents of the datasets; a dataset with an extent of 0 does not exist.
     type(output_extents_type), intent(in) :: most
     !> Time between two entries, and times of the snapshots, since the start: for the dimension
     !> scales of a new file.
@@ -96,7 +96,7 @@ contains
     end if
   end subroutine prepare_output_datasets
 
-  !> Datasets of the series: N1 and the flows.
+  !> Prepares the datasets of the series: N1 and the flows.
   subroutine prepare_series(file, most, interval, output_datasets, error)
     type(hdf5_file_type), intent(in) :: file
     type(output_extents_type), intent(in) :: most
@@ -128,7 +128,7 @@ contains
     end do
   end subroutine prepare_series
 
-  !> Positions and velocities.
+  !> Prepares datasets of positions and velocities.
   subroutine prepare_states(file, group, extents, scales, states, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: group, scales(:)
@@ -170,7 +170,7 @@ contains
     !> File, open, as the datasets in it are.
     type(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: output_datasets
-    !> Which task, and how many particles it has.
+    !> Replica and point of the task, from 1; number of its particles.
     integer, intent(in) :: replica, point, number
     type(task_output_type), intent(out) :: task_output
     type(error_type), allocatable, intent(inout) :: error
@@ -188,13 +188,14 @@ contains
       call serialize_states(file, output_datasets%final, [replica, point], 0, &
         task_output%final_state, error)
     end associate
-    ! Runs may be of unequal length.
+    ! Series may have fewer entries than the dataset.
     entries = 0
     if (.not. allocated(error)) entries = count(task_output%series_urn1_number >= 0)
     task_output%series_urn1_number = task_output%series_urn1_number(:entries)
     task_output%series_flow = task_output%series_flow(:4*entries)
   end subroutine read_task_output
 
+  !> Writes or reads the series of a task.
   subroutine serialize_series(file, output_datasets, replica, point, task_output, error)
     type(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: output_datasets
@@ -215,7 +216,8 @@ contains
     end do
   end subroutine serialize_series
 
-  !> States of a task at some times, or, where that is 0, at the one that has no dimension.
+  !> Writes or reads the states of a task at `times` times; 0: the datasets have no dimension of
+  !> time.
   subroutine serialize_states(file, states, task, times, flat, error)
     type(hdf5_file_type), intent(in) :: file
     type(dataset_type), intent(in) :: states(4)
@@ -244,7 +246,7 @@ contains
     type(hdf5_file_type), intent(in) :: file
     !> Datasets, which may be open.
     type(output_datasets_type), intent(inout) :: output_datasets
-    !> Error if not all values were brought into a new file; an earlier error stays.
+    !> Not all values could be written to a new file; an earlier error is kept.
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
 
@@ -256,7 +258,7 @@ contains
     end do
   end subroutine close_output_datasets
 
-  !> The event log of the only task. Does nothing after an error.
+  !> Writes the event log of the only task. Does nothing after an error.
   subroutine write_events(file, task_output, error)
     !> New file, open for writing.
     type(hdf5_file_type), intent(in) :: file
@@ -282,13 +284,14 @@ contains
       'particle, from 1; where a gate reverses, how many turn back', error, by_event)
   end subroutine write_events
 
-  !> A dimension whose coordinates count up from `first`. Does nothing after an error.
+  !> Writes a dimension scale with the coordinates `first`, `first` + 1, ... Does nothing after an
+  !> error.
   subroutine write_counting_scale(file, path, first, length, long_name, error)
     !> New file, open for writing.
     type(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> The first coordinate, and how many there are.
+    !> The first coordinate, and the number of coordinates.
     integer, intent(in) :: first, length
     !> Attribute of that name: what the dimension counts.
     character(len=*), intent(in) :: long_name
