@@ -1,4 +1,4 @@
-!> A key of a namelist: its type, what it may hold, its default, its unit and its meaning.
+!> A key of a namelist: its type, allowed values, default, unit and meaning.
 !>
 !> The program declares its keys in one list (`battery_keys`); reading, checking, comparing and
 !> the help text use that list.
@@ -14,10 +14,11 @@ module battery_key
   !> Types of keys.
   integer, parameter :: whole_key = 1, real_key = 2, text_key = 3, logical_key = 4
 
-  !> Longest text of a key: the longest path that the system takes; most points of a range.
+  !> Longest text of a key, about the longest path of the system; largest number of points of a
+  !> range.
   integer, parameter, public :: longest_text = 4000, longest_range = 100000
 
-  !> One key of a namelist: where it stands, what it means, what may be its value.
+  !> One key of a namelist: group, name, meaning and allowed values.
   type :: key_type
     character(len=32) :: group = '', name = ''
     integer :: kind = whole_key
@@ -25,8 +26,8 @@ module battery_key
     character(len=16) :: default = ''
     !> Meaning, one line of the help text.
     character(len=80) :: meaning = ''
-    !> Least number that is allowed, and whether it is itself forbidden; greatest number, of
-    !> numbers that are not whole only where it is below `huge(1)`.
+    !> Least number, and whether it is itself forbidden; greatest number, for reals only if it is
+    !> below `huge(1)`.
     real(wp) :: least = -huge(1.0_wp)
     logical :: above = .false.
     integer(int64) :: greatest = huge(1)
@@ -38,13 +39,13 @@ module battery_key
     character(len=80) :: choices = ''
     !> Unit, and symbol in the paper; empty if there is none.
     character(len=8) :: unit = '', symbol = ''
-    !> Whether it changes the results; if not, a run may be resumed with another value.
+    !> Whether the key changes the results; if not, a run may be resumed with another value.
     logical :: decides = .true.
   end type key_type
 
 contains
 
-  !> Place of a key in a list of keys; 0 if it is not there.
+  !> Place of a key in a list of keys; 0 if the list does not have it.
   pure integer function find_key(keys, group, name) result(place)
     !> List of all keys.
     type(key_type), intent(in) :: keys(:)
@@ -74,13 +75,13 @@ contains
   !> Whether a number is greater than a key allows.
   elemental logical function is_beyond(key, number)
     type(key_type), intent(in) :: key
-    !> The number, or `huge` to ask whether there is a greatest number at all.
+    !> The number; `huge`: whether there is a greatest number.
     real(wp), intent(in) :: number
 
     is_beyond = number > key%greatest .and. (key%kind == whole_key .or. key%greatest < huge(1))
   end function is_beyond
 
-  !> What is allowed for a key, in words.
+  !> Text for the allowed values of a key.
   pure function allowed_text(key) result(text)
     type(key_type), intent(in) :: key
     character(len=:), allocatable :: text
@@ -98,7 +99,8 @@ contains
     end select
   end function allowed_text
 
-  !> `one number`, `one number or two`, `numbers`, or what a range holds.
+  !> Text for the allowed number of values: `one number`, `one number or two`, `numbers`, or the
+  !> three numbers of a range.
   pure function value_count_text(key, what) result(text)
     type(key_type), intent(in) :: key
     character(len=*), intent(in) :: what
@@ -115,6 +117,7 @@ contains
     end if
   end function value_count_text
 
+  !> Text for the bounds of a number.
   pure function bound_text(key) result(text)
     type(key_type), intent(in) :: key
     character(len=:), allocatable :: text
@@ -166,6 +169,7 @@ contains
     end do
   end function keys_text
 
+  !> A word with blanks up to a width.
   pure function padded_to(word, width) result(text)
     character(len=*), intent(in) :: word
     integer, intent(in) :: width

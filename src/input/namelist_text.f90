@@ -1,7 +1,7 @@
 !> Splits the text of a namelist file into groups, keys and values.
 !>
 !> The syntax is that of Fortran's own namelist input (comments, both quotes, lists, repeat counts,
-!> `/` or `&end`, any case), but lines are remembered, and the reading goes on after a mistake.
+!> `/` or `&end`, any case), but line numbers are stored, and parsing continues after an error.
 module battery_namelist_text
   use battery_text, only: to_text, lower_case
   use battery_remarks, only: remarks_type, add_remark, displayable_text
@@ -9,18 +9,18 @@ module battery_namelist_text
   private
   public :: value_type, entry_type, group_type, split_namelist, written_text
 
-  !> Most values of one key, repeats counted.
+  !> Largest number of values of one key, including repeats.
   integer, parameter, public :: most_values = 100000
-  !> Most letters of a text that is repeated, in all.
+  !> Largest total number of letters of a repeated text.
   integer, parameter :: most_letters = 10000000
 
-  !> One value as it is written, without its quotes.
+  !> One value as written, without its quotes.
   type :: value_type
     character(len=:), allocatable :: text
     logical :: quoted = .false.
   end type value_type
 
-  !> `key = values`.
+  !> An entry `key = values`.
   type :: entry_type
     !> Group and key in small letters.
     character(len=:), allocatable :: group, key
@@ -28,7 +28,7 @@ module battery_namelist_text
     type(value_type), allocatable :: values(:)
   end type entry_type
 
-  !> `&name`.
+  !> The beginning of a group, `&name`.
   type :: group_type
     character(len=:), allocatable :: name
     integer :: line = 0
@@ -38,7 +38,7 @@ module battery_namelist_text
   type :: reader_type
     character(len=:), allocatable :: text
     integer :: at = 1, line = 1
-    !> The first of them count.
+    !> Groups and entries; the arrays may be longer than their numbers.
     type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
     integer :: group_count = 0, entry_count = 0
@@ -50,13 +50,14 @@ module battery_namelist_text
   character(len=1), parameter :: tab = achar(9), line_end = achar(10), return_sign = achar(13)
   character(len=*), parameter :: letters = 'abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ'
   character(len=*), parameter :: name_signs = letters//'0123456789_'
-  !> What ends a value that has no quotes.
+  !> Characters that end a value without quotes.
   character(len=*), parameter :: value_ends = ' ,/!&='//tab//line_end//return_sign//achar(39)//'"'
 
 contains
 
-  !> Splits `text` into `groups`, those given again too, and `entries`, the keys with their values,
-  !> in their order; mistakes of the syntax come back in `remarks`, the rest is read all the same.
+  !> Splits `text` into `groups`, including repeated ones, and `entries`, the keys with their
+  !> values, in their order; syntax errors are added to `remarks`, and the rest is parsed
+  !> nevertheless.
   subroutine split_namelist(text, groups, entries, remarks)
     character(len=*), intent(in) :: text
     type(group_type), allocatable, intent(out) :: groups(:)
@@ -68,7 +69,7 @@ contains
     allocate (reader%groups(count([(text(at:at) == '&', at=1, len(text))])), reader%entries(64), &
       reader%values(most_values))
     reader%text = text
-    ! A mark of the byte order that some editors put first.
+    ! A byte order mark, which some editors write.
     if (index(text, char(239)//char(187)//char(191)) == 1) reader%at = 4
     do
       call skip_blanks(reader)
@@ -86,7 +87,7 @@ contains
     remarks = reader%remarks
   end subroutine split_namelist
 
-  !> Values as they were written, shortened if there are many.
+  !> Text of values as written, shortened if there are many.
   pure function written_text(values) result(text)
     !> Values of one key.
     type(value_type), intent(in) :: values(:)
@@ -109,7 +110,7 @@ contains
     end do
   end function written_text
 
-  !> Reads from the `&` of a group to behind its end.
+  !> Parses a group, from its `&` to its end.
   subroutine read_group(reader)
     type(reader_type), intent(inout) :: reader
     type(group_type) :: group
@@ -140,7 +141,7 @@ contains
       //': the / that ends the group is missing')
   end subroutine read_group
 
-  !> Reads `key = values`.
+  !> Parses an entry `key = values`.
   subroutine read_entry(reader, group)
     type(reader_type), intent(inout) :: reader
     character(len=*), intent(in) :: group
@@ -189,7 +190,7 @@ contains
     reader%entries(reader%entry_count) = entry
   end subroutine add_entry
 
-  !> Reads the values of a key, up to the next key or the end of the group.
+  !> Parses the values of a key, up to the next key or the end of the group.
   subroutine read_values(reader, name, values)
     type(reader_type), intent(inout) :: reader
     !> Group and key.
@@ -233,6 +234,7 @@ contains
 
   contains
 
+    !> Adds a remark on the values of this key.
     subroutine add_mistake(text)
       character(len=*), intent(in) :: text
 
@@ -241,7 +243,7 @@ contains
 
   end subroutine read_values
 
-  !> Reads one value, with how often it is repeated.
+  !> Parses one value and its repeat count.
   subroutine read_value(reader, value, repeats, problem)
     type(reader_type), intent(inout) :: reader
     type(value_type), intent(out) :: value
@@ -273,7 +275,7 @@ contains
     if (repeats == 0) problem = 'a value is repeated 0 times'
   end subroutine read_value
 
-  !> Reads a text in quotes; a doubled quote stands for itself.
+  !> Parses a text in quotes, in which a doubled quote is one quote.
   subroutine read_quoted(reader, text, problem)
     type(reader_type), intent(inout) :: reader
     character(len=:), allocatable, intent(out) :: text
@@ -304,7 +306,7 @@ contains
     text = letters(:count)
   end subroutine read_quoted
 
-  !> Whether a name and = come next: then the values have ended.
+  !> Whether the next characters are a name and =, so that the values have ended.
   logical function key_follows(reader) result(follows)
     type(reader_type), intent(in) :: reader
     type(reader_type) :: ahead
@@ -318,7 +320,7 @@ contains
     follows = next_sign(ahead) == '=' .or. next_sign(ahead) == '(' .or. next_sign(ahead) == '%'
   end function key_follows
 
-  !> Skips blanks, ends of lines and comments, and commas if `commas`.
+  !> Skips blanks, line ends and comments, and commas if `commas`.
   pure subroutine skip_blanks(reader, commas)
     type(reader_type), intent(inout) :: reader
     logical, intent(in), optional :: commas
@@ -348,7 +350,7 @@ contains
     reader%at = reader%at + line_length(reader)
   end subroutine skip_line
 
-  !> The rest of a line, to be shown.
+  !> The rest of a line, for a message.
   pure function rest_of_line(reader) result(rest)
     type(reader_type), intent(in) :: reader
     character(len=:), allocatable :: rest
@@ -357,7 +359,7 @@ contains
     if (rest == '') rest = 'the end of the line'
   end function rest_of_line
 
-  !> Letters up to the end of the line.
+  !> Number of characters up to the end of the line.
   pure integer function line_length(reader) result(length)
     type(reader_type), intent(in) :: reader
 
@@ -365,7 +367,8 @@ contains
     if (length < 0) length = len(reader%text) - reader%at + 1
   end function line_length
 
-  !> Reads the text from here to before character `next`; all that is left if that is 0.
+  !> Reads the text from the present position up to the character before `next`, counted from here;
+  !> 0: the whole rest.
   subroutine read_before(reader, next, text)
     type(reader_type), intent(inout) :: reader
     integer, intent(in) :: next
@@ -378,7 +381,7 @@ contains
     reader%at = last + 1
   end subroutine read_before
 
-  !> The next sign; a null sign at the end.
+  !> The next character; a null character at the end.
   pure function next_sign(reader) result(sign)
     type(reader_type), intent(in) :: reader
     character(len=1) :: sign
@@ -387,6 +390,7 @@ contains
     if (.not. at_end(reader)) sign = reader%text(reader%at:reader%at)
   end function next_sign
 
+  !> Whether the whole text has been read.
   pure logical function at_end(reader)
     type(reader_type), intent(in) :: reader
 

@@ -1,7 +1,7 @@
-!> Numbers as people write them: one way to read them for namelists and for initial files.
+!> Strict parsing of numbers, for namelists and initial files.
 !>
-!> Fortran's own input is too kind: it reads `3-2` as 0.03, `2*1` as two numbers, `1,,2` as one that
-!> stays what it was, and what is too large or too small as infinite or 0.
+!> Fortran's own input is too tolerant: it reads `3-2` as 0.03, `2*1` as two numbers, the empty
+!> value in `1,,2` as no change, and a number that is too large or too small as infinity or 0.
 module battery_numbers
   use, intrinsic :: ieee_exceptions, only: ieee_status_type, ieee_overflow, ieee_get_status, &
     ieee_set_halting_mode, ieee_set_status
@@ -11,20 +11,20 @@ module battery_numbers
   private
   public :: read_whole, read_decimal
 
-  !> Digits of a whole number that always fits.
+  !> Number of digits up to which any integer fits.
   integer, parameter :: most_digits = 18
 
   character(len=*), parameter :: digits = '0123456789'
 
 contains
 
-  !> A whole number: digits, with or without a sign.
+  !> Parses an integer: digits, with or without a sign.
   pure subroutine read_whole(text, number, wrong)
     !> Text of a number, without blanks.
     character(len=*), intent(in) :: text
-    !> 0 if something is wrong.
+    !> The number; 0 if the text is invalid.
     integer(int64), intent(out) :: number
-    !> What is wrong with it; empty: nothing.
+    !> Problem of the text; empty: none.
     character(len=:), allocatable, intent(out) :: wrong
 
     number = 0
@@ -38,14 +38,14 @@ contains
     end if
   end subroutine read_whole
 
-  !> A number: a sign or none, digits with a point or without, and an exponent or none: e or d, a
-  !> sign or none, digits. It must be neither too large nor so small that it would become 0.
+  !> Parses a real: an optional sign, digits with an optional point, and an optional exponent (e or
+  !> d, an optional sign, digits). It must be neither too large nor so small that it would become 0.
   subroutine read_decimal(text, number, wrong)
     !> Text of a number, without blanks.
     character(len=*), intent(in) :: text
-    !> 0 if something is wrong.
+    !> The number; 0 if the text is invalid.
     real(wp), intent(out) :: number
-    !> What is wrong with it; empty: nothing.
+    !> Problem of the text; empty: none.
     character(len=:), allocatable, intent(out) :: wrong
     type(ieee_status_type) :: before
     integer :: first, last, mark, status
@@ -63,8 +63,8 @@ contains
       if (.not. is_whole(text(mark + 1:))) wrong = 'is not a number'
     end if
     if (wrong /= '') return
-    ! What is too large becomes infinite with one compiler, and must not end a program that traps
-    ! that; with another it cannot be read.
+    ! A number that is too large becomes infinity with one compiler, which must not end a program
+    ! that traps overflows; with another it is an error of the read.
     call ieee_get_status(before)
     call ieee_set_halting_mode(ieee_overflow, .false.)
     read (text, *, iostat=status) number
@@ -85,7 +85,7 @@ contains
     if (len(text) > 0) length = merge(1, 0, scan(text(1:1), '+-') == 1)
   end function sign_length
 
-  !> Whether this stands for what is not finite.
+  !> Whether a text stands for infinity or NaN.
   pure logical function is_endless(text) result(yes)
     character(len=*), intent(in) :: text
     character(len=3) :: word
@@ -94,7 +94,7 @@ contains
     yes = word == 'nan' .or. word == 'inf'
   end function is_endless
 
-  !> Whether these are digits with at most one point among them.
+  !> Whether a text consists of digits and at most one point.
   pure logical function is_mantissa(text) result(yes)
     character(len=*), intent(in) :: text
 
@@ -102,7 +102,7 @@ contains
       index(text, '.') == index(text, '.', back=.true.)
   end function is_mantissa
 
-  !> Whether these are digits, with or without a sign.
+  !> Whether a text consists of digits, with or without a sign.
   pure logical function is_whole(text) result(yes)
     character(len=*), intent(in) :: text
 

@@ -5,10 +5,10 @@ module battery_remarks
   private
   public :: remarks_type, add_remark, remarks_text, displayable_text
 
-  !> Problems that are reported one by one; of more, only the number.
+  !> Largest number of problems that are reported one by one; of the others, only the number.
   integer, parameter, public :: most_reported = 50
 
-  !> Most letters of a word of the file that a remark repeats.
+  !> Largest number of letters of a word of the file in a remark.
   integer, parameter :: most_letters = 80
 
   !> One problem and its line; 0: it concerns the whole file.
@@ -31,7 +31,7 @@ contains
     type(remarks_type), intent(inout) :: remarks
     !> Line of the namelist, from 1.
     integer, intent(in) :: line
-    !> What is wrong, where in the line, and what is allowed.
+    !> Problem, with its place in the line and the allowed values.
     character(len=*), intent(in) :: text
     type(remark_type) :: remark
     integer :: place, told
@@ -49,8 +49,8 @@ contains
     remarks%count = remarks%count + 1
   end subroutine add_remark
 
-  !> All problems of the file `name`, one a line in the order of its lines, those without a line
-  !> first; of many, the first ones, the last one and how many there are. Empty: none.
+  !> All problems of the file `name`, one per line, in the order of its lines, those without a line
+  !> first; if there are many, the first ones, the last one and the number of all. Empty: none.
   pure function remarks_text(remarks, name) result(text)
     type(remarks_type), intent(in) :: remarks
     character(len=*), intent(in) :: name
@@ -66,6 +66,7 @@ contains
       //to_text(remarks%count - most_reported)//' more; the last: '//one_text(remarks%last, name)
   end function remarks_text
 
+  !> Text of one remark.
   pure function one_text(remark, name) result(text)
     type(remark_type), intent(in) :: remark
     character(len=*), intent(in) :: name
@@ -78,7 +79,7 @@ contains
 
   !> A word of a file made safe to print: shortened, control characters replaced by `?`.
   pure function displayable_text(word) result(shown)
-    !> The word as it stands in the file.
+    !> Word of the file.
     character(len=*), intent(in) :: word
     character(len=:), allocatable :: shown
     integer :: at

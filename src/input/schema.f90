@@ -1,6 +1,7 @@
 !> A JSON Schema (draft 2020-12) of a namelist in the JSON form of f90nml, made from a list of keys.
 !>
-!> Names, types and bounds of single keys are in it; rules between keys are the program's.
+!> It has names, types and bounds of single keys; rules between keys are checked by the program
+!> only.
 module battery_schema
   use battery_kinds, only: wp
   use battery_text, only: to_text, new_line_character
@@ -15,9 +16,9 @@ module battery_schema
 
 contains
 
-  !> The schema: one line a key.
+  !> Text of the schema: one line per key.
   pure function schema_text(keys) result(text)
-    !> All there are, those of a group one behind the other, a range behind its list.
+    !> All keys, grouped, with a range after its list.
     type(key_type), intent(in) :: keys(:)
     character(len=:), allocatable :: text
     character(len=1), parameter :: nl = new_line_character
@@ -30,7 +31,7 @@ contains
       associate (key => keys(at))
         if (all(keys(:at - 1)%group /= key%group)) &
           text = text//nl//'  "'//trim(key%group)//'": {'//object
-        ! A range is bounded as the list before it.
+        ! A range has the bounds of the list before it.
         if (.not. key%is_range) bounds = bounds_text(key)
         text = text//nl//'    "'//trim(key%name)//'": {"description": "'//description(key)//'", ' &
           //type_text(key, bounds)//'}'
@@ -41,7 +42,7 @@ contains
     text = text//'}}'
   end function schema_text
 
-  !> What a key means, in words.
+  !> Text for the meaning of a key.
   pure function description(key) result(text)
     type(key_type), intent(in) :: key
     character(len=:), allocatable :: text
@@ -52,10 +53,10 @@ contains
     if (key%default /= '') text = text//'; default: '//trim(key%default)
   end function description
 
-  !> What a key may hold.
+  !> Text for the type and the allowed values of a key.
   pure function type_text(key, bounds) result(text)
     type(key_type), intent(in) :: key
-    !> Bounds of the key's numbers, in words.
+    !> Text for the bounds of the key's numbers.
     character(len=*), intent(in) :: bounds
     character(len=:), allocatable :: text, one
 
@@ -73,7 +74,7 @@ contains
     case (logical_key)
       text = '"type": "boolean"'
     case default
-      ! Seen by no one: control characters, and blanks before the text.
+      ! Excluded since they are invisible: control characters, and blanks before the text.
       text = '"type": "string", "maxLength": '//to_text(longest_text) &
         //', "not": {"pattern": "^ +[^ ]|[\\x00-\\x1f\\x7f]"}'
       if (key%default /= '''''') text = text//', "pattern": "[^ ]"'
@@ -81,7 +82,7 @@ contains
     end select
   end function type_text
 
-  !> Least and greatest number of a key.
+  !> Text for the least and the greatest number of a key.
   pure function bounds_text(key) result(text)
     type(key_type), intent(in) :: key
     character(len=:), allocatable :: text

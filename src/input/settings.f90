@@ -1,5 +1,5 @@
-!> Gives every key of a namelist its value: checks groups, keys, types and bounds, and takes the
-!> default for what is not there. All problems are collected, each with its line.
+!> Values of all keys of a namelist: checks groups, keys, types and bounds, and sets the defaults of
+!> keys that are not given. All problems are collected, each with its line.
 !>
 !> The list of keys is an argument.
 module battery_settings
@@ -16,7 +16,7 @@ module battery_settings
   public :: setting_type, settings_type, read_settings, find_setting
   public :: get_value, get_list, get_text
 
-  !> The value of one key; which component counts depends on its type.
+  !> The value of one key; the type of the key determines the component that is used.
   type :: setting_type
     type(key_type) :: key
     logical :: given = .false.
@@ -27,29 +27,29 @@ module battery_settings
     real(wp), allocatable :: reals(:)
     character(len=:), allocatable :: text
     logical :: flag = .false.
-    !> The values in one way of writing, so that settings can be compared.
+    !> The values in a canonical notation, so that settings can be compared.
     character(len=:), allocatable :: canonical
   end type setting_type
 
-  !> All keys with their values, and what is wrong.
+  !> All keys with their values, and the problems.
   type :: settings_type
     type(setting_type), allocatable :: all(:)
     type(remarks_type) :: problems
   end type settings_type
 
-  !> Gets the `value` of a key; without one, `value` keeps what it had. `group` and `name` are
-  !> in small letters. Of two numbers, one that is given counts for both.
+  !> Gets the `value` of a key; if the key has none, `value` does not change. `group` and `name` are
+  !> in small letters. If a key of two numbers is given one, it is the value of both.
   interface get_value
     module procedure :: get_one_value, get_two_values
   end interface get_value
 
 contains
 
-  !> Reads the text of a namelist file.
+  !> Parses the text of a namelist file.
   subroutine read_settings(text, keys, settings)
-    !> All of it, with its line ends.
+    !> Text of the whole file.
     character(len=*), intent(in) :: text
-    !> All the keys there are.
+    !> List of all keys.
     type(key_type), intent(in) :: keys(:)
     type(settings_type), intent(out) :: settings
     type(group_type), allocatable :: groups(:)
@@ -90,7 +90,7 @@ contains
     end do
   end subroutine read_settings
 
-  !> Unknown and repeated groups.
+  !> Reports unknown and repeated groups.
   subroutine check_groups(keys, groups, problems)
     type(key_type), intent(in) :: keys(:)
     type(group_type), intent(in) :: groups(:)
@@ -119,8 +119,8 @@ contains
     end do
   end subroutine check_groups
 
-  !> Place of the key that was meant by one that its group does not have: of that name in another
-  !> group, of that symbol in the paper, or of a name that is much like it. 0: none is.
+  !> Place of the key that was probably meant by an unknown key: one with this name in another
+  !> group, with this symbol in the paper, or with a similar name. 0: none.
   pure integer function meant_key(keys, entry) result(place)
     type(key_type), intent(in) :: keys(:)
     type(entry_type), intent(in) :: entry
@@ -148,11 +148,11 @@ contains
     if (index(name, '''') > 0) name = name(:index(name, '''') - 1)//'_prime'
   end function written_symbol
 
-  !> A key that its group does not have; says nothing more where the group itself is unknown.
+  !> Reports an unknown key, unless its group is unknown.
   subroutine refuse_key(keys, entry, meant, problems)
     type(key_type), intent(in) :: keys(:)
     type(entry_type), intent(in) :: entry
-    !> Place of the key that was meant; 0: that is not known.
+    !> Place of the key that was probably meant; 0: unknown.
     integer, intent(in) :: meant
     type(remarks_type), intent(inout) :: problems
     character(len=:), allocatable :: hint
@@ -173,7 +173,7 @@ contains
       //join(distinct_names(pack(keys%name, keys%group == entry%group)), ', '))
   end subroutine refuse_key
 
-  !> The name that may have been meant, behind its sign, as a question; empty: none.
+  !> Question whether a name, after its sign (such as `&`), was meant; empty if there is no name.
   pure function suggestion(sign, name) result(text)
     character(len=*), intent(in) :: sign, name
     character(len=:), allocatable :: text
@@ -182,6 +182,7 @@ contains
     if (name /= '') text = ' (did you mean '//sign//name//'?)'
   end function suggestion
 
+  !> Group and key of an entry, for messages.
   pure function entry_name(entry) result(name)
     type(entry_type), intent(in) :: entry
     character(len=:), allocatable :: name
@@ -189,7 +190,7 @@ contains
     name = '&'//entry%group//' '//displayable_text(entry%key)
   end function entry_name
 
-  !> The default of a key; it goes through the same reading as an input.
+  !> Sets a key to its default, which is parsed like an input.
   subroutine set_default(key, setting)
     type(key_type), intent(in) :: key
     type(setting_type), intent(out) :: setting
@@ -211,7 +212,7 @@ contains
     setting%given = .false.
   end subroutine set_default
 
-  !> The values of a key as they were given.
+  !> Sets a key to the values given in an entry.
   subroutine set_from_entry(entry, setting, problems)
     type(entry_type), intent(in) :: entry
     type(setting_type), intent(inout) :: setting
@@ -241,7 +242,7 @@ contains
     end associate
   end subroutine set_from_entry
 
-  !> What is wrong with the number of values; empty: nothing.
+  !> Problem of the number of values; empty: none.
   pure function wrong_count(key, count) result(wrong)
     type(key_type), intent(in) :: key
     integer, intent(in) :: count
@@ -259,8 +260,8 @@ contains
     end if
   end function wrong_count
 
-  !> Sets value number `at` of a setting; `written` is its canonical text, `wrong` says what
-  !> is wrong with it.
+  !> Sets value number `at` of a setting; `written` is its canonical text, `wrong` its problem
+  !> (empty: none).
   subroutine set_value_at(value, at, setting, written, wrong)
     type(value_type), intent(in) :: value
     integer, intent(in) :: at
@@ -283,7 +284,7 @@ contains
         call read_logical(value, setting%flag, wrong)
         written = to_text(setting%flag)
       case default
-        ! Blanks at the end are no part of a text, as everywhere in Fortran, which pads with them.
+        ! Trailing blanks are no part of a text: Fortran pads with blanks.
         written = ''''//trim(value%text)//''''
         wrong = wrong_text(key, value)
         if (wrong == '') setting%text = trim(value%text)
@@ -291,6 +292,7 @@ contains
     end associate
   end subroutine set_value_at
 
+  !> Problem of a number outside the bounds of its key; empty: none.
   pure function out_of_bounds(key, number) result(wrong)
     type(key_type), intent(in) :: key
     real(wp), intent(in) :: number
@@ -303,7 +305,7 @@ contains
       wrong = 'is beyond '//to_text(key%greatest)
   end function out_of_bounds
 
-  !> True or false, with or without points, whole or as T and F.
+  !> Parses a logical value: true or false, with or without points, or T or F.
   pure subroutine read_logical(value, flag, wrong)
     type(value_type), intent(in) :: value
     logical, intent(out) :: flag
@@ -322,6 +324,7 @@ contains
     if (value%quoted) wrong = 'is a text'
   end subroutine read_logical
 
+  !> Problem of the value of a text key; empty: none.
   pure function wrong_text(key, value) result(wrong)
     type(key_type), intent(in) :: key
     type(value_type), intent(in) :: value
@@ -355,7 +358,7 @@ contains
     end associate
   end function has_control_sign
 
-  !> A range has a whole number of values.
+  !> Problem of a range whose number of values is not an integer; empty: none.
   pure function wrong_range(range) result(wrong)
     real(wp), intent(in) :: range(3)
     character(len=:), allocatable :: wrong
@@ -366,16 +369,17 @@ contains
       wrong = 'how many is not a whole number from 1 to '//to_text(longest_range)
   end function wrong_range
 
-  !> Place of a key in the settings, which must have it.
+  !> Place of a key, which must be declared, in the settings.
   pure integer function find_setting(settings, group, name) result(place)
     type(settings_type), intent(in) :: settings
     !> Group and key in small letters.
     character(len=*), intent(in) :: group, name
 
     place = find_key(settings%all%key, group, name)
-    if (place == 0) error stop 'a key is asked for that is not declared'
+    if (place == 0) error stop 'a key is not declared'
   end function find_setting
 
+  !> Gets the value of a key with a single value.
   pure subroutine get_one_value(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name
@@ -384,6 +388,7 @@ contains
     call get_value_at(settings%all(find_setting(settings, group, name)), 1, value)
   end subroutine get_one_value
 
+  !> Gets both values of a key of two numbers.
   pure subroutine get_two_values(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name
@@ -416,7 +421,7 @@ contains
     end select
   end subroutine get_value_at
 
-  !> Gets all values of a key of numbers, `name` in its `group`, as `value`.
+  !> Gets all values of a key of numbers.
   pure subroutine get_list(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name
@@ -425,7 +430,7 @@ contains
     value = settings%all(find_setting(settings, group, name))%reals
   end subroutine get_list
 
-  !> Gets the text of a key, `name` in its `group`, as `value`.
+  !> Gets the value of a text key.
   pure subroutine get_text(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name

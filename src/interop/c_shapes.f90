@@ -1,8 +1,8 @@
 !> Interfaces of C procedures, one for each list of arguments and type of result.
 !>
-!> Texts that go to C end with a null sign; what C writes goes into `room` bytes. What takes a
-!> number alone has no shape: where a procedure is declared by one, gfortran 12 passes the address
-!> of a constant or of a function's result, though the number is wanted.
+!> Texts passed to C end with a null character; C writes texts into `room` bytes. There is no
+!> interface for a single number passed by value: for a procedure declared by such an abstract
+!> interface, gfortran 12 passes the address of a constant or of a function's result.
 module battery_c_shapes
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_ptr, c_size_t
   implicit none (type, external)
@@ -52,7 +52,7 @@ module battery_c_shapes
       character(kind=c_char), intent(in) :: one(*), other(*)
     end function number_of_paths
 
-    !> Writes a text; gives its length or an error.
+    !> Writes a text; returns its length or an error number.
     integer(c_int) function number_of_text(text, room) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
@@ -60,7 +60,7 @@ module battery_c_shapes
       character(kind=c_char), intent(inout) :: text(room)
     end function number_of_text
 
-    !> Reads or writes the text of a path; gives a number.
+    !> Reads or writes the text of a path; returns an integer.
     integer(c_int) function number_of_path_and_text(path, text, room) bind(c)
       import :: c_char, c_int
       implicit none (type, external)

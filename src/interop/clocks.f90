@@ -25,7 +25,7 @@ module battery_clocks
 
 contains
 
-  !> Seconds on a clock that never goes back; differences mean something, the value does not.
+  !> Seconds on a monotonic clock with an arbitrary origin.
   real(dp) function wall_seconds() result(seconds)
     integer(int64) :: ticks, rate
 
@@ -49,7 +49,7 @@ contains
     text = ended(:length)
   end function utc_now
 
-  !> Leaves the processor to others for a while, up to a second; a signal may end it early.
+  !> Sleeps for up to a second; a signal may end the sleep early.
   subroutine sleep_for(seconds)
     !> Time to sleep; more than 0.99 s counts as 0.99 s.
     real(dp), intent(in) :: seconds

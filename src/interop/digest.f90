@@ -1,4 +1,4 @@
-!> SHA-256 of any number of bytes, by OpenSSL's libcrypto, which HDF5 brings along; `sha256sum` and
+!> SHA-256 of any number of bytes, by OpenSSL's libcrypto, on which HDF5 depends; `sha256sum` and
 !> Python's `hashlib` give the same digits.
 module battery_digest
   use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_int8_t, c_ptr, c_null_ptr, c_associated
@@ -64,7 +64,7 @@ contains
   subroutine add_to_digest(digest, bytes)
     !> A digest that was begun.
     type(digest_type), intent(inout) :: digest
-    !> The next bytes, any number of them.
+    !> The next bytes, of any number.
     integer(int8), intent(in), contiguous :: bytes(:)
 
     if (digest%is_good) digest%is_good = &
@@ -75,8 +75,8 @@ contains
   subroutine end_digest(digest, text)
     !> A digest that was begun; nothing can be added afterwards.
     type(digest_type), intent(inout) :: digest
-    !> `digest_length` hexadecimal digits, in small letters; empty if the library has failed, which
-    !> lack of memory can do.
+    !> `digest_length` hexadecimal digits, in small letters; empty if the library has failed, for
+    !> instance for lack of memory.
     character(len=:), allocatable, intent(out) :: text
     integer(c_int8_t) :: bytes(digest_length/2)
     integer(c_int) :: count

@@ -1,4 +1,4 @@
-!> The whole of a file, or of what comes through a pipe, as one text.
+!> Reads a whole file or pipe as one text.
 module battery_file_text
   use, intrinsic :: iso_c_binding, only: c_int, c_int64_t, c_char, c_null_char
   use battery_c_shapes, only: number_of_path
@@ -11,7 +11,7 @@ module battery_file_text
   private
   public :: read_file, read_input
 
-  !> What `read_some` says besides a number of bytes: at the end, not yet.
+  !> Results of `c_read_some` that are no number of bytes: end of the file, nothing to read yet.
   integer(int64), parameter :: at_end = 0, not_yet = -2
 
   procedure(number_of_path), bind(c, name='battery_open_input') :: c_open_input
@@ -41,7 +41,7 @@ module battery_file_text
 
 contains
 
-  !> The whole of a file as one text, its line ends as they are.
+  !> Reads a whole file as one text, with its line ends unchanged.
   subroutine read_file(path, text, error)
     !> Path of a file; a pipe or a device is an error.
     character(len=*), intent(in) :: path
@@ -57,14 +57,15 @@ contains
     end if
   end subroutine read_file
 
-  !> The whole of a file, or of what comes through a pipe, up to `most` bytes.
+  !> Reads a whole file or pipe, up to `most` bytes.
   subroutine read_input(path, most, text, error)
     !> Path of a file or a pipe.
     character(len=*), intent(in) :: path
     integer(int64), intent(in) :: most
     !> Bytes of the file, up to the error if there is one.
     character(len=:), allocatable, intent(out) :: text
-    !> Code `exit_stopped_early` if a signal came while nothing came through the pipe.
+    !> The input cannot be read; code `exit_stopped_early` if a signal came while the pipe was
+    !> empty.
     type(error_type), allocatable, intent(out) :: error
     integer(int64), parameter :: least_room = 4096_int64
     character(len=:), allocatable :: larger

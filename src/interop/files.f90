@@ -1,5 +1,5 @@
-!> What Fortran cannot do with files: sync, atomic rename, remove, rights, folders and what is in
-!> them.
+!> Operations on files that Fortran lacks: sync, atomic rename, removal, permissions, folders and
+!> their contents.
 module battery_files
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_ptr, c_null_char, c_associated
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
@@ -80,17 +80,17 @@ contains
     yes = c_may_write(path//c_null_char) /= 0
   end function is_writable
 
-  !> Waits until the file, or the entries of the folder, are on the disk.
+  !> Syncs a file, or the entries of a folder, to disk.
   subroutine sync_file(path, error)
     !> Path of a file or a folder.
     character(len=*), intent(in) :: path
-    !> Error if the file is not there, or the disk has failed.
+    !> The file is missing, or the disk has failed.
     type(error_type), allocatable, intent(out) :: error
 
     call set_system_error(c_sync(path//c_null_char), path//': cannot be written to the disk', error)
   end subroutine sync_file
 
-  !> Gives a file another name in one step; what had that name is gone.
+  !> Renames a file atomically; a file that had the new name is replaced.
   subroutine rename_file(old, new, error)
     !> Old and new path, on one file system.
     character(len=*), intent(in) :: old, new
@@ -136,8 +136,8 @@ contains
     yes = all(now%mark == before%mark)
   end function has_identity
 
-  !> As `publish_file`, for a temporary file that is on the disk, but replaces nothing that was not
-  !> there before: then the file stays under its temporary name, and the error says so.
+  !> As `publish_file`, for a temporary file that is synced to disk, but replaces only the file with
+  !> the given identity: otherwise the file keeps its temporary name, and there is an error.
   subroutine publish_unless_replaced(temporary, final, before, error)
     !> Paths of the two files, in one folder.
     character(len=*), intent(in) :: temporary, final
@@ -158,19 +158,19 @@ contains
     if (.not. allocated(error)) call sync_file(folder_of(final), error)
   end subroutine publish_unless_replaced
 
-  !> Removes a file or an empty folder; one that is not there is no error.
+  !> Removes a file or an empty folder; a missing one is no error.
   subroutine remove_file(path, error)
-    !> A link is removed, not what it points to.
+    !> Of a link, the link itself is removed, not its target.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
 
     call set_system_error(c_remove(path//c_null_char), path//': cannot be removed', error)
   end subroutine remove_file
 
-  !> Makes a folder; one that is there already is no error. The error's code is `exit_bad_input`
-  !> unless the disk is at fault.
+  !> Makes a folder; an existing one is no error. The code of the error is `exit_bad_input` unless
+  !> the disk has failed.
   subroutine make_folder(path, error)
-    !> Path of the new folder, within a folder that is there.
+    !> Path of the new folder, in an existing folder.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
@@ -180,15 +180,15 @@ contains
     if (c_make_folder(path//c_null_char) == 0) return
     code = merge(exit_failure, exit_bad_input, is_disk_error())
     reason = system_message()
-    ! Another rank may have been faster.
+    ! Another rank may have made the folder in the meantime.
     if (is_folder(path)) return
     call fatal_error(error, path//': the folder cannot be made: '//reason, code)
   end subroutine make_folder
 
-  !> Makes an empty file anew. What had that name is removed, a link too: nothing is ever written
-  !> through one.
+  !> Makes a new empty file. A file or a link that had the name is removed: nothing is ever written
+  !> through a link.
   subroutine create_new_file(path, error)
-    !> Path of the new file, in a folder that is there.
+    !> Path of the new file, in an existing folder.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(out) :: error
 
@@ -201,8 +201,8 @@ contains
     yes = c_is_disk_error() /= 0
   end function is_disk_error
 
-  !> Names, without the folder, of what there is in a folder that matches a pattern with `*` and
-  !> `?`; none if there is no such folder. Their order is arbitrary.
+  !> Names, without the folder, of the entries of a folder that match a pattern with `*` and `?`, in
+  !> any order; none if there is no such folder.
   function files_matching(folder, pattern) result(names)
     !> Folder to look in, and pattern of the names.
     character(len=*), intent(in) :: folder, pattern

@@ -1,9 +1,10 @@
-!> Random numbers from the GNU Scientific Library, with seeds of 64 bits; and its sort.
+!> Random numbers from the GNU Scientific Library, with seeds of 64 bits; its sort; Student's
+!> distribution.
 !>
-!> GSL's generators take 32 bits. So there are two of different kind, `mt19937` (Matsumoto and
-!> Nishimura, ACM TOMACS 8, 3 (1998), doi:10.1145/272991.272995) and `cmrg` (L'Ecuyer, Operations
-!> Research 44, 816 (1996), doi:10.1287/opre.44.5.816), each with half of the seed, whose numbers
-!> are added modulo one: uniform if either of them is.
+!> Seeds of GSL's generators have 32 bits. So there are two generators of different kind, `mt19937`
+!> (Matsumoto and Nishimura, ACM TOMACS 8, 3 (1998), doi:10.1145/272991.272995) and `cmrg`
+!> (L'Ecuyer, Operations Research 44, 816 (1996), doi:10.1287/opre.44.5.816), each with half of the
+!> seed. Their numbers are added modulo one: the sum is uniform if either of them is.
 module battery_gsl
   use, intrinsic :: iso_c_binding, only: c_ptr, c_null_ptr, c_double, c_int64_t, c_size_t, &
     c_associated
@@ -45,8 +46,8 @@ module battery_gsl
       type(c_ptr), value, intent(in) :: handle
     end function c_uniform
 
-    !> The places, from 0 on, of `count` numbers in the order in which they grow, each `stride`
-    !> behind the one before.
+    !> Sorting permutation: the indices, from 0, of `count` numbers in ascending order; the numbers
+    !> are `stride` elements apart.
     subroutine sort_order(order, numbers, stride, count) bind(c, name='gsl_sort_index')
       import :: c_double, c_size_t
       implicit none (type, external)
@@ -58,14 +59,14 @@ module battery_gsl
 
 contains
 
-  !> Version of the library.
+  !> Name and version of the library.
   function gsl_library() result(version)
     character(len=:), allocatable :: version
 
     version = c_text_at(c_version())
   end function gsl_library
 
-  !> A generator, to be given back with `free_generator`; an error if there is no memory.
+  !> Makes a generator, to be freed with `free_generator`; an error if there is no memory.
   subroutine new_generator(generator, seed, error)
     type(generator_type), intent(out) :: generator
     !> Seed: any 64 bits.
@@ -77,7 +78,7 @@ contains
       call fatal_error(error, 'GSL found no memory for a generator of random numbers')
   end subroutine new_generator
 
-  !> Gives the memory of a generator back; harmless for one that was never made.
+  !> Frees a generator; one that was never made is no error.
   subroutine free_generator(generator)
     type(generator_type), intent(inout) :: generator
 
@@ -85,7 +86,7 @@ contains
     generator%handle = c_null_ptr
   end subroutine free_generator
 
-  !> Next number, uniform in [0, 1), with steps of 2**(-53).
+  !> Next number of a generator, uniform in [0, 1), a multiple of 2**(-53).
   real(dp) function uniform(generator) result(number)
     type(generator_type), intent(in) :: generator
 

@@ -1,15 +1,15 @@
-!> One run owns an output: a file beside it (`FILE.h5.owner`) says which, on which machine, since
-!> when, and is locked as long as that process lives.
+!> Lock file of an output: `FILE.h5.owner`, next to the output, has the machine, the process and the
+!> start time of the run that owns the output, and is locked while that process exists.
 !>
 !> The run that creates the file owns the output. If no process of this machine holds the lock, the
 !> owner has ended, and the next run takes over at once. Whether an owner on another machine has
-!> ended cannot be known: it may be cut off from the network, and write again when that is back. So
-!> no output is ever taken over from another machine; a user who knows that the owner has ended
-!> removes the file. The same holds on this machine where the file system has no locks.
+!> ended cannot be known: it may be cut off from the network, and write again when it is
+!> reconnected. So no output is ever taken over from another machine; a user who knows that the
+!> owner has ended removes the file. The same holds on this machine if the file system has no locks.
 !>
-!> Ranks that outlive their rank 0 may still write, and so may a run whose file was removed: each
-!> asks the file before it does (`is_lock_lost`), no two starts write to the same rank file, and
-!> what is written over is made anew, so that two never write into one file.
+!> Ranks may write after their rank 0 has ended, and so may a run whose lock file was removed: each
+!> reads the lock file before it writes (`is_lock_lost`), no two starts write to the same rank file,
+!> and files are replaced rather than overwritten, so that two runs never write to one file.
 module battery_lock_file
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_ptr, c_null_char, c_null_ptr, c_associated
   use battery_c_shapes, only: action_on_address, number_of_path_and_text
@@ -32,19 +32,19 @@ module battery_lock_file
   !> Outcomes of an attempt to lock, as in `lock_file.c`.
   integer(c_int), parameter :: taken = 0, held = 1, unknown = 2, again = 3, not_a_file = 5
 
-  !> Bytes of the longest text of an owner, and of the name of a machine in it.
+  !> Bytes of the longest text of an owner, which includes the name of its machine.
   integer, parameter :: longest_text = 256
 
   !> Seconds to wait for the end of another owner, and between two attempts.
   real(dp), parameter :: default_patience = 5.0_dp, pause = 0.05_dp
 
-  !> An output that is owned, or that another rank owns.
+  !> Lock of an output: held by this process, or known to a rank whose rank 0 holds it.
   type :: lock_type
-    !> The file, and what it says while this run owns it; not allocated: nothing is owned.
+    !> Path of the lock file, and its text while this run owns the output; not allocated: no lock.
     character(len=:), allocatable :: path, text
     !> Identity of the output file when the lock was acquired, on rank 0 alone.
     type(file_identity_type) :: before
-    !> The file, on rank 0 alone.
+    !> The open lock file, on rank 0 alone.
     type(c_ptr), private :: handle = c_null_ptr
   end type lock_type
 
@@ -64,18 +64,18 @@ module battery_lock_file
 
 contains
 
-  !> Makes this process the owner of the output `file`. Where another run owns it, waits a while for
-  !> that to end, and takes over from a dead one of this machine.
+  !> Makes this process the owner of the output `file`. If another run owns it, waits some time for
+  !> the end of that run, and takes over from an ended run of this machine.
   subroutine acquire_lock(lock, file, error, patience, text, hint)
     type(lock_type), intent(out) :: lock
     character(len=*), intent(in) :: file
-    !> Code `exit_bad_input` where another run owns it, `exit_stopped_early` where a signal came.
+    !> Another run owns the output (code `exit_bad_input`), or a signal came (`exit_stopped_early`).
     type(error_type), allocatable, intent(out) :: error
     !> Seconds to wait, `default_patience` if absent.
     real(dp), intent(in), optional :: patience
-    !> What the file is to say, `owner_text` if absent.
+    !> Text of the lock file, `owner_text` if absent.
     character(len=*), intent(in), optional :: text
-    !> What is said besides where another run owns it.
+    !> Advice that is added to the message if another run owns the output.
     character(len=*), intent(in), optional :: hint
     character(len=longest_text) :: holder
     type(error_type), allocatable :: no_matter
@@ -125,7 +125,7 @@ contains
     end do
   end subroutine acquire_lock
 
-  !> Releases the lock; without one, does nothing.
+  !> Releases the lock; does nothing if there is none.
   subroutine release_lock(lock)
     type(lock_type), intent(inout) :: lock
 
@@ -133,8 +133,8 @@ contains
     lock%handle = c_null_ptr
   end subroutine release_lock
 
-  !> Whether another run owns the output now: then nothing may be written any more. If the file is
-  !> gone, this is not known, and the answer is no.
+  !> Whether another run owns the output now, so that nothing may be written any more. If the lock
+  !> file is missing, this is unknown, and the result is false.
   logical function is_lock_lost(lock) result(yes)
     type(lock_type), intent(in) :: lock
     character(len=longest_text) :: now
@@ -146,8 +146,8 @@ contains
     yes = length > 0 .and. now(:length) /= lock%text
   end function is_lock_lost
 
-  !> Creates a file beside the output with a name unique to this run: a rank that sees it sees the
-  !> folder that this run writes to.
+  !> Creates a marker: a file next to the output with a name unique to this run. A rank that sees it
+  !> has the same folder as rank 0.
   subroutine create_marker(lock, error)
     type(lock_type), intent(in) :: lock
     type(error_type), allocatable, intent(out) :: error
@@ -155,7 +155,7 @@ contains
     call create_new_file(marker_of(lock%path, lock%text), error)
   end subroutine create_marker
 
-  !> Removes the file that `create_marker` made.
+  !> Removes the marker.
   subroutine remove_marker(lock, error)
     type(lock_type), intent(in) :: lock
     type(error_type), allocatable, intent(out) :: error
@@ -163,17 +163,17 @@ contains
     call remove_file(marker_of(lock%path, lock%text), error)
   end subroutine remove_marker
 
-  !> Whether this rank sees the marker file of the rank that owns the output.
+  !> Whether this rank sees the marker of rank 0.
   logical function is_marker_visible(lock) result(yes)
     type(lock_type), intent(in) :: lock
 
     yes = file_exists(marker_of(lock%path, lock%text))
   end function is_marker_visible
 
-  !> The mark of a run: its name does not depend on that of the output, which may be as long as
-  !> names can be.
+  !> Name of the marker of a run. It does not contain that of the output, which may already have the
+  !> greatest length of a name.
   pure function marker_of(path, text) result(mark)
-    !> The file of the owner, and what it says.
+    !> Path and text of the lock file.
     character(len=*), intent(in) :: path, text
     character(len=:), allocatable :: mark
 
@@ -188,7 +188,7 @@ contains
     text = lock%path//': another run has taken over; this one, '//lock%text//', ends'
   end function lock_lost_text
 
-  !> What the file of an owner says: machine, process, time.
+  !> Text of a lock file: machine, process, time.
   function owner_text() result(text)
     character(len=:), allocatable :: text
     character(len=8) :: date
@@ -199,7 +199,7 @@ contains
       //date(7:)//' '//time(:2)//':'//time(3:4)//':'//time(5:)
   end function owner_text
 
-  !> What C wrote, up to its null sign.
+  !> Text that C wrote, up to its null character.
   pure function words_of(holder) result(words)
     character(len=*), intent(in) :: holder
     character(len=:), allocatable :: words
@@ -207,7 +207,7 @@ contains
     words = holder(:max(0, index(holder, c_null_char) - 1))
   end function words_of
 
-  !> The owner of an output, and since when, in words.
+  !> Text for the owner of an output and its start time.
   pure function owner_phrase(holder) result(words)
     character(len=*), intent(in) :: holder
     character(len=:), allocatable :: words
@@ -224,9 +224,9 @@ contains
     if (blank > 0) words = words//', process '//rest(:blank - 1)//', since '//rest(blank + 1:)
   end function owner_phrase
 
-  !> What the user can do about a lock that another run holds.
+  !> Advice for the user about a lock that another run holds.
   function remedy_text(lives, path) result(words)
-    !> Whether the other run is known to be alive.
+    !> Whether the other run is known to exist.
     logical, intent(in) :: lives
     !> Path of the lock file.
     character(len=*), intent(in) :: path

@@ -21,7 +21,7 @@ contains
     name = text(:length)
   end function host_name
 
-  !> Name of this machine and model of its processor, `name (model)`; the system is asked once.
+  !> Name of this machine and model of its processor, `name (model)`; determined once.
   function machine_text() result(name)
     character(len=:), allocatable :: name
     character(len=:), allocatable, save :: known

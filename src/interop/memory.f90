@@ -5,13 +5,13 @@ module battery_memory
   private
   public :: prefer_large_pages, bytes_to_next_line
 
-  !> Length of a line of the cache in bytes, on all processors that this program is likely to meet.
+  !> Length of a cache line in bytes, on all processors that this program is likely to run on.
   integer, parameter, public :: line_bytes = 64
 
   interface
-    !> Asks for large pages for an array that is read at random and has not been written to yet:
-    !> then the processor finds its pages without a walk through tables that lie in memory
-    !> themselves. Only advice: where it is not heeded nothing changes but the speed.
+    !> Requests large pages for an array that is accessed at random and has not been written to yet:
+    !> with fewer pages, the processor finds their addresses in its own cache instead of tables in
+    !> memory. The system may ignore the request, which changes the speed only.
     subroutine prefer_large_pages(address, bytes) bind(c, name='battery_prefer_large_pages')
       import :: c_ptr, c_size_t
       implicit none (type, external)
@@ -21,7 +21,7 @@ module battery_memory
       integer(c_size_t), value, intent(in) :: bytes
     end subroutine prefer_large_pages
 
-    !> How many bytes behind its beginning the first line of the cache within an array begins.
+    !> Offset in bytes of the first cache line that begins within an array.
     pure function bytes_to_next_line(array) result(bytes) bind(c, name='battery_bytes_to_next_line')
       import :: c_int
       implicit none (type, external)

@@ -1,4 +1,4 @@
-!> Names of files: what they name, by whatever link, and what the system says about them.
+!> Paths: the kind of file that they name, links, and messages of the system about them.
 module battery_paths
   use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer, &
     c_associated
@@ -11,7 +11,7 @@ module battery_paths
   public :: real_folder_of, follow_links
   public :: system_message, c_text_at, set_system_error
 
-  !> What a path names.
+  !> Kinds of objects that a path names.
   integer(c_int), parameter :: a_file = 1, a_folder = 2, something_else = 3
 
   procedure(number_of_path), bind(c, name='battery_kind_of') :: c_kind_of
@@ -25,7 +25,7 @@ module battery_paths
 
 contains
 
-  !> Whether there is a file of that name, and no folder, pipe or device.
+  !> Whether a path names a regular file.
   logical function is_file(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
@@ -33,7 +33,7 @@ contains
     yes = kind_of(path) == a_file
   end function is_file
 
-  !> Whether there is a folder of that name.
+  !> Whether a path names a folder.
   logical function is_folder(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
@@ -41,7 +41,7 @@ contains
     yes = kind_of(path) == a_folder
   end function is_folder
 
-  !> Whether there is something else of that name: a pipe, a device, a socket.
+  !> Whether a path names a pipe, a device or a socket.
   logical function is_pipe_or_device(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
@@ -49,24 +49,24 @@ contains
     yes = kind_of(path) == something_else
   end function is_pipe_or_device
 
-  !> What a path names: `a_file`, `a_folder`, `something_else`, or 0 where nothing is there.
+  !> Kind of object that a path names: `a_file`, `a_folder`, `something_else`, or 0: none.
   integer(c_int) function kind_of(path)
     character(len=*), intent(in) :: path
 
     kind_of = c_kind_of(path//c_null_char)
   end function kind_of
 
-  !> Whether two paths name one and the same file, by whatever link.
+  !> Whether two paths name the same file, links followed.
   logical function same_file(one, other) result(yes)
-    !> The two paths; where either is not there, they are not the same file.
+    !> The two paths; if either file is missing, they are not the same.
     character(len=*), intent(in) :: one, other
 
     yes = c_same_file(one//c_null_char, other//c_null_char) /= 0
   end function same_file
 
-  !> Folder that a file lies in: what is before its last slash, `.` if it has none.
+  !> Folder of a file: the path before its last slash, `.` if it has none.
   pure function folder_of(path) result(folder)
-    !> Need not be there.
+    !> Path of a file, which need not exist.
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: folder
     integer :: slash
@@ -79,7 +79,7 @@ contains
     end if
   end function folder_of
 
-  !> The folder in which a file really lies, its links resolved; empty if it is not there.
+  !> Folder of a file, with links resolved; empty if it does not exist.
   function real_folder_of(path) result(folder)
     !> Path of a file.
     character(len=*), intent(in) :: path
@@ -91,11 +91,11 @@ contains
     folder = folder(:length)
   end function real_folder_of
 
-  !> Where a name is a link, what it points to in the end, which need not be there; others stay.
+  !> Replaces a path that is a link by its final target, which need not exist.
   subroutine follow_links(path, error)
-    !> The name; what it points to where it is a link.
+    !> Path; out: target if it is a link.
     character(len=:), allocatable, intent(inout) :: path
-    !> Code `exit_bad_input`: links in a circle, for instance.
+    !> The link cannot be followed, for instance a circle of links; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: final
 
@@ -109,25 +109,25 @@ contains
     end if
   end subroutine follow_links
 
-  !> What the system says about the call that failed last.
+  !> Message of the system about the last call that failed.
   function system_message() result(message)
     character(len=:), allocatable :: message
 
     message = c_text_at(c_message(c_errno()))
   end function system_message
 
-  !> An error if what C was asked for came to the number of one: its text follows `what`.
+  !> Sets an error if a C function returned an error number; its message follows `what`.
   subroutine set_system_error(number, what, error)
-    !> What C calls `errno`; 0: all is well.
+    !> Error number of C (`errno`); 0: no error.
     integer, intent(in) :: number
-    !> What failed, with the name of its file.
+    !> Text for the operation that failed, with the name of the file.
     character(len=*), intent(in) :: what
     type(error_type), allocatable, intent(out) :: error
 
     if (number /= 0) call fatal_error(error, what//': '//c_text_at(c_message(number)))
   end subroutine set_system_error
 
-  !> The text of C that an address points to.
+  !> Text of C at an address.
   function c_text_at(address) result(text)
     !> Address of bytes that end with a zero; null: the text is empty.
     type(c_ptr), intent(in) :: address

@@ -7,7 +7,7 @@ module battery_process
   public :: exit_process, exit_after, process_number
 
   interface
-    !> Ends the program, without the word `STOP` that Fortran prints.
+    !> Ends the program, without the message `STOP` of Fortran.
     subroutine exit_process(code) bind(c, name='exit')
       import :: c_int
       implicit none (type, external)
@@ -15,7 +15,7 @@ module battery_process
       integer(c_int), value, intent(in) :: code
     end subroutine exit_process
 
-    !> Ends the program after that time, whatever it is doing then.
+    !> Ends the program after a time, even if it is blocked.
     subroutine exit_after(seconds, code) bind(c, name='process_leave_after')
       import :: c_int
       implicit none (type, external)
@@ -26,7 +26,7 @@ module battery_process
     end subroutine exit_after
   end interface
 
-  !> Number of this process, as the system has it.
+  !> Process identifier of this process.
   procedure(returns_number), bind(c, name='getpid') :: process_number
 
 end module battery_process

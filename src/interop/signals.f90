@@ -1,8 +1,8 @@
-!> What asks the program to stop: the signals SIGTERM, SIGINT and SIGUSR1, and a time limit.
+!> Requests to stop the program: the signals SIGTERM, SIGINT and SIGUSR1, and a time limit.
 !>
-!> The first signal only sets a flag, which all that takes long looks at; a later one ends the
-!> program at once. Signals within half a second of the first count as that one: `timeout` and some
-!> batch systems send each signal to the process and to its group.
+!> The first signal only sets a flag, which all long operations check; a later one ends the program
+!> at once. Signals within half a second after the first are ignored: `timeout` and some batch
+!> systems send each signal to the process and to its group.
 module battery_signals
   use battery_c_shapes, only: action, returns_number
   use battery_kinds, only: dp
@@ -16,24 +16,24 @@ module battery_signals
   !> Names of the signals, as C numbers them.
   character(len=*), parameter :: names(3) = ['SIGINT ', 'SIGUSR1', 'SIGTERM']
 
-  !> When the program began to watch, and when it must stop, on the clock of `wall_seconds`.
+  !> Time of the call of `watch_signals`, and time limit, on the clock of `wall_seconds`.
   real(dp) :: began = 0.0_dp, deadline = huge(1.0_dp)
 
-  ! The first alone takes the signals back from a library; time limits stay.
+  ! `signals_watch` alone sets the handlers again after a library has changed them.
   procedure(action), bind(c) :: signals_watch, signals_forget
   procedure(returns_number), bind(c) :: signals_received
 
 contains
 
-  !> From now on the three signals ask for a stop instead of ending the program, a file that grows
-  !> beyond the size allowed is an error of the write, and so is a reader that has gone. Time limits
-  !> count from here.
+  !> Sets the handlers: from now on the three signals request a stop instead of ending the program,
+  !> and a file beyond its size limit, or a closed pipe, is an error of the write instead of a
+  !> signal. Time limits count from this call.
   subroutine watch_signals()
     began = wall_seconds()
     call signals_watch()
   end subroutine watch_signals
 
-  !> Asks for a stop once so many seconds have passed since `watch_signals`.
+  !> Requests a stop after a number of seconds since `watch_signals`.
   subroutine request_stop_after(seconds)
     !> Time since the call of `watch_signals`.
     real(dp), intent(in) :: seconds
@@ -41,14 +41,14 @@ contains
     deadline = began + seconds
   end subroutine request_stop_after
 
-  !> Whether a signal or the time limit has asked for a stop.
+  !> Whether a signal or the time limit has requested a stop.
   logical function stop_requested() result(requested)
 
     requested = signals_received() /= 0
     if (.not. requested .and. deadline < huge(1.0_dp)) requested = wall_seconds() >= deadline
   end function stop_requested
 
-  !> Error of a run that was asked to stop before it had anything to save.
+  !> Sets the error of a run that is stopped before it has anything to save.
   subroutine set_stop_error(error)
     !> Code `exit_stopped_early`; its message names the signal or the time limit.
     type(error_type), allocatable, intent(out) :: error
@@ -61,7 +61,7 @@ contains
     call fatal_error(error, 'stopped by '//reason//'; nothing was written', exit_stopped_early)
   end subroutine set_stop_error
 
-  !> Forgets what asked for a stop; for tests.
+  !> Clears stop requests; for tests.
   subroutine clear_stop_request()
     call signals_forget()
     deadline = huge(1.0_dp)

@@ -1,5 +1,5 @@
-!> Standard output and standard error. A failed write is remembered, and makes the run fail.
-!> Control characters are printed as `printable` shows them, whatever file they came from.
+!> Standard output and standard error. A failed write is recorded, and makes the run fail. Control
+!> characters are printed as escapes (`printable`), whatever file they come from.
 module battery_terminal
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_size_t
   use battery_c_shapes, only: action, returns_number
@@ -9,11 +9,11 @@ module battery_terminal
   public :: guard_streams, print_line, print_text, print_error, all_was_printed, is_terminal, &
     parent_is_terminal
 
-  !> False once something could not be printed on standard output.
+  !> False after a failed write to standard output.
   logical :: printed = .true.
 
-  !> To be called before any file is opened: text never goes into a file that has taken the place of
-  !> a closed standard output or standard error.
+  !> Replaces closed standard streams by ones on which writes fail, so that no text is written to a
+  !> file that gets their descriptor; to be called before any file is opened.
   procedure(action), bind(c, name='terminal_guard') :: guard_streams
 
   procedure(returns_number), bind(c) :: terminal_output, terminal_parent_output
@@ -38,16 +38,16 @@ contains
     call print_text(printable(text)//new_line('a'))
   end subroutine print_line
 
-  !> Prints on standard output, as it is, without ending the line.
+  !> Prints a text on standard output without a line end.
   subroutine print_text(text)
     !> Text to print, without its line end.
     character(len=*), intent(in) :: text
 
-    ! After a failure nothing more is tried: a text with a hole in it would say something else.
+    ! After a failure nothing more is written: a text with a gap could be misread.
     if (printed) printed = terminal_write(0_c_int, text, len(text, c_size_t)) == 0
   end subroutine print_text
 
-  !> Prints one or several lines on standard error; an error in doing so is ignored.
+  !> Prints one or several lines on standard error; a failed write is ignored.
   subroutine print_error(text)
     !> Text to print, without its line end.
     character(len=*), intent(in) :: text
@@ -58,7 +58,7 @@ contains
     status = terminal_write(1_c_int, line, len(line, c_size_t))
   end subroutine print_error
 
-  !> Whether every text so far has been printed.
+  !> Whether all writes so far have succeeded.
   logical function all_was_printed()
 
     all_was_printed = printed
@@ -70,8 +70,8 @@ contains
     is_terminal = terminal_output() == 1
   end function is_terminal
 
-  !> Whether the standard output of the process that started this one is a terminal; `unknown` where
-  !> that cannot be told.
+  !> Whether the standard output of the parent process is a terminal; `unknown` if this cannot be
+  !> determined.
   logical function parent_is_terminal(unknown)
     logical, intent(in) :: unknown
     integer :: answer

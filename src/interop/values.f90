@@ -6,7 +6,8 @@ module battery_values
   public :: describe_array
 
   interface
-    !> Whether the items of `values` are reals, or integers of 32 or 64 bits, and the bytes of one.
+    !> Determines whether the items of `values` are reals, or integers of 32 or 64 bits, and the
+    !> bytes of one item.
     subroutine describe_array(values, is_real, is_integer, bytes) bind(c, name='battery_describe')
       import :: c_int
       implicit none (type, external)

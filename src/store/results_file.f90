@@ -95,9 +95,9 @@ contains
   !> Temporary name under which a results file is written.
   pure function temporary_name(name)
     character(len=*), intent(in) :: name
-    character(len=:), allocatable :: temporary
+    character(len=:), allocatable :: temporary_name
 
-    temporary = name//'.part'
+    temporary_name = name//'.part'
   end function temporary_name
 
   !> Writes the grid of the scan: its keys in the attribute `scan` of the root, the slowest first,
