@@ -1,14 +1,15 @@
-!> Archive of a state: what a type must save for the run to continue to the same last bit.
+!> Archive of a state: all that a type must save for the run to continue to the same last bit.
 !>
-!> A type passes its components through an archive once, in one procedure for both ways: into an
-!> archive that is written they are copied, out of one that is read they are taken. So no offsets
-!> are numbered, and the two ways cannot differ. Every component travels with its name, its kind and
-!> its size; at the head stand the number of the format and the precision of the program. On
-!> reading, the first that does not fit ends it: `problem` says what was expected, and what follows
-!> is left as it is.
+!> A type serialises its components in one procedure for both directions: they are copied to an
+!> archive that is written, or from an archive that is read. So there are no offsets, and writing
+!> and reading cannot differ. Every component is stored with its name, its kind and its size; the
+!> header has the number of the format and the precision of the program. On reading, the first
+!> component that does not match ends it: `problem` is the message, and later components do not
+!> change.
 !>
-!> What reads what: an archive is read by a program that passes the same components in the same
-!> order. `format_number` grows when the meaning of a component changes and its name does not.
+!> Compatibility: an archive can be read by a program that serialises the same components in the
+!> same order. `format_number` increases when the meaning of a component changes under the same
+!> name.
 module battery_archive
   use battery_kinds, only: wp, int8, int16, int32, int64
   use battery_fingerprint, only: fingerprint_of
@@ -21,11 +22,11 @@ module battery_archive
   !> Bytes of a word.
   integer, parameter :: word_bytes = 8
 
-  !> A state as words, on its way to the disk or back.
+  !> A state as words, which are written to disk or have been read from it.
   type :: archive_type
-    !> Whether components are read from it, or written to it.
+    !> Whether components are read from the archive; else they are written to it.
     logical :: reading = .false.
-    !> Whether it only counts words, so that the archive written next can be allocated.
+    !> Whether the archive only counts words, so that the one written next can be allocated.
     logical :: measuring = .false.
     !> The words written or read so far are `word(:length)`.
     integer(int64) :: length = 0
@@ -37,16 +38,15 @@ module battery_archive
     procedure, private :: serialize_int8s, serialize_int16s, serialize_int32s, serialize_int64s, &
       serialize_reals
     procedure, private :: serialize_int32_list, serialize_real_list
-    !> Passes a text of any length.
+    !> Serialises a text of any length.
     procedure :: serialize_text
-    !> Passes a number, `value`, or an array, `values`, that is as long on reading as it was on
-    !> writing. By the `name` an archive of something else is found out. Arrays of real numbers may
-    !> stand in a row, up to five with their names.
+    !> Serialises a number, `value`, or an array, `values`, that has the same length on reading as
+    !> on writing. The `name` is checked on reading. Up to five arrays of reals may be passed in one
+    !> call, each after its name.
     generic :: serialize => serialize_logical, serialize_int32, serialize_int64, serialize_real, &
       serialize_int8s, serialize_int16s, serialize_int32s, serialize_int64s, serialize_reals
-    !> Passes an allocatable array, `values`; on reading it becomes as long as what was written. By
-    !> the `name` an archive of something else is found out. Lists of real numbers may stand in a
-    !> row, up to four with their names.
+    !> Serialises an allocatable array, `values`, which is allocated on reading. The `name` is
+    !> checked on reading. Up to four lists of reals may be passed in one call, each after its name.
     generic :: serialize_list => serialize_int32_list, serialize_real_list
     !> Whether an item did not match what was expected.
     procedure :: failed
@@ -57,9 +57,9 @@ module battery_archive
 
 contains
 
-  !> An empty archive, to be written.
+  !> Makes an empty archive to be written.
   pure type(archive_type) function new_archive(room) result(archive)
-    !> Number of words to allocate, where that is known.
+    !> Number of words to allocate, if known.
     integer(int64), intent(in), optional :: room
 
     archive%length = 2
@@ -71,14 +71,14 @@ contains
     archive%word(:2) = [format_number, int(storage_size(1.0_wp), int64)]
   end function new_archive
 
-  !> An archive that stores nothing: its `length` counts the words of the state.
+  !> Makes an archive that stores nothing: its `length` counts the words of the state.
   pure type(archive_type) function measuring_archive() result(archive)
 
     archive = new_archive()
     archive%measuring = .true.
   end function measuring_archive
 
-  !> An archive to be read, from words that were written.
+  !> Makes an archive to be read from its words.
   pure type(archive_type) function archive_of(word) result(archive)
     !> `word(:length)` of the archive that was written.
     integer(int64), intent(in) :: word(:)
@@ -95,7 +95,7 @@ contains
     end if
   end function archive_of
 
-  !> Whether something did not fit.
+  !> Whether an item did not match what was expected.
   pure logical function failed(self)
     class(archive_type), intent(in) :: self
 
@@ -153,8 +153,7 @@ contains
     call move_alloc(more, self%word)
   end subroutine reserve_words
 
-  !> An item as words, the last of them filled up with zeros: they are put into the archive, or what
-  !> is in the archive is put into them.
+  !> Copies an item, as words of which the last is padded with zeros, to the archive or from it.
   pure subroutine serialize_words(self, name, kind, bytes, items, words)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name, kind
@@ -176,7 +175,7 @@ contains
     self%length = last
   end subroutine serialize_words
 
-  !> Passes one logical value.
+  !> Serialises one logical value.
   pure subroutine serialize_logical(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -188,6 +187,7 @@ contains
     value = word == 1
   end subroutine serialize_logical
 
+  !> Serialises one integer of 32 bits.
   pure subroutine serialize_int32(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -199,6 +199,7 @@ contains
     value = one(1)
   end subroutine serialize_int32
 
+  !> Serialises one integer of 64 bits.
   pure subroutine serialize_int64(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -210,6 +211,7 @@ contains
     value = one(1)
   end subroutine serialize_int64
 
+  !> Serialises one real.
   pure subroutine serialize_real(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -221,7 +223,7 @@ contains
     value = one(1)
   end subroutine serialize_real
 
-  !> Small whole numbers, eight in a word.
+  !> Serialises integers of 8 bits, eight in a word.
   pure subroutine serialize_int8s(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -233,7 +235,7 @@ contains
     if (self%reading) values = transfer(words, values, size(values))
   end subroutine serialize_int8s
 
-  !> Short whole numbers; none that a state has is beyond those of eight bits.
+  !> Serialises integers of 16 bits, stored with 8 bits: no state has greater values.
   pure subroutine serialize_int16s(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -245,6 +247,7 @@ contains
     values = small
   end subroutine serialize_int16s
 
+  !> Serialises integers of 32 bits.
   pure subroutine serialize_int32s(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -256,6 +259,7 @@ contains
     if (self%reading) values = transfer(words, values, size(values))
   end subroutine serialize_int32s
 
+  !> Serialises integers of 64 bits.
   pure subroutine serialize_int64s(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -267,7 +271,7 @@ contains
     if (self%reading) values = transfer(words, values, size(values))
   end subroutine serialize_int64s
 
-  !> Real numbers of the program's precision, to all their bits; then those that follow.
+  !> Serialises reals of the program's precision with all their bits; then the arrays that follow.
   pure recursive subroutine serialize_reals(self, name, values, name2, values2, name3, values3, &
       name4, values4, name5, values5)
     class(archive_type), intent(inout) :: self
@@ -286,6 +290,7 @@ contains
       values4, name5, values5)
   end subroutine serialize_reals
 
+  !> Serialises a list of integers of 32 bits.
   pure subroutine serialize_int32_list(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -300,6 +305,7 @@ contains
     call self%serialize_int32s(name, values)
   end subroutine serialize_int32_list
 
+  !> Serialises a list of reals; then the lists that follow.
   pure recursive subroutine serialize_real_list(self, name, values, name2, values2, name3, &
     values3, name4, values4)
     class(archive_type), intent(inout) :: self
@@ -317,17 +323,17 @@ contains
     if (self%failed()) return
     if (size(values) /= items) values = spread(0.0_wp, 1, items)
     call self%serialize_reals(name, values)
-    ! Passed whether or not it is allocated; `name2` says whether it counts.
+    ! `values2` may be present and not allocated; `name2` shows whether there is a second list.
     if (present(name2)) call self%serialize_real_list(name2, values2, name3, values3, name4, &
       values4)
   end subroutine serialize_real_list
 
-  !> A text of any length and of any bytes.
+  !> Serialises a text of any length and of any bytes.
   pure subroutine serialize_text(self, name, text)
     class(archive_type), intent(inout) :: self
-    !> Name of the component: by it an archive of something else is found out.
+    !> Name of the component, which is checked on reading.
     character(len=*), intent(in) :: name
-    !> Text, which on reading becomes as long as what was written.
+    !> Text, which is allocated on reading.
     character(len=:), allocatable, intent(inout) :: text
     integer(int8), allocatable :: letters(:)
     integer :: length
@@ -342,7 +348,8 @@ contains
     if (self%reading) text = transfer(letters, repeat(' ', length))
   end subroutine serialize_text
 
-  !> The size of a list, which no state of so many words can hold if it is greater.
+  !> Serialises the size of a list; on reading, a size greater than the words of the archive is a
+  !> problem.
   pure subroutine serialize_size(self, name, items)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name

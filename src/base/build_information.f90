@@ -1,4 +1,4 @@
-!> What this program was built from.
+!> Version and commit that this program was built from.
 module battery_build_information
   use, intrinsic :: iso_c_binding, only: c_char, c_null_char
   implicit none (type, external)
@@ -13,7 +13,8 @@ module battery_build_information
 
 contains
 
-  !> 40 digits, `-dirty` where sources were changed; `unknown` if `make` did not build the program.
+  !> Git commit: 40 digits, with `-dirty` if sources were changed; `unknown` if the program was not
+  !> built by `make`.
   pure function git_commit() result(text)
     character(len=:), allocatable :: text
     integer :: at

@@ -6,5 +6,5 @@
 #define BATTERY_COMMIT "unknown"
 #endif
 
-/* 40 digits, `-dirty` where sources were changed, and nulls behind. */
+/* 40 digits, then `-dirty` if sources were changed, then null characters. */
 const char battery_commit[48] = BATTERY_COMMIT;

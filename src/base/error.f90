@@ -8,9 +8,9 @@ module battery_error
   integer, parameter :: exit_success = 0, exit_failure = 1, exit_bad_input = 2, &
     exit_stopped_early = 3
 
-  !> An error: what is wrong, where, and what would be right. Not allocated: no error.
+  !> An error. A variable of this type that is not allocated means: no error.
   type :: error_type
-    !> Exit code the program should end with.
+    !> Exit code of the program.
     integer :: code = exit_failure
     !> Text for the user; several problems are separated by new lines.
     character(len=:), allocatable :: message
@@ -21,7 +21,7 @@ contains
   !> Sets `error`; `code` is `exit_failure` if absent.
   subroutine fatal_error(error, message, code)
     type(error_type), allocatable, intent(out) :: error
-    !> What is wrong, where, and what would be right.
+    !> Problem, place, and what is allowed.
     character(len=*), intent(in) :: message
     integer, intent(in), optional :: code
 

@@ -1,7 +1,8 @@
-!> Fingerprints: 64 bits that tell texts and numbers apart.
+!> Fingerprints: hashes of 64 bits of texts and numbers.
 !>
 !> FNV-1a (Fowler, Noll, Vo; IETF draft-eastlake-fnv) over words instead of bytes, with a shift that
-!> brings the high bits down; additions and products wrap (-fwrapv). It finds accidents, not malice.
+!> mixes high bits into low ones; additions and products wrap (-fwrapv). It detects accidental
+!> changes, but is not cryptographic.
 module battery_fingerprint
   use battery_kinds, only: int64
   implicit none (type, external)

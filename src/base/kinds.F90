@@ -1,6 +1,6 @@
 !> Number kinds of the whole program.
 !>
-!> `wp` is the precision the physics computes in. It is chosen when the program is built
+!> `wp` is the precision of the physics. It is chosen when the program is built
 !> (`-DBATTERY_REAL32`, `-DBATTERY_REAL128`; otherwise real64). Files and messages between ranks
 !> stay in real64 (`dp`).
 module battery_kinds

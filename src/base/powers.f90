@@ -1,4 +1,5 @@
-!> Powers of two beside a number: exact, so that lengths scaled by one give the same bits.
+!> Powers of two next to a number: exact, so that lengths scaled by a power of two give the same
+!> bits.
 module battery_powers
   use battery_kinds, only: wp
   implicit none (type, external)

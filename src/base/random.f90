@@ -1,17 +1,17 @@
-!> Random numbers that the physics draws itself: xoshiro256+, several generators side by side.
+!> Random numbers of the physics: xoshiro256+, several generators in parallel.
 !>
 !> D. Blackman, S. Vigna, "Scrambled linear pseudorandom number generators", ACM TOMS 47, 36 (2021),
 !> https://doi.org/10.1145/3460772; the states are filled by SplitMix64 as its authors recommend.
-!> The period is 2**256 - 1, so streams of different seeds, and the lanes of one, do not meet. Only
-!> shifts, sums and exclusive ors: the lanes become one vector register. Of the 64 bits of a number
-!> the lowest, which are weak, are not used.
+!> The period is 2**256 - 1, so streams of different seeds, and the lanes of one, do not overlap. It
+!> needs only shifts, sums and exclusive ors, and is vectorised over the lanes. The lowest of the 64
+!> bits of a number, which are weak, are not used.
 module battery_random
   use battery_kinds, only: wp, int64
   implicit none (type, external)
   private
   public :: random_type, lanes, new_random, draw_uniform, hashed_uniform, splitmix64
 
-  !> Generators side by side; numbers are drawn in multiples of this.
+  !> Number of parallel generators; numbers are drawn in multiples of it.
   integer, parameter :: lanes = 8
 
   !> Bits of a number: with half a step added it is exact in `wp`, and neither 0 nor 1.
@@ -28,7 +28,7 @@ module battery_random
 
 contains
 
-  !> A generator; the same seed gives the same numbers.
+  !> Makes a generator; the same seed gives the same numbers.
   pure type(random_type) function new_random(seed) result(random)
     !> Seed: any 64 bits.
     integer(int64), intent(in) :: seed
@@ -44,7 +44,7 @@ contains
   !> Fills `numbers`, whose size is a multiple of `lanes`, with numbers uniform in (0, 1).
   pure subroutine draw_uniform(random, n, numbers)
     type(random_type), intent(inout) :: random
-    !> How many: a multiple of `lanes`.
+    !> Number of random numbers: a multiple of `lanes`.
     integer, intent(in) :: n
     real(wp), intent(out) :: numbers(n)
     integer(int64) :: state(lanes, 4), s0, s1, s2, s3
@@ -67,7 +67,7 @@ contains
     random%state = state
   end subroutine draw_uniform
 
-  !> A number uniform in (0, 1) that belongs to two whole numbers, without a state.
+  !> A number uniform in (0, 1) as a hash of two integers, without a state.
   elemental real(wp) function hashed_uniform(key, count) result(number)
     !> Key of the sequence and index of the number in it: any 64 bits each.
     integer(int64), intent(in) :: key, count
@@ -82,7 +82,7 @@ contains
     number = (real(shiftr(word, 64 - bits), wp) + 0.5_wp)*step
   end function uniform
 
-  !> SplitMix64 without its counter: one to one on 64 bits. Products wrap around.
+  !> SplitMix64 without its counter: a bijection of 64 bits. Products wrap around.
   elemental integer(int64) function splitmix64(word) result(z)
     !> Word: any 64 bits.
     integer(int64), intent(in) :: word

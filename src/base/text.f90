@@ -1,4 +1,4 @@
-!> Words and numbers as the user reads and writes them.
+!> Texts: numbers as texts, lists of words, printable characters.
 module battery_text
   use, intrinsic :: iso_fortran_env, only: int32, int64, real32, real64, real128
   implicit none (type, external)
@@ -8,7 +8,7 @@ module battery_text
 
   character(len=1), parameter :: new_line_character = achar(10)
 
-  !> The widest reals: of 128 bits, or of 80 where a compiler has none of 128. It must be none of
+  !> Kind of the widest reals: 128 bits, or 80 if a compiler has none of 128. It must differ from
   !> the other kinds, or `to_text` would have two procedures for one kind.
   integer, parameter :: widest = merge(real128, selected_real_kind(18), real128 > 0)
 
@@ -17,8 +17,8 @@ module battery_text
     character(len=:), allocatable :: text
   end type string_type
 
-  !> A `number` (integer or real), or a logical `value`, as short text; reals with as many digits as
-  !> it takes to read the same number back.
+  !> Text of a `number` (integer or real), or of a logical `value`; reals with as few digits as are
+  !> needed to read the same number back.
   interface to_text
     module procedure :: int32_text, int64_text, real32_text, real64_text, widest_text, &
       logical_text
@@ -26,6 +26,7 @@ module battery_text
 
 contains
 
+  !> Text of an integer of 32 bits.
   pure function int32_text(number) result(text)
     integer(int32), intent(in) :: number
     character(len=:), allocatable :: text
@@ -33,6 +34,7 @@ contains
     text = int64_text(int(number, int64))
   end function int32_text
 
+  !> Text of an integer of 64 bits.
   pure function int64_text(number) result(text)
     integer(int64), intent(in) :: number
     character(len=:), allocatable :: text
@@ -42,6 +44,7 @@ contains
     text = trim(buffer)
   end function int64_text
 
+  !> Text of a real of 32 bits.
   pure function real32_text(number) result(text)
     real(real32), intent(in) :: number
     character(len=:), allocatable :: text
@@ -50,6 +53,7 @@ contains
       1.0e38_real64)
   end function real32_text
 
+  !> Text of a real of 64 bits.
   pure function real64_text(number) result(text)
     real(real64), intent(in) :: number
     character(len=:), allocatable :: text
@@ -57,12 +61,13 @@ contains
     text = shortest_text(number, 17, precision(number), tiny(number), 1.0e307_real64)
   end function real64_text
 
-  !> The shortest text that is read as the same number. So many digits as are always kept give it,
-  !> with zeros at its end; numbers that have fewer digits of their own, those below `normal`, are
-  !> tried from one digit up; beyond `nearly_huge`, fewer could round to more than there is.
+  !> The shortest text that is read as the same number. The least number of digits tried is `kept`,
+  !> the number of decimal digits that reals preserve (trailing zeros are dropped later); 1 for
+  !> numbers below `normal`, which have fewer digits; and `most` above `nearly_huge`, since rounding
+  !> to fewer digits could overflow.
   pure function shortest_text(number, most, kept, normal, nearly_huge) result(text)
     real(real64), intent(in) :: number
-    !> Digits that tell any two numbers apart; fewer than 17: of a number of 32 bits.
+    !> Number of digits that distinguishes any two numbers; fewer than 17: the number has 32 bits.
     integer, intent(in) :: most
     integer, intent(in) :: kept
     real(real64), intent(in) :: normal, nearly_huge
@@ -84,6 +89,7 @@ contains
     text = plain_notation(trim(adjustl(buffer)))
   end function shortest_text
 
+  !> Text of a real of the widest kind.
   pure function widest_text(number) result(text)
     real(widest), intent(in) :: number
     character(len=:), allocatable :: text
@@ -97,6 +103,7 @@ contains
     end if
   end function widest_text
 
+  !> Text of a logical value.
   pure function logical_text(value) result(text)
     logical, intent(in) :: value
     character(len=:), allocatable :: text
@@ -104,7 +111,7 @@ contains
     text = trim(merge('.true. ', '.false.', value))
   end function logical_text
 
-  !> Text of `1.25E+001` as people write it: 12.5; far from 1, 1.25e+9.
+  !> Plain notation of a number in scientific notation: 12.5 for `1.25E+001`; far from 1, 1.25e+9.
   pure function plain_notation(scientific) result(text)
     character(len=*), intent(in) :: scientific
     character(len=:), allocatable :: text, sign, digits
@@ -150,7 +157,7 @@ contains
 
   !> The lines of a text; the last may lack its end.
   pure function lines_of(text) result(lines)
-    !> Empty: none.
+    !> Any text; an empty one has no lines.
     character(len=*), intent(in) :: text
     type(string_type), allocatable :: lines(:)
     type(string_type) :: line
@@ -166,9 +173,9 @@ contains
     end do
   end function lines_of
 
-  !> Text for a terminal: every control character but tab and line feed becomes `\x` and two
-  !> hexadecimal digits. What comes out of a file may hold sequences that move the cursor or type
-  !> for the user. In UTF-8 the bytes 80 to 9F continue a character; alone, or behind C2, they are
+  !> Text for a terminal: every control character except tab and line feed becomes `\x` and two
+  !> hexadecimal digits. Text of a file might contain sequences that move the cursor or send input
+  !> to the shell. In UTF-8 the bytes 80 to 9F continue a character; alone, or after C2, they are
   !> control characters too.
   pure function printable(text) result(clean)
     !> Text of any origin, in ASCII or UTF-8.
@@ -211,7 +218,7 @@ contains
   pure function join(list, separator) result(text)
     !> Texts to join, in this order.
     type(string_type), intent(in) :: list(:)
-    !> Stands between two, not at the ends.
+    !> Text between each two of them.
     character(len=*), intent(in) :: separator
     character(len=:), allocatable :: text
     integer :: at, length
@@ -232,9 +239,9 @@ contains
     end do
   end function join
 
-  !> Whether a list holds a word.
+  !> Whether a list contains a word.
   pure logical function is_one_of(word, list) result(found)
-    !> Blanks at its end count.
+    !> Word; trailing blanks are significant.
     character(len=*), intent(in) :: word
     !> Allowed texts.
     type(string_type), intent(in) :: list(:)
@@ -246,11 +253,11 @@ contains
     end do
   end function is_one_of
 
-  !> The word of a list that was probably meant; empty if none is near.
+  !> The word of a list that is most similar to a misspelt one; empty if none is similar.
   pure function closest_word(word, list) result(closest)
     !> Word as it was written.
     character(len=*), intent(in) :: word
-    !> What may have been meant.
+    !> Candidates.
     type(string_type), intent(in) :: list(:)
     character(len=:), allocatable :: closest
     integer :: at, distance, least
@@ -266,7 +273,8 @@ contains
     end do
   end function closest_word
 
-  !> Levenshtein distance: letters inserted, deleted or replaced from one word to the other.
+  !> Levenshtein distance: least number of letters inserted, deleted or replaced from one word to
+  !> the other.
   pure integer function edit_distance(one, other) result(distance)
     character(len=*), intent(in) :: one, other
     integer :: row(0:len(other)), diagonal, above, first, second
@@ -285,7 +293,7 @@ contains
     distance = row(len(other))
   end function edit_distance
 
-  !> A number of things: `1 point`, `2 points`.
+  !> A number with a noun: `1 point`, `2 points`.
   pure function count_text(number, noun) result(text)
     !> Number of things counted.
     integer, intent(in) :: number

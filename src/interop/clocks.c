@@ -2,7 +2,7 @@
 
 #include <time.h>
 
-/* 2026-01-31T23:59:59Z; the length, 0 where it does not fit */
+/* Writes the time of day, as in 2026-01-31T23:59:59Z; returns the length, 0 if it does not fit. */
 int battery_utc(char *text, int room)
 {
     time_t now = time(NULL);
@@ -11,7 +11,7 @@ int battery_utc(char *text, int room)
     return (int)strftime(text, (size_t)room, "%Y-%m-%dT%H:%M:%SZ", gmtime_r(&now, &parts));
 }
 
-/* Seconds since 1970 */
+/* Seconds since 1970. */
 double battery_utc_seconds(void)
 {
     struct timespec now;

@@ -1,10 +1,10 @@
-/* How long compressed values are, for deflate.f90. */
+/* Inflated length of compressed values, for deflate.f90. */
 #include <fcntl.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <unistd.h>
 
-/* That of zlib, which HDF5 has loaded where it can compress; else null. */
+/* Procedure of zlib; null unless HDF5 has loaded it. */
 extern int uncompress(unsigned char *, unsigned long *, const unsigned char *, unsigned long)
   __attribute__((weak));
 

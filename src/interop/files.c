@@ -1,5 +1,5 @@
-/* What files.f90, paths.f90 and file_text.f90 need of the system where a structure, a constant or
-   errno is involved: here the compiler knows them. A result is 0 or an error number unless said otherwise. */
+/* System calls for files.f90, paths.f90 and file_text.f90 that need a structure, a constant or errno
+   of C headers. A result is 0 or an error number unless said otherwise. */
 #define _GNU_SOURCE
 #include <dirent.h>
 #include <errno.h>
@@ -14,39 +14,38 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-/* The number of the error that came last. */
+/* Number of the last error. */
 int battery_errno(void) { return errno; }
 
-/* What an error is, in words. */
+/* Message for an error number. */
 const char *battery_message(const int *number) { return strerror(*number); }
 
-/* Whether the disk is at fault for the error that came last: it fails, is full, a quota is used up,
-   a file is too large. */
+/* Whether the last error is one of the disk: a failure, a full disk, an exhausted quota, a file that
+   is too large. */
 int battery_is_disk_error(void) {
   return errno == EIO || errno == EFBIG || errno == ENOSPC || errno == EDQUOT;
 }
 
-/* Removes a file, a link or an empty folder; one that is not there is no error. */
+/* Removes a file, a link or an empty folder; a missing one is no error. */
 int battery_remove(const char *path) {
   return remove(path) == 0 || errno == ENOENT || errno == ENOTDIR ? 0 : errno;
 }
 
-/* What a path names, links followed: 0 nothing, 1 a file, 2 a folder, 3 anything else. */
+/* Kind of object that a path names, links followed: 0 none, 1 a file, 2 a folder, 3 another. */
 int battery_kind_of(const char *path) {
   struct stat found;
   if (stat(path, &found) != 0) return 0;
   return S_ISREG(found.st_mode) ? 1 : S_ISDIR(found.st_mode) ? 2 : 3;
 }
 
-/* Whether two paths name one and the same thing. */
+/* Whether two paths name the same object. */
 int battery_same_file(const char *one, const char *other) {
   struct stat left, right;
   return stat(one, &left) == 0 && stat(other, &right) == 0 && left.st_dev == right.st_dev
     && left.st_ino == right.st_ino;
 }
 
-/* Follows the links that stand under a name to the last name, which need not be there; `path` has
-   `room` bytes. */
+/* Replaces a path by the final target of its links, which need not exist; `path` has `room` bytes. */
 int battery_follow(char *path, int room) {
   char target[PATH_MAX], joined[2 * PATH_MAX + 1];
   const int most_links = 40;
@@ -66,25 +65,25 @@ int battery_follow(char *path, int room) {
 /* Bytes of the longest path. */
 int battery_longest_path(void) { return PATH_MAX; }
 
-/* The folder a path lies in, its links resolved; `folder` has `room` bytes, PATH_MAX or more. Gives
-   its length, 0 if it is not there. */
+/* Folder of a path, with links resolved; `folder` has `room` bytes, PATH_MAX or more. Returns its
+   length, 0 if it does not exist. */
 int battery_real_folder(const char *path, char *folder, int room) {
   if (room < PATH_MAX || realpath(path, folder) == NULL) return 0;
   char *slash = strrchr(folder, '/');
   return slash == folder ? 1 : (int)(slash - folder);
 }
 
-/* Whether there is a file or folder of that name; whether this process may read it, write to it. */
+/* Whether a path names anything; whether this process may read it, or write to it. */
 int battery_exists(const char *path) { return access(path, F_OK) == 0; }
 int battery_may_read(const char *path) { return access(path, R_OK) == 0; }
 int battery_may_write(const char *path) { return access(path, W_OK) == 0; }
 
-/* Makes a folder, with the rights that are usual. */
+/* Makes a folder with the usual permissions. */
 int battery_make_folder(const char *path) {
   return mkdir(path, S_IRWXU | S_IRWXG | S_IRWXO) == 0 ? 0 : errno;
 }
 
-/* Waits until a file, or the entries of a folder, are on the disk. */
+/* Syncs a file, or the entries of a folder, to disk. */
 int battery_sync(const char *path) {
   int descriptor = open(path, O_RDONLY | O_CLOEXEC);
   if (descriptor < 0) return errno;
@@ -92,7 +91,7 @@ int battery_sync(const char *path) {
   return close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
-/* Makes an empty file anew: what had that name, a link too, is removed and not written through. */
+/* Makes a new empty file: a file or a link that had the name is removed. */
 int battery_create_new(const char *path) {
   if (unlink(path) != 0 && errno != ENOENT) return errno;
   int descriptor = open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
@@ -100,8 +99,8 @@ int battery_create_new(const char *path) {
   return close(descriptor) == 0 ? 0 : errno;
 }
 
-/* What a name stands for, links not followed: device, inode, size, time of its last change; all 0:
-   nothing. */
+/* Identity of the file that a name refers to, links not followed: device, inode, size, time of its
+   last change; all 0: no file. */
 void battery_look_at(const char *path, int64_t seen[5]) {
   struct stat found;
   memset(seen, 0, 5 * sizeof *seen);
@@ -113,8 +112,8 @@ void battery_look_at(const char *path, int64_t seen[5]) {
   seen[4] = found.st_mtim.tv_nsec;
 }
 
-/* Gives a file another name that stands for nothing, or for what was seen there before; -1: it
-   stands for something else. */
+/* Renames a file to a name that no file has, or only the file with the given identity; -1: another
+   file has it. */
 int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]) {
   const int64_t nothing[5] = {0};
   int64_t now[5];
@@ -125,25 +124,25 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
   } else {
     if (renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0) return 0;
     if (errno == EEXIST) return -1;
-    /* Some file systems cannot do this. */
+    /* Some file systems do not support this. */
 #endif
   }
   return rename(old, new) == 0 ? 0 : errno;
 }
 
-/* Opens a file or a pipe for reading, without waiting for one who writes; negative: an error. */
+/* Opens a file or a pipe for reading, without waiting for a writer; negative: an error. */
 int battery_open_input(const char *path) {
   return open(path, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
 }
 
-/* Size in bytes of what is open, as far as it is known. */
+/* Size in bytes of an open file, as far as it is known. */
 int64_t battery_size_of(int descriptor) {
   struct stat found;
   return fstat(descriptor, &found) == 0 && S_ISREG(found.st_mode) ? (int64_t)found.st_size : 0;
 }
 
-/* Reads up to `room` bytes. Gives their number, 0 at the end, -1 on an error, -2 where nothing came
-   for a tenth of a second. */
+/* Reads up to `room` bytes. Returns their number, 0 at the end, -1 on an error, -2 if there was nothing
+   to read for a tenth of a second. */
 int64_t battery_read_some(int descriptor, char *bytes, int64_t room) {
   struct pollfd source = {.fd = descriptor, .events = POLLIN};
   const int tenth_of_a_second = 100;

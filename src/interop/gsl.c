@@ -9,7 +9,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 
-/* Version of the library that is there at run time. */
+/* Version of the library at run time. */
 const char *battery_gsl_version(void) { return gsl_version; }
 
 /* Two generators of different kind: one shifts bits, the other multiplies modulo primes. */
@@ -25,7 +25,8 @@ void battery_generator_free(generator *both)
   free(both);
 }
 
-/* Null if there is no memory; GSL's own handler of errors, which aborts, is switched off. */
+/* Makes a generator; null if there is no memory. GSL's own error handler, which aborts, is switched
+   off. */
 generator *battery_generator_new(uint64_t seed)
 {
   gsl_set_error_handler_off();
@@ -42,7 +43,7 @@ generator *battery_generator_new(uint64_t seed)
   return both;
 }
 
-/* 53 bits of the one, plus the other, modulo one. */
+/* Sum, modulo one, of 53 bits of one generator and the number of the other. */
 double battery_generator_uniform(generator *both)
 {
   uint64_t high = gsl_rng_get(both->twister) >> 5, low = gsl_rng_get(both->twister) >> 6;

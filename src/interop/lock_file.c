@@ -1,5 +1,5 @@
-/* A file that one process owns: who makes it has it. Whoever finds it there takes it over only if
-   its owner was on this machine and holds the lock of the kernel no more. */
+/* A lock file: the process that creates it owns it. Another process takes it over only if its owner
+   was on this machine and does not hold the kernel's lock on it any more. */
 #define _GNU_SOURCE
 #include <ctype.h>
 #include <errno.h>
@@ -21,7 +21,7 @@ typedef struct {
   char path[PATH_MAX];
 } owner_type;
 
-/* Whether a path still names the file that is open. */
+/* Whether a path still names the open file. */
 static int names(const char *path, int descriptor) {
   struct stat named, opened;
   return lstat(path, &named) == 0 && fstat(descriptor, &opened) == 0
@@ -34,8 +34,9 @@ static int lock(int descriptor) {
   return errno == EAGAIN || errno == EACCES ? locked_by_another : no_locks;
 }
 
-/* Reads what the file says, and gives its length; 0 if there is none. `text` has `room` bytes, and
-   ends with a null sign. The file is opened anew: only then a network disk shows what is in it. */
+/* Reads the text of a file, and returns its length; 0 if there is none. `text` has `room` bytes, and
+   ends with a null character. The file is opened again, since a network disk may show its present
+   contents only then. */
 int battery_read_owner(const char *path, char *text, int room) {
   int descriptor = open(path, O_RDONLY | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK);
   ssize_t length = descriptor < 0 ? 0 : pread(descriptor, text, (size_t)room - 1, 0);
@@ -51,8 +52,8 @@ static int same_host(const char *one, const char *other) {
   return length > 0 && length == strcspn(other, " ") && strncmp(one, other, length) == 0;
 }
 
-/* Whether a text is an owner's ("host process time"), or as much of it, from the first blank on, as
-   was written before a kill. */
+/* Whether a text is that of an owner ("host process time"), or the beginning of one, at least up to
+   the first blank, if the owner was killed while it wrote. */
 static int is_of_an_owner(const char *found) {
   size_t host = strcspn(found, " ");
   if (found[host] == '\0') return 0;
@@ -69,8 +70,8 @@ static int is_of_an_owner(const char *found) {
   return 1;
 }
 
-/* Removes the file of a run of this machine that has ended, and is `taken` if there is none now.
-   Where it is another's, or may be, `holder` (`room` bytes) is what it says. */
+/* Removes the file of an ended run of this machine; `taken` if there is no file now. If the file
+   belongs, or may belong, to another run, `holder` (`room` bytes) is its text. */
 static int remove_of_ended(const char *path, const char *text, char *holder, int room) {
   int descriptor = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK), outcome = taken, got;
   struct stat found;
@@ -83,13 +84,13 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
   if (fstat(descriptor, &found) != 0 || !S_ISREG(found.st_mode)) outcome = not_a_file;
   else if (length > 0 && (strlen(holder) != (size_t)length || !is_of_an_owner(holder)))
     outcome = not_a_file;
-  /* An empty one may be what another machine is about to write to: a network disk may show it empty
-     for many seconds. */
+  /* Another machine may be about to write to an empty file: a network disk may show it empty for many
+     seconds. */
   else if (!same_host(holder, text))
     outcome = unknown;
   if (outcome == taken) {
     got = lock(descriptor);
-    /* Who gives a file up removes it: then the lock is one on a file without a name. */
+    /* An owner that releases its file removes it: then this lock is on a file without a name. */
     if (!names(path, descriptor)) {
       holder[0] = '\0';
       outcome = again;
@@ -103,7 +104,7 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
   return outcome;
 }
 
-/* Locks the new file, and writes who owns it; 0, or an error number. */
+/* Locks the new file, and writes the text of its owner; 0, or an error number. */
 static int write_owner(int descriptor, const char *text) {
   ssize_t length = (ssize_t)strlen(text);
   lock(descriptor);
@@ -111,8 +112,8 @@ static int write_owner(int descriptor, const char *text) {
   return pwrite(descriptor, text, (size_t)length, 0) == length && fsync(descriptor) == 0 ? 0 : errno;
 }
 
-/* Creates the file, locked and with its text; gives its descriptor, or -1. It is written before it
-   has a name, so that a kill leaves all of it or nothing. */
+/* Creates the file, locked and with its text; returns its descriptor, or -1. It is written before it
+   gets a name, so that after a kill there is either the complete file or none. */
 static int create_at_once(const char *path, const char *text) {
   char folder[PATH_MAX], unnamed[64];
   const char *slash = strrchr(path, '/');
@@ -130,7 +131,8 @@ static int create_at_once(const char *path, const char *text) {
   return -1;
 }
 
-/* The same where a file system knows no file without a name: for a moment it is empty. */
+/* As `create_at_once`, for file systems without files that have no name: for a moment, the file is
+   empty. */
 static int create_and_write(const char *path, const char *text) {
   int descriptor = open(path, O_RDWR | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
   if (descriptor < 0) return -1;
@@ -142,9 +144,9 @@ static int create_and_write(const char *path, const char *text) {
   return -1;
 }
 
-/* Tries to own the file `path`, which then says `text` ("host process time"). Where it is another's,
-   or may be, `holder` (`room` bytes) is what it says. If it was of a run of this machine that has
-   ended, it is removed, `holder` is what it said, and the outcome is `again`. */
+/* Tries to own the file `path`, whose text is then `text` ("host process time"). If it belongs, or may
+   belong, to another run, `holder` (`room` bytes) is its text. If it belonged to an ended run of this
+   machine, it is removed, `holder` is the text that it had, and the outcome is `again`. */
 int battery_own(const char *path, const char *text, char *holder, int room, owner_type **result) {
   int outcome = remove_of_ended(path, text, holder, room);
   if (outcome != taken) return outcome;
@@ -164,7 +166,7 @@ int battery_own(const char *path, const char *text, char *holder, int room, owne
   return status == EEXIST ? again : failed;
 }
 
-/* Removes the file if it is still there, and ends the lock. */
+/* Removes the file, if it is still that of the owner, and releases the lock. */
 void battery_disown(owner_type *owner) {
   if (names(owner->path, owner->descriptor)) unlink(owner->path);
   close(owner->descriptor);

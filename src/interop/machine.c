@@ -1,8 +1,8 @@
-/* What a machine is called, and what it computes with. */
+/* The processor of this machine. */
 #include <stdio.h>
 #include <string.h>
 
-/* Model of the processor, and its length, 0 where the system does not say; `model` has `room` bytes. */
+/* Model of the processor; returns its length, 0 if it is unknown. `model` has `room` bytes. */
 int battery_processor(char *model, int room) {
   FILE *file = fopen("/proc/cpuinfo", "r");
   int length = 0;

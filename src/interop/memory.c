@@ -4,7 +4,7 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
-/* Asks for large pages for the whole pages within `bytes` bytes from `address` on. */
+/* Requests large pages for the whole pages within `bytes` bytes from `address` on. */
 void battery_prefer_large_pages(void *address, size_t bytes)
 {
   uintptr_t page = (uintptr_t)sysconf(_SC_PAGESIZE);
@@ -13,7 +13,7 @@ void battery_prefer_large_pages(void *address, size_t bytes)
   if (end > first) madvise((void *)first, end - first, MADV_HUGEPAGE);
 }
 
-/* Bytes from `array` to the next address that a line of the cache, of 64 bytes, begins at. */
+/* Bytes from `array` to the beginning of the next cache line of 64 bytes. */
 int battery_bytes_to_next_line(const void *array)
 {
   return (int)(-(uintptr_t)array % 64);

@@ -1,4 +1,4 @@
-/* The end of this process, whatever it may be waiting for. */
+/* Ends this process even if it is blocked. */
 #include <signal.h>
 #include <stddef.h>
 #include <unistd.h>

@@ -1,10 +1,10 @@
-/* The signals that ask the program to stop, with a handler that does nothing a handler may not. */
+/* Signals that request a stop; the handler uses async-signal-safe operations only. */
 #include <signal.h>
 #include <stddef.h>
 #include <time.h>
 #include <unistd.h>
 
-/* Signals that come in so short a time are one, in seconds. */
+/* Seconds after the first signal within which further signals are ignored. */
 static const double same_signal = 0.5;
 
 static volatile sig_atomic_t received;
@@ -27,7 +27,8 @@ static void receive(int number)
   }
 }
 
-/* The three signals ask for a stop; writes that a limit or a reader forbids fail, and end nothing. */
+/* Sets the handlers: the three signals request a stop; a write beyond a size limit or to a closed pipe
+   fails, but does not end the program. */
 void signals_watch(void)
 {
   struct sigaction stop = {0}, ignore = {0};
@@ -43,7 +44,7 @@ void signals_watch(void)
   sigaction(SIGPIPE, &ignore, NULL);
 }
 
-/* 0: none came; 1 SIGINT, 2 SIGUSR1, 3 SIGTERM. */
+/* The first signal received: 0 none, 1 SIGINT, 2 SIGUSR1, 3 SIGTERM. */
 int signals_received(void)
 {
   switch (received) {

@@ -19,7 +19,8 @@ module battery_signals
   !> Time of the call of `watch_signals`, and time limit, on the clock of `wall_seconds`.
   real(dp) :: began = 0.0_dp, deadline = huge(1.0_dp)
 
-  ! `signals_watch` alone sets the handlers again after a library has changed them.
+  ! `signals_watch` also serves to set the handlers again after a library has changed them: unlike
+  ! `watch_signals`, it does not move the start of the time limit.
   procedure(action), bind(c) :: signals_watch, signals_forget
   procedure(returns_number), bind(c) :: signals_received
 

@@ -1,4 +1,4 @@
-/* Standard output and standard error: written to at once, so that what fails is known. */
+/* Standard output and standard error: written without a buffer, so that failed writes are known. */
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
@@ -6,8 +6,8 @@
 #include <stdio.h>
 #include <unistd.h>
 
-/* Streams that are closed are opened such that writing to them fails: else the next file that is
-   opened would take their place, and text would go into it. */
+/* Opens closed standard streams such that writing to them fails: otherwise the next file that is opened
+   would get their descriptor, and text would be written to it. */
 void terminal_guard(void)
 {
   for (int stream = 0; stream <= 2; stream++)
@@ -20,7 +20,7 @@ void terminal_guard(void)
     }
 }
 
-/* Writes all of a text; 0, or the number of the error. */
+/* Writes a whole text; returns 0 or an error number. */
 int terminal_write(int to_errors, const char *text, size_t length)
 {
   int stream = to_errors ? STDERR_FILENO : STDOUT_FILENO;
@@ -41,7 +41,7 @@ int terminal_write(int to_errors, const char *text, size_t length)
 
 int terminal_output(void) { return isatty(STDOUT_FILENO); }
 
-/* Whether the parent's standard output is a terminal; -1 if that cannot be told. */
+/* Whether the parent's standard output is a terminal; -1 if this cannot be determined. */
 int terminal_parent_output(void)
 {
   char path[64];

@@ -1,4 +1,4 @@
-/* What is known of an array whatever its type: for what takes arrays of any type and rank. */
+/* Type and item size of an array of any type and rank. */
 
 #include <ISO_Fortran_binding.h>
 

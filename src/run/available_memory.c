@@ -2,7 +2,7 @@
 #include <malloc.h>
 #include <sys/resource.h>
 
-/* Bytes of address space, or of data if `of_data`, that the process may have; negative: no limit. */
+/* Limit of this process in bytes: of its address space, or of its data if `of_data`; negative: none. */
 double process_memory_limit(int of_data)
 {
   struct rlimit limit;
@@ -10,8 +10,8 @@ double process_memory_limit(int of_data)
   return limit.rlim_cur == RLIM_INFINITY ? -1.0 : (double)limit.rlim_cur;
 }
 
-/* Where address space is limited, threads (MPI has some) share one heap: glibc would reserve 64 MB or
-   128 MB of it for each. */
+/* Makes threads (MPI has some) share one heap if address space is limited: glibc would reserve 64 MB
+   or 128 MB of it for each thread. */
 void spare_address_space_of_threads(void)
 {
   if (process_memory_limit(0) >= 0.0) mallopt(M_ARENA_MAX, 1);
