@@ -93,7 +93,7 @@ def test_check_says_what_there_is(tmp_path: Path) -> None:
     """--check says the memory that a rank takes, that there is, and by which limit."""
     write(tmp_path)
     ended = run("--check", "case.nml", folder=tmp_path)
-    assert "there are " in ended.stdout
+    assert " a rank are available" in ended.stdout
     ended = run("--check", "case.nml", folder=tmp_path, prepare=room_for(2000))
     assert "(address space, ulimit -v)" in ended.stdout
 

@@ -44,6 +44,7 @@ contains
   pure subroutine push(queue, time, particle)
     type(queue_type), intent(inout) :: queue
     real(wp), intent(in) :: time
+    !> Index of the particle.
     integer, intent(in) :: particle
 
     if (queue%count == queue%room) call grow_queue(queue)
@@ -61,6 +62,7 @@ contains
     integer, intent(in) :: count
     !> Time of each particle, in no order.
     real(wp), intent(in) :: time(count)
+    !> Indices of the particles.
     integer, intent(in) :: particle(count)
     integer :: is_before, k
 
@@ -156,6 +158,7 @@ contains
   !> Removes a particle, which is in the queue and near its front.
   pure subroutine remove_particle(queue, particle)
     type(queue_type), intent(inout) :: queue
+    !> Index of the particle.
     integer, intent(in) :: particle
     integer :: place
 

@@ -424,7 +424,9 @@ contains
   !> Gets all values of a key of numbers.
   pure subroutine get_list(settings, group, name, value)
     type(settings_type), intent(in) :: settings
+    !> Group and name of the key.
     character(len=*), intent(in) :: group, name
+    !> Value of the key.
     real(wp), allocatable, intent(inout) :: value(:)
 
     value = settings%all(find_setting(settings, group, name))%reals
@@ -433,7 +435,9 @@ contains
   !> Gets the value of a text key.
   pure subroutine get_text(settings, group, name, value)
     type(settings_type), intent(in) :: settings
+    !> Group and name of the key.
     character(len=*), intent(in) :: group, name
+    !> Value of the key.
     character(len=:), allocatable, intent(inout) :: value
 
     value = settings%all(find_setting(settings, group, name))%text

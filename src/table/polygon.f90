@@ -518,6 +518,7 @@ contains
   !> Whether a boundary state is the same as the one `before`, up to rounding.
   pure function has_returned(polygon, state, before) result(same)
     type(polygon_type), intent(in) :: polygon
+    !> Boundary state: place along the outline, and velocity.
     type(boundary_state_type), intent(in) :: state, before
     logical :: same
 
