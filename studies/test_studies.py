@@ -11,6 +11,7 @@ DOORS = ("postproc.study", "postproc.figures.style")
 # theories that these hold against runs, and rungs of the ladder
 MORE = {
     "circulation": ("postproc.theory",),
+    "circulation_and_densities": ("postproc.theory",),
     "entropy_production": ("postproc.theory",),
     "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
     "order_of_transition": ("postproc.theory",),
