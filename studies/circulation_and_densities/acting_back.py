@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import optimize
 
-from postproc.theory import circulation, ports, two_port
+from postproc.theory import circulation, ports
 from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:

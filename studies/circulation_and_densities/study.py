@@ -60,7 +60,8 @@ class Case:
         """Its name in tables."""
         one, two = self.thresholds
         gates = f"T = {one}" if one == two else f"T = {one} and {two}"
-        return f"{gates}, w = {self.width:g}, w' = {self.channel2_width:g}, l' = {self.channel2_length:g}"  # noqa: E501
+        widths = f"w = {self.width:g}, w' = {self.channel2_width:g}"
+        return f"{gates}, {widths}, l' = {self.channel2_length:g}"
 
 
 NEW = (
@@ -90,7 +91,7 @@ def predicted(case: Case, age: float) -> Row:
 
 
 def measured(work: study.Study, at: int, case: Case, number1: float) -> Row:
-    """Run a new circuit; return means over replicas with errors."""
+    """Run a new circuit; return means over replicas with errors, and whether polarity was kept."""
     changes = {
         "table": {"channel1_width": case.width, "channel2_width": case.channel2_width,
                   "channel2_length": case.channel2_length},
@@ -100,7 +101,9 @@ def measured(work: study.Study, at: int, case: Case, number1: float) -> Row:
                 "duration": TRANSIENT + work.pick(5e3, 1e5)},
     }  # fmt: skip
     data = postproc.open_results(work.run("densities", f"new_{at}", changes)).squeeze()
-    found: Row = {}
+    currents = abs(data.current2), data.polarised_current
+    kept = bool((currents[0] > 0.99 * currents[1]).all())
+    found: Row = {"polarity": "kept" if kept else "changed"}
     for name, values in (("chi", data.chi), ("current", data.current2)):
         own = np.abs(values.to_numpy())
         found |= {name: own.mean(), f"{name}_error": own.std(ddof=1) / math.sqrt(own.size)}
@@ -123,7 +126,8 @@ def known() -> list[tuple[Case, float, Row]]:
                 case = Case((int(row["T1"]), int(row["T2"])), width, float(row["ratio"]) * width)
                 found.append((case, age, row))
     names = ("chi", "chi_error", "current", "current_error")
-    return [(case, age, {name: float(row[name]) for name in names}) for case, age, row in found]
+    return [(case, age, {"polarity": "kept", **{name: float(row[name]) for name in names}})
+            for case, age, row in found]  # fmt: skip
 
 
 def rows_of(work: study.Study) -> list[Row]:
@@ -138,26 +142,25 @@ def rows_of(work: study.Study) -> list[Row]:
 
 
 def figure(rows: list[Row]) -> Figure:
-    """Return how far runs are from `direction`, against the change by circulation."""
+    """Return how far runs that kept their polarity are from `direction`, against the change."""
     made = style.figure(style.PAGE, 3.4)
     for axes, name, unit, title in zip(
         made.subplots(1, 2), ("chi", "current"), (1e3, 1e2), ("chi, in 0.001", "current, in per cent"),
         strict=True,
     ):  # fmt: skip
         for kind, mark in (("known", "o"), ("new", "s")):
-            own = [row for row in rows if row["runs"] == kind]
+            own = [row for row in rows if row["runs"] == kind and row["polarity"] == "kept"]
             whole = [1.0 if name == "chi" else row["direction_current"] for row in own]
-            change, error, off = (
+            change, error, seen, said = (
                 np.array([unit * row[key] / by for row, by in zip(own, whole, strict=True)])
-                for key, off in ((f"{name}_change", 0), (f"{name}_error", 0), (name, 0))
+                for key in (f"{name}_change", f"{name}_error", name, f"direction_{name}")
             )
-            off = off - [unit * row[f"direction_{name}"] / by
-                         for row, by in zip(own, whole, strict=True)]  # fmt: skip
-            axes.errorbar(change, off, error, fmt=mark, ms=4.0, lw=0.8, mfc="none",
+            axes.errorbar(change, seen - said, error, fmt=mark, ms=4.0, lw=0.8, mfc="none",
                           label=f"{kind} runs")  # fmt: skip
         axes.axhline(0.0, color="black", lw=0.8, ls=":")
         axes.axline((0.0, 0.0), slope=1.0, color="black", lw=0.8)
         axes.set(xlabel=f"change by circulation: {title}", ylabel="runs less direction")
+        axes.locator_params(axis="x", nbins=5)
         axes.legend(fontsize=7, frameon=False)
     return made
 

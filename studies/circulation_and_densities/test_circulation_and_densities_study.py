@@ -1,0 +1,52 @@
+"""Circulation in the balance: nothing without it, particles conserved, chi nearer to runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.theory import two_port
+from postproc.theory.models import MODELS
+from studies.circulation_and_densities import acting_back
+from studies.circulation_and_densities.study import Case
+
+NEAR = Case((12, 12), 0.3, 0.0612)
+
+
+@pytest.mark.parametrize("case", [NEAR, Case((4, 40), 0.3, 0.09)])
+def test_without_straight_passages_states_are_those_of_two_ports(case: Case) -> None:
+    circuit = MODELS["two_port"].of(case.circuit)
+    states = MODELS["two_port"].solve_stable(circuit)
+    state = max(states, key=lambda one: one.mass_spread)
+    balance = acting_back.Balance(circuit, acting_back.NOTHING)
+    first = balance.nearest(acting_back.polarised(circuit))
+    _, across, _, halves = balance.state(first)
+    assert halves[1] == pytest.approx(state.urn2_number, rel=1e-8)
+    assert across[1] - across[0] == pytest.approx(
+        state.net_current - state.circulating_current, rel=1e-8
+    )
+
+
+def test_urns_send_as_much_as_they_receive() -> None:
+    circuit = MODELS["two_port"].of(NEAR.circuit)
+    known = acting_back.Passing(np.array([0.1, 0.7]), np.array([0.5, -0.2]), np.array([0.9, 0.2]))
+    arriving = np.array([8.0, 20.0])
+    entries, across, _, _ = acting_back.Balance(circuit, known).flows(arriving)
+    assert entries + across == pytest.approx(arriving + across[::-1], rel=1e-12)
+
+
+def test_nothing_changes_in_a_circuit_with_open_gates() -> None:
+    """All is filled evenly: straight passages are those of two ports; 0.5 % of them is noise."""
+    circuit = MODELS["two_port"].of(Case((1000, 1000), 0.3, 0.0612).circuit)
+    at = two_port.balance(circuit, 500.0)
+    entries, across = at.entries[:, 0], at.across[:, 0]
+    found = acting_back.passing(circuit, entries, across, 1e9)
+    assert np.all(np.abs([found.down, found.up]) < 0.005 * across)
+
+
+def test_chi_next_to_the_transition_is_nearer_to_that_of_runs() -> None:
+    """0.5527 +- 0.0002 in studies/age_of_a_run; `direction` alone has 0.5567."""
+    without, acting = acting_back.solved(NEAR.circuit, 7e4)
+    change = acting.mass_spread - without.mass_spread
+    assert change == pytest.approx(-0.0042, abs=0.0008)
+    assert 0.55672 + change == pytest.approx(0.5527, abs=0.001)
