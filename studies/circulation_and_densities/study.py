@@ -144,10 +144,8 @@ def rows_of(work: study.Study) -> list[Row]:
 def figure(rows: list[Row]) -> Figure:
     """Return how far runs that kept their polarity are from `direction`, against the change."""
     made = style.figure(style.PAGE, 3.4)
-    for axes, name, unit, title in zip(
-        made.subplots(1, 2), ("chi", "current"), (1e3, 1e2), ("chi, in 0.001", "current, in per cent"),
-        strict=True,
-    ):  # fmt: skip
+    panels = (("chi", 1e3, "chi, in 0.001"), ("current", 1e2, "current, in per cent"))
+    for axes, (name, unit, title) in zip(made.subplots(1, 2), panels, strict=True):
         for kind, mark in (("known", "o"), ("new", "s")):
             own = [row for row in rows if row["runs"] == kind and row["polarity"] == "kept"]
             whole = [1.0 if name == "chi" else row["direction_current"] for row in own]
