@@ -1,4 +1,5 @@
-!> The program `battery`: arguments, plan, ensemble, exit code.
+!> The program `battery`: reads the command line and the plan, runs the ensemble or prints what was
+!> asked for, and ends with an exit code.
 program battery
   use battery_json_report, only: write_run_json
   use battery_error, only: error_type, exit_success, exit_failure
@@ -20,8 +21,8 @@ program battery
   use battery_text, only: string_type
   implicit none (type, external)
 
-  !> Seconds that MPI has for its end.
-  integer, parameter :: patience = 30
+  !> Time limit of MPI_Finalize, in seconds.
+  integer, parameter :: finalize_seconds = 30
 
   type(command_line_type) :: command_line
   type(communicator_type) :: communicator
@@ -61,24 +62,26 @@ program battery
       print_error('battery: part of the output could not be printed; files are as they should be')
     if (exit_code == exit_success) exit_code = exit_failure
   end if
-  ! All is written. MPICH 4.0 over UCX hangs now and then in MPI_Finalize on several nodes: one rank
-  ! waits for another that no longer listens (its pull request 6596).
+  ! All files are complete here. MPICH 4.0 over UCX sometimes blocks in MPI_Finalize on several
+  ! nodes: one rank waits for another that has stopped its progress (pull request 6596 of MPICH).
   call wait_for_all(communicator)
-  call exit_after(patience, exit_code)
+  call exit_after(finalize_seconds, exit_code)
   call close_communicator(communicator)
   call exit_process(exit_code)
 
 contains
 
+  !> Reads the plan, and runs its ensemble or prints its report.
   subroutine run()
     type(plan_type) :: plan
-    integer :: sharing
+    !> Ranks on this node, which share its memory.
+    integer :: node_ranks
 
-    sharing = ranks_on_node(communicator)
+    node_ranks = ranks_on_node(communicator)
     call read_plan_once(command_line%file, communicator, plan, error)
     if (allocated(error)) return
     call set_time_limit(plan)
-    call check_estimate(plan, sharing, error)
+    call check_estimate(plan, node_ranks, error)
     call share_error(communicator, error)
     if (allocated(error)) return
     if (.not. command_line%check) then
@@ -87,7 +90,7 @@ contains
       if (communicator%rank == 0 .and. .not. allocated(error)) &
         call write_run_json(command_line%json, plan%file, error)
     else if (communicator%rank == 0) then
-      call print_plan_report(plan, communicator%size, sharing, &
+      call print_plan_report(plan, communicator%size, node_ranks, &
         command_line%overwrite, command_line%json, error)
     end if
     call share_error(communicator, error)

@@ -1,4 +1,5 @@
-!> Rows of the speed tables: a case, the rates of its rounds, and how both are written.
+!> Rows of the speed tables: the parameters of a case, the rates of its rounds, and their output as
+!> text and as JSON.
 module battery_bench_rows
   use, intrinsic :: iso_fortran_env, only: compiler_version
   use battery_kinds, only: wp, dp, int64
@@ -8,7 +9,9 @@ module battery_bench_rows
   public :: case_type, rate_type, cost_of_collision, cost_of_visit, cost_of_time, write_title, &
     write_row, begin_json, write_json_row, end_json, processor_name, peak_memory
 
+  !> Parameters of a case.
   type :: case_type
+    !> Name of the engine; number of particles, threshold of both gates; widths of the channels.
     character(len=12) :: engine = 'excursion'
     integer :: number = 1000, threshold = 7
     real(wp) :: width1 = 0.3_wp, width2 = 0.01_wp
@@ -16,22 +19,23 @@ module battery_bench_rows
     integer :: sides = 0
     !> Number of discs in channel 2.
     integer :: scatterers = 0
-    !> Duration of a round in seconds; warm-up before the first, in time units.
+    !> Duration of a round in seconds; of the warm-up before the first round, in time units.
     real(dp) :: seconds = 0.5_dp
     real(wp) :: warm_up = 50.0_wp
   end type case_type
 
-  !> Rates of one round, per second.
+  !> Rates of one round, per second of processor time: wall collisions, visits to an urn, and
+  !> simulated time summed over the particles.
   type :: rate_type
     real(dp) :: collisions = 0.0_dp, visits = 0.0_dp, particle_time = 0.0_dp
   end type rate_type
 
-  ! Cost that a table gives relative to its first row.
+  ! Quantity whose cost a table gives relative to its first row.
   integer, parameter :: cost_of_collision = 1, cost_of_visit = 2, cost_of_time = 3
 
 contains
 
-  !> Writes the head of a JSON file, up to the list of rows.
+  !> Writes the start of a JSON file, up to the list of rows.
   subroutine begin_json(file)
     integer, intent(in) :: file
 
@@ -39,21 +43,22 @@ contains
       ' "compiler": "'//compiler_version()//'", "processor": "'//processor_name()//'", "rows": ['
   end subroutine begin_json
 
-  !> Ends a JSON file.
+  !> Writes the end of a JSON file, after the last row.
   subroutine end_json(file)
     integer, intent(in) :: file
 
     write (file, '(a, i0, a)') '], "peak_memory_kilobytes": ', peak_memory(), '}'
   end subroutine end_json
 
-  !> Writes one row, an object with a list of rounds for each rate; a comma before all but the
-  !> first.
+  !> Writes one row: an object that has, for each rate, the list of its rounds.
   subroutine write_json_row(file, key, one, rates, first)
     integer, intent(in) :: file
     !> Name of the table.
     character(len=*), intent(in) :: key
     type(case_type), intent(in) :: one
+    !> By round.
     type(rate_type), intent(in) :: rates(:)
+    !> Whether it is the first row of the file; a comma precedes all others.
     logical, intent(in) :: first
 
     write (file, '(5a, i0, a, i0, a, es12.5, a, es12.5, a, i0, a, i0, a)') merge(' ', ',', first), &
@@ -67,7 +72,7 @@ contains
 
   contains
 
-    !> Writes the rounds of one rate.
+    !> Writes the values of one rate, by round.
     subroutine write_list(name, values, end)
       character(len=*), intent(in) :: name, end
       real(dp), intent(in) :: values(:)
@@ -78,10 +83,9 @@ contains
 
   end subroutine write_json_row
 
-  !> Writes the title and the head of a table.
+  !> Writes the title of a table and the headings of its columns.
   subroutine write_title(unit, title, cost)
     integer, intent(in) :: unit, cost
-
     character(len=*), intent(in) :: title
     character(len=14), parameter :: costs(3) = [character(len=14) :: 'cost/collision', &
       '    cost/visit', 'cost/time unit']
@@ -91,11 +95,11 @@ contains
       'N', 'T', 'w', 'w''', 'collisions/s', 'visits/s', '& particle', 'over the first'
   end subroutine write_title
 
-  !> Writes one row: medians of the rounds, and half the range after +-.
+  !> Writes one row: medians over the rounds, and after +- half the range in per cent.
   subroutine write_row(unit, one, rates, reference, cost)
     integer, intent(in) :: unit, cost
     type(case_type), intent(in) :: one
-    !> Rounds of this row, and of the first row of the table.
+    !> Rates by round: of this row, and of the first row of the table.
     type(rate_type), intent(in) :: rates(:), reference(:)
     real(dp) :: collisions(3), visits(3), time(3), ratio(3)
     character(len=12) :: name
@@ -120,18 +124,20 @@ contains
     flush (unit)
   end subroutine write_row
 
-  !> Half the range, in per cent of the median, limited to what is shown.
-  pure function half_spread_percent(three) result(percent)
-    real(dp), intent(in) :: three(3)
+  !> Half the range in per cent of the median; at most 99.9, the largest number that the column
+  !> holds.
+  pure function half_spread_percent(summary) result(percent)
+    !> Least, median and greatest value.
+    real(dp), intent(in) :: summary(3)
     real(dp) :: percent
 
-    percent = min(50.0_dp*(three(3) - three(1))/three(2), 99.9_dp)
+    percent = min(50.0_dp*(summary(3) - summary(1))/summary(2), 99.9_dp)
   end function half_spread_percent
 
   !> Least, median and greatest value.
-  pure function least_median_greatest(values) result(three)
+  pure function least_median_greatest(values) result(summary)
     real(dp), intent(in) :: values(:)
-    real(dp) :: three(3)
+    real(dp) :: summary(3)
     real(dp) :: sorted(size(values))
     integer :: k, at
 
@@ -144,10 +150,10 @@ contains
       end do
       sorted(at) = values(k)
     end do
-    three = [sorted(1), sorted((size(values) + 1)/2), sorted(size(values))]
+    summary = [sorted(1), sorted((size(values) + 1)/2), sorted(size(values))]
   end function least_median_greatest
 
-  !> Name, family and model of the processor, as Linux gives them: many processors share a name.
+  !> Name, family and model of the processor, as Linux gives them. Many models have the same name.
   function processor_name() result(name)
     character(len=:), allocatable :: name
     character(len=*), parameter :: file = '/proc/cpuinfo'
@@ -156,7 +162,7 @@ contains
       //' model '//value_of_line(file, 'model'//achar(9))
   end function processor_name
 
-  !> Peak memory of this process in kB, as Linux gives it; 0 if it does not.
+  !> Peak memory of this process in kB, as Linux gives it; 0 if it is unknown.
   function peak_memory() result(kilobytes)
     integer(int64) :: kilobytes
     character(len=:), allocatable :: text
@@ -168,7 +174,7 @@ contains
     if (status /= 0) kilobytes = 0
   end function peak_memory
 
-  !> Text after the colon in the line of a file that starts with `key`.
+  !> Text after the colon in the first line of a file that starts with `key`; or `unknown`.
   function value_of_line(file, key) result(value)
     character(len=*), intent(in) :: file, key
     character(len=:), allocatable :: value

@@ -1,4 +1,5 @@
-!> Speed of the engines: cases, rounds, tables and JSON. Called by the program `bench`.
+!> Measures the speed of the engines, and writes it as tables and JSON. Called by the program
+!> `bench`.
 module battery_bench
   use, intrinsic :: iso_fortran_env, only: compiler_version
   use battery_kinds, only: wp, dp, int64
@@ -20,23 +21,25 @@ module battery_bench
   private
   public :: bench_main
 
-  !> An engine that runs from round to round, or visits without an engine.
+  !> State of a case, which continues from round to round: an engine, or starts of visits that are
+  !> computed without an engine.
   type :: runner_type
     class(engine_type), allocatable :: engine
     type(entrances_type) :: entrances
   end type runner_type
 
+  !> Number of rounds.
   integer, parameter :: rounds = 5
 
-  !> In place of an engine's name: visits without an engine.
+  !> In place of the name of an engine: visits are computed without one.
   character(len=*), parameter :: visits_alone = 'visits'
 
-  !> Step of the engine `timestep`: its error is half a per cent after 10 time units.
+  !> Time step of the engine `timestep`; its error after 10 time units is 0.5 per cent.
   real(wp), parameter :: time_step = 1.0e-3_wp
 
 contains
 
-  !> Reads the command line and runs what it asks for.
+  !> Reads the command line, and runs its command.
   subroutine bench_main(unit)
     integer, intent(in) :: unit
     character(len=256) :: word
@@ -59,17 +62,17 @@ contains
     end select
   end subroutine bench_main
 
-  !> Number of tasks for the task queue, from the command line.
-  function task_count() result(items)
-    integer :: items
+  !> Number of tasks in the task queue, from the command line.
+  function task_count() result(tasks)
+    integer :: tasks
     character(len=32) :: word
     integer :: status
 
     call get_command_argument(2, word)
-    items = 100000
+    tasks = 100000
     if (word == '') return
-    read (word, *, iostat=status) items
-    if (status /= 0 .or. items < 1) error stop 'bench board: TASKS is a whole number from 1 up'
+    read (word, *, iostat=status) tasks
+    if (status /= 0 .or. tasks < 1) error stop 'bench board: TASKS is a whole number from 1 up'
   end function task_count
 
   !> Name of the JSON file, from the command line; empty if there is none.
@@ -81,10 +84,10 @@ contains
     name = trim(word)
   end function json_file_name
 
-  !> Runs one case once, for instruction counters or for its memory.
+  !> Runs the case of the command line once, until it has the wall collisions that are wanted.
   subroutine run_single(unit, memory)
     integer, intent(in) :: unit
-    !> Print the peak memory of the process in kB, not the collisions.
+    !> Whether to print the peak memory of the process in kB, in place of the number of collisions.
     logical, intent(in) :: memory
     type(case_type) :: one
     type(runner_type) :: runner
@@ -111,7 +114,7 @@ contains
     write (unit, '(i0)') merge(peak_memory(), collisions, memory)
   end subroutine run_single
 
-  !> Starts the engine of a case, with its particles.
+  !> Creates the engine of a case with random particles, or draws the starts of its visits.
   subroutine start_case(one, runner)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
@@ -152,7 +155,7 @@ contains
     end do
   end function disc_lattice
 
-  !> Runs a case for its warm-up, or for four rounds if that is shorter.
+  !> Runs a case for its warm-up, but not longer than four rounds.
   subroutine warm_up_case(one, runner)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
@@ -173,8 +176,8 @@ contains
     end do
   end subroutine warm_up_case
 
-  !> Runs a case for about its number of seconds, and sums what the engine reports: visits are
-  !> crossings and particles turned back.
+  !> Runs a case for about `one%seconds` of processor time, and measures its rates. The number of
+  !> visits is that of crossings and of particles turned back.
   subroutine run_round(one, runner, rate)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner
@@ -206,9 +209,10 @@ contains
     rate%particle_time = time*real(one%number, dp)/spent
   end subroutine run_round
 
-  !> Runs cases in turn; rates are (round, case).
+  !> Runs the cases in turn, round by round.
   subroutine compare_cases(cases, rates)
     type(case_type), intent(in) :: cases(:)
+    !> By (round, case).
     type(rate_type), intent(out) :: rates(:, :)
     type(runner_type), allocatable :: runners(:)
     integer :: k, round_number
@@ -225,9 +229,10 @@ contains
     end do
   end subroutine compare_cases
 
-  !> Runs all tables; writes them as JSON too if `json` is not empty.
+  !> Measures and writes all tables.
   subroutine run_all_tables(unit, json)
     integer, intent(in) :: unit
+    !> Name of a JSON file to write too, or empty.
     character(len=*), intent(in) :: json
     integer :: file, status, k
 
@@ -282,9 +287,11 @@ contains
     end if
   end subroutine run_all_tables
 
-  !> Runs one table; costs are relative to its first row.
+  !> Measures and writes one table, a row for each case; costs are relative to the first row.
   subroutine run_table(unit, file, key, title, cost, cases)
+    !> Units of the table and of the JSON file (0: none); `cost_of_collision` or another.
     integer, intent(in) :: unit, file, cost
+    !> Name of the table in JSON, and its title.
     character(len=*), intent(in) :: key, title
     type(case_type), intent(in) :: cases(:)
     type(rate_type) :: rates(rounds, size(cases))

@@ -1,5 +1,5 @@
-!> Visits to an urn without an engine, for the speed tables: batch after batch is passed to
-!> `compute_visits`, as the engine `excursion` does with the visits of a window.
+!> Speed of `compute_visits` alone, for the speed tables: it computes batches of visits to an urn,
+!> as for the visits in a window of the engine `excursion`.
 module battery_bench_visits
   use battery_kinds, only: wp, dp, int64
   use battery_bench_rows, only: rate_type
@@ -12,15 +12,17 @@ module battery_bench_visits
   private
   public :: entrances_type, draw_entrances, measure_visits
 
-  !> Visits of a batch, and number of batches: together they fit into the cache.
+  !> Number of visits in a batch, and of batches; all of them together fit into the cache.
   integer, parameter :: batch = 1024, batches = 32
 
-  !> Starts of visits, uniform on the openings, by the cosine law: (visit, batch).
+  !> Starts of visits: positions uniform on the openings, directions by the cosine law. Arrays are
+  !> (visit, batch).
   type :: entrances_type
     private
     type(urn_type) :: urn
     integer(int64), allocatable :: channel(:, :)
     real(wp), allocatable :: x(:, :), y(:, :), u_axial(:, :), u_lateral(:, :)
+    !> Work space: the batch that is computed.
     type(visits_type) :: visits
   end type entrances_type
 
@@ -61,7 +63,7 @@ contains
     entrances%visits%count = batch
   end subroutine draw_entrances
 
-  !> Computes the visits again and again for about that many seconds.
+  !> Computes all batches repeatedly for about `seconds` of processor time.
   subroutine measure_visits(entrances, seconds, rate)
     type(entrances_type), intent(inout) :: entrances
     real(dp), intent(in) :: seconds
