@@ -1,8 +1,8 @@
 !> The program `accuracy`: probes of the engines, in the precision it was built with.
 !>
-!> `make accuracy` builds it three times (real32, real64, real128) and asks it for plain data, one
-!> JSON object a line. `accuracy` alone lists its commands. Numbers are read and written with all
-!> digits of the precision.
+!> `make accuracy` builds the program in three precisions (real32, real64, real128). Each command
+!> prints JSON, one object a line (`photon`: plain numbers); `accuracy` without arguments lists the
+!> commands. Numbers are read and written with all digits of the precision.
 program accuracy
   use battery_probe, only: argument
   use battery_probe_trajectory, only: trajectory_main, reversal_main

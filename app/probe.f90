@@ -1,4 +1,5 @@
-!> What the probes of the program `accuracy` share: arguments, JSON, starting an engine.
+!> Procedures that the probes of the program `accuracy` have in common: command line, JSON, start of
+!> an engine.
 module battery_probe
   use, intrinsic :: iso_fortran_env, only: output_unit, real32
   use battery_kinds, only: wp, dp, int64
@@ -51,9 +52,10 @@ contains
     if (status /= 0) call stop_with_message('argument '//to_text(k)//' is not a whole number')
   end function integer_argument
 
-  !> A length rounded to so many bits: the same in each precision that has them.
+  !> A length rounded such that it is the same in all precisions with more than `bits` bits.
   elemental function rounded_to_bits(length, bits) result(rounded)
     real(wp), intent(in) :: length
+    !> Below 24: rounded to real32; else to real64.
     integer, intent(in) :: bits
     real(wp) :: rounded
 
@@ -68,35 +70,38 @@ contains
     name = 'real'//to_text(storage_size(1.0_wp))
   end function precision_name
 
-  !> Table of the paper with channels of these widths, which are rounded to the precision.
+  !> Table of the paper: urns of radius 1, channels of length 1.
   function paper_table(width1, width2) result(table)
+    !> Widths of the channels, rounded to the precision.
     real(wp), intent(in) :: width1, width2
     type(table_type) :: table
 
     table = new_table(shape_circuit, 1.0_wp, width1, 1.0_wp, width2, 1.0_wp)
   end function paper_table
 
-  !> Starts an engine from a copy of the particles.
+  !> Creates an engine, and starts it from a copy of the particles; its seed is 1.
   subroutine start_engine(name, table, threshold, particles, step, engine, clock)
     character(len=*), intent(in) :: name
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold
     type(particles_type), intent(in) :: particles
+    !> Time step of the engine `timestep`.
     real(wp), intent(in) :: step
     class(engine_type), allocatable, intent(out) :: engine
+    !> Time at the start; default 0.
     real(wp), intent(in), optional :: clock
     type(error_type), allocatable :: error
-    type(particles_type) :: given
+    type(particles_type) :: initial
     real(wp) :: began
 
     call new_engine(name, engine, error)
     if (allocated(error)) call stop_with_message(error%message)
     engine%time_step = step
     engine%seed = 1
-    given = particles
+    initial = particles
     began = 0.0_wp
     if (present(clock)) began = clock
-    call engine%start(table, threshold, given, began)
+    call engine%start(table, threshold, initial, began)
   end subroutine start_engine
 
   !> Advances an engine by `duration`; `event_record` is that of the last window.
@@ -113,7 +118,7 @@ contains
     end do
   end subroutine advance_for
 
-  !> Numbers as a JSON list, with all digits.
+  !> Numbers as a JSON list, with all digits; null for NaN and infinity.
   function json_list(numbers) result(text)
     real(wp), intent(in) :: numbers(:)
     character(len=:), allocatable :: text, buffer
@@ -137,7 +142,7 @@ contains
 
   contains
 
-    !> Appends to the buffer.
+    !> Appends `part` to the buffer.
     subroutine append_text(part)
       character(len=*), intent(in) :: part
 
@@ -147,7 +152,7 @@ contains
 
   end function json_list
 
-  !> Prints a line, and flushes the output.
+  !> Prints a line of JSON, and flushes the output.
   subroutine print_json_line(text)
     character(len=*), intent(in) :: text
 
@@ -155,14 +160,14 @@ contains
     flush (output_unit)
   end subroutine print_json_line
 
-  !> Ends the program with a message.
+  !> Stops the program with an error message.
   subroutine stop_with_message(message)
     character(len=*), intent(in) :: message
 
     error stop 'accuracy: '//message
   end subroutine stop_with_message
 
-  !> Processor time of this process.
+  !> Processor time of this process, in seconds.
   function processor_seconds() result(seconds)
     real(dp) :: seconds
 

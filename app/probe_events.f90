@@ -1,4 +1,4 @@
-!> Probe of any table: the event log of a run, and the state of the particles at its end.
+!> Probe of any table of discs: events of a run, and the final state of the particles.
 module battery_probe_events
   use battery_kinds, only: wp
   use battery_error, only: error_type
@@ -16,15 +16,16 @@ module battery_probe_events
 contains
 
   !> `events ENGINE STEP SHAPE RADIUS WIDTH1 LENGTH1 WIDTH2 LENGTH2 FILE NUMBER THRESHOLD CLOCK
-  !> DURATION`: prints one line. Engines that draw random numbers have the seed 1.
+  !> DURATION`: prints one line. Engines with random numbers have the seed 1.
   subroutine events_main()
     class(engine_type), allocatable :: engine
     type(event_record_type) :: event_record
     type(table_type) :: table
-    type(particles_type) :: particles, found
+    type(particles_type) :: particles, state
     type(error_type), allocatable :: error
     real(wp), allocatable :: time(:)
-    integer, allocatable :: what(:, :)
+    !> (kind, where, particle) by event.
+    integer, allocatable :: event(:, :)
     real(wp) :: elapsed, duration
     integer :: k
 
@@ -37,24 +38,24 @@ contains
       engine, real_argument(13))
     duration = real_argument(14)
     event_record%logging = .true.
-    allocate (time(0), what(3, 0))
+    allocate (time(0), event(3, 0))
     elapsed = 0.0_wp
     do while (duration - elapsed > 4.0_wp*epsilon(1.0_wp)*duration)
       call engine%advance(duration - elapsed, event_record)
       do k = 1, event_record%events
         time = [time, elapsed + event_record%event_time(k)]
-        what = reshape([what, int(event_record%event_kind(k)), int(event_record%event_where(k)), &
+        event = reshape([event, int(event_record%event_kind(k)), int(event_record%event_where(k)), &
           int(event_record%event_particle(k))], [3, size(time)])
       end do
       elapsed = elapsed + event_record%duration
     end do
-    call engine%get_particles(1, engine%number, found)
+    call engine%get_particles(1, engine%number, state)
     call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//argument(2) &
       //'", "trapped": '//to_text(engine%trapped())//', "hits": '//to_text(engine%collisions()) &
-      //', "time": '//json_list(time)//', "kind": '//json_list(real(what(1, :), wp)) &
-      //', "where": '//json_list(real(what(2, :), wp))//', "particle": '//json_list(real(what(3, &
-      :), wp))//', "x": '//json_list(found%x)//', "y": '//json_list(found%y)//', "ux": ' &
-      //json_list(found%ux)//', "uy": '//json_list(found%uy)//'}')
+      //', "time": '//json_list(time)//', "kind": '//json_list(real(event(1, :), wp)) &
+      //', "where": '//json_list(real(event(2, :), wp))//', "particle": '//json_list(real(event(3, &
+      :), wp))//', "x": '//json_list(state%x)//', "y": '//json_list(state%y)//', "ux": ' &
+      //json_list(state%ux)//', "uy": '//json_list(state%uy)//'}')
   end subroutine events_main
 
 end module battery_probe_events

@@ -1,10 +1,10 @@
-!> The Lyapunov exponent of the free billiard, from its tangent map.
+!> Lyapunov exponent of the billiard without gates, from its tangent map.
 !>
-!> A neighbouring path is (J, D): its distance across the path, and the difference of its direction.
-!> During a flight of the time t, J grows by t D. A reflection from a straight wall changes the sign
-!> of both; one from the inside of a circle of radius r, at the cosine c of the incidence, changes D
-!> into -(D - 2 J/(r c)). The exponent is the mean of log |(J, D)| per time. N. Chernov, R.
-!> Markarian, "Chaotic billiards", AMS 2006, chapter 3.
+!> A tangent vector is (J, D): the perpendicular distance of a neighbouring path, and the difference
+!> of its direction. In a flight of duration t, J increases by t D. A reflection from a straight
+!> wall changes the sign of both; one from the inside of a circle of radius r, where c is the cosine
+!> of the incidence, replaces J by -J and D by -(D - 2 J/(r c)). The exponent is the growth of
+!> log |(J, D)| per unit time. N. Chernov, R. Markarian, "Chaotic billiards", AMS 2006, chapter 3.
 module battery_probe_lyapunov
   use battery_kinds, only: wp, dp, int64, pi
   use battery_text, only: to_text
@@ -21,7 +21,8 @@ module battery_probe_lyapunov
   private
   public :: lyapunov_main, tangent_type, advance_tangent, reflect_tangent
 
-  !> A neighbouring path, (`offset`, `deflection`) of norm 1, and the logarithm of its growth.
+  !> Tangent vector (J, D) = (`offset`, `deflection`), normalised at each reflection, and the
+  !> logarithm of its growth until then.
   type :: tangent_type
     real(wp) :: offset = 1.0_wp, deflection = 0.0_wp
     real(wp) :: log_growth = 0.0_wp
@@ -29,22 +30,22 @@ module battery_probe_lyapunov
 
 contains
 
-  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]`: prints the mean over so many starts, random in the
-  !> urns or from an initial file, each for so long; its standard error; and the mean over the
-  !> second half of the time.
+  !> `lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]`: prints the mean exponent of NUMBER paths of
+  !> duration TIME, its standard error, and the mean over the second half of the time. Initial
+  !> states are random in the urns, or from FILE.
   subroutine lyapunov_main()
     type(table_type) :: table
     type(motion_type) :: flight
     type(particles_type) :: particles
     type(error_type), allocatable :: error
-    real(wp) :: duration, rate, sums(2), late
+    real(wp) :: duration, rate, sums(2), late_rate
     integer :: number, i
 
     table = paper_table(real_argument(2), real_argument(3))
     number = int(integer_argument(4))
     duration = real_argument(5)
     sums = 0.0_wp
-    late = 0.0_wp
+    late_rate = 0.0_wp
     if (argument(6) /= '') then
       call read_particles(argument(6), table, number, particles, error)
       if (allocated(error)) call stop_with_message(error%message)
@@ -53,17 +54,17 @@ contains
       call random_start(table, i, flight)
       if (allocated(particles%x)) flight = motion_at(table, particles%x(i), particles%y(i), &
         particles%ux(i), particles%uy(i))
-      call follow_path(table, flight, duration, rate, late)
+      call follow_path(table, flight, duration, rate, late_rate)
       sums = sums + [rate, rate**2]
     end do
     sums = sums/number
     call print_json_line('{"precision": "'//precision_name()//'", "number": '//to_text(number) &
       //', "time": '//to_text(real(duration, dp))//', "lyapunov": '//to_text(real(sums(1), dp)) &
       //', "error": '//to_text(real(sqrt((sums(2) - sums(1)**2)/max(number - 1, 1)), dp)) &
-      //', "second_half": '//to_text(real(late/number, dp))//'}')
+      //', "second_half": '//to_text(real(late_rate/number, dp))//'}')
   end subroutine lyapunov_main
 
-  !> Initial state of particle `i`, uniform in one of the urns.
+  !> Initial state of particle `i`: uniform position in one of the urns, uniform direction.
   subroutine random_start(table, i, flight)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
@@ -83,13 +84,15 @@ contains
       cos(angle), sin(angle))
   end subroutine random_start
 
-  !> Growth rate along one path; `late` is increased by that of the second half.
-  subroutine follow_path(table, flight, duration, rate, late)
+  !> Follows one path, and measures its growth rate.
+  subroutine follow_path(table, flight, duration, rate, late_rate)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: flight
     real(wp), intent(in) :: duration
+    !> Growth rate, per unit time.
     real(wp), intent(out) :: rate
-    real(wp), intent(inout) :: late
+    !> The growth rate in the second half of the time is added to this sum.
+    real(wp), intent(inout) :: late_rate
     type(tangent_type) :: tangent
     real(wp) :: wait, time, first_half_growth, first_half_time
 
@@ -102,21 +105,23 @@ contains
       call move_straight(flight, wait)
       call advance_tangent(tangent, wait)
       time = time + wait
-      call meet_wall(table, flight, tangent, wait)
+      call process_event(table, flight, tangent, wait)
       if (time < 0.5_wp*duration) then
         first_half_growth = tangent%log_growth
         first_half_time = time
       end if
     end do
     rate = tangent%log_growth/time
-    late = late + (tangent%log_growth - first_half_growth)/(time - first_half_time)
+    late_rate = late_rate + (tangent%log_growth - first_half_growth)/(time - first_half_time)
   end subroutine follow_path
 
-  !> Applies what the particle meets to it and to the neighbouring path.
-  subroutine meet_wall(table, flight, tangent, wait)
+  !> Processes the next event of a particle, a wall hit or the crossing of a line, and its tangent
+  !> vector.
+  subroutine process_event(table, flight, tangent, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: flight
     type(tangent_type), intent(inout) :: tangent
+    !> Time until the event after it.
     real(wp), intent(out) :: wait
 
     associate (urn => table%urn(flight%urn))
@@ -132,9 +137,9 @@ contains
         call hit_wall(table, flight, wait)
       end if
     end associate
-  end subroutine meet_wall
+  end subroutine process_event
 
-  !> Moves the neighbouring path straight on.
+  !> Advances the tangent vector over a straight flight of this time.
   pure subroutine advance_tangent(tangent, time)
     type(tangent_type), intent(inout) :: tangent
     real(wp), intent(in) :: time
@@ -142,10 +147,10 @@ contains
     tangent%offset = tangent%offset + time*tangent%deflection
   end subroutine advance_tangent
 
-  !> Reflects the neighbouring path from a straight wall, or from the inside of a circle, where
-  !> `depth` is r c; sets its norm back to 1.
+  !> Applies a reflection to the tangent vector, and normalises it.
   pure subroutine reflect_tangent(tangent, depth)
     type(tangent_type), intent(inout) :: tangent
+    !> At the inside of a circle: r c. Absent at a straight wall.
     real(wp), intent(in), optional :: depth
     real(wp) :: length
 

@@ -1,6 +1,6 @@
 !> Probe of scatterers: problem 2 of the SIAM 100-Digit Challenge. Circular mirrors of radius 1/3
-!> stand at the integer points of the plane, and a photon starts at (1/2, 1/10) to the east: what is
-!> its distance from the origin at the time 10?
+!> have their centres at the integer points of the plane, and a photon of speed 1 starts at
+!> (1/2, 1/10) in the direction of x: its distance from the origin at time 10.
 module battery_probe_photon
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type
@@ -16,7 +16,7 @@ module battery_probe_photon
 
 contains
 
-  !> `photon ENGINE`: prints precision, hits, distance, and its error.
+  !> `photon ENGINE`: prints the precision, the number of hits, the distance and its error.
   subroutine photon_main()
     real(wp), parameter :: published = 0.99526291944335416089031180942672_wp
     class(engine_type), allocatable :: engine
@@ -46,7 +46,8 @@ contains
       abs(distance - published)
   end subroutine photon_main
 
-  !> Table whose channel 2 has the mirrors that the photon can reach; all its lengths are integers.
+  !> Table with the mirrors that the photon can reach as scatterers in channel 2; lengths are
+  !> integers.
   function table_of_mirrors() result(table)
     type(table_type) :: table
     real(wp) :: stand(3, 25)

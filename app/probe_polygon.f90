@@ -1,11 +1,11 @@
-!> Condition of single visits to a polygon, for the probe of visits.
+!> Condition numbers of single visits to a polygon, for the probe of visits.
 !>
-!> Walls are straight, so errors grow in proportion to the length: to first order each of the n wall
-!> hits changes the direction by at most twice the rounding error of its side, and a change of
-!> direction by eps moves a point at the distance l by l eps. With K_u = 1 + 2 n for the direction,
-!> a position is wrong by at most (l + r) K_u, with l the length of the path and r the reach of the
-!> polygon. The path meets the opening at a slope: K_y = (l + r) K_u/|u_x|, and K_l = (l + r) K_u +
-!> |u_y| K_y.
+!> Walls are straight, so errors grow in proportion to the length. To first order, each of the n
+!> wall hits changes the direction by at most twice the rounding error of its side, and a change of
+!> the direction by eps moves a point at the distance l by l eps. So the condition number of the
+!> direction is K_u = 1 + 2 n, and that of a position is (l + r) K_u, with l the length of the path
+!> and r the reach of the polygon. At the opening, which the path meets at an angle, those of the
+!> height and of the length are K_y = (l + r) K_u/|u_x| and K_l = (l + r) K_u + |u_y| K_y.
 module battery_probe_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, gated, ungated, facing
@@ -16,19 +16,21 @@ module battery_probe_polygon
   use battery_probe, only: rounded_to_bits, stop_with_message
   implicit none (type, external)
   private
-  public :: polygon_table, polygon_conditions, polygon_tolerance, least_room_beside_corners
+  public :: polygon_table, polygon_conditions, polygon_tolerance, least_corner_distance
 
-  !> As `corner_tolerance` for discs; the polygon itself tolerates this much rounding of a position.
+  !> Tolerance for a tie at a corner, in units of the change of the start (that of discs is
+  !> `corner_tolerance`). The polygon itself tolerates rounding errors of a position of this size.
   real(wp), parameter :: polygon_tolerance = 128.0_wp
 
 contains
 
-  !> A circuit of two mirror-image polygons, with channels of length 1.
+  !> A circuit of two polygons that are mirror images, with channels of length 1.
   function polygon_table(corners, bits, width) result(table)
-    !> Corners x1,y1,x2,y2, ... in one word.
+    !> Corners as one word x1,y1,x2,y2,...
     character(len=*), intent(in) :: corners
     !> Bits to which they are rounded.
     integer, intent(in) :: bits
+    !> By channel.
     real(wp), intent(in) :: width(2)
     type(table_type) :: table
     type(urn_type) :: urn
@@ -47,68 +49,68 @@ contains
       stop_with_message('where the axis leaves the urn it must be '//'upright, and wide enough')
   end function polygon_table
 
-  !> Condition of the height, the direction and the length at the end of a visit.
-  pure function polygon_conditions(polygon, length, hits, along, across) result(k)
+  !> Condition numbers of the height, the direction and the length at the end of a visit.
+  pure function polygon_conditions(polygon, length, hits, u_axial, u_lateral) result(k)
     type(polygon_type), intent(in) :: polygon
-    !> Length and wall hits; |u_x| and u_y at the end.
-    real(wp), intent(in) :: length, hits, along, across
-    real(wp) :: k(3), beside
+    !> Length of the path, number of wall hits; |u_x| and u_y at the end.
+    real(wp), intent(in) :: length, hits, u_axial, u_lateral
+    real(wp) :: k(3), k_position
 
     k(2) = 1.0_wp + 2.0_wp*hits
-    beside = (length + polygon%reach)*k(2)
-    k(1) = beside/abs(along)
-    k(3) = beside + abs(across)*k(1)
+    k_position = (length + polygon%reach)*k(2)
+    k(1) = k_position/abs(u_axial)
+    k(3) = k_position + abs(u_lateral)*k(1)
   end function polygon_conditions
 
-  !> Least distance of a visit from a corner or from the end of an opening, relative to how far a
-  !> change of its start has moved the path there.
-  function least_room_beside_corners(polygon, x, y, ux, uy, most_hits) result(room)
+  !> Least distance of a visit's path from a corner or from the end of an opening, divided by the
+  !> condition number of the position there.
+  function least_corner_distance(polygon, x, y, ux, uy, most_hits) result(distance)
     type(polygon_type), intent(in) :: polygon
     !> Start of the visit, in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
-    !> Largest number of hits that are followed.
+    !> The path is followed for at most this number of wall hits, and over the flight after them.
     integer, intent(in) :: most_hits
-    real(wp) :: room
-    real(wp) :: place(2), next(2), velocity(2), wait, length
+    real(wp) :: distance
+    real(wp) :: position(2), next(2), velocity(2), wait, length
     integer :: side, hits
 
-    place = [x, y]
+    position = [x, y]
     velocity = [ux, uy]
     side = 0
     length = 0.0_wp
-    room = huge(1.0_wp)
+    distance = huge(1.0_wp)
     do hits = 0, most_hits
-      call find_next_side_robustly(polygon, (side), place(1), place(2), velocity(1), velocity(2), &
-        side, wait)
+      call find_next_side_robustly(polygon, (side), position(1), position(2), velocity(1), &
+        velocity(2), side, wait)
       if (side == 0) return
-      next = place + wait*velocity
+      next = position + wait*velocity
       length = length + wait
-      room = min(room, nearest_corner(polygon, place, next)/((length + polygon%reach) &
-        *(1.0_wp + 2.0_wp*hits)))
+      distance = min(distance, distance_to_corners(polygon, position, next)/((length &
+        + polygon%reach)*(1.0_wp + 2.0_wp*hits)))
       if (abs(next(2)) < polygon%half_opening(side)) return
-      place = next
-      call reflect_from_side(polygon, side, place(1), place(2), velocity(1), velocity(2))
+      position = next
+      call reflect_from_side(polygon, side, position(1), position(2), velocity(1), velocity(2))
     end do
-  end function least_room_beside_corners
+  end function least_corner_distance
 
   !> Distance from a straight path to the nearest corner or end of an opening.
-  pure function nearest_corner(polygon, here, there) result(distance)
+  pure function distance_to_corners(polygon, path_start, path_end) result(distance)
     type(polygon_type), intent(in) :: polygon
     !> Ends of the path, (x, y).
-    real(wp), intent(in) :: here(2), there(2)
+    real(wp), intent(in) :: path_start(2), path_end(2)
     real(wp) :: distance
-    integer :: k, up
+    integer :: k, sign_y
 
     distance = huge(1.0_wp)
     do k = 1, polygon%sides
-      distance = min(distance, distance_to_side(polygon%x(k), polygon%y(k), here, there))
+      distance = min(distance, distance_to_side(polygon%x(k), polygon%y(k), path_start, path_end))
     end do
     do k = 1, 2
-      do up = -1, 1, 2
+      do sign_y = -1, 1, 2
         distance = min(distance, distance_to_side(facing(k)*polygon%chord(k), &
-          up*polygon%half_width(k), here, there))
+          sign_y*polygon%half_width(k), path_start, path_end))
       end do
     end do
-  end function nearest_corner
+  end function distance_to_corners
 
 end module battery_probe_polygon

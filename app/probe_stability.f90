@@ -1,9 +1,10 @@
-!> Probe of the situations in which methods fail: for one engine, a line for each case.
+!> Probe of numerical stability: cases in which event-driven methods tend to fail, for one engine.
+!> It prints a line for each case.
 !>
-!> `value` is a number specific to the case; `postproc/accuracy/stability.py` says what it means and
-!> what it is compared with. The rest is the same for all cases: how it ended (`done`; or `stopped`,
-!> by the time limit, after the time `reached`), particles lost or not a number, the greatest | |u|
-!> - 1 |, trapped particles, and wall hits.
+!> `value` is a number specific to the case; `postproc/accuracy/stability.py` documents its meaning
+!> and its reference. The other numbers are the same for all cases: how the run ended (`done`, or
+!> `stopped` by the time limit), the time `reached`, the number of particles outside the table or
+!> not a number, the greatest | |u| - 1 |, and the numbers of trapped particles and of wall hits.
 module battery_probe_stability
   use battery_kinds, only: wp, dp, int64
   use battery_table, only: table_type
@@ -12,18 +13,18 @@ module battery_probe_stability
   use battery_clocks, only: wall_seconds
   use battery_probe, only: argument, real_argument, integer_argument, paper_table, start_engine
   use battery_probe_case, only: case_type, run_case, print_case, crossings, one_particle_at, &
-    first_event_time, random_in_discs, engine_name, step, most_seconds
+    first_event_time, random_in_discs, engine_name, step, time_limit
   implicit none (type, external)
   private
   public :: stability_main
 
 contains
 
-  !> `stability ENGINE COLLISIONS SECONDS`: runs all cases. SECONDS is the time limit of each but
-  !> the long run, which has COLLISIONS.
+  !> `stability ENGINE COLLISIONS SECONDS`: runs all cases. SECONDS is the time limit of each case
+  !> but the long run, which ends after COLLISIONS wall hits.
   subroutine stability_main()
     engine_name = argument(2)
-    most_seconds = real(real_argument(4), dp)
+    time_limit = real(real_argument(4), dp)
     call probe_whispering()
     call probe_corners()
     call probe_along_the_axis()
@@ -35,7 +36,7 @@ contains
     call probe_long_run(integer_argument(3))
   end subroutine stability_main
 
-  !> A particle at the top of urn 2 moves along the wall towards channel 1, at an angle to the wall:
+  !> A particle starts at the top of urn 2 towards channel 1, at a small angle to the wall. `value`:
   !> time of its entry into the gate.
   subroutine probe_whispering()
     type(case_type) :: one
@@ -55,13 +56,14 @@ contains
     end do
   end subroutine probe_whispering
 
-  !> Shots from inside urn 2 at the corner of gate 2, and at 2**-k above and below it: number of
-  !> those that end on the wrong side, and greatest distance of one of these. A shot exactly at the
-  !> corner may end on either side, but must not be lost.
+  !> A particle starts inside urn 2 towards the corner of gate 2, or towards a point 2**-k above or
+  !> below it. `value`: number of starts for which it passes the corner on the wrong side; greatest
+  !> distance of the point from the corner among these. A particle that starts exactly towards the
+  !> corner may pass it on either side, but must not be lost.
   subroutine probe_corners()
     type(case_type) :: one
     type(table_type) :: table
-    real(wp) :: corner(2), from(2), off, worst
+    real(wp) :: corner(2), start(2), offset, worst
     integer :: k, shot, direction, wrong
     logical :: entered
 
@@ -71,18 +73,18 @@ contains
     wrong = 0
     worst = 0.0_wp
     do shot = 1, 10
-      from = [1.0_wp + 0.05_wp*shot, 0.6_wp - 0.1_wp*shot]
+      start = [1.0_wp + 0.05_wp*shot, 0.6_wp - 0.1_wp*shot]
       do k = 4, 60
-        off = 0.5_wp**k
-        if (k == 60) off = 0.0_wp
+        offset = 0.5_wp**k
+        if (k == 60) offset = 0.0_wp
         do direction = -1, 1, 2
-          call run_case(one, 'corner', off, table, 10, one_particle_at(from(1), from(2), corner(1) &
-            - from(1), corner(2) + direction*off - from(2)), 1.5_wp, 10.0_wp)
+          call run_case(one, 'corner', offset, table, 10, one_particle_at(start(1), start(2), &
+            corner(1) - start(1), corner(2) + direction*offset - start(2)), 1.5_wp, 10.0_wp)
           entered = .false.
           if (one%events > 0) entered = one%kind(1) == event_entry
           if (k < 60 .and. (entered .neqv. direction < 0)) then
             wrong = wrong + 1
-            worst = max(worst, off)
+            worst = max(worst, offset)
           end if
           if (k == 60 .and. shot == 10 .and. direction == 1) then
             one%name = 'corner exactly'
@@ -97,7 +99,8 @@ contains
     call print_case(one, worst)
   end subroutine probe_corners
 
-  !> Round and round through both channels, nearly along the axis: height after 100 time units.
+  !> A particle moves nearly along the axis, through both channels in turn. `value`: its height
+  !> after 100 time units.
   subroutine probe_along_the_axis()
     type(case_type) :: one
     type(table_type) :: table
@@ -117,7 +120,8 @@ contains
     end do
   end subroutine probe_along_the_axis
 
-  !> Across channel 1, drifting to its middle: time of the crossing, relative to the exact one.
+  !> A particle moves across channel 1, with a small velocity towards the middle line. `value`:
+  !> relative error of the time of its crossing.
   subroutine probe_across_a_channel()
     type(case_type) :: one
     type(table_type) :: table
@@ -136,7 +140,8 @@ contains
     end do
   end subroutine probe_across_a_channel
 
-  !> To and fro on a diameter of urn 2 that meets no opening: distance from it after the time 2000.
+  !> A particle moves on a diameter of urn 2 that meets no opening. `value`: its distance from the
+  !> diameter at time 2000.
   subroutine probe_diameter()
     type(case_type) :: one
     type(table_type) :: table
@@ -153,21 +158,21 @@ contains
     call print_case(one, abs(0.8_wp*(one%particles%x(1) - centre) - 0.6_wp*one%particles%y(1)))
   end subroutine probe_diameter
 
-  !> Four particles enter gate 2, two by two at exactly one time; T = 0, 1, 2 and 3. Number of the
-  !> 24 orders in memory for which any particle moves otherwise than for the first.
+  !> Four particles enter gate 2 at exactly the same time; T = 0, 1, 2 and 3. `value`: number of the
+  !> 24 orders in memory for which the motion of any particle differs from that in the first order.
   subroutine probe_ties()
     type(case_type) :: one, first
     type(table_type) :: table
     type(particles_type) :: particles
     real(wp), parameter :: heights(4) = [0.125_wp, -0.125_wp, 0.0625_wp, 0.0_wp]
-    integer :: order(4), first_order(4), threshold, code, differ
-    logical :: untried
+    integer :: order(4), first_order(4), threshold, code, differing
+    logical :: is_first
 
     if (engine_name == 'reservoir') return
     table = paper_table(0.3_wp, 0.01_wp)
     do threshold = 0, 3
-      differ = 0
-      untried = .true.
+      differing = 0
+      is_first = .true.
       do code = 0, 255
         order = 1 + modulo(code/[1, 4, 16, 64], 4)
         if (any([count(order == 1), count(order == 2), count(order == 3)] /= 1)) cycle
@@ -176,41 +181,42 @@ contains
           spread(0.0_wp, 1, 4))
         call run_case(one, 'ties', real(threshold, wp), table, threshold, particles, 1.75_wp, &
           10.0_wp)
-        if (untried) then
+        if (is_first) then
           first = one
           first_order = order
         end if
-        untried = .false.
-        if (.not. same_fates(one, order, first, first_order)) differ = differ + 1
+        is_first = .false.
+        if (.not. same_motion(one, order, first, first_order)) differing = differing + 1
       end do
-      call print_case(one, real(differ, wp))
+      call print_case(one, real(differing, wp))
     end do
   end subroutine probe_ties
 
-  !> Whether each particle has, in both orders, the same events at the same times and the same final
+  !> Whether each particle has, in both orders, entries at the same times and the same final
   !> position.
-  pure function same_fates(one, order, other, other_order) result(same)
+  pure function same_motion(one, order, other, other_order) result(same)
     type(case_type), intent(in) :: one, other
     integer, intent(in) :: order(4), other_order(4)
     logical :: same
-    integer :: who, i, j
+    integer :: particle, i, j
 
     same = one%events == other%events
-    do who = 1, 4
+    do particle = 1, 4
       if (.not. same) return
-      i = findloc(order, who, 1)
-      j = findloc(other_order, who, 1)
-      associate (mine => one%particle(:one%events) == i .and. one%kind == event_entry, &
-        theirs => other%particle(:other%events) == j .and. other%kind == event_entry)
-        same = count(mine) == count(theirs)
-        if (same) same = all(abs(pack(one%time, mine) - pack(other%time, theirs)) <= 0.0_wp)
+      i = findloc(order, particle, 1)
+      j = findloc(other_order, particle, 1)
+      associate (entries => one%particle(:one%events) == i .and. one%kind == event_entry, &
+        other_entries => other%particle(:other%events) == j .and. other%kind == event_entry)
+        same = count(entries) == count(other_entries)
+        if (same) same = all(abs(pack(one%time, entries) - pack(other%time, other_entries)) &
+          <= 0.0_wp)
       end associate
       same = same .and. abs(one%particles%x(i) - other%particles%x(j)) <= 0.0_wp &
         .and. abs(one%particles%y(i) - other%particles%y(j)) <= 0.0_wp
     end do
-  end function same_fates
+  end function same_motion
 
-  !> Tables and numbers at the limits of what is allowed, from random starts.
+  !> Random initial states, with parameters at the limits of what is allowed.
   subroutine probe_extremes()
     call probe_extreme('N = 1', 1, 7, 0.3_wp, 0.01_wp)
     call probe_extreme('T = 0', 100, 0, 0.3_wp, 0.01_wp)
@@ -220,7 +226,8 @@ contains
     call probe_extreme('openings of 1e-9', 100, 3, 1.0e-9_wp, 1.0e-9_wp)
   end subroutine probe_extremes
 
-  !> `value`: change of the number in half 1 less the net number of crossings.
+  !> Runs one of these. `value`: change of the number of particles in half 1 plus the net number of
+  !> crossings from half 1 to half 2.
   subroutine probe_extreme(name, number, threshold, width1, width2)
     character(len=*), intent(in) :: name
     integer, intent(in) :: number, threshold
@@ -238,29 +245,29 @@ contains
       - one%crossings(2)), wp))
   end subroutine probe_extreme
 
-  !> The same run with the clock starting at 0 and at 1e12: greatest difference of the times of
-  !> events since the start; -1 if the events differ.
+  !> The same run starts at time 0 and at time 1e12. `value`: greatest difference of the times of
+  !> events since the start; -1 if the numbers of events differ.
   subroutine probe_late_clock()
     type(case_type) :: early, late
     type(table_type) :: table
     type(particles_type) :: particles
-    real(wp) :: apart
+    real(wp) :: difference
 
     table = paper_table(0.3_wp, 0.01_wp)
     particles = random_in_discs(table, 50)
-    ! Both must reach the end to be compared.
-    most_seconds = 60.0_dp*most_seconds
+    ! The comparison needs both runs to their end, so the time limit is longer.
+    time_limit = 60.0_dp*time_limit
     call run_case(early, 'clock at 1e12', 0.0_wp, table, 3, particles, 50.0_wp, 100.0_wp)
     call run_case(late, 'clock at 1e12', 1.0e12_wp, table, 3, particles, 50.0_wp, 100.0_wp, &
       1.0e12_wp)
-    apart = -1.0_wp
-    if (early%events == late%events) apart = maxval(abs(early%time - late%time))
-    call print_case(late, apart)
-    most_seconds = most_seconds/60.0_dp
+    difference = -1.0_wp
+    if (early%events == late%events) difference = maxval(abs(early%time - late%time))
+    call print_case(late, difference)
+    time_limit = time_limit/60.0_dp
   end subroutine probe_late_clock
 
-  !> One long run, N = 1000, T = 7: greatest distance of a particle beyond a wall at its end; change
-  !> of the number in half 1 less the net number of crossings.
+  !> One long run, N = 1000, T = 7. `value`: greatest final distance of a particle beyond a wall; in
+  !> a second line, as in `probe_extreme`.
   subroutine probe_long_run(collisions)
     integer(int64), intent(in) :: collisions
     type(case_type) :: one
@@ -295,23 +302,23 @@ contains
       - one%crossings(2)), wp))
   end subroutine probe_long_run
 
-  !> Greatest distance of a particle beyond the walls of the chamber that it is in.
-  pure function farthest_beyond_walls(table, particles) result(far)
+  !> Greatest distance of a particle beyond the walls of its chamber; 0 if there is none.
+  pure function farthest_beyond_walls(table, particles) result(distance)
     type(table_type), intent(in) :: table
     type(particles_type), intent(in) :: particles
-    real(wp) :: far
+    real(wp) :: distance
     real(wp) :: qx
     integer :: i
 
-    far = 0.0_wp
+    distance = 0.0_wp
     do i = 1, size(particles%x)
       qx = abs(particles%x(i)) - table%urn(1)%centre
       if (qx <= -table%urn(1)%chord(1)) then
-        far = max(far, abs(particles%y(i)) - 0.5_wp*table%channel(1)%width)
+        distance = max(distance, abs(particles%y(i)) - 0.5_wp*table%channel(1)%width)
       else if (qx >= table%urn(1)%chord(2)) then
-        far = max(far, abs(particles%y(i)) - 0.5_wp*table%channel(2)%width)
+        distance = max(distance, abs(particles%y(i)) - 0.5_wp*table%channel(2)%width)
       else
-        far = max(far, hypot(qx, particles%y(i)) - table%urn(1)%radius)
+        distance = max(distance, hypot(qx, particles%y(i)) - table%urn(1)%radius)
       end if
     end do
   end function farthest_beyond_walls

@@ -1,5 +1,5 @@
-!> Probes of trajectories: positions at given times and their cost; and the distance to the start
-!> after a reversal of all velocities.
+!> Probes of trajectories: positions at given times, and their cost; and distances from the initial
+!> positions after all velocities are reversed and the run is repeated.
 module battery_probe_trajectory
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
@@ -14,10 +14,11 @@ module battery_probe_trajectory
   private
   public :: trajectory_main, reversal_main
 
-  !> The cost is measured over at least so many seconds.
+  !> The cost is measured over at least this processor time, in seconds.
   real(dp), parameter :: least_seconds = 0.1_dp
 
-  !> A case: engine, table, initial state, times.
+  !> A case: engine and its time step, table, initial state, threshold, and times at which the
+  !> positions are printed.
   type :: case_type
     character(len=:), allocatable :: engine
     real(wp) :: step = 0.0_wp
@@ -27,7 +28,7 @@ module battery_probe_trajectory
     real(wp), allocatable :: times(:)
   end type case_type
 
-  !> The events of a run.
+  !> Events of a run, as in `event_record_type`.
   type :: log_type
     real(wp), allocatable :: time(:)
     integer, allocatable :: kind(:), where(:), particle(:)
@@ -35,13 +36,13 @@ module battery_probe_trajectory
 
 contains
 
-  !> `trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...`: prints a line for each time, one with
-  !> the cost, and one with all events.
+  !> `trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...`: prints a line with the positions for
+  !> each time, one with the cost, and one with all events.
   subroutine trajectory_main()
     type(case_type) :: one
     class(engine_type), allocatable :: engine
     type(event_record_type) :: event_record
-    type(particles_type) :: found
+    type(particles_type) :: state
     type(log_type) :: log
     real(wp) :: elapsed
     real(dp) :: began, spent
@@ -62,9 +63,9 @@ contains
         elapsed = elapsed + event_record%duration
       end do
       spent = spent + (processor_seconds() - began)
-      call engine%get_particles(1, engine%number, found)
+      call engine%get_particles(1, engine%number, state)
       call print_json_line('{"time": '//to_text(real(one%times(k), dp))//', "x": ' &
-        //json_list(found%x)//', "y": '//json_list(found%y)//'}')
+        //json_list(state%x)//', "y": '//json_list(state%y)//'}')
     end do
     spent = spent/(elapsed*engine%number)
     if (spent*elapsed*engine%number < least_seconds) spent = seconds_per_particle_time(one)
@@ -77,13 +78,14 @@ contains
       //', "particle": '//json_list(real(log%particle, wp))//'}')
   end subroutine trajectory_main
 
-  !> `reversal ENGINE STEP FILE NUMBER TIME ...`: for each time, prints the distance of each
-  !> particle from its start, in the free circuit, after that time and as long back.
+  !> `reversal ENGINE STEP FILE NUMBER TIME ...`: runs the circuit without gates for each time,
+  !> reverses all velocities, and runs it for the same time; prints the distance of each particle
+  !> from its initial position.
   subroutine reversal_main()
     type(case_type) :: one
     class(engine_type), allocatable :: engine
     type(event_record_type) :: event_record
-    type(particles_type) :: found
+    type(particles_type) :: state
     integer :: k
 
     call read_case(one, 6)
@@ -91,19 +93,19 @@ contains
     do k = 1, size(one%times)
       call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
       call advance_for(engine, one%times(k), event_record)
-      call engine%get_particles(1, engine%number, found)
-      found%ux = -found%ux
-      found%uy = -found%uy
-      call start_engine(one%engine, one%table, one%threshold, found, one%step, engine)
+      call engine%get_particles(1, engine%number, state)
+      state%ux = -state%ux
+      state%uy = -state%uy
+      call start_engine(one%engine, one%table, one%threshold, state, one%step, engine)
       call advance_for(engine, one%times(k), event_record)
-      call engine%get_particles(1, engine%number, found)
+      call engine%get_particles(1, engine%number, state)
       call print_json_line('{"precision": "'//precision_name()//'", "engine": "'//one%engine &
-        //'", "time": '//to_text(real(one%times(k), dp))//', "error": '//json_list(hypot(found%x &
-        - one%particles%x, found%y - one%particles%y))//'}')
+        //'", "time": '//to_text(real(one%times(k), dp))//', "error": '//json_list(hypot(state%x &
+        - one%particles%x, state%y - one%particles%y))//'}')
     end do
   end subroutine reversal_main
 
-  !> Reads a case from the command line; its times start at word `first`.
+  !> Reads a case from the command line; word `first` is the first of its times.
   subroutine read_case(one, first)
     type(case_type), intent(out) :: one
     integer, intent(in) :: first
@@ -118,7 +120,7 @@ contains
     one%times = [(real_argument(k), k=first, command_argument_count())]
   end subroutine read_case
 
-  !> Processor time per particle and time unit, in seconds.
+  !> Processor time per particle and time unit, in seconds, from repeated runs of the case.
   function seconds_per_particle_time(one) result(seconds)
     type(case_type), intent(in) :: one
     real(dp) :: seconds
@@ -139,16 +141,16 @@ contains
     seconds = spent/(time*size(one%particles%x))
   end function seconds_per_particle_time
 
-  !> Appends the events of a window that started at the time `since`.
-  subroutine append_events(log, event_record, since)
+  !> Appends the events of a window that started at time `window_start`.
+  subroutine append_events(log, event_record, window_start)
     type(log_type), intent(inout) :: log
     type(event_record_type), intent(in) :: event_record
-    real(wp), intent(in) :: since
+    real(wp), intent(in) :: window_start
     integer :: n
 
     n = event_record%events
     if (n == 0) return
-    log%time = [log%time, since + event_record%event_time(:n)]
+    log%time = [log%time, window_start + event_record%event_time(:n)]
     log%kind = [log%kind, int(event_record%event_kind(:n))]
     log%where = [log%where, int(event_record%event_where(:n))]
     log%particle = [log%particle, int(event_record%event_particle(:n))]
