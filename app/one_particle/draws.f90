@@ -1,4 +1,4 @@
-!> Random numbers one by one, generated in blocks.
+!> Uniform random numbers, fetched one by one and generated in blocks.
 module battery_draws
   use battery_kinds, only: wp, int64
   use battery_random, only: random_type, new_random, draw_uniform
@@ -6,15 +6,15 @@ module battery_draws
   private
   public :: draws_type, new_draws, next_uniform
 
-  !> Numbers generated at a time.
-  integer, parameter :: drawn_together = 4096
+  !> Number of random numbers that are generated together.
+  integer, parameter :: block_size = 4096
 
-  !> A generator, and the numbers generated last.
+  !> A generator, the block of numbers that it generated last, and how many of them are used.
   type :: draws_type
     private
     type(random_type) :: random
-    real(wp) :: number(drawn_together) = 0.0_wp
-    integer :: used = drawn_together
+    real(wp) :: number(block_size) = 0.0_wp
+    integer :: used = block_size
   end type draws_type
 
 contains
@@ -33,8 +33,8 @@ contains
     type(draws_type), intent(inout) :: draws
     real(wp) :: number
 
-    if (draws%used == drawn_together) then
-      call draw_uniform(draws%random, drawn_together, draws%number)
+    if (draws%used == block_size) then
+      call draw_uniform(draws%random, block_size, draws%number)
       draws%used = 0
     end if
     draws%used = draws%used + 1

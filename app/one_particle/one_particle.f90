@@ -1,16 +1,17 @@
-!> Stationary states of one-particle theory, by walkers (`battery_walkers`). Reads lines
+!> Stationary states of one-particle theory, by simulation (`battery_walkers`). Reads lines
 !>
 !>     number threshold1 threshold2 urn_radius1 urn_radius2 channel1_width channel1_length
 !>     channel2_width channel2_length urn2_share copies transient duration seed well_mixed
 !>
-!> each one line; `urn2_share` of the walkers start in urn 2, `well_mixed` is T or F. Writes lines
+!> each with all of these values; the fraction `urn2_share` of the walkers starts in urn 2, and
+!> `well_mixed` is T or F. Writes for each the line
 !>
 !>     half2_number flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
 !>     fuller_number polarised_current
 !>
-!> on one line, per copy of the circuit: flows, entries, particles turned back and the current per
-!> unit time. The last two are of the half that is fuller at the time. Lengths and times are those
-!> of the namelist. Called by `postproc.theory.one_particle`.
+!> per copy of the circuit; flows, entries, particles turned back and the current are per unit time.
+!> `fuller_number` and `polarised_current` refer to the half that is fuller at the time. Units of
+!> length and time are those of the namelist. Called by `postproc.theory.one_particle`.
 program one_particle
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
   use battery_kinds, only: wp, int64
@@ -26,7 +27,7 @@ program one_particle
   real(wp) :: radius(2), width1, length1, width2, length2, share, transient, duration
   integer(int64) :: seed
   logical :: well_mixed
-  !> State for the line that was read last.
+  !> Walkers of the line that was read last.
   type(walkers_type) :: walkers
 
   do
@@ -42,7 +43,7 @@ program one_particle
 
 contains
 
-  !> Simulates one batch of walkers from start to end.
+  !> Simulates the walkers of one line, from the random initial state to the end.
   subroutine run_walkers()
     type(table_type) :: table
     type(particles_type) :: particles

@@ -1,8 +1,8 @@
-!> Counts of what walkers do within a time interval: entries, reversals, crossings, and the number
-!> in half 2.
+!> Counts of entries, particles turned back and crossings of walkers within a time interval, and the
+!> time integral of the number in half 2.
 !>
-!> Quantities that depend on the polarity are also summed over blocks of time, since the polarity
-!> may change.
+!> Quantities whose sign depends on the polarity are summed over blocks of time too, since the
+!> polarity may change.
 module battery_tally
   use battery_kinds, only: wp, int64
   use battery_table, only: ungated
@@ -12,47 +12,47 @@ module battery_tally
   public :: entry_rate, reversed_rate, crossing_rate, half2_mean, fuller_mean, polarised_current
 
   !> Approximate length of a block of time.
-  real(wp), parameter :: about = 100.0_wp
+  real(wp), parameter :: block_duration = 100.0_wp
 
-  !> Sums over all copies of the circuit.
+  !> Counts and integrals, summed over all copies of the circuit.
   type :: tally_type
     private
     !> Start and end of the interval that is measured.
     real(wp) :: from = 0.0_wp, to = 0.0_wp
     integer :: copies = 1
-    !> Entries and particles turned back, by gate; crossings by (urn they come from, channel).
+    !> Entries and particles turned back, by gate; crossings by (urn before it, channel).
     integer(int64) :: entries(2) = 0, reversed(2) = 0, crossings(2, 2) = 0
     !> Time integral of the number in half 2.
     real(wp) :: half2_sum = 0.0_wp
     !> Number in half 2 at the start; length of a block.
-    integer :: second = 0
+    integer :: in_half2 = 0
     real(wp) :: block = 0.0_wp
-    !> By block: change of the number in half 2, the integral of this change up to the end of the
-    !> block, and crossings of channel 2 from half 2 to 1 less those in the other direction.
-    integer, allocatable :: change(:), returned(:)
-    real(wp), allocatable :: changed(:)
+    !> By block: change of the number in half 2; crossings of channel 2 from half 2 to 1 minus those
+    !> from half 1 to 2; time integral over the block of the change since its start.
+    integer, allocatable :: change(:), net_crossings(:)
+    real(wp), allocatable :: change_integral(:)
   end type tally_type
 
 contains
 
   !> An empty tally.
-  pure function new_tally(from, to, copies, second) result(tally)
-    !> Times since the start: what happens after `from`, up to `to`, is measured.
+  pure function new_tally(from, to, copies, in_half2) result(tally)
+    !> Interval that is measured, in time since the start; it includes `to`, not `from`.
     real(wp), intent(in) :: from, to
-    !> Number of copies of the circuit, and of walkers that start in half 2 of any of them.
-    integer, intent(in) :: copies, second
+    !> Number of copies of the circuit; number of walkers that start in half 2, over all copies.
+    integer, intent(in) :: copies, in_half2
     type(tally_type) :: tally
     integer :: blocks
 
-    blocks = max(1, nint((to - from)/about))
+    blocks = max(1, nint((to - from)/block_duration))
     tally%from = from
     tally%to = to
     tally%copies = copies
-    tally%half2_sum = (to - from)*real(second, wp)
-    tally%second = second
+    tally%half2_sum = (to - from)*real(in_half2, wp)
+    tally%in_half2 = in_half2
     tally%block = (to - from)/real(blocks, wp)
-    allocate (tally%change(blocks), tally%returned(blocks), source=0)
-    allocate (tally%changed(blocks), source=0.0_wp)
+    allocate (tally%change(blocks), tally%net_crossings(blocks), source=0)
+    allocate (tally%change_integral(blocks), source=0.0_wp)
   end function new_tally
 
   !> Adds an entry into the gate of an urn.
@@ -77,30 +77,30 @@ contains
     if (is_measured(tally, time)) tally%reversed(urn) = tally%reversed(urn) + number
   end subroutine add_reversed
 
-  !> Adds a crossing of the line of a channel.
+  !> Adds a crossing of the middle line of a channel.
   pure subroutine add_crossing(tally, urn, channel, time)
     type(tally_type), intent(inout) :: tally
-    !> Urn that the walker comes from, 1 or 2; `gated` or `ungated`.
+    !> Urn that the walker comes from, 1 or 2; channel, `gated` or `ungated`.
     integer, intent(in) :: urn, channel
-    !> Time since the start; it may lie ahead.
+    !> Time since the start; it may be later than the present time.
     real(wp), intent(in) :: time
-    real(wp) :: at, rest
+    real(wp) :: clipped_time, remaining
     integer :: k, gain
 
-    at = min(max(time, tally%from), tally%to)
-    rest = tally%to - at
-    tally%half2_sum = tally%half2_sum + merge(rest, -rest, urn == 1)
+    clipped_time = min(max(time, tally%from), tally%to)
+    remaining = tally%to - clipped_time
+    tally%half2_sum = tally%half2_sum + merge(remaining, -remaining, urn == 1)
     gain = merge(1, -1, urn == 1)
-    k = min(int((at - tally%from)/tally%block) + 1, size(tally%change))
+    k = min(int((clipped_time - tally%from)/tally%block) + 1, size(tally%change))
     tally%change(k) = tally%change(k) + gain
-    rest = tally%from + real(k, wp)*tally%block - at
-    tally%changed(k) = tally%changed(k) + real(gain, wp)*rest
+    remaining = tally%from + real(k, wp)*tally%block - clipped_time
+    tally%change_integral(k) = tally%change_integral(k) + real(gain, wp)*remaining
     if (.not. is_measured(tally, time)) return
     tally%crossings(urn, channel) = tally%crossings(urn, channel) + 1
-    if (channel == ungated) tally%returned(k) = tally%returned(k) - gain
+    if (channel == ungated) tally%net_crossings(k) = tally%net_crossings(k) - gain
   end subroutine add_crossing
 
-  !> Whether what happens at that time is measured.
+  !> Whether a time lies in the interval that is measured.
   pure function is_measured(tally, time)
     type(tally_type), intent(in) :: tally
     real(wp), intent(in) :: time
@@ -117,7 +117,7 @@ contains
     rate = real(tally%entries, wp)/measured_time(tally)
   end function entry_rate
 
-  !> Walkers turned back by each gate, per unit time and copy.
+  !> Particles turned back by each gate, per unit time and copy.
   pure function reversed_rate(tally) result(rate)
     type(tally_type), intent(in) :: tally
     real(wp) :: rate(2)
@@ -125,7 +125,7 @@ contains
     rate = real(tally%reversed, wp)/measured_time(tally)
   end function reversed_rate
 
-  !> Crossings by (urn they come from, channel), per unit time and copy.
+  !> Crossings by (urn before it, channel), per unit time and copy.
   pure function crossing_rate(tally) result(rate)
     type(tally_type), intent(in) :: tally
     real(wp) :: rate(2, 2)
@@ -133,7 +133,8 @@ contains
     rate = real(tally%crossings, wp)/measured_time(tally)
   end function crossing_rate
 
-  !> Mean number in half 2 of a copy, at the end of the interval.
+  !> Mean number in half 2 of a copy, over the interval. Valid once all crossings of the interval
+  !> have been added.
   pure function half2_mean(tally) result(number)
     type(tally_type), intent(in) :: tally
     real(wp) :: number
@@ -141,43 +142,43 @@ contains
     number = tally%half2_sum/measured_time(tally)
   end function half2_mean
 
-  !> Mean number in half 2 less half of all walkers, over all copies, by block.
-  pure function excess_in_half2(tally, number) result(more)
+  !> Mean number in half 2 minus half of all walkers, by block; summed over all copies.
+  pure function excess_in_half2(tally, number) result(excess)
     type(tally_type), intent(in) :: tally
     !> Walkers of a copy, N.
     integer, intent(in) :: number
-    real(wp), allocatable :: more(:)
+    real(wp), allocatable :: excess(:)
     real(wp) :: half
     integer :: k, level
 
-    allocate (more(size(tally%change)))
+    allocate (excess(size(tally%change)))
     half = 0.5_wp*real(number*tally%copies, wp)
-    level = tally%second
-    do k = 1, size(more)
-      more(k) = real(level, wp) - half + tally%changed(k)/tally%block
+    level = tally%in_half2
+    do k = 1, size(excess)
+      excess(k) = real(level, wp) - half + tally%change_integral(k)/tally%block
       level = level + tally%change(k)
     end do
   end function excess_in_half2
 
-  !> Mean number in the fuller half of a copy; which one that is, is decided in each block.
+  !> Mean number in the fuller half of a copy; the fuller half is determined in each block.
   pure function fuller_mean(tally, number) result(fuller)
     type(tally_type), intent(in) :: tally
     !> Walkers of a copy, N.
     integer, intent(in) :: number
-    real(wp) :: fuller, more(size(tally%change))
+    real(wp) :: fuller, excess(size(tally%change))
 
-    more = excess_in_half2(tally, number)
-    fuller = 0.5_wp*real(number, wp) + sum(abs(more))/real(size(more)*tally%copies, wp)
+    excess = excess_in_half2(tally, number)
+    fuller = 0.5_wp*real(number, wp) + sum(abs(excess))/real(size(excess)*tally%copies, wp)
   end function fuller_mean
 
-  !> Net current of channel 2 from the fuller half to the other one, per unit time and copy.
+  !> Net current through channel 2 from the fuller half to the other, per unit time and copy.
   pure function polarised_current(tally, number) result(current)
     type(tally_type), intent(in) :: tally
     !> Walkers of a copy, N.
     integer, intent(in) :: number
     real(wp) :: current
 
-    current = sum(real(tally%returned, wp)*sign(1.0_wp, excess_in_half2(tally, &
+    current = sum(real(tally%net_crossings, wp)*sign(1.0_wp, excess_in_half2(tally, &
       number)))/measured_time(tally)
   end function polarised_current
 

@@ -1,19 +1,19 @@
-!> One-particle theory by simulation: many independent walkers, each between gates that count all of
-!> them.
+!> Simulation of one-particle theory: independent walkers, between gates that count all of them.
 !>
-!> Visits are exact. There are several `copies` of the circuit, with N walkers to each, and an entry
-!> into a gate takes place in a randomly drawn copy. So a gate is independent of the past of the
-!> walkers that enter it: the entries into one copy are a thinned sequence of all entries, a Poisson
-!> process in the limit of many copies, with the rate and the stays of the walkers themselves. That
-!> is the renewal gate, made self-consistent, and the number of walkers is conserved. With a single
-!> copy nothing is drawn, and the simulation is that of the circuit itself.
+!> Visits are exact. There are several `copies` of the circuit, with N walkers for each, and each
+!> entry into a gate takes place in a randomly drawn copy. So the state of a gate is independent of
+!> the past of the walkers that enter it: the entries into one copy are a thinned sequence of all
+!> entries. In the limit of many copies they are a Poisson process, with the rate and the passage
+!> times of the walkers. This is the self-consistent renewal gate, with a fixed number of walkers.
+!> With a single copy no copy is drawn, and the simulation is that of the circuit itself.
 !>
-!> A window is as long as the shortest excursion, so all entries in it are known at its start.
-!> Channel 2 has no gate: a walker that leaves through it begins its next visit at once, and its
-!> crossing is counted at a time that may lie ahead.
+!> A window is at most as long as the shortest excursion, so all entries in it are known at its
+!> start. Channel 2 has no gate: the next visit of a walker that leaves through it is computed at
+!> once, and its crossing is counted at a time that may be later than the present window.
 !>
-!> With `well_mixed` a visit has no memory of its start: its end is drawn from the measure of
-!> entries, and its length, beyond the shortest excursion, is exponential about the mean.
+!> With `well_mixed` a visit is independent of its start: its end is drawn from the invariant
+!> measure of entries, and its length is the shortest excursion plus an exponential random number,
+!> with the exact mean.
 module battery_walkers
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: table_type, gated, ungated, urn_at, x_direction, are_mirror_images, &
@@ -30,53 +30,53 @@ module battery_walkers
   private
   public :: walkers_type, new_walkers, advance_walkers
 
-  !> Largest number of entries in a window, about.
+  !> Approximate upper bound of the number of entries in a window.
   integer, parameter :: batch = 4096
 
-  !> Walkers, the copies of the gates, and what has been measured.
+  !> State of all walkers and of all copies of the gates, and the counts so far.
   type :: walkers_type
     type(tally_type) :: tally
     type(table_type) :: table
     integer :: copies = 1
     logical :: well_mixed = .false.
+    !> Time since the start.
     real(wp) :: now = 0.0_wp
     !> Gates by (copy, urn).
     type(gate_type), allocatable :: gate(:, :)
-    !> How each walker will enter its next gate, or entered the one that counts it: time (huge:
-    !> never), height, |u_x| and u_y, duration of the passage through the whole channel; urn of that
-    !> gate.
+    !> Entry of each walker into its next gate, or into the one that counts it: time (huge: never),
+    !> height, |u_x| and u_y, time through the whole channel; urn of that gate.
     real(wp), allocatable :: time(:), y(:), u_axial(:), u_lateral(:), through(:)
     integer, allocatable :: urn(:)
-    !> Visits by chamber (mirror-image urns share one): those to be computed, and those that follow
-    !> them.
+    !> Visits by (chamber, batch): `current` is the batch to be computed, the other one has the
+    !> visits that follow. Urns that are mirror images are one chamber.
     type(visits_type) :: visits(2, 2)
-    integer :: chambers = 1, under_way = 1
-    !> Longest window; shortest and mean length of a visit if urns are well mixed.
+    integer :: chambers = 1, current = 1
+    !> Greatest length of a window; shortest excursion; mean length of a visit, by urn.
     real(wp) :: window = 0.0_wp, shortest = 0.0_wp, mean(2) = 0.0_wp
     type(draws_type) :: draws
-    !> Walkers that enter in a window, by gate and then by time; index at which those of each gate
-    !> start.
-    integer, allocatable :: who(:), first(:)
+    !> Walkers that enter in a window, ordered by gate, those of a gate by time; for each gate, the
+    !> number of them before its own.
+    integer, allocatable :: entrants(:), first(:)
   end type walkers_type
 
 contains
 
-  !> Sets up walkers in the state of `particles`, which are all in the urns.
+  !> Creates walkers, gates and counts.
   subroutine new_walkers(walkers, table, threshold, copies, particles, seed, well_mixed, from, to)
     type(walkers_type), intent(out) :: walkers
     !> A circuit.
     type(table_type), intent(in) :: table
     !> Thresholds of the gates of urn 1 and 2.
     integer, intent(in) :: threshold(2)
-    !> Number of copies of the circuit; each has its share of the particles.
+    !> Number of copies of the circuit.
     integer, intent(in) :: copies
-    !> N of them for each copy.
+    !> Initial state of the walkers, N for each copy, all in the urns.
     type(particles_type), intent(in) :: particles
     !> Seed of the random numbers: any 64 bits.
     integer(int64), intent(in) :: seed
-    !> Whether visits have no memory of their start.
+    !> Whether visits are independent of their start.
     logical, intent(in) :: well_mixed
-    !> Times since the start: what happens after `from`, up to `to`, is measured.
+    !> Interval that is measured, in time since the start; it includes `to`, not `from`.
     real(wp), intent(in) :: from, to
     integer :: number, urn, copy
 
@@ -98,12 +98,12 @@ contains
     walkers%draws = new_draws(seed)
     allocate (walkers%time(number), walkers%y(number), walkers%u_axial(number), &
       walkers%u_lateral(number), walkers%through(number), source=0.0_wp)
-    allocate (walkers%urn(number), walkers%who(number), source=0)
+    allocate (walkers%urn(number), walkers%entrants(number), source=0)
     allocate (walkers%first(2*copies + 1), source=0)
     call begin_first_visits(walkers, particles)
   end subroutine new_walkers
 
-  !> Computes the first visits, which start inside the urns.
+  !> Computes the first visit of each walker, which starts inside an urn.
   subroutine begin_first_visits(walkers, particles)
     type(walkers_type), intent(inout) :: walkers
     type(particles_type), intent(in) :: particles
@@ -124,49 +124,49 @@ contains
         v%u_lateral(v%count) = particles%uy(i)
       end associate
     end do
-    walkers%under_way = 1
-    call compute_visits_under_way(walkers)
+    walkers%current = 1
+    call compute_current_visits(walkers)
     call complete_visits(walkers)
   end subroutine begin_first_visits
 
-  !> Advances all walkers to a time since the start.
+  !> Advances all walkers, window by window.
   subroutine advance_walkers(walkers, time)
     type(walkers_type), intent(inout) :: walkers
-    !> If it lies in the past, nothing happens.
+    !> Final time since the start; if it is not later than the present time, nothing is done.
     real(wp), intent(in) :: time
-    real(wp) :: ends
+    real(wp) :: window_end
     integer :: urn, copy, bucket
 
     do while (walkers%now < time)
-      ends = min(time, walkers%now + walkers%window)
-      call find_entrants(walkers, ends)
-      ! At most the walkers that enter and those in the gates begin a visit.
-      call reserve_batch(walkers, walkers%under_way, walkers%first(2*walkers%copies + 1) &
+      window_end = min(time, walkers%now + walkers%window)
+      call find_entrants(walkers, window_end)
+      ! Only walkers that enter a gate or are counted in one can begin a visit in this window.
+      call reserve_batch(walkers, walkers%current, walkers%first(2*walkers%copies + 1) &
         + sum(number_inside(walkers%gate)))
       do urn = 1, 2
         do copy = 1, walkers%copies
           bucket = (urn - 1)*walkers%copies + copy
-          call run_gate(walkers, urn, copy, walkers%who(walkers%first(bucket) &
-            + 1:walkers%first(bucket + 1)), ends)
+          call run_gate(walkers, urn, copy, walkers%entrants(walkers%first(bucket) &
+            + 1:walkers%first(bucket + 1)), window_end)
         end do
       end do
-      walkers%now = ends
+      walkers%now = window_end
       call complete_visits(walkers)
     end do
   end subroutine advance_walkers
 
-  !> Finds the walkers that enter a gate before `ends`, and draws their copies: those of a gate are
-  !> `who(first + 1:)` up to the `first` of the next gate.
-  subroutine find_entrants(walkers, ends)
+  !> Finds the walkers that enter a gate before `window_end`, and draws their copies. Those of a
+  !> gate are `entrants(first + 1:)`, up to the `first` of the next gate.
+  subroutine find_entrants(walkers, window_end)
     type(walkers_type), intent(inout) :: walkers
-    real(wp), intent(in) :: ends
+    real(wp), intent(in) :: window_end
     integer :: due(size(walkers%time)), bucket(size(walkers%time))
     integer :: found, i, k
 
     found = 0
     do i = 1, size(walkers%time)
       due(found + 1) = i
-      if (walkers%time(i) >= walkers%now .and. walkers%time(i) < ends) found = found + 1
+      if (walkers%time(i) >= walkers%now .and. walkers%time(i) < window_end) found = found + 1
       if (found == size(due)) exit
     end do
     walkers%first = 0
@@ -180,58 +180,60 @@ contains
       walkers%first(k) = walkers%first(k) + walkers%first(k - 1)
     end do
     do k = found, 1, -1
-      walkers%who(walkers%first(bucket(k) + 1)) = due(k)
+      walkers%entrants(walkers%first(bucket(k) + 1)) = due(k)
       walkers%first(bucket(k) + 1) = walkers%first(bucket(k) + 1) - 1
     end do
-    ! Each `first` is now the start of its bucket, but one place late.
+    ! Element k + 1 of `first` is now that of bucket k.
     walkers%first(:size(walkers%first) - 1) = walkers%first(2:)
     walkers%first(size(walkers%first)) = found
   end subroutine find_entrants
 
-  !> Processes one copy of a gate until `ends`: entries in the order of time, crossings, reversals.
-  subroutine run_gate(walkers, urn, copy, who, ends)
+  !> Processes the events of one copy of a gate until `window_end`: entries, crossings, reversals.
+  subroutine run_gate(walkers, urn, copy, entrants, window_end)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: urn, copy
-    integer, intent(inout) :: who(:)
-    real(wp), intent(in) :: ends
+    !> Walkers that enter; sorted by time on return.
+    integer, intent(inout) :: entrants(:)
+    real(wp), intent(in) :: window_end
     real(wp) :: time
     integer :: k
 
-    call sort_by_time(who, walkers%time)
+    call sort_by_time(entrants, walkers%time)
     associate (gate => walkers%gate(copy, urn))
-      do k = 1, size(who)
-        time = walkers%time(who(k))
+      do k = 1, size(entrants)
+        time = walkers%time(entrants(k))
         do while (next_crossing_time(gate) <= time)
           call cross_middle_line(walkers, urn, gate)
         end do
-        call enter_gate(gate, time + 0.5_wp*walkers%through(who(k)), who(k))
+        call enter_gate(gate, time + 0.5_wp*walkers%through(entrants(k)), entrants(k))
         call add_entry(walkers%tally, urn, time)
         if (must_reverse(gate)) call reverse_gate(walkers, urn, gate, time)
       end do
-      do while (next_crossing_time(gate) < ends)
+      do while (next_crossing_time(gate) < window_end)
         call cross_middle_line(walkers, urn, gate)
       end do
     end associate
   end subroutine run_gate
 
-  !> Sorts the entries into a gate by time; few, so by insertion.
-  pure subroutine sort_by_time(who, time)
-    integer, intent(inout) :: who(:)
+  !> Sorts the walkers that enter a gate by time (insertion sort, since they are few).
+  pure subroutine sort_by_time(entrants, time)
+    integer, intent(inout) :: entrants(:)
+    !> Time of entry of each walker.
     real(wp), intent(in) :: time(:)
     integer :: k, at, one
 
-    do k = 2, size(who)
-      one = who(k)
+    do k = 2, size(entrants)
+      one = entrants(k)
       do at = k - 1, 1, -1
-        if (time(who(at)) <= time(one)) exit
-        who(at + 1) = who(at)
+        if (time(entrants(at)) <= time(one)) exit
+        entrants(at + 1) = entrants(at)
       end do
-      who(at + 1) = one
+      entrants(at + 1) = one
     end do
   end subroutine sort_by_time
 
-  !> Takes the earliest counted walker across the middle line, and begins its visit to the other
-  !> urn.
+  !> Processes the earliest crossing of a gate: the walker is no longer counted, and its visit to
+  !> the other urn begins.
   subroutine cross_middle_line(walkers, urn, gate)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: urn
@@ -243,8 +245,8 @@ contains
     call begin_visit_from_gate(walkers, i, walkers%table%beyond(urn), walkers%through(i))
   end subroutine cross_middle_line
 
-  !> Reverses a gate: each counted walker begins a visit to its own urn. The way out takes as long
-  !> as the way in.
+  !> Reverses a gate: each counted walker begins a visit to the urn that it came from. Its way out
+  !> takes as long as its way in.
   subroutine reverse_gate(walkers, urn, gate, time)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: urn
@@ -261,19 +263,19 @@ contains
     call uncount_all(gate)
   end subroutine reverse_gate
 
-  !> Begins a visit from channel 1, which the walker leaves `passage` after it entered it.
+  !> Begins the visit of a walker to an urn from channel 1, in which it spends the time `passage`.
   pure subroutine begin_visit_from_gate(walkers, i, urn, passage)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: i, urn
     real(wp), intent(in) :: passage
 
-    call add_visit(walkers%visits(min(urn, walkers%chambers), walkers%under_way), i, urn, gated, &
+    call add_visit(walkers%visits(min(urn, walkers%chambers), walkers%current), i, urn, gated, &
       walkers%time(i), passage, walkers%y(i), walkers%u_axial(i), walkers%u_lateral(i))
     walkers%time(i) = huge(1.0_wp)
   end subroutine begin_visit_from_gate
 
-  !> Adds a visit to a batch: of a walker that entered a channel at `time`, and is in it for
-  !> `passage`.
+  !> Adds to a batch the visit of a walker that enters the channel before the urn at `time`, and
+  !> spends the time `passage` in it.
   pure subroutine add_visit(v, i, urn, channel, time, passage, y, u_axial, u_lateral)
     type(visits_type), intent(inout) :: v
     integer, intent(in) :: i, urn, channel
@@ -290,31 +292,32 @@ contains
     v%u_lateral(v%count) = u_lateral
   end subroutine add_visit
 
-  !> Computes visits, and those that follow through channel 2, until each walker heads for a gate.
+  !> Computes the visits of the current batch, and those that follow through channel 2, until the
+  !> next entry of each walker into a gate is known.
   subroutine complete_visits(walkers)
     type(walkers_type), intent(inout) :: walkers
     integer :: chamber
 
-    do while (sum(walkers%visits(:, walkers%under_way)%count) > 0)
+    do while (sum(walkers%visits(:, walkers%current)%count) > 0)
       do chamber = 1, walkers%chambers
-        associate (v => walkers%visits(chamber, walkers%under_way))
+        associate (v => walkers%visits(chamber, walkers%current))
           if (v%count > 0) call cross_channels(walkers%table%urn(chamber), v)
         end associate
       end do
-      call compute_visits_under_way(walkers)
+      call compute_current_visits(walkers)
     end do
   end subroutine complete_visits
 
-  !> Computes the visits of the present batch from the urn to the next channel; those that follow
-  !> through channel 2 become the present batch.
-  subroutine compute_visits_under_way(walkers)
+  !> Computes the visits of the current batch, from the entry into the urn to the next channel;
+  !> those that follow through channel 2 become the current batch.
+  subroutine compute_current_visits(walkers)
     type(walkers_type), intent(inout) :: walkers
     integer :: chamber
 
-    call reserve_batch(walkers, 3 - walkers%under_way, sum(walkers%visits(:, &
-      walkers%under_way)%count))
+    call reserve_batch(walkers, 3 - walkers%current, sum(walkers%visits(:, &
+      walkers%current)%count))
     do chamber = 1, walkers%chambers
-      associate (v => walkers%visits(chamber, walkers%under_way))
+      associate (v => walkers%visits(chamber, walkers%current))
         if (v%count == 0) cycle
         if (walkers%well_mixed) then
           call draw_visit_ends(walkers, v)
@@ -324,12 +327,12 @@ contains
         call store_entries(walkers, v)
       end associate
     end do
-    walkers%visits(:, walkers%under_way)%count = 0
-    walkers%under_way = 3 - walkers%under_way
-  end subroutine compute_visits_under_way
+    walkers%visits(:, walkers%current)%count = 0
+    walkers%current = 3 - walkers%current
+  end subroutine compute_current_visits
 
-  !> Draws the ends of visits from the measure of entries: the opening by its width, the height
-  !> uniform, the direction by the cosine law.
+  !> Draws the ends of visits from the invariant measure of entries: opening in proportion to its
+  !> width, height uniform, direction by the cosine law.
   subroutine draw_visit_ends(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(inout) :: v
@@ -349,21 +352,21 @@ contains
     end associate
   end subroutine draw_visit_ends
 
-  !> Stores how each walker of a batch enters its next gate, or adds its visit through channel 2.
+  !> Stores the next entry of each walker of a batch into a gate, or adds its visit after channel 2.
   subroutine store_entries(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(in) :: v
     integer :: j, i, urn, beyond
-    real(wp) :: leaves
+    real(wp) :: exit_time
 
     do j = 1, v%count
       i = v%particle(j)
       urn = v%urn(j)
-      leaves = v%time(j) + v%length(j)
+      exit_time = v%time(j) + v%length(j)
       walkers%time(i) = huge(1.0_wp)
       if (v%channel(j) == no_channel) cycle
       if (v%channel(j) == gated) then
-        walkers%time(i) = leaves
+        walkers%time(i) = exit_time
         walkers%urn(i) = urn
         walkers%y(i) = v%y(j)
         walkers%u_axial(i) = v%u_axial(j)
@@ -371,21 +374,21 @@ contains
         walkers%through(i) = v%through(j)
         cycle
       end if
-      call add_crossing(walkers%tally, urn, ungated, leaves + 0.5_wp*v%through(j))
+      call add_crossing(walkers%tally, urn, ungated, exit_time + 0.5_wp*v%through(j))
       beyond = walkers%table%beyond(urn)
-      call add_visit(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%under_way), i, &
-        beyond, ungated, leaves, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
+      call add_visit(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%current), i, &
+        beyond, ungated, exit_time, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
     end do
   end subroutine store_entries
 
-  !> Empties the batches of all chambers, and allocates them for that many visits.
-  subroutine reserve_batch(walkers, which, room)
+  !> Empties batch `batch_index` (1 or 2) of all chambers, and allocates it for `room` visits.
+  subroutine reserve_batch(walkers, batch_index, room)
     type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: which, room
+    integer, intent(in) :: batch_index, room
     integer :: chamber
 
     do chamber = 1, walkers%chambers
-      call reserve_visits(walkers%visits(chamber, which), room)
+      call reserve_visits(walkers%visits(chamber, batch_index), room)
     end do
   end subroutine reserve_batch
 

@@ -1,10 +1,13 @@
-!> Simulates the renewal gate alone: Poisson entries at rate nu, each inside for (l/2)/cos(theta),
-!> by the cosine law; all are turned back by an entry that finds T inside. Reads a seed, then lines
-!> `load threshold entries`; writes lines `load threshold cycles sum sum_of_squares`, the sums over
-!> the entries of a cycle. Lengths are in units of l/2, so tau = pi/2. Checks `renewal_closure`.
+!> Simulation of the renewal gate alone, to verify `renewal_closure`. Particles enter as a Poisson
+!> process of rate nu, and each is counted for the time (l/2)/cos(theta), with theta from the cosine
+!> law. An entry while T particles are counted makes the gate reverse, so that none is counted; this
+!> ends a cycle. Reads a seed, then lines `load threshold entries`; writes lines `load threshold
+!> cycles sum sum_of_squares`, the sums over cycles of the number of entries and of its square.
+!> Lengths are in units of l/2, so the mean time tau is pi/2, and `load` is nu tau.
 program renewal_gate
   use, intrinsic :: iso_fortran_env, only: int64, real64, input_unit, output_unit
   implicit none (type, external)
+  !> Number of random numbers that are generated together.
   integer, parameter :: buffer_size = 4096
   real(real64), parameter :: half_pi = 1.57079632679489661923_real64
   real(real64) :: buffer(buffer_size), load, total, squares
@@ -26,7 +29,7 @@ program renewal_gate
 
 contains
 
-  !> Next uniform number in (0, 1].
+  !> Next random number, uniform in (0, 1].
   function uniform() result(number)
     real(real64) :: number
 
@@ -38,15 +41,18 @@ contains
     number = 1.0_real64 - buffer(used)
   end function uniform
 
-  !> Simulates whole cycles, each from empty to the reversal, until about `entries` have come.
+  !> Simulates complete cycles, each from the empty gate to its reversal.
   subroutine simulate_cycles(rate, threshold, entries, cycles, total, squares)
+    !> Rate of entries nu; threshold T.
     real(real64), intent(in) :: rate
     integer, intent(in) :: threshold
+    !> The first cycle that reaches this total number of entries is the last.
     integer(int64), intent(in) :: entries
+    !> Number of cycles; sums over them of the number of entries and of its square.
     integer(int64), intent(out) :: cycles
     real(real64), intent(out) :: total, squares
-    real(real64) :: leaves(threshold + 1), clock
-    integer :: inside, kept, at
+    real(real64) :: exit_time(threshold + 1), clock
+    integer :: inside, remaining, at
     integer(int64) :: count
 
     cycles = 0
@@ -59,15 +65,15 @@ contains
       do
         clock = clock - log(uniform())/rate
         count = count + 1
-        kept = 0
+        remaining = 0
         do at = 1, inside
-          leaves(kept + 1) = leaves(at)
-          kept = kept + merge(1, 0, leaves(at) > clock)
+          exit_time(remaining + 1) = exit_time(at)
+          remaining = remaining + merge(1, 0, exit_time(at) > clock)
         end do
-        inside = kept
+        inside = remaining
         if (inside == threshold) exit
         inside = inside + 1
-        leaves(inside) = clock + 1.0_real64/sqrt(max(1.0_real64 - uniform()**2, tiny(clock)))
+        exit_time(inside) = clock + 1.0_real64/sqrt(max(1.0_real64 - uniform()**2, tiny(clock)))
       end do
       cycles = cycles + 1
       total = total + real(count, real64)
