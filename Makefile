@@ -94,7 +94,7 @@ demo: build build/stamps/python ## builds, runs namelists/quickstart.nml on 2 ra
 	ls build/demo/*.png
 
 test: build build/stamps/python ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
-	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) \
+	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --built=$(BUILT) \
 	  --release=" $(RELEASE_FLAGS)" --release-link=" $(RELEASE_LINK)" \
 	  --debug=" $(DEBUG_FLAGS)" --debug-link=" $(DEBUG_LINK)"
 

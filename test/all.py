@@ -75,9 +75,10 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
         ),
         Part("style of the Python sources", style, lint=True),
         Part(
+            # They link the library that make has built; the suites themselves need no optimization.
             "Fortran, release build",
-            [*fortran, "release", f"--flags={arguments.release}",
-             f"--ldflags={arguments.release_link}"],
+            [*fortran, "release", f"--flags={arguments.release} -O0",
+             f"--ldflags={arguments.release_link}", f"--library={arguments.built}"],
         ),
         Part(
             "Fortran, debug build with traps",
@@ -127,6 +128,7 @@ def main() -> int:
     parser.add_argument("--release", required=True, help="switches of the release build")
     parser.add_argument("--debug", required=True, help="switches of the debug build")
     parser.add_argument("--full", action="store_true", help="those too that take long")
+    parser.add_argument("--built", required=True, help="where the release build is: lib, include")
     parser.add_argument("--release-link", default="", help="switches of its linker")
     parser.add_argument("--debug-link", default="", help="switches of its linker")
     counts = [run(part) for part in parts(parser.parse_args())]
