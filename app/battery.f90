@@ -31,6 +31,7 @@ program battery
   integer :: exit_code
 
   exit_code = exit_success
+  ! These come before MPI starts, which opens files and starts threads that reserve address space.
   call guard_streams()
   call spare_address_space()
   call watch_signals()

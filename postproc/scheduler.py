@@ -1,10 +1,10 @@
 """What an ensemble would do on many ranks: its way of sharing tasks, simulated event by event.
 
-Every rank that is free goes to the board in the memory of rank 0: one atomic operation gives it the
-next place on the list, another reads the task there, others say that a task is done. The board
-serves one operation at a time (`service`), and each takes a while on the way (`latency`); while it
-runs, a task looks at the board every 0.1 s, or less often: so that looks are 10 000 a second over
-all ranks at most, and take half a percent of the time at most. `mpirun -n RANKS build/bin/bench
+Every free rank takes a task from the task queue in the memory of rank 0: one atomic operation gives
+it the next place on the list, another reads the task there, others count tasks that are done. The
+queue serves one operation at a time (`service`), and each takes some time on the way (`latency`). A
+running task reads the queue every 0.1 s, or less often: all ranks together read it at most 10 000
+times a second, and for at most half a percent of their time. `mpirun -n RANKS build/bin/bench
 board` measures both numbers.
 
 Prints, as JSON, what the ranks do with their time; with `--figure`, draws how the idle share hangs

@@ -1,11 +1,12 @@
 !> Simulation of one-particle theory: independent walkers, between gates that count all of them.
 !>
-!> Visits are exact. There are several `copies` of the circuit, with N walkers for each, and each
-!> entry into a gate takes place in a randomly drawn copy. So the state of a gate is independent of
-!> the past of the walkers that enter it: the entries into one copy are a thinned sequence of all
-!> entries. In the limit of many copies they are a Poisson process, with the rate and the passage
-!> times of the walkers. This is the self-consistent renewal gate, with a fixed number of walkers.
-!> With a single copy no copy is drawn, and the simulation is that of the circuit itself.
+!> It computes the renewal gate self-consistently, with a fixed number of walkers. Visits are exact.
+!> There are several `copies` of the circuit, with N walkers for each, and each entry into a gate
+!> takes place in a randomly drawn copy. So the state of a gate is independent of the past of the
+!> walkers that enter it: the entries into one copy are a thinned sequence of all entries. In the
+!> limit of many copies they are a Poisson process, with the rate and the passage times of the
+!> walkers: that is the renewal gate. With a single copy no copy is drawn, and the simulation is
+!> that of the circuit itself.
 !>
 !> A window is at most as long as the shortest excursion, so all entries in it are known at its
 !> start. Channel 2 has no gate: the next visit of a walker that leaves through it is computed at

@@ -37,8 +37,9 @@ module battery_merge
   !> Place of a task's output: a record in a rank file, or columns of the old results file.
   type :: place_type
     private
-    !> Number of the rank file, below 0 if it is in none; offset of the record in it.
+    !> Number of the rank file; below 0 if the output is in none.
     integer :: rank_file = -1
+    !> Offset of the record in the rank file.
     integer(int64) :: at = 0
     !> Replica and point in the old file, from 1; 0: the old file does not have the output.
     integer :: replica = 0, point = 0
@@ -134,12 +135,12 @@ contains
 
   !> Collects the numbers of all results, and the places of their task outputs. An existing results
   !> file is read only if the journal does not have all tasks.
-  subroutine collect_results(plan, journal, whole, results, failures, wanted, sources, error)
+  subroutine collect_results(plan, journal, makes_file, results, failures, wanted, sources, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    !> Whether a new file is to be made from the results: then points and seeds are set, and a file
-    !> of another kind in place of the old one is no error.
-    logical, intent(in) :: whole
+    !> Whether a new file is to be made from the results. Then points and seeds are set; and if
+    !> the old file is no longer the one that was there when the lock was taken, it is not read.
+    logical, intent(in) :: makes_file
     type(results_type), intent(out) :: results
     !> Reason for which each task failed; not allocated for the others.
     type(string_type), allocatable, intent(out) :: failures(:)
@@ -162,7 +163,7 @@ contains
     allocate (failures(task_count(plan)), sources%place(task_count(plan)))
     call new_results(results, plan%point_count, plan%replicas)
     results%scanned = plan%scanned
-    do k = 1, merge(task_count(plan), 0, whole)
+    do k = 1, merge(task_count(plan), 0, makes_file)
       task = task_of(plan, k)
       results%point(task%point) = point_of(plan, task%point)
       results%point(task%point)%urn_radius = task%setup%table%urn%radius
@@ -185,7 +186,7 @@ contains
       call close_records(reader)
     end do
     old = file_exists(plan%file)
-    if (whole .and. old) old = has_identity(plan%file, journal%lock%before)
+    if (makes_file .and. old) old = has_identity(plan%file, journal%lock%before)
     if (old .and. any(results%task_status /= task_complete)) then
       call open_results(plan%file, sources%file, before, sources%output_datasets, error)
       if (.not. allocated(error)) then

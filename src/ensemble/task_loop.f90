@@ -30,10 +30,11 @@ module battery_task_loop
 
   !> Timers and the stop flag that a running task checks between windows.
   type :: monitor_type
-    !> Interval between saved states in seconds; time of the next one, and of the next read of the
-    !> task queue, on the clock of `wall_seconds`.
+    !> Interval between saved states in seconds.
     real(dp) :: checkpoint_interval = huge(1.0_dp)
+    !> Time of the next saved state. This and the times below are those of `wall_seconds`.
     real(dp) :: next_checkpoint = huge(1.0_dp)
+    !> Time of the next read of the task queue.
     real(dp) :: next_look = 0.0_dp
     !> Next time at which rank 0 calls MPI, so that one-sided requests make progress.
     real(dp) :: next_mpi_progress = 0.0_dp
@@ -46,9 +47,8 @@ module battery_task_loop
   !> Windows between two readings of the clock, for up to `few_particles` particles.
   integer, parameter :: windows_between_looks = 16, few_particles = 2000
 
-  !> Seconds between two reads of the task queue: `look_interval`, or longer, so that all ranks
-  !> together read at most `looks_a_second` times a second and spend at most the fraction
-  !> `look_share` of their time on it, but at most `longest_interval`.
+  !> Seconds between two reads of the task queue: the greatest of `look_interval`, ranks /
+  !> `looks_a_second` and the time of a read / `look_share`, but at most `longest_interval`.
   real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, look_share = 0.005_dp, &
     longest_interval = 5.0_dp
 
@@ -84,7 +84,8 @@ contains
     end do
     ! All results of this rank must be on the disk.
     if (.not. allocated(error)) call sync_finished(journal, error)
-    ! Rank 0 may have ended, so no message is sent to it.
+    ! This rank has lost the lock: rank 0 may have ended, and any call of MPI would wait for ever.
+    ! So the rank ends by itself.
     if (allocated(error) .and. is_lock_lost(journal%lock)) then
       call print_error(error%message)
       call exit_process(exit_failure)

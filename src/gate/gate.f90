@@ -1,11 +1,12 @@
 !> The threshold gate: the particles that it counts, the events at which it reverses, the particles
 !> that it turns back, and the order of events at one instant.
 !>
-!> **The rule** (paper, Sec. II). A gate counts the particles that are inside and head for the other
-!> gate: from their entry until they cross the middle line. When entries make the count exceed the
-!> threshold, all counted particles turn back, those that enter at that instant included; then none
-!> is counted. Only an entry can make a gate reverse. Particles from the other gate, and those on
-!> their way out, are neither counted nor affected.
+!> **The rule** (PRE 103, 032119, Sec. II). A gate is the half of channel 1 that belongs to its urn.
+!> It counts the particles that are inside and head for the other gate: from their entry until they
+!> cross the middle line. When entries make the count exceed the threshold, all counted particles
+!> turn back, those that enter at that instant included; then none is counted. Only an entry can
+!> make a gate reverse. Particles from the other gate, and those on their way out, are neither
+!> counted nor affected.
 !>
 !> **One instant.** Crossings of the middle line come before entries, that of gate 1 first, and all
 !> entries of one gate count before the gate decides. So no result depends on the order of particles
@@ -41,13 +42,15 @@ module battery_gate
   !> Reversals that the entries into one gate within a window lead to (`admit_entries`). Arrays may
   !> be longer than their counts.
   type :: stretch_type
-    !> Number of reversals; for each, the entry that it follows, and the number of particles turned
-    !> back.
+    !> Number of reversals.
     integer :: reversals = 0
-    integer, allocatable :: last_entry(:), reversed(:)
-    !> Work space: particles counted before, then those that enter, in order; time at which each
-    !> would cross the middle line.
+    !> For each reversal, the entry that it follows.
+    integer, allocatable :: last_entry(:)
+    !> For each reversal, the number of particles turned back.
+    integer, allocatable :: reversed(:)
+    !> Work space: time at which each particle would cross the middle line.
     real(wp), allocatable :: time(:)
+    !> Work space: particles counted before, then those that enter, in order.
     integer, allocatable :: particle(:)
   end type stretch_type
 
@@ -76,8 +79,8 @@ contains
     gate%entered = .true.
   end subroutine enter_gate
 
-  !> Declares the particles counted so far to have been inside from the start: they have not
-  !> entered, so they cannot make the gate reverse.
+  !> Called once, after the initial state is loaded: the particles counted so far started inside.
+  !> They count, but only a later entry can make the gate reverse.
   elemental subroutine forget_entries(gate)
     type(gate_type), intent(inout) :: gate
 
@@ -249,13 +252,13 @@ contains
   end subroutine admit_entries
 
   !> Applies the rule to a batch of entries, by counting. `time` is the time at which each particle
-  !> would cross: first the `held` particles counted before, then those that enter, in order;
-  !> `staying` more cross after `until`. On exit the first `rest` of `time` and `particle` are the
-  !> particles still inside.
+  !> would cross: first the `held` particles counted before, then those that enter, in order.
+  !> `staying` other counted particles, which are not in these arrays, cross after `until`. On exit
+  !> the first `rest` of `time` and `particle` are the particles still inside.
   !>
   !> An entry adds at most one to the count: if `inside` are counted at an entry, the gate cannot
-  !> reverse before the (most + 1 - inside)-th entry after it. So few entries are examined, and the
-  !> count at each of these is a loop without branches.
+  !> reverse before the (most + 1 - inside)-th entry after it. The entries in between are skipped.
+  !> At an entry that is examined, the particles inside are counted by a loop without branches.
   pure subroutine apply_rule(most, staying, held, entries, entry_time, until, time, particle, &
     staying_particle, reversals, last_entry, reversed, turned_back, turned_particle, turned_at, &
     crossed, crossing_particle, crossed_at, rest)

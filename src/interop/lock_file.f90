@@ -7,9 +7,12 @@
 !> reconnected. So no output is ever taken over from another machine; a user who knows that the
 !> owner has ended removes the file. The same holds on this machine if the file system has no locks.
 !>
-!> Ranks may write after their rank 0 has ended, and so may a run whose lock file was removed: each
-!> reads the lock file before it writes (`is_lock_lost`), no two starts write to the same rank file,
-!> and files are replaced rather than overwritten, so that two runs never write to one file.
+!> Ranks may write after their rank 0 has ended, and so may a run whose lock file was removed. Three
+!> measures ensure that two runs never write to one file:
+!>
+!> - each rank reads the lock file before it writes (`is_lock_lost`);
+!> - the ranks of two launches of the program never write to the same rank file;
+!> - files are replaced, not overwritten.
 module battery_lock_file
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_ptr, c_null_char, c_null_ptr, c_associated
   use battery_c_shapes, only: action_on_address, number_of_path_and_text

@@ -1,9 +1,10 @@
-!> Task identifier: a fingerprint of all that decides the result of a task.
+!> The identity of a task: a fingerprint of all that decides its motion. It is the seed of the task.
 !>
-!> The fingerprint depends on values, never on the place in a scan: numbers that are equal to 12
+!> The identity depends on values, never on the place in a scan: numbers that are equal to 12
 !> digits are equal, and a given value is the same as a default value. So a point has the same
 !> random numbers whatever other points are scanned. The series, snapshots and event log do not
-!> affect the motion, and are no part of the fingerprint.
+!> affect the motion, and are no part of the identity. `task_id_with` adds them: the `task_id` names
+!> results and states of a task in files.
 module battery_identity
   use battery_kinds, only: wp, int64
   use battery_engines, only: has_step

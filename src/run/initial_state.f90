@@ -69,10 +69,10 @@ contains
   end subroutine random_particles
 
   !> Draws a point uniform in an urn.
-  subroutine place_in_urn(generator, table, side, x, y)
+  subroutine place_in_urn(generator, table, urn, x, y)
     type(generator_type), intent(in) :: generator
     type(table_type), intent(in) :: table
-    integer, intent(in) :: side
+    integer, intent(in) :: urn
     real(wp), intent(out) :: x, y
     real(wp) :: across, up
     logical :: inside
@@ -80,7 +80,7 @@ contains
     do
       across = real(uniform(generator), wp)
       up = real(uniform(generator), wp)
-      call try_random_point(table%urn(side), across, up, x, y, inside)
+      call try_random_point(table%urn(urn), across, up, x, y, inside)
       if (inside) exit
     end do
   end subroutine place_in_urn

@@ -64,9 +64,10 @@ module battery_simulation
     !> Total number of collisions, exact once the run is done.
     integer(int64) :: collisions = 0
     logical :: done = .false.
-    !> The exact count is taken again when the observer has this many collisions; number of windows
-    !> since the last exact count.
+    !> An engine computes some collisions before they happen. The exact count, which takes a loop
+    !> over all particles, is taken again when the observer has this many.
     integer(int64) :: next_count = 0
+    !> Number of windows since the last exact count.
     integer :: windows_since_count = 0
     integer :: snapshots_taken = 0
     !> Snapshots as (particle, snapshot).

@@ -35,8 +35,9 @@ module battery_hdf5_datasets
     integer(hid_t) :: id = no_handle
   end type dataset_type
 
-  !> Datasets larger than this number of bytes are compressed, in chunks of at most this size: HDF5
-  !> keeps a chunk of that size in memory.
+  !> Datasets larger than this number of bytes are compressed, in chunks of at most this size. It is
+  !> the size of HDF5's chunk cache: a larger chunk would be compressed again for each column
+  !> written.
   integer(int64), parameter :: large = 1024_int64**2
   integer, parameter :: deflate_level = 4
 

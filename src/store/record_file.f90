@@ -16,9 +16,9 @@ module battery_record_file
 
   !> One record.
   type :: record_type
-    !> Fingerprint of the input that the record was made from.
+    !> What the record belongs to: for a result or a state of a task, its `task_id`.
     integer(int64) :: owner = 0
-    !> Subject of the record, for instance a task identifier.
+    !> Number of the task in the plan; other records: chosen by the caller.
     integer(int64) :: tag = 0
     !> Of records with the same owner and tag, that with the greatest generation is the newest.
     integer(int64) :: generation = 0

@@ -3,8 +3,9 @@
 !> These are the large part of the file, so the output of at most one task is in memory. The
 !> datasets are prepared for all tasks, (.., replica, point), filled with NaN or -1; then the output
 !> of each task is read from its record and written into its hyperslab. Reading uses the same code:
-!> one procedure names the datasets for both. A column has the values of one task in a dataset;
-!> tasks should be passed in the order of their numbers (`serialize_column`).
+!> one procedure names the datasets for both, and `file%is_new` says which is meant. A column has
+!> the values of one task in a dataset; tasks should be passed in the order of their numbers
+!> (`serialize_column`).
 module battery_task_output
   use battery_kinds, only: dp, int32
   use battery_error, only: error_type

@@ -45,8 +45,8 @@ module battery_table
   type :: table_type
     !> Number of urns: 2, or 1 for the single urn.
     integer :: sides = 2
-    !> Urn on the far side of a line, by the urn that a particle comes from; the end wall of the
-    !> single urn leads back to it.
+    !> For each urn, the urn on the other side of the lines of its channels; of the single urn:
+    !> itself, since its end wall reflects.
     integer :: beyond(2) = [2, 1]
     type(urn_type) :: urn(2)
     type(channel_type) :: channel(2)
@@ -65,7 +65,7 @@ module battery_table
     integer :: urn = 0, chamber = outside, channel = no_channel
     !> Whether the particle is too slow to reach either end; if not, whether it moves away from its
     !> urn, towards the line of the channel.
-    logical :: endless = .false., inward = .false.
+    logical :: endless = .false., moves_away = .false.
     !> Time until the particle reaches its urn; below 0: minus the time since it left the urn.
     real(wp) :: time = 0.0_wp
     !> If the particle moves away from its urn: height at which it left the urn; -1 if u_y has
@@ -284,8 +284,8 @@ contains
       if (passage%channel == ungated) depth = abs(x) - urn%centre - urn%chord(ungated)
       outward = facing(passage%channel)*urn%axis_sign*ux
       passage%time = -depth/outward
-      passage%inward = outward > 0.0_wp
-      if (passage%inward) call fold_into_channel(y - uy*depth/outward, channel%width, &
+      passage%moves_away = outward > 0.0_wp
+      if (passage%moves_away) call fold_into_channel(y - uy*depth/outward, channel%width, &
         passage%height, passage%reflected, passage%hits)
     end associate
   end function passage_at

@@ -13,12 +13,12 @@ module battery_visits
   !> In place of a channel: the particle never leaves.
   integer(int64), parameter :: no_channel = none
 
-  !> In place of a channel: the visit is truncated. Its description is that of a particle that never
-  !> leaves, at the end of the part; `through` is half the length of the part.
+  !> In place of a channel: the visit is truncated. It is described as that of a particle that never
+  !> leaves, at the end of the part. `through` is half the length of the part: the time before its
+  !> end at which the next part is computed.
   integer(int64), parameter :: truncated = -1
 
-  !> Visits that end with fewer wall hits in the urn than this are never on the list of those with
-  !> many.
+  !> Least number of wall hits in the urn that puts a visit on the list `many`.
   real(wp), parameter :: many_hits = 112.0_wp
 
   !> A batch of visits; arrays are padded to whole groups of `group_size`.
@@ -54,7 +54,7 @@ module battery_visits
     !> Out of `compute_visits`: sum of the wall hits of all visits.
     integer(int64) :: all_hits = 0
     !> Out of `compute_visits`: number of visits that have at least `many_hits` hits in the urn,
-    !> never end, or are truncated, and their indices. Other visits may be among them.
+    !> never end, or are truncated, and their indices. The list may contain others too.
     integer :: many_count = 0
     integer, allocatable :: many(:)
     !> Work space of the kernel: impact, rotation, steps, and the visit that they belong to.

@@ -30,7 +30,8 @@ module battery_batch_window
     !> Reversals and crossings that the entries into each gate lead to.
     type(stretch_type) :: stretch(2)
     !> Crossings of all lines: time, and a sort key that encodes line and particle
-    !> (`crossing_order_of`). The gates write the particle alone; `sort_crossings` adds the line.
+    !> (`crossing_order_of`). The gates write the particle alone, which is the key of the first
+    !> line; `sort_crossings` adds the line to the keys of the others.
     integer :: crossings = 0
     real(wp), allocatable :: crossing_time(:)
     integer, allocatable :: crossing_order(:)

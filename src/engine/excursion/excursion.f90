@@ -67,19 +67,29 @@ module battery_excursion
     !> Visits by urn. Urns that are mirror images share the first batch.
     type(visits_type) :: visits(2)
     integer :: batches = 1
-    !> Whether visits are computed ahead; those visits.
+    !> Whether visits are computed before they begin.
     logical, public :: looks_ahead = .false.
+    !> Visits that have been computed before they begin.
     type(lookahead_type) :: ahead
-    !> Whether channel 2 has discs; the visits on such a table.
+    !> Whether channel 2 has discs.
     logical :: scattered = .false.
+    !> Visits on a table with discs in channel 2.
     type(scatterer_visits_type) :: scatterer_visits
-    !> Lookahead, longest window, mean time between two events of a particle.
-    real(wp) :: lookahead = 0.0_wp, window = 0.0_wp, interval = 0.0_wp
-    !> Number of partial visits; those that are continued in this window: number, time at which each
-    !> is due, and particle.
-    integer :: partial_count = 0, resumed_count = 0
+    !> Least time from an event to the next one that depends on it.
+    real(wp) :: lookahead = 0.0_wp
+    !> Greatest length of a window.
+    real(wp) :: window = 0.0_wp
+    !> Mean time between two events of a particle.
+    real(wp) :: interval = 0.0_wp
+    !> Number of visits that are truncated now.
+    integer :: partial_count = 0
+    !> Number of truncated visits that are continued in this window.
+    integer :: resumed_count = 0
+    !> Time at which each of these is due.
     real(wp), allocatable :: resumed_time(:)
+    !> Particle of each of these.
     integer, allocatable :: resumed(:)
+    !> Their next parts.
     type(visits_type) :: partial_visits
     !> Start of each long visit; if channel 2 has discs, `scatterer_visits` holds the start
     !> of every visit.
@@ -92,8 +102,8 @@ module battery_excursion
       serialize_own_state, state_of, collisions, trapped
   end type excursion_type
 
-  !> With discs in channel 2 a window is at most so long that a particle in the narrowest gap has
-  !> this many hits, but no shorter than this share of the lookahead.
+  !> With discs in channel 2 a window is so short that a particle in the narrowest gap has at most
+  !> `window_hits` hits in it; but it is never made shorter than `least_window` times the lookahead.
   real(wp), parameter :: window_hits = 1.0e6_wp, least_window = 1.0e-3_wp
 
   ! Tables with discs in channel 2: `excursion_scattered.f90`.
@@ -427,6 +437,7 @@ contains
     if (allocated(self%parked_x) .and. .not. archive%reading) then
       where (self%flight%next_event == parked_in_channel) self%flight%u_axial = self%parked_x
     end if
+    ! Names in saved states are a format: they stay when a component is renamed.
     call archive%serialize('known_hits', self%computed_hits)
     call archive%serialize('told_hits', self%reported_hits)
     call archive%serialize('heading', self%flight%next_event)

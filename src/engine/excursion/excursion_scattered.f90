@@ -87,9 +87,9 @@ contains
     end do
   end subroutine resume_truncated_visits
 
-  !> Computes the visits of a window until none ends within it other than at a gate: a particle that
-  !> crosses the line starts another visit. The gates take no part: by the lookahead, no particle
-  !> enters one before the window ends.
+  !> Computes visits until each ends after the window, or at a gate. A particle that crosses the
+  !> periodic line within the window starts another visit in it. The gates take no part: by the
+  !> lookahead, no particle enters one before the window ends.
   module procedure compute_window_visits_scattered
     integer :: j, i, again, later, first
     integer, allocatable :: due_particle(:)

@@ -48,11 +48,12 @@ contains
     flight = idle_flight
   end subroutine new_flights
 
-  !> Loads particle `i` at (x, y) with velocity (ux, uy) in the frame of the table. If it is in a
-  !> channel and heads for the far end, its flight is dated back to the entrance of the channel, and
-  !> `hits` is reduced by the wall hits that it did not have. If it is in an urn, or on its way back
-  !> to one, a visit is added. Each call loads either particles in channels or particles in urns,
-  !> and ignores the others.
+  !> Loads particle `i` at (x, y) with velocity (ux, uy) in the frame of the table. Each call loads
+  !> either particles in channels or particles in urns, and ignores the others. If the particle is
+  !> in a channel and heads for the far end, its flight is dated back to the entrance of the
+  !> channel, and `hits` is reduced by the wall hits between the entrance and the initial position:
+  !> they will be counted with the passage. If it is in an urn, or on its way back to one, a visit
+  !> is added.
   subroutine make_initial_flight(table, i, x, y, ux, uy, from_channels, flight, visits, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
@@ -74,7 +75,7 @@ contains
       flight%y = y
       flight%u_axial = abs(ux)
       flight%u_lateral = uy
-    else if (passage%inward) then
+    else if (passage%moves_away) then
       flight%next_event = merge(counted_in_gate, to_return, passage%channel == gated)
       flight%time = passage%time
       flight%y = passage%height
@@ -101,9 +102,9 @@ contains
     end if
   end subroutine make_initial_flight
 
-  !> Flight of a particle before its first visit, which `make_initial_flight` has added: it has just
-  !> entered the channel where it was, or is about to have its first impact in the urn. That is the
-  !> stored start of a long visit.
+  !> Flight of a particle before its first visit, which `make_initial_flight` has added. The start
+  !> of a long visit is stored as such a flight: the particle has just entered the channel where it
+  !> was, or is about to have its first impact in the urn.
   subroutine date_back_flight(table, x, y, ux, uy, flight, hits)
     type(table_type), intent(in) :: table
     !> Its initial position, a length, and velocity, of length 1, in the frame of the table.

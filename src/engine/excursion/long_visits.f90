@@ -23,8 +23,8 @@ module battery_long_visits
     is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
 
   !> A visit is long from this many times the reach of its urn on: tracing back through half of a
-  !> shorter one costs no more than some 1e-13. A visit with fewer than `many_hits` hits has at most
-  !> one chord more than that, each of at most twice the reach, and so is never long.
+  !> shorter one loses no more than some 1e-13. A visit with fewer than `many_hits` = 112 hits is
+  !> never long: it is at most 112 straight pieces, each of at most twice the reach.
   real(wp), parameter :: long = 256.0_wp
 
   !> The start of a visit, in one cache line.
@@ -113,8 +113,8 @@ contains
     do k = 1, batch%many_count
       j = batch%many(k)
       if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
-      ! Room for all remaining ones at once, while their flights are still the previous ones: later,
-      ! `drop_finished_entries` would drop entries that have just been stored.
+      ! Room for the whole batch, before its first start is stored: a start that has just been
+      ! stored still belongs to an old flight, so a later call would drop it as finished.
       if (visits%count + batch%many_count - k >= visits%room) call grow_entries(visits, flight, &
         batch%many_count - k + 1)
       i = batch%particle(j)

@@ -2,9 +2,10 @@
 !>
 !> With few particles or tiny openings a window has one visit, too few to fill the vector lanes. A
 !> particle that is not turned back in its channel interacts with no other, so its visit follows
-!> from its flight. A visit that begins is therefore computed together with those of the next events
-!> that are not computed yet, as if no gate reversed. Visits computed ahead are stored until they
-!> begin; the visit of a particle that a gate does turn back is computed again.
+!> from its flight. Together with a visit that begins, the visits after the next pending events are
+!> therefore computed too, as if no gate reversed. (The module is named after this; the *lookahead*
+!> of the maintainer's guide is a time.) Visits computed ahead are stored until they begin; the
+!> visit of a particle that a gate does turn back is computed again.
 module battery_lookahead
   use battery_kinds, only: wp, int32, int64
   use battery_calendar, only: flight_type

@@ -1,8 +1,9 @@
 !> Visits that the engine `excursion` computes in parts.
 !>
 !> A visit with very many wall hits is truncated (`truncated` of `battery_visits`). Its particle
-!> then has an event at which the next part is computed. The event is due half a part before the end
-!> of the part, so that any event after that end is at least the lookahead later.
+!> then has an event at which the next part is computed, due half a part before the end of the part.
+!> Half a part is at least the lookahead: so when that event is processed, the particle has no other
+!> event within the lookahead.
 module battery_partial_visits
   use battery_kinds, only: wp, int64
   use battery_calendar, only: flight_type

@@ -1,11 +1,11 @@
 !> Visits of the engine `excursion` on tables with discs in channel 2.
 !>
-!> There a particle may come back to its own urn, or cross the counted line to and fro. So an urn
-!> and its half of channel 2 are one chamber with two openings: the gate and the line. A visit
-!> starts at one of them, or at the initial position of a particle, and alternates between the urn
-!> and its half of channel 2 until it ends at one of them. A flight to channel 2 ends at the line:
-!> its `through` is 0. A visit with too many hits is truncated in the channel or in the urn
-!> (`partial_visit`) and continued later.
+!> There a particle may come back to its own urn, or cross the periodic line to and fro. So an urn
+!> and its half of channel 2 are one chamber with two openings: the gate and the periodic line. A
+!> visit starts at one of the openings, or at the initial position of a particle, and alternates
+!> between the urn and its half of channel 2 until it ends at an opening. A flight to channel 2 ends
+!> at the periodic line: its `through` is 0. A visit with too many hits is truncated in the channel
+!> or in the urn (`partial_visit`) and continued later.
 !>
 !> Paths among discs diverge so fast that tracing them back does not lead to their start. So the
 !> start of each visit is stored, in the frame of the urn or in that of its half of channel 2

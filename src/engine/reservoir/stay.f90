@@ -109,7 +109,7 @@ contains
     stay = stay_type(y=y, u_axial=abs(ux), u_lateral=uy, urn=int(passage%urn, int32))
     if (passage%endless) then
       stay%phase = int(merge(parked_in_gate, parked_in_return, passage%channel == gated), int32)
-    else if (passage%inward) then
+    else if (passage%moves_away) then
       stay%time = passage%time
       stay%y = passage%height
       stay%u_lateral = passage%reflected*uy
