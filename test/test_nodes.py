@@ -82,7 +82,8 @@ def test_of_two_machines_that_start_at_once_one_has_the_output(
         assert f"out.h5: another run has locked it, on node{2 - k}, process " in words
         other = program.descendants(runs[1 - k].pid)
         program.send(other, signal.SIGTERM)
-        assert runs[1 - k].wait(timeout=PATIENCE) == 3
+        words = runs[1 - k].communicate(timeout=PATIENCE)[0]
+        assert runs[1 - k].returncode == 3, words
         assert not (tmp_path / "case/out.h5.owner").exists()
 
 

@@ -100,11 +100,15 @@ int battery_create_new(const char *path) {
 }
 
 /* Identity of the file that a name refers to, links not followed: device, inode, size, time of its
-   last change; all 0: no file. */
+   last change; all 0: no file. It is opened, since NFS and sshfs answer `lstat` from what they knew
+   some seconds ago; `open` makes them ask the server. */
 void battery_look_at(const char *path, int64_t seen[5]) {
   struct stat found;
   memset(seen, 0, 5 * sizeof *seen);
-  if (lstat(path, &found) != 0) return;
+  int descriptor = open(path, O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+  int status = descriptor < 0 ? lstat(path, &found) : fstat(descriptor, &found);
+  if (descriptor >= 0) close(descriptor);
+  if (status != 0) return;
   seen[0] = (int64_t)found.st_dev;
   seen[1] = (int64_t)found.st_ino;
   seen[2] = (int64_t)found.st_size;
