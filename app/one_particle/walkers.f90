@@ -382,14 +382,14 @@ contains
     end do
   end subroutine store_entries
 
-  !> Empties batch `batch_index` (1 or 2) of all chambers, and allocates it for `room` visits.
-  subroutine reserve_batch(walkers, batch_index, room)
+  !> Empties batch `batch_index` (1 or 2) of all chambers, and allocates it for `capacity` visits.
+  subroutine reserve_batch(walkers, batch_index, capacity)
     type(walkers_type), intent(inout) :: walkers
-    integer, intent(in) :: batch_index, room
+    integer, intent(in) :: batch_index, capacity
     integer :: chamber
 
     do chamber = 1, walkers%chambers
-      call reserve_visits(walkers%visits(chamber, batch_index), room)
+      call reserve_visits(walkers%visits(chamber, batch_index), capacity)
     end do
   end subroutine reserve_batch
 

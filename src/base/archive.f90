@@ -58,13 +58,13 @@ module battery_archive
 contains
 
   !> Makes an empty archive to be written.
-  pure type(archive_type) function new_archive(room) result(archive)
+  pure type(archive_type) function new_archive(capacity) result(archive)
     !> Number of words to allocate, if known.
-    integer(int64), intent(in), optional :: room
+    integer(int64), intent(in), optional :: capacity
 
     archive%length = 2
-    if (present(room)) then
-      allocate (archive%word(room), source=0_int64)
+    if (present(capacity)) then
+      allocate (archive%word(capacity), source=0_int64)
     else
       allocate (archive%word(archive%length))
     end if

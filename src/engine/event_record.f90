@@ -35,7 +35,7 @@ module battery_event_record
     !> Crossings in the order of time: time and kind (`channel1_12` ...) of each.
     integer :: crossings = 0
     !> Size of the arrays of crossings; below 0 before they are allocated.
-    integer, private :: room = -1
+    integer, private :: capacity = -1
     real(wp), allocatable :: crossing_time(:)
     integer(int8), allocatable :: crossing(:)
     !> Wall collisions computed in the window (see `engine_type%collisions`).
@@ -77,7 +77,7 @@ contains
     event_record%collision_spread_sum = 0
     event_record%collisions_seen = 0
     event_record%events = 0
-    if (crossings > event_record%room .or. event_record%logging) call &
+    if (crossings > event_record%capacity .or. event_record%logging) call &
       grow_event_record(event_record, crossings, events)
   end subroutine reserve_event_record
 
@@ -86,27 +86,27 @@ contains
     type(event_record_type), intent(inout) :: event_record
     !> Total number to fit; events only if they are logged.
     integer, intent(in) :: crossings, events
-    integer :: room
+    integer :: capacity
 
     if (.not. allocated(event_record%crossing_time)) allocate (event_record%crossing_time(0), &
       event_record%crossing(0))
     if (size(event_record%crossing_time) < crossings) then
-      room = max(crossings, 2*size(event_record%crossing_time), 64)
-      event_record%crossing_time = [event_record%crossing_time, spread(0.0_wp, 1, room &
+      capacity = max(crossings, 2*size(event_record%crossing_time), 64)
+      event_record%crossing_time = [event_record%crossing_time, spread(0.0_wp, 1, capacity &
         - size(event_record%crossing_time))]
-      event_record%crossing = [event_record%crossing, spread(0_int8, 1, room &
+      event_record%crossing = [event_record%crossing, spread(0_int8, 1, capacity &
         - size(event_record%crossing))]
     end if
-    event_record%room = size(event_record%crossing_time)
+    event_record%capacity = size(event_record%crossing_time)
     if (.not. event_record%logging) return
     if (.not. allocated(event_record%event_time)) allocate (event_record%event_time(0), &
       event_record%event_kind(0), event_record%event_where(0), event_record%event_particle(0))
     if (size(event_record%event_time) < events) then
-      room = max(events, 2*size(event_record%event_time), 64) - size(event_record%event_time)
-      event_record%event_time = [event_record%event_time, spread(0.0_wp, 1, room)]
-      event_record%event_kind = [event_record%event_kind, spread(0_int32, 1, room)]
-      event_record%event_where = [event_record%event_where, spread(0_int32, 1, room)]
-      event_record%event_particle = [event_record%event_particle, spread(0_int32, 1, room)]
+      capacity = max(events, 2*size(event_record%event_time), 64) - size(event_record%event_time)
+      event_record%event_time = [event_record%event_time, spread(0.0_wp, 1, capacity)]
+      event_record%event_kind = [event_record%event_kind, spread(0_int32, 1, capacity)]
+      event_record%event_where = [event_record%event_where, spread(0_int32, 1, capacity)]
+      event_record%event_particle = [event_record%event_particle, spread(0_int32, 1, capacity)]
     end if
   end subroutine grow_event_record
 
@@ -120,7 +120,7 @@ contains
     !> Particle index, 1 ... N.
     integer, intent(in) :: particle
 
-    if (event_record%crossings >= event_record%room) call grow_event_record(event_record, &
+    if (event_record%crossings >= event_record%capacity) call grow_event_record(event_record, &
       event_record%crossings + 1, 0)
     event_record%crossings = event_record%crossings + 1
     event_record%crossing_time(event_record%crossings) = time

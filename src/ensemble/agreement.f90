@@ -65,7 +65,7 @@ contains
     character(len=*), intent(in) :: file
     !> The folders differ, or a signal has stopped the run; the same error on all ranks.
     type(error_type), allocatable, intent(out) :: error
-    type(error_type), allocatable :: trouble
+    type(error_type), allocatable :: lock_error
     real(dp) :: began
 
     if (communicator%size == 1) return
@@ -85,9 +85,9 @@ contains
       end if
     end do
     call share_error(communicator, error)
-    if (communicator%rank == 0) call remove_marker(lock, trouble)
-    call share_error(communicator, trouble)
-    if (allocated(trouble) .and. .not. allocated(error)) call move_alloc(trouble, error)
+    if (communicator%rank == 0) call remove_marker(lock, lock_error)
+    call share_error(communicator, lock_error)
+    if (allocated(lock_error) .and. .not. allocated(error)) call move_alloc(lock_error, error)
   end subroutine check_output_folder
 
 end module battery_agreement

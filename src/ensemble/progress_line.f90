@@ -82,16 +82,16 @@ contains
     end if
   end subroutine show_progress
 
-  !> A bar for a fraction, as wide as `room` allows, up to a limit, followed by two blanks.
-  pure function bar_of(share, room) result(text)
+  !> A bar for a fraction, as wide as `columns` allows, up to a limit, followed by two blanks.
+  pure function bar_of(share, columns) result(text)
     real(dp), intent(in) :: share
-    integer, intent(in) :: room
+    integer, intent(in) :: columns
     character(len=:), allocatable :: text
     integer, parameter :: widest = 24, narrowest = 4
     integer :: width, filled
 
     text = ''
-    width = min(room, widest)
+    width = min(columns, widest)
     if (width < narrowest) return
     filled = max(0, min(width, int(share*width)))
     text = repeat('#', filled)//repeat('.', width - filled)//'  '

@@ -157,13 +157,13 @@ contains
   end subroutine insertion_sort
 
   !> Inserts an event into `sorted` events, ordered by time, then by number.
-  pure subroutine insert_sorted(room, time, number, sorted, new_time, new_number)
+  pure subroutine insert_sorted(capacity, time, number, sorted, new_time, new_number)
     !> Extent of the arrays, more than `sorted`.
-    integer, intent(in) :: room
+    integer, intent(in) :: capacity
     !> Time of each event, ascending.
-    real(wp), intent(inout) :: time(room)
+    real(wp), intent(inout) :: time(capacity)
     !> Number of each event.
-    integer, intent(inout) :: number(room)
+    integer, intent(inout) :: number(capacity)
     integer, intent(inout) :: sorted
     !> Time of the new event.
     real(wp), intent(in) :: new_time

@@ -12,10 +12,10 @@ module battery_queue
   public :: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, rebase_queue, &
     serialize_queue
 
-  !> A queue of particles: time and index of each, in arrays of the size `room`.
+  !> A queue of particles: time and index of each, in arrays of the size `capacity`.
   type :: queue_type
     !> Number of particles in the queue, and size of the arrays.
-    integer :: count = 0, room = 0
+    integer :: count = 0, capacity = 0
     !> Time of the first particle; huge if the queue is empty.
     real(wp) :: next = huge(1.0_wp)
     !> Whether `time` and `particle` up to `count` are a heap.
@@ -34,7 +34,7 @@ contains
   pure subroutine empty_queue(queue)
     type(queue_type), intent(inout) :: queue
 
-    if (queue%room == 0) call grow_queue(queue)
+    if (queue%capacity == 0) call grow_queue(queue)
     queue%count = 0
     queue%next = huge(1.0_wp)
     queue%in_order = .false.
@@ -47,7 +47,7 @@ contains
     !> Index of the particle.
     integer, intent(in) :: particle
 
-    if (queue%count == queue%room) call grow_queue(queue)
+    if (queue%count == queue%capacity) call grow_queue(queue)
     queue%count = queue%count + 1
     queue%next = min(queue%next, time)
     queue%time(queue%count) = time
@@ -74,7 +74,7 @@ contains
       return
     end if
     is_before = queue%count
-    do while (queue%room < is_before + count)
+    do while (queue%capacity < is_before + count)
       call grow_queue(queue)
     end do
     queue%time(is_before + 1:is_before + count) = time
@@ -87,13 +87,13 @@ contains
   pure subroutine grow_queue(queue)
     type(queue_type), intent(inout) :: queue
 
-    if (queue%room == 0) then
-      queue%room = 32
+    if (queue%capacity == 0) then
+      queue%capacity = 32
       allocate (queue%time(32), queue%particle(32))
     else
       queue%time = [queue%time, queue%time]
       queue%particle = [queue%particle, queue%particle]
-      queue%room = size(queue%time)
+      queue%capacity = size(queue%time)
     end if
   end subroutine grow_queue
 
@@ -259,7 +259,7 @@ contains
     call archive%serialize('count', queue%count)
     call archive%serialize('in_order', queue%in_order)
     if (archive%failed()) return
-    do while (queue%room < max(queue%count, 1))
+    do while (queue%capacity < max(queue%count, 1))
       call grow_queue(queue)
     end do
     call archive%serialize('time', queue%time(:queue%count))

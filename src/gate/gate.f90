@@ -194,15 +194,15 @@ contains
     type(stretch_type), intent(inout) :: stretch
     !> Largest number of entries and counted particles together.
     integer, intent(in) :: number
-    integer :: room
+    integer :: capacity
 
     if (allocated(stretch%particle)) then
       if (size(stretch%particle) >= number) return
       deallocate (stretch%last_entry, stretch%reversed, stretch%time, stretch%particle)
     end if
-    room = max(64, 2*number)
-    allocate (stretch%last_entry(room), stretch%reversed(room), stretch%time(room), &
-      stretch%particle(room))
+    capacity = max(64, 2*number)
+    allocate (stretch%last_entry(capacity), stretch%reversed(capacity), stretch%time(capacity), &
+      stretch%particle(capacity))
   end subroutine reserve_stretch
 
   !> Applies the rule to a batch of entries and to all crossings before `until`, which is after the

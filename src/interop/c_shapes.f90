@@ -1,6 +1,6 @@
 !> Interfaces of C procedures, one for each list of arguments and type of result.
 !>
-!> Texts passed to C end with a null character; C writes texts into `room` bytes. There is no
+!> Texts passed to C end with a null character; C writes texts into `capacity` bytes. There is no
 !> interface for a single number passed by value: for a procedure declared by such an abstract
 !> interface, gfortran 12 passes the address of a constant or of a function's result.
 module battery_c_shapes
@@ -53,20 +53,20 @@ module battery_c_shapes
     end function number_of_paths
 
     !> Writes a text; returns its length or an error number.
-    integer(c_int) function number_of_text(text, room) bind(c)
+    integer(c_int) function number_of_text(text, capacity) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
-      integer(c_int), value, intent(in) :: room
-      character(kind=c_char), intent(inout) :: text(room)
+      integer(c_int), value, intent(in) :: capacity
+      character(kind=c_char), intent(inout) :: text(capacity)
     end function number_of_text
 
     !> Reads or writes the text of a path; returns an integer.
-    integer(c_int) function number_of_path_and_text(path, text, room) bind(c)
+    integer(c_int) function number_of_path_and_text(path, text, capacity) bind(c)
       import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
-      integer(c_int), value, intent(in) :: room
-      character(kind=c_char), intent(inout) :: text(room)
+      integer(c_int), value, intent(in) :: capacity
+      character(kind=c_char), intent(inout) :: text(capacity)
     end function number_of_path_and_text
 
     !> Returns the size of the object at an address.

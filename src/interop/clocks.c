@@ -3,12 +3,12 @@
 #include <time.h>
 
 /* Writes the time of day, as in 2026-01-31T23:59:59Z; returns the length, 0 if it does not fit. */
-int battery_utc(char *text, int room)
+int battery_utc(char *text, int capacity)
 {
     time_t now = time(NULL);
     struct tm parts;
 
-    return (int)strftime(text, (size_t)room, "%Y-%m-%dT%H:%M:%SZ", gmtime_r(&now, &parts));
+    return (int)strftime(text, (size_t)capacity, "%Y-%m-%dT%H:%M:%SZ", gmtime_r(&now, &parts));
 }
 
 /* Seconds since 1970. */

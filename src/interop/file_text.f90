@@ -29,13 +29,13 @@ module battery_file_text
       integer(c_int), value, intent(in) :: descriptor
     end function c_size_of
 
-    integer(c_int64_t) function c_read_some(descriptor, bytes, room) &
+    integer(c_int64_t) function c_read_some(descriptor, bytes, capacity) &
       bind(c, name='battery_read_some')
       import :: c_char, c_int, c_int64_t
       implicit none (type, external)
       integer(c_int), value, intent(in) :: descriptor
-      integer(c_int64_t), value, intent(in) :: room
-      character(kind=c_char), intent(inout) :: bytes(room)
+      integer(c_int64_t), value, intent(in) :: capacity
+      character(kind=c_char), intent(inout) :: bytes(capacity)
     end function c_read_some
   end interface
 

@@ -45,8 +45,8 @@ int battery_same_file(const char *one, const char *other) {
     && left.st_ino == right.st_ino;
 }
 
-/* Replaces a path by the final target of its links, which need not exist; `path` has `room` bytes. */
-int battery_follow(char *path, int room) {
+/* Replaces a path by the final target of its links, which need not exist; `path` has `capacity` bytes. */
+int battery_follow(char *path, int capacity) {
   char target[PATH_MAX], joined[2 * PATH_MAX + 1];
   const int most_links = 40;
   for (int link = 0; link < most_links; link++) {
@@ -56,7 +56,7 @@ int battery_follow(char *path, int room) {
     char *slash = strrchr(path, '/');
     int folder = target[0] == '/' || slash == NULL ? 0 : (int)(slash - path) + 1;
     snprintf(joined, sizeof joined, "%.*s%s", folder, path, target);
-    if (strlen(joined) >= (size_t)room) return ENAMETOOLONG;
+    if (strlen(joined) >= (size_t)capacity) return ENAMETOOLONG;
     strcpy(path, joined);
   }
   return ELOOP;
@@ -65,10 +65,10 @@ int battery_follow(char *path, int room) {
 /* Bytes of the longest path. */
 int battery_longest_path(void) { return PATH_MAX; }
 
-/* Folder of a path, with links resolved; `folder` has `room` bytes, PATH_MAX or more. Returns its
+/* Folder of a path, with links resolved; `folder` has `capacity` bytes, PATH_MAX or more. Returns its
    length, 0 if it does not exist. */
-int battery_real_folder(const char *path, char *folder, int room) {
-  if (room < PATH_MAX || realpath(path, folder) == NULL) return 0;
+int battery_real_folder(const char *path, char *folder, int capacity) {
+  if (capacity < PATH_MAX || realpath(path, folder) == NULL) return 0;
   char *slash = strrchr(folder, '/');
   return slash == folder ? 1 : (int)(slash - folder);
 }
@@ -145,13 +145,13 @@ int64_t battery_size_of(int descriptor) {
   return fstat(descriptor, &found) == 0 && S_ISREG(found.st_mode) ? (int64_t)found.st_size : 0;
 }
 
-/* Reads up to `room` bytes. Returns their number, 0 at the end, -1 on an error, -2 if there was nothing
+/* Reads up to `capacity` bytes. Returns their number, 0 at the end, -1 on an error, -2 if there was nothing
    to read for a tenth of a second. */
-int64_t battery_read_some(int descriptor, char *bytes, int64_t room) {
+int64_t battery_read_some(int descriptor, char *bytes, int64_t capacity) {
   struct pollfd source = {.fd = descriptor, .events = POLLIN};
   const int tenth_of_a_second = 100;
   if (poll(&source, 1, tenth_of_a_second) == 0) return -2;
-  ssize_t length = read(descriptor, bytes, (size_t)room);
+  ssize_t length = read(descriptor, bytes, (size_t)capacity);
   if (length < 0 && (errno == EAGAIN || errno == EINTR)) return -2;
   return length;
 }

@@ -34,12 +34,12 @@ static int lock(int descriptor) {
   return errno == EAGAIN || errno == EACCES ? locked_by_another : no_locks;
 }
 
-/* Reads the text of a file, and returns its length; 0 if there is none. `text` has `room` bytes, and
+/* Reads the text of a file, and returns its length; 0 if there is none. `text` has `capacity` bytes, and
    ends with a null character. The file is opened again, since a network disk may show its present
    contents only then. */
-int battery_read_owner(const char *path, char *text, int room) {
+int battery_read_owner(const char *path, char *text, int capacity) {
   int descriptor = open(path, O_RDONLY | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK);
-  ssize_t length = descriptor < 0 ? 0 : pread(descriptor, text, (size_t)room - 1, 0);
+  ssize_t length = descriptor < 0 ? 0 : pread(descriptor, text, (size_t)capacity - 1, 0);
   if (length < 0) length = 0;
   text[length] = '\0';
   if (descriptor >= 0) close(descriptor);
@@ -71,8 +71,8 @@ static int is_of_an_owner(const char *found) {
 }
 
 /* Removes the file of an ended run of this machine; `taken` if there is no file now. If the file
-   belongs, or may belong, to another run, `holder` (`room` bytes) is its text. */
-static int remove_of_ended(const char *path, const char *text, char *holder, int room) {
+   belongs, or may belong, to another run, `holder` (`capacity` bytes) is its text. */
+static int remove_of_ended(const char *path, const char *text, char *holder, int capacity) {
   int descriptor = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK), outcome = taken, got;
   struct stat found;
   holder[0] = '\0';
@@ -80,7 +80,7 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
     if (errno == ENOENT) return taken;
     return errno == ELOOP || errno == EISDIR || errno == ENXIO ? not_a_file : failed;
   }
-  int length = battery_read_owner(path, holder, room);
+  int length = battery_read_owner(path, holder, capacity);
   if (fstat(descriptor, &found) != 0 || !S_ISREG(found.st_mode)) outcome = not_a_file;
   else if (length > 0 && (strlen(holder) != (size_t)length || !is_of_an_owner(holder)))
     outcome = not_a_file;
@@ -145,10 +145,10 @@ static int create_and_write(const char *path, const char *text) {
 }
 
 /* Tries to own the file `path`, whose text is then `text` ("host process time"). If it belongs, or may
-   belong, to another run, `holder` (`room` bytes) is its text. If it belonged to an ended run of this
+   belong, to another run, `holder` (`capacity` bytes) is its text. If it belonged to an ended run of this
    machine, it is removed, `holder` is the text that it had, and the outcome is `again`. */
-int battery_own(const char *path, const char *text, char *holder, int room, owner_type **result) {
-  int outcome = remove_of_ended(path, text, holder, room);
+int battery_own(const char *path, const char *text, char *holder, int capacity, owner_type **result) {
+  int outcome = remove_of_ended(path, text, holder, capacity);
   if (outcome != taken) return outcome;
   if (holder[0] != '\0') return again;
   owner_type *owner = calloc(1, sizeof *owner);
@@ -173,10 +173,10 @@ void battery_disown(owner_type *owner) {
   free(owner);
 }
 
-/* Name of this machine, without blanks, and its length; `name` has `room` bytes. */
-int battery_host_name(char *name, int room) {
-  if (gethostname(name, (size_t)room) != 0 || name[0] == '\0') strncpy(name, "unknown", (size_t)room);
-  name[room - 1] = '\0';
+/* Name of this machine, without blanks, and its length; `name` has `capacity` bytes. */
+int battery_host_name(char *name, int capacity) {
+  if (gethostname(name, (size_t)capacity) != 0 || name[0] == '\0') strncpy(name, "unknown", (size_t)capacity);
+  name[capacity - 1] = '\0';
   for (char *at = name; *at != '\0'; at++)
     if (*at <= ' ') *at = '_';
   return (int)strlen(name);

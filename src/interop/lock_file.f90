@@ -55,12 +55,12 @@ module battery_lock_file
   procedure(number_of_path_and_text), bind(c, name='battery_read_owner') :: c_read_owner
 
   interface
-    integer(c_int) function c_own(path, text, holder, room, owner) bind(c, name='battery_own')
+    integer(c_int) function c_own(path, text, holder, capacity, owner) bind(c, name='battery_own')
       import :: c_char, c_int, c_ptr
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*), text(*)
-      integer(c_int), value, intent(in) :: room
-      character(kind=c_char), intent(inout) :: holder(room)
+      integer(c_int), value, intent(in) :: capacity
+      character(kind=c_char), intent(inout) :: holder(capacity)
       type(c_ptr), intent(inout) :: owner
     end function c_own
   end interface

@@ -252,11 +252,11 @@ contains
     type(observer_type), intent(inout) :: observer
     integer, allocatable :: urn1_number(:)
     real(wp), allocatable :: flow(:, :)
-    integer :: room, status
+    integer :: capacity, status
 
-    room = observer%entries + max(256, observer%entries)
-    allocate (urn1_number(room), stat=status)
-    if (status == 0) allocate (flow(4, room), stat=status)
+    capacity = observer%entries + max(256, observer%entries)
+    allocate (urn1_number(capacity), stat=status)
+    if (status == 0) allocate (flow(4, capacity), stat=status)
     observer%out_of_room = status /= 0
     if (observer%out_of_room) return
     urn1_number(:observer%entries) = observer%series_urn1_number

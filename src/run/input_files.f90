@@ -48,17 +48,17 @@ contains
   !> is a link, the target is checked.
   subroutine check_files(plan)
     type(plan_type), intent(inout) :: plan
-    type(error_type), allocatable :: trouble
+    type(error_type), allocatable :: error
     character(len=:), allocatable :: folder, reason
 
     if (is_pipe_or_device(plan%initial_file)) call refuse_value(plan, 'initial_file', &
       ''''//plan%initial_file//''': this is a pipe or a device', 'a file')
     if (plan%file == '') return
-    call follow_links(plan%file, trouble)
+    call follow_links(plan%file, error)
     folder = folder_of(plan%file)
     reason = ''
-    if (allocated(trouble)) then
-      reason = trouble%message
+    if (allocated(error)) then
+      reason = error%message
     else if (.not. is_folder(folder)) then
       reason = 'the folder '//folder//' does not exist'
     else if (.not. is_writable(folder)) then
@@ -105,35 +105,35 @@ contains
   subroutine use_initial_file(plan, error)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable, intent(inout) :: error
-    type(error_type), allocatable :: trouble
+    type(error_type), allocatable :: particle_error
     character(len=:), allocatable :: text, message, place
     type(point_type) :: point
     integer :: at
 
     ! A pipe has been refused already, and reading it might never end.
     if (plan%initial_file == '' .or. is_pipe_or_device(plan%initial_file)) return
-    call read_file(plan%initial_file, text, trouble)
+    call read_file(plan%initial_file, text, particle_error)
     place = ''
-    if (.not. allocated(trouble)) then
+    if (.not. allocated(particle_error)) then
       point = point_of(plan, 1)
       ! If the lengths themselves are wrong, there is no table to check the file with.
       if (allocated(error) .and. .not. (point%number > 0 .and. &
         maxval(point%channel%width) < 2.0_wp*minval(point%urn_radius) .and. &
         plan%urn_shape == 'disc')) return
       call parse_particles(text, plan%initial_file, table_of(plan, point), max(point%number, 0), &
-        plan%start, trouble)
+        plan%start, particle_error)
       do at = 2, plan%point_count
-        if (allocated(trouble)) exit
+        if (allocated(particle_error)) exit
         point = point_of(plan, at)
         ! Parsed again only for the message.
         if (.not. are_inside(table_of(plan, point), plan%start)) call parse_particles(text, &
-          plan%initial_file, table_of(plan, point), point%number, plan%start, trouble)
-        if (allocated(trouble)) place = ' where '//point_text(plan, at, 'initial_file')
+          plan%initial_file, table_of(plan, point), point%number, plan%start, particle_error)
+        if (allocated(particle_error)) place = ' where '//point_text(plan, at, 'initial_file')
       end do
     end if
-    if (allocated(trouble)) then
+    if (allocated(particle_error)) then
       message = plan%input_file//': &particles initial_file = '''//plan%initial_file &
-        //''' cannot be used'//place//':'//new_line_character//trouble%message
+        //''' cannot be used'//place//':'//new_line_character//particle_error%message
       if (allocated(error)) message = error%message//new_line_character//message
       call fatal_error(error, message, exit_bad_input)
     end if

@@ -209,7 +209,7 @@ contains
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
     character(len=:), allocatable :: key
-    real(wp) :: room
+    real(wp) :: widest
     integer :: urn, channel, side, n
 
     if (plan%urn_shape /= 'polygon' .or. .not. has_valid_outlines(plan)) return
@@ -222,10 +222,10 @@ contains
           if (.not. is_open(point%channel(channel))) cycle
           side = side_on_axis(corner, facing(channel))
           if (side == 0) cycle
-          room = 2.0_wp*min(abs(corner(2, side)), abs(corner(2, next_corner(side, n))))
-          if (point%channel(channel)%width > room*(1.0_wp - finest)) call refuse_value(plan, &
+          widest = 2.0_wp*min(abs(corner(2, side)), abs(corner(2, next_corner(side, n))))
+          if (point%channel(channel)%width > widest*(1.0_wp - finest)) call refuse_value(plan, &
             'channel'//to_text(channel)//'_width', to_text(point%channel(channel)%width), &
-            'below '//to_text(room)//', which fits into '//side_text(side, n)//' of urn ' &
+            'below '//to_text(widest)//', which fits into '//side_text(side, n)//' of urn ' &
             //to_text(urn))
           call check_reach(plan, point, key, corner, channel, side)
         end do

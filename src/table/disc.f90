@@ -142,18 +142,18 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     !> Cosine and sine; unchanged if the incidence is not grazing.
     real(wp), intent(inout) :: cosine, sine
-    real(wp) :: px, py, half_opening, room, c
+    real(wp) :: px, py, half_opening, depth2, c
 
     px = x/disc%radius
     py = y/disc%radius
     half_opening = merge(disc%half_opening(gated), disc%half_opening(ungated), px > 0.0_wp)
     ! On a chord the depth is a product, without cancellation.
     if (abs(x - merge(disc%chord(gated), -disc%chord(ungated), px > 0.0_wp)) > 0.0_wp) then
-      room = (1.0_wp - abs(py))*(1.0_wp + abs(py)) - px**2
+      depth2 = (1.0_wp - abs(py))*(1.0_wp + abs(py)) - px**2
     else
-      room = (half_opening - abs(py))*(half_opening + abs(py))
+      depth2 = (half_opening - abs(py))*(half_opening + abs(py))
     end if
-    c = sqrt(max(room, 0.0_wp) + (px*ux + py*uy)**2)
+    c = sqrt(max(depth2, 0.0_wp) + (px*ux + py*uy)**2)
     if (.not. c < grazing_cosine) return
     cosine = c
     sine = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), sine)
@@ -258,18 +258,18 @@ contains
     !> Wall or opening, as in `motion_type`.
     integer(wall_kind), intent(out) :: next
     real(wp), intent(out) :: wait
-    real(wp) :: outward, root, room
+    real(wp) :: outward, root, depth2
 
     if (from == no_opening) then
-      room = max(disc%radius**2 - (x**2 + y**2), 0.0_wp)
+      depth2 = max(disc%radius**2 - (x**2 + y**2), 0.0_wp)
     else
       ! On a chord, r**2 - q**2 is a product, exact however narrow the channel is.
-      room = (disc%half_width(from) - abs(y))*(disc%half_width(from) + abs(y))
+      depth2 = (disc%half_width(from) - abs(y))*(disc%half_width(from) + abs(y))
     end if
     outward = x*ux + y*uy
-    root = sqrt(outward**2 + room)
+    root = sqrt(outward**2 + depth2)
     if (outward > 0.0_wp) then
-      wait = room/(root + outward)
+      wait = depth2/(root + outward)
     else
       wait = root - outward
     end if

@@ -148,7 +148,7 @@ contains
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
     real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
     real(wp), dimension(lanes), intent(inout) :: met, delay
-    real(wp) :: dx, dy, ahead, beside, room, time, this, before, best, met_before
+    real(wp) :: dx, dy, ahead, beside, half_chord2, time, this, before, best, met_before
     integer :: k, j
 
     do k = 1, count
@@ -159,9 +159,9 @@ contains
         dy = disc_y(k) - y(j)
         ahead = dx*ux(j) + dy*uy(j)
         beside = abs(dx*uy(j) - dy*ux(j))
-        room = (radius(k) - beside)*(radius(k) + beside)
-        time = ahead - sqrt(max(room, 0.0_wp))
-        time = merge(time, huge(1.0_wp), room > 0.0_wp)
+        half_chord2 = (radius(k) - beside)*(radius(k) + beside)
+        time = ahead - sqrt(max(half_chord2, 0.0_wp))
+        time = merge(time, huge(1.0_wp), half_chord2 > 0.0_wp)
         time = merge(time, huge(1.0_wp), ahead > 0.0_wp)
         ! In this form the compiler keeps both in registers from disc to disc.
         before = delay(j)

@@ -63,7 +63,7 @@ contains
     integer(wall_kind), intent(out) :: next
     !> Time until the particle reaches it.
     real(wp), intent(out) :: wait
-    real(wp) :: to_wall, dx, dy, beside, room, ahead, time(half_channel%count)
+    real(wp) :: to_wall, dx, dy, beside, half_chord2, ahead, time(half_channel%count)
     integer :: k
 
     next = meets_line
@@ -82,10 +82,10 @@ contains
       dy = half_channel%y(k) - y
       ahead = dx*ux + dy*uy
       beside = abs(dx*uy - dy*ux)
-      room = (half_channel%radius(k) - beside)*(half_channel%radius(k) + beside)
+      half_chord2 = (half_channel%radius(k) - beside)*(half_channel%radius(k) + beside)
       ! By rounding, a particle may be in a disc: it hits the disc now, unless it moves away.
-      time(k) = merge(max(ahead - sqrt(max(room, 0.0_wp)), 0.0_wp), huge(1.0_wp), &
-        room > 0.0_wp .and. ahead > 0.0_wp)
+      time(k) = merge(max(ahead - sqrt(max(half_chord2, 0.0_wp)), 0.0_wp), huge(1.0_wp), &
+        half_chord2 > 0.0_wp .and. ahead > 0.0_wp)
     end do
     do k = 1, half_channel%count
       if (time(k) >= wait) cycle

@@ -25,7 +25,7 @@ module battery_visits
   type :: visits_type
     integer :: count = 0
     !> Visits that the arrays can hold; below 0 before they are allocated.
-    integer, private :: room = -1
+    integer, private :: capacity = -1
     !> Particle of each visit, and its urn (1 or 2).
     integer, allocatable :: particle(:), urn(:)
     !> In: time of entry into the channel before the urn. Out of `cross_channels`: time of entry
@@ -69,25 +69,25 @@ module battery_visits
 
 contains
 
-  !> Empties the batch, and allocates it for `room` visits if it is smaller.
-  subroutine reserve_visits(visits, room)
+  !> Empties the batch, and allocates it for `capacity` visits if it is smaller.
+  subroutine reserve_visits(visits, capacity)
     type(visits_type), intent(inout) :: visits
-    integer, intent(in) :: room
+    integer, intent(in) :: capacity
 
     visits%count = 0
     visits%many_count = 0
-    if (room > visits%room) call allocate_visits(visits, room)
+    if (capacity > visits%capacity) call allocate_visits(visits, capacity)
   end subroutine reserve_visits
 
-  !> Allocates an empty batch for at least `room` visits.
-  subroutine allocate_visits(visits, room)
+  !> Allocates an empty batch for at least `capacity` visits.
+  subroutine allocate_visits(visits, capacity)
     type(visits_type), intent(inout) :: visits
-    integer, intent(in) :: room
+    integer, intent(in) :: capacity
     integer :: n
 
-    n = group_size*((max(room, 64) + max(room, 64)/2)/group_size + 1)
+    n = group_size*((max(capacity, 64) + max(capacity, 64)/2)/group_size + 1)
     visits = visits_type()
-    visits%room = n
+    visits%capacity = n
     allocate (visits%time(n), visits%passage(n), visits%turned(n), visits%through(n), visits%x(n), &
       visits%y(n), visits%u_axial(n), visits%u_lateral(n), visits%length(n), visits%hits(n), &
       visits%px(n), visits%py(n), visits%zx(n), visits%zy(n), visits%steps(n), visits%c(n), &

@@ -102,27 +102,27 @@ contains
     integer, intent(in) :: events
     !> Particles counted by gate 1 and by gate 2.
     integer, intent(in) :: counted(2)
-    integer :: urn, room
+    integer :: urn, capacity
 
     do urn = 1, 2
       call reserve_stretch(window%stretch(urn), events + counted(urn))
     end do
     window%crossings = 0
-    room = events + sum(counted)
+    capacity = events + sum(counted)
     if (allocated(window%crossing_order)) then
-      if (size(window%crossing_order) >= room) return
+      if (size(window%crossing_order) >= capacity) return
       deallocate (window%due, window%middle, window%particle, window%crossing_time, &
         window%crossing_order)
     end if
-    room = max(64, 2*room)
-    allocate (window%due(room, 3), window%middle(room, 3), window%particle(room, 3), &
-      window%crossing_time(room), window%crossing_order(room))
+    capacity = max(64, 2*capacity)
+    allocate (window%due(capacity, 3), window%middle(capacity, 3), window%particle(capacity, 3), &
+      window%crossing_time(capacity), window%crossing_order(capacity))
   end subroutine reserve_batch_window
 
   !> Assigns the due events to gates and line; particles that enter a gate are inside from now on.
   !> The loop has no branches: with many particles each flight is a cache miss, and many loads must
   !> be pending at a time.
-  pure subroutine partition_events(number, flight, events, due_time, due_particle, room, &
+  pure subroutine partition_events(number, flight, events, due_time, due_particle, capacity, &
     partition_count, due, middle, particle)
     !> Number of particles; number of events.
     integer, intent(in) :: number, events
@@ -132,13 +132,13 @@ contains
     !> Particle of each event.
     integer, intent(in) :: due_particle(events)
     !> Leading extent of the arrays, which are explained at `batch_window_type`.
-    integer, intent(in) :: room
+    integer, intent(in) :: capacity
     !> Number of events of each part.
     integer, intent(out) :: partition_count(3)
     !> Time of each event, and time at which its particle would reach the middle line.
-    real(wp), intent(inout) :: due(room, 3), middle(room, 3)
+    real(wp), intent(inout) :: due(capacity, 3), middle(capacity, 3)
     !> Particle of each event.
-    integer, intent(inout) :: particle(room, 3)
+    integer, intent(inout) :: particle(capacity, 3)
     integer :: k, i, place, line
     logical :: enters
 

@@ -46,7 +46,7 @@ module battery_long_visits
     !> Visits longer than this are long.
     real(wp) :: least = huge(1.0_wp)
     !> Number of particles, number of entries, size of the store.
-    integer, private :: number = 0, count = 0, room = 0
+    integer, private :: number = 0, count = 0, capacity = 0
     type(entry_type), allocatable, private :: entry(:)
     !> Entry of each particle, or 0; not allocated before there is an entry.
     integer(int32), allocatable, private :: place(:)
@@ -113,10 +113,10 @@ contains
     do k = 1, batch%many_count
       j = batch%many(k)
       if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
-      ! Room for the whole batch, before its first start is stored: a start that has just been
+      ! Allocates for the whole batch, before its first start is stored: a start that has just been
       ! stored still belongs to an old flight, so a later call would drop it as finished.
-      if (visits%count + batch%many_count - k >= visits%room) call grow_entries(visits, flight, &
-        batch%many_count - k + 1)
+      if (visits%count + batch%many_count - k >= visits%capacity) call grow_entries(visits, &
+        flight, batch%many_count - k + 1)
       i = batch%particle(j)
       call store_visit_start(visits, i, flight(i), batch%turned(j), batch%hits(j))
     end do
@@ -166,7 +166,7 @@ contains
     allocate (entry(min(max(64, 2*(visits%count + more)), visits%number + more)))
     entry(:visits%count) = visits%entry(:visits%count)
     call move_alloc(entry, visits%entry)
-    visits%room = size(visits%entry)
+    visits%capacity = size(visits%entry)
     if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
   end subroutine grow_entries
 
@@ -274,7 +274,7 @@ contains
     if (archive%failed()) return
     if (archive%reading) then
       visits%count = size(particle)
-      visits%room = size(particle)
+      visits%capacity = size(particle)
       visits%entry = [(entry_type(particle=particle(at)), at=1, size(particle))]
       allocate (visits%place(visits%number), source=0_int32)
       visits%place(particle) = [(int(at, int32), at=1, size(particle))]

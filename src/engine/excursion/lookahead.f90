@@ -65,7 +65,7 @@ contains
     type(flight_type), intent(inout) :: flight(number)
     !> Particle of each pending event.
     integer, intent(in) :: next(coming)
-    !> In: particle, channel and time of reversal, as `run_serial_window` leaves them; with room for
+    !> In: particle, channel and time of reversal, as `run_serial_window` leaves them; allocated for
     !> `most_lookahead_visits` more. Out: as `compute_visits` leaves them.
     type(visits_type), intent(inout) :: visits
     !> Visits computed ahead.

@@ -78,18 +78,18 @@ contains
     visit_start = motion_type(x, y, ux, uy, time, int(urn, int8), int(chamber, int8))
   end function visit_start_at
 
-  !> Empties the batch, and allocates it for `room` visits if it is smaller.
-  pure subroutine reserve_scatterer_visits(scatterer_visits, room)
+  !> Empties the batch, and allocates it for `capacity` visits if it is smaller.
+  pure subroutine reserve_scatterer_visits(scatterer_visits, capacity)
     type(scatterer_visits_type), intent(inout) :: scatterer_visits
-    integer, intent(in) :: room
+    integer, intent(in) :: capacity
     integer :: n
 
     scatterer_visits%count = 0
-    if (size(scatterer_visits%visit) >= room) return
+    if (size(scatterer_visits%visit) >= capacity) return
     deallocate (scatterer_visits%visit)
     if (allocated(scatterer_visits%open)) deallocate (scatterer_visits%open, &
       scatterer_visits%place, scatterer_visits%motions, scatterer_visits%hits)
-    n = max(64, room + room/2)
+    n = max(64, capacity + capacity/2)
     allocate (scatterer_visits%visit(n), scatterer_visits%open(n), scatterer_visits%place(n), &
       scatterer_visits%motions(n), scatterer_visits%hits(n))
   end subroutine reserve_scatterer_visits
